@@ -6,7 +6,9 @@
     └── RigError          anything about controls, curves, meshes
         ├── ControlError  an unknown, missing or doubled control
         ├── CurveError    values, shapes or times that make no curves
-        └── FormatError   a file that is not what its name says
+        ├── FormatError   a file that is not what its name says
+        └── MeshError     vertices, triangles or shapes that make no mesh
+            └── TopologyError  triangles that name wrong vertices, meshes that do not match
 """
 
 
@@ -24,3 +26,11 @@ class CurveError(RigError):
 
 class FormatError(RigError):
     """A file that is not what its name says."""
+
+
+class MeshError(RigError):
+    """Vertices, triangles or shapes that make no mesh."""
+
+
+class TopologyError(MeshError):
+    """Triangles that name wrong vertices, or meshes that do not share their triangles."""

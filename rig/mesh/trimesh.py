@@ -1,0 +1,225 @@
+"""A triangle mesh, checked once when it is made.
+
+V vertices, N triangles. Space is right-handed, y up, the face looks along +z, the subject's left
+is +x (the convention of glTF); the unit is the file's own.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from rig.errors import MeshError, TopologyError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DEGENERATE_AREA = 1e-12
+"""A triangle is degenerate below this share of the squared diagonal of the mesh's box."""
+
+MAX_ELEMENTS = 5_000_000
+"""Most vertices or triangles a file may bring."""
+
+
+@dataclass(frozen=True, eq=False)
+class TriMesh:
+    """Vertices and triangles.
+
+    Parameters
+    ----------
+    vertices : array [shape=(V, 3)]
+        Positions, finite; kept as float64.
+    faces : array [shape=(N, 3)]
+        Vertex indices of each triangle, counter-clockwise seen from outside; kept as int64.
+
+    Raises
+    ------
+    MeshError
+        If a shape is wrong, a coordinate is not finite, or there are too many elements.
+    TopologyError
+        If an index points outside the vertices or a triangle names a vertex twice.
+    """
+
+    vertices: Floats
+    faces: Ints
+
+    def __post_init__(self) -> None:
+        vertices = np.array(self.vertices, dtype=np.float64)
+        faces = np.array(self.faces)
+        _check_shapes(vertices, faces)
+        faces = faces.astype(np.int64)
+        _check_indices(faces, len(vertices))
+        vertices.setflags(write=False)
+        faces.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bounding box: the length that errors are measured against."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
+
+    def with_vertices(self, vertices: Any) -> "TriMesh":
+        """Return the same triangles over other positions [shape=(V, 3)]."""
+        if np.shape(vertices) != self.vertices.shape:
+            raise TopologyError(
+                f"{np.shape(vertices)} positions for {len(self.vertices)} vertices: "
+                "the deformed mesh must keep the vertex order of the neutral one"
+            )
+        return TriMesh(vertices, self.faces)
+
+    def flipped(self) -> "TriMesh":
+        """Return the mesh with every triangle turned over."""
+        return TriMesh(self.vertices, self.faces[:, ::-1])
+
+    def compact(self) -> tuple["TriMesh", Ints]:
+        """Drop vertices no triangle uses.
+
+        Returns
+        -------
+        mesh : TriMesh
+        used : array [shape=(V',)]
+            Old index of each vertex that stayed, ascending.
+        """
+        used, faces = np.unique(self.faces, return_inverse=True)
+        return TriMesh(self.vertices[used], faces.reshape(-1, 3)), used
+
+
+def _check_shapes(vertices: Floats, faces: NDArray[Any]) -> None:
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise MeshError(f"vertices have shape {vertices.shape}; they must be (V, 3)")
+    if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
+        raise MeshError(
+            f"faces have shape {faces.shape} and type {faces.dtype}; they must be (N, 3) integers"
+        )
+    if len(faces) == 0:
+        raise MeshError("the mesh has no triangles; export the surface, not points or curves")
+    if max(len(vertices), len(faces)) > MAX_ELEMENTS:
+        raise MeshError(
+            f"{len(vertices)} vertices and {len(faces)} triangles; at most {MAX_ELEMENTS} of each"
+        )
+    if not np.isfinite(vertices).all():
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        raise MeshError(f"vertices {listed(bad)} are not finite numbers; export the mesh again")
+
+
+def _check_indices(faces: Ints, count: int) -> None:
+    outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
+    if len(outside):
+        raise TopologyError(
+            f"triangles {listed(outside)} name vertices outside 0..{count - 1}; "
+            "the file is cut short or its indices are wrong"
+        )
+    doubled = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if doubled.any():
+        raise TopologyError(
+            f"triangles {listed(np.flatnonzero(doubled))} name a vertex twice; remove them"
+        )
+
+
+def listed(indices: NDArray[Any], most: int = 8) -> str:
+    """Write the first few indices: "3, 14, 15 and 90 more"."""
+    words = ", ".join(str(int(i)) for i in indices[:most])
+    return words + (f" and {len(indices) - most} more" if len(indices) > most else "")
+
+
+def cross_products(mesh: TriMesh) -> Floats:
+    """Give each triangle's (v2 - v1) x (v3 - v1) [shape=(N, 3)], twice its area long."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    product: Floats = np.cross(b - a, c - a)
+    return product
+
+
+def triangle_areas(mesh: TriMesh) -> Floats:
+    """Area of each triangle [shape=(N,), squared unit of the mesh]."""
+    areas: Floats = 0.5 * np.linalg.norm(cross_products(mesh), axis=1)
+    return areas
+
+
+def triangle_normals(mesh: TriMesh) -> Floats:
+    """Unit normal of each triangle [shape=(N, 3)]; zero where the triangle has no area."""
+    return _unit(cross_products(mesh))
+
+
+def vertex_normals(mesh: TriMesh) -> Floats:
+    """Area-weighted unit normal at each vertex [shape=(V, 3)]; zero at unused vertices."""
+    normals = np.zeros_like(mesh.vertices)
+    products = cross_products(mesh)
+    for corner in range(3):
+        np.add.at(normals, mesh.faces[:, corner], products)
+    return _unit(normals)
+
+
+def _unit(vectors: Floats) -> Floats:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: Floats = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    return unit
+
+
+def degenerate_triangles(mesh: TriMesh) -> Ints:
+    """Indices of triangles without area (less than `DEGENERATE_AREA` of the size squared)."""
+    found: Ints = np.flatnonzero(triangle_areas(mesh) <= DEGENERATE_AREA * mesh.size**2)
+    return found
+
+
+def without_degenerate(mesh: TriMesh) -> TriMesh:
+    """Return the mesh without its triangles of no area; vertices keep their indices."""
+    keep = np.ones(len(mesh.faces), dtype=bool)
+    keep[degenerate_triangles(mesh)] = False
+    return TriMesh(mesh.vertices, mesh.faces[keep])
+
+
+def edges(faces: Ints) -> Ints:
+    """Directed edges of every triangle, corner by corner [shape=(3 N, 2)]."""
+    joined: Ints = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return joined
+
+
+def adjacency(mesh: TriMesh) -> csr_array:
+    """Symmetric 0/1 matrix of neighbouring vertices [shape=(V, V)]."""
+    ends = edges(mesh.faces)
+    count = len(mesh.vertices)
+    ones = np.ones(2 * len(ends))
+    rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
+    matrix = csr_array(coo_array((ones, (rows, columns)), shape=(count, count)))
+    matrix.data[:] = 1.0
+    return matrix
+
+
+def components(mesh: TriMesh) -> Ints:
+    """Number each vertex's connected part [shape=(V,), 0 is the part with most vertices].
+
+    A vertex no triangle uses is a part of its own.
+    """
+    count, labels = connected_components(adjacency(mesh), directed=False)
+    order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    numbered: Ints = rank[labels]
+    return numbered
+
+
+def boundary_edges(mesh: TriMesh) -> Ints:
+    """Edges that one triangle alone has [shape=(E, 2)], directed as in that triangle."""
+    directed = edges(mesh.faces)
+    _, inverse, counts = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    rim: Ints = directed[counts[inverse.ravel()] == 1]
+    return rim
+
+
+def same_topology(first: TriMesh, second: TriMesh) -> None:
+    """Raise TopologyError unless both meshes have equal triangles over equally many vertices."""
+    if len(first.vertices) != len(second.vertices):
+        raise TopologyError(
+            f"{len(second.vertices)} vertices where the neutral mesh has {len(first.vertices)}; "
+            "export every shape with the same vertex count and order"
+        )
+    if not np.array_equal(first.faces, second.faces):
+        raise TopologyError(
+            "the triangles differ from the neutral mesh's; export every shape with the same faces"
+        )
