@@ -68,7 +68,7 @@ def polar_rotation(t: Floats) -> Floats:
 
 
 def _norm(x: Floats) -> Floats:
-    return np.sqrt(np.einsum("ij...,ij...->...", x, x))
+    return cast(Floats, np.sqrt(np.einsum("ij...,ij...->...", x, x)))
 
 
 def _cofactors(x: Floats) -> Floats:
@@ -88,6 +88,7 @@ def rotation_log(rotations: Any) -> Floats:
     Parameters
     ----------
     rotations : array [shape=(..., 3, 3)]
+        Orthogonal, det 1.
 
     Returns
     -------
@@ -162,6 +163,7 @@ def unwrap(vectors: Any, reference: Any) -> Floats:
     Parameters
     ----------
     vectors : array [shape=(..., 3), radians]
+        What the logarithm gave.
     reference : array [shape=(..., 3), radians]
         The frame before, or the rest (zeros).
 
