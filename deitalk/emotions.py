@@ -46,8 +46,11 @@ class EmotionTrack:
 
     def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Weights (T, 5) float32 at `times` (T,) in seconds."""
-        columns = [np.interp(np.asarray(times, float), self.times, w) for w in self.weights.T]
-        return np.stack(columns, axis=-1).astype(np.float32)
+        seconds = np.asarray(times, float)
+        weights = np.empty((*seconds.shape, len(EMOTIONS)), np.float32)
+        for i, column in enumerate(self.weights.T):
+            weights[..., i] = np.interp(seconds, self.times, column)
+        return weights
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,10 @@ class IntensityCurve:
 
     def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Intensity (T,) float32 at `times` (T,): linear between keys, held outside."""
-        return np.interp(np.asarray(times, float), self.times, self.values).astype(np.float32)
+        values: npt.NDArray[np.float32] = np.interp(
+            np.asarray(times, float), self.times, self.values
+        ).astype(np.float32)
+        return values
 
 
 def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") -> EmotionTrack:
@@ -108,12 +114,14 @@ def read_emotion_track(path: str | Path) -> EmotionTrack:
     wide = not any("emotion" in row for row in rows) and any(set(EMOTIONS) & set(r) for r in rows)
     columns = ("time",) if wide else ("time", "emotion", "strength")
     keys: dict[float, dict[str, float]] = {}
+    latest = -np.inf
     for number, row in enumerate(rows, start=1):
         where = f"{path}, key {number}"
         _require(row, columns, where)
         time = _number(row["time"], "time", where)
-        if keys and time < max(keys):
-            raise EmotionError(f"{where}: time {time:g} comes after {max(keys):g}; sort the keys")
+        if time < latest:
+            raise EmotionError(f"{where}: time {time:g} comes after {latest:g}; sort the keys")
+        latest = time
         _add_key(keys.setdefault(time, {}), row, where, wide)
     weights = [_weights(key, f"{path}, time {time:g}") for time, key in keys.items()]
     return EmotionTrack(np.array(list(keys)), np.stack(weights))
@@ -215,7 +223,8 @@ def _weights(strengths: Mapping[str, float], where: str) -> Floats:
             "the intensity for a stronger emotion"
         )
     weights[0] += max(0.0, 1 - total)
-    return weights / weights.sum()
+    weights /= weights.sum()
+    return weights
 
 
 def _pairs(text: str) -> dict[str, float]:
