@@ -1,0 +1,252 @@
+"""glTF 2.0 binary files (.glb): a mesh with sparse morph targets and their animation.
+
+Section numbers are those of the Khronos glTF 2.0 specification.
+"""
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import FormatError, MeshError
+from rig.files import atomic_write
+from rig.mesh.obj import check_size
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh, vertex_normals
+
+_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
+_FLOAT, _UINT = 5126, 5125
+_ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
+
+_STILL = 1e-5
+"""A vertex is left out of a morph target if it moves less than this share of the mesh's size."""
+
+_NORMAL_STILL = 2e-3
+"""The same for normals: a tenth of a degree."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeightAnimation:
+    """Morph weights over time.
+
+    Parameters
+    ----------
+    weights : array [shape=(T, K)]
+        One column per shape.
+    fps : float
+        Frame i is at i / fps seconds.
+    name : str
+    """
+
+    weights: NDArray[Any]
+    fps: float = 30.0
+    name: str = "take"
+
+
+@dataclass
+class GlbBuilder:
+    """Grows the JSON and the binary chunk together."""
+
+    json: dict[str, Any] = field(default_factory=dict)
+    binary: bytearray = field(default_factory=bytearray)
+
+    def view(self, array: NDArray[Any], target: int | None = None) -> int:
+        while len(self.binary) % 4:
+            self.binary.append(0)
+        data = array.tobytes()
+        view: dict[str, Any] = {
+            "buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)
+        }  # fmt: skip
+        if target is not None:
+            view["target"] = target
+        self.binary += data
+        views = self.json.setdefault("bufferViews", [])
+        views.append(view)
+        return len(views) - 1
+
+    def accessor(self, **fields: Any) -> int:
+        accessors = self.json.setdefault("accessors", [])
+        accessors.append(fields)
+        return len(accessors) - 1
+
+    def dense(self, array: NDArray[Any], kind: str, target: int | None = None) -> int:
+        array = np.ascontiguousarray(array, dtype="<u4" if array.dtype.kind in "iu" else "<f4")
+        fields: dict[str, Any] = {
+            "bufferView": self.view(array, target),
+            "componentType": _UINT if array.dtype.kind == "u" else _FLOAT,
+            "count": array.shape[0],
+            "type": kind,
+        }
+        if target == _ARRAY_BUFFER or (kind == "SCALAR" and array.dtype.kind == "f"):
+            fields |= _bounds(array)
+        return self.accessor(**fields)
+
+    def sparse(self, delta: NDArray[Any], still: float) -> int:
+        """Accessor of displacements that stores only the vertices that move (§3.6.2.3)."""
+        delta = delta.astype("<f4")
+        moving = np.flatnonzero(np.linalg.norm(delta, axis=1) > still)
+        fields: dict[str, Any] = {"componentType": _FLOAT, "count": len(delta), "type": "VEC3"}
+        kept = np.zeros_like(delta)
+        kept[moving] = delta[moving]
+        if len(moving):
+            fields["sparse"] = {
+                "count": len(moving),
+                "indices": {
+                    "bufferView": self.view(moving.astype("<u4")), "componentType": _UINT
+                },
+                "values": {"bufferView": self.view(delta[moving])},
+            }  # fmt: skip
+        return self.accessor(**fields, **_bounds(kept))
+
+
+def _bounds(array: NDArray[Any]) -> dict[str, list[float]]:
+    rows = array.reshape(len(array), -1)
+    return {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+
+
+def write_glb(
+    path: Path | str,
+    shapes: ShapeSet,
+    *,
+    animation: WeightAnimation | None = None,
+    colour: Sequence[float] = (0.80, 0.62, 0.53),
+) -> None:
+    """Write a neutral mesh, its shapes as sparse morph targets, and their animation.
+
+    Target names go to `mesh.extras.targetNames`, where Blender, three.js and Unreal look for
+    them. Unused vertices are dropped (glTF forbids none, viewers dislike them).
+
+    Parameters
+    ----------
+    path : Path or str
+        The .glb file.
+    shapes : ShapeSet
+        y up, facing +z; glTF's unit is the metre, and positions are written as they are.
+    animation : WeightAnimation, optional
+        Weights of the shapes, in their order.
+    colour : sequence of 3 floats [0 to 1]
+        Linear base colour of the one material.
+
+    Raises
+    ------
+    MeshError
+        If the animation's columns are not the shapes, or a value is not finite.
+    """
+    builder = GlbBuilder()
+    builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
+    _add_mesh(builder, shapes, colour)
+    builder.json["nodes"] = [{"mesh": 0, "name": "face"}]
+    builder.json["scenes"] = [{"nodes": [0]}]
+    builder.json["scene"] = 0
+    if animation is not None:
+        add_animation(builder, animation, {0: _checked_weights(animation, len(shapes.names))})
+    write_container(path, builder.json, bytes(builder.binary))
+
+
+def _add_mesh(builder: GlbBuilder, shapes: ShapeSet, colour: Sequence[float]) -> None:
+    mesh, used = shapes.neutral.compact()
+    normals = vertex_normals(mesh)
+    targets = []
+    for delta in shapes.deltas[:, used].astype(np.float64):
+        moved = vertex_normals(TriMesh(mesh.vertices + delta, mesh.faces))
+        targets.append(
+            {
+                "POSITION": builder.sparse(delta, _STILL * mesh.size),
+                "NORMAL": builder.sparse(moved - normals, _NORMAL_STILL),
+            }
+        )
+    primitive: dict[str, Any] = {
+        "attributes": {
+            "POSITION": builder.dense(mesh.vertices, "VEC3", _ARRAY_BUFFER),
+            "NORMAL": builder.dense(normals, "VEC3", _ARRAY_BUFFER),
+        },
+        "indices": builder.dense(mesh.faces.ravel(), "SCALAR", _INDEX_BUFFER),
+        "material": 0,
+    }
+    described: dict[str, Any] = {"name": "face", "primitives": [primitive]}
+    if targets:
+        primitive["targets"] = targets
+        described["weights"] = [0.0] * len(targets)
+        described["extras"] = {"targetNames": list(shapes.names)}
+    builder.json["meshes"] = [described]
+    surface = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    builder.json["materials"] = [
+        {"name": "skin", "pbrMetallicRoughness": surface, "doubleSided": True}
+    ]
+
+
+def _checked_weights(animation: WeightAnimation, count: int) -> NDArray[np.float32]:
+    weights = np.asarray(animation.weights, dtype=np.float32)
+    if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
+        raise MeshError(f"animation weights have shape {weights.shape}; they must be (T, {count})")
+    if not np.isfinite(weights).all():
+        raise MeshError("animation weights hold numbers that are not finite")
+    if not animation.fps > 0:
+        raise MeshError(f"fps is {animation.fps}; it must be above 0")
+    return weights
+
+
+def add_animation(
+    builder: GlbBuilder, animation: WeightAnimation, weights: dict[int, NDArray[np.float32]]
+) -> None:
+    """Append one animation that drives the morph weights of nodes (§3.11)."""
+    frames = len(next(iter(weights.values())))
+    times = builder.dense(np.arange(frames, dtype=np.float64) / animation.fps, "SCALAR")
+    samplers, channels = [], []
+    for node, columns in weights.items():
+        output = builder.dense(columns.ravel(), "SCALAR")
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": "weights"}})
+        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+    builder.json.setdefault("animations", []).append(
+        {"name": animation.name, "samplers": samplers, "channels": channels}
+    )
+
+
+def write_container(path: Path | str, document: dict[str, Any], binary: bytes) -> None:
+    """Write the two chunks of a GLB file (§4.4)."""
+    binary += b"\0" * (-len(binary) % 4)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(binary)
+    with atomic_write(path) as beside, open(beside, "wb") as file:
+        file.write(struct.pack("<III", _MAGIC, 2, total))
+        file.write(struct.pack("<II", len(text), _JSON) + text)
+        file.write(struct.pack("<II", len(binary), _BIN) + binary)
+
+
+def read_container(path: Path | str) -> tuple[dict[str, Any], bytes]:
+    """Read the JSON and the binary chunk of a GLB file.
+
+    Raises
+    ------
+    FormatError
+        If it is no GLB version 2, is cut short, or keeps its data in other files.
+    """
+    path = Path(path)
+    check_size(path)
+    data = path.read_bytes()
+    if len(data) < 20 or struct.unpack_from("<II", data) != (_MAGIC, 2):
+        raise FormatError(f"{path.name} is not a binary glTF 2.0 file; export it as .glb")
+    chunks: dict[int, bytes] = {}
+    offset = 12
+    while offset + 8 <= len(data):
+        length, kind = struct.unpack_from("<II", data, offset)
+        if offset + 8 + length > len(data):
+            raise FormatError(f"{path.name} is cut short")
+        chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
+        offset += 8 + length
+    try:
+        document = json.loads(chunks[_JSON])
+    except (KeyError, ValueError):
+        raise FormatError(f"{path.name} has no readable JSON chunk") from None
+    if not isinstance(document, dict):
+        raise FormatError(f"{path.name} has no readable JSON chunk")
+    if any("uri" in buffer for buffer in document.get("buffers", [])):
+        raise FormatError(f"{path.name} keeps its data in other files; export one .glb")
+    return document, chunks.get(_BIN, b"")

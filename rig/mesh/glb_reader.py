@@ -1,0 +1,264 @@
+"""Read a user's GLB: its meshes joined into one, with named morph targets; or add an animation.
+
+`read_glb` brings geometry in. `animate_glb` leaves the user's file as it is (materials, textures,
+skin, compression) and only appends morph weights by name.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import FormatError, MeshError
+from rig.mesh.glb import WeightAnimation, GlbBuilder, add_animation, read_container, write_container
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import MAX_ELEMENTS, TriMesh
+
+Floats = NDArray[np.float64]
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_TRIANGLES = 4
+_READABLE = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual"}
+_COMPRESSED = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+    "KHR_texture_basisu": "KTX2 texture",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """One primitive, already in scene space."""
+
+    vertices: Floats
+    faces: NDArray[np.int64]
+    names: list[str]
+    deltas: list[Floats]
+
+
+def read_glb(path: Path | str) -> ShapeSet:
+    """Join all triangle meshes of the default scene into one mesh with its morph targets.
+
+    Shapes of the same name on several meshes (face, teeth, lashes) become one. Node transforms
+    are applied; skins are not (the bind pose is read).
+
+    Raises
+    ------
+    FormatError
+        If the file is compressed (Draco, meshopt, KTX2), needs an unknown extension, or is
+        inconsistent.
+    """
+    path = Path(path)
+    document, binary = read_container(path)
+    _refuse_compressed(document, path.name)
+    try:
+        pieces = list(_pieces(document, binary))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        if isinstance(error, MeshError | FormatError):
+            raise
+        raise FormatError(f"{path.name} is inconsistent: {error!r}") from None
+    if not pieces:
+        raise FormatError(f"{path.name} holds no triangle mesh")
+    return _join(pieces)
+
+
+def _refuse_compressed(document: dict[str, Any], name: str) -> None:
+    required = document.get("extensionsRequired", [])
+    for extension in required:
+        if extension in _COMPRESSED:
+            raise FormatError(
+                f"{name} uses {_COMPRESSED[extension]} compression ({extension}); "
+                "export it again without compression"
+            )
+        if extension not in _READABLE and not extension.startswith("KHR_materials_"):
+            raise FormatError(f"{name} needs the extension {extension}, which is not read here")
+
+
+def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[_Piece]:
+    for node_index, transform in _walk(document):
+        node = document["nodes"][node_index]
+        if "mesh" not in node:
+            continue
+        mesh = document["meshes"][node["mesh"]]
+        for primitive in mesh["primitives"]:
+            if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
+                yield _piece(document, binary, mesh, primitive, transform)
+
+
+def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Floats]]:
+    """Nodes of the default scene with their world transforms; a node is visited once."""
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes") or [{"nodes": list(range(len(nodes)))}]
+    waiting = [(i, np.eye(4)) for i in scenes[document.get("scene", 0)].get("nodes", [])]
+    seen: set[int] = set()
+    while waiting:
+        index, parent = waiting.pop(0)
+        if index in seen:
+            continue
+        seen.add(index)
+        world = parent @ _local_transform(nodes[index])
+        yield index, world
+        waiting.extend((child, world) for child in nodes[index].get("children", []))
+
+
+def _local_transform(node: dict[str, Any]) -> Floats:
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    local = np.eye(4)
+    local[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)))
+    local[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return local
+
+
+def _piece(
+    document: dict[str, Any],
+    binary: bytes,
+    mesh: dict[str, Any],
+    primitive: dict[str, Any],
+    world: Floats,
+) -> _Piece:
+    vertices = read_accessor(document, binary, primitive["attributes"]["POSITION"])
+    if "indices" in primitive:
+        corners = read_accessor(document, binary, primitive["indices"]).astype(np.int64)
+    else:
+        corners = np.arange(len(vertices))
+    targets = primitive.get("targets", [])
+    names = target_names(mesh, len(targets))
+    deltas = [
+        read_accessor(document, binary, target["POSITION"]) @ world[:3, :3].T
+        if "POSITION" in target
+        else np.zeros_like(vertices)
+        for target in targets
+    ]
+    placed = vertices @ world[:3, :3].T + world[:3, 3]
+    return _Piece(placed, corners.reshape(-1, 3), names, deltas)
+
+
+def target_names(mesh: dict[str, Any], count: int) -> list[str]:
+    """Names of a mesh's morph targets; `target_0` ... where the file gives none."""
+    names = mesh.get("extras", {}).get("targetNames", [])
+    if len(names) != count:
+        return [f"target_{i}" for i in range(count)]
+    return [str(name) for name in names]
+
+
+def read_accessor(document: dict[str, Any], binary: bytes, index: int) -> Floats:
+    """One accessor as float64 [shape=(count,) or (count, width)], sparse parts put in."""
+    accessor = document["accessors"][index]
+    kind = np.dtype(_COMPONENTS[accessor["componentType"]])
+    width, count = _WIDTHS[accessor["type"]], int(accessor["count"])
+    if not 0 <= count <= MAX_ELEMENTS * 3:
+        raise FormatError(f"an accessor counts {count} elements; at most {MAX_ELEMENTS * 3}")
+    values = np.zeros((count, width))
+    if "bufferView" in accessor:
+        values[:] = _view(document, binary, accessor, kind, count, width)
+    if "sparse" in accessor:
+        sparse = accessor["sparse"]
+        where = _COMPONENTS[sparse["indices"]["componentType"]]
+        amount = int(sparse["count"])
+        rows = _view(document, binary, sparse["indices"], np.dtype(where), amount, 1)[:, 0]
+        values[rows] = _view(document, binary, sparse["values"], kind, amount, width)
+    if accessor.get("normalized") and kind.kind in "iu":
+        values = np.maximum(values / np.iinfo(kind).max, -1.0)
+    return values[:, 0] if width == 1 else values
+
+
+def _view(
+    document: dict[str, Any],
+    binary: bytes,
+    source: dict[str, Any],
+    kind: np.dtype[Any],
+    count: int,
+    width: int,
+) -> NDArray[Any]:
+    view = document["bufferViews"][source["bufferView"]]
+    start = view.get("byteOffset", 0) + source.get("byteOffset", 0)
+    row = kind.itemsize * width
+    stride = view.get("byteStride", row)
+    end = start + (count - 1) * stride + row if count else start
+    if min(start, stride) < 0 or end > len(binary):
+        raise FormatError(f"bufferView {source['bufferView']} reaches past the file's data")
+    return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
+
+
+def _join(pieces: list[_Piece]) -> ShapeSet:
+    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    names = list(dict.fromkeys(name for p in pieces for name in p.names))
+    deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
+    for start, piece in zip(starts, pieces, strict=False):
+        for name, delta in zip(piece.names, piece.deltas, strict=True):
+            deltas[names.index(name), start : start + len(delta)] += delta
+    faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
+    vertices = np.concatenate([p.vertices for p in pieces])
+    return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
+
+
+def morph_names(path: Path | str) -> tuple[str, ...]:
+    """Names of all morph targets in a GLB file, compressed or not, in file order."""
+    document, _ = read_container(path)
+    names = [n for _, columns in _morphing_nodes(document) for n in columns]
+    return tuple(dict.fromkeys(names))
+
+
+def _morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
+    found = []
+    for index, node in enumerate(document.get("nodes", [])):
+        if "mesh" in node:
+            mesh = document["meshes"][node["mesh"]]
+            count = len(mesh["primitives"][0].get("targets", []))
+            if count:
+                found.append((index, target_names(mesh, count)))
+    return found
+
+
+def animate_glb(
+    source: Path | str, path: Path | str, names: tuple[str, ...], animation: WeightAnimation
+) -> None:
+    """Copy a GLB and append an animation of its morph targets.
+
+    Parameters
+    ----------
+    source : Path or str
+        The user's file; geometry, textures and compression stay as they are.
+    path : Path or str
+        The new file.
+    names : tuple of str
+        What each column of `animation.weights` drives; targets not named stay at 0.
+    animation : WeightAnimation
+        Weights [shape=(T, K)].
+
+    Raises
+    ------
+    MeshError
+        If none of the names is a morph target of the file.
+    """
+    document, binary = read_container(source)
+    nodes = _morphing_nodes(document)
+    weights = np.asarray(animation.weights, dtype=np.float32)
+    column = {name: i for i, name in enumerate(names)}
+    driven: dict[int, NDArray[np.float32]] = {}
+    for node, targets in nodes:
+        picked = np.zeros((len(weights), len(targets)), dtype=np.float32)
+        known = [(k, column[t]) for k, t in enumerate(targets) if t in column]
+        for k, i in known:
+            picked[:, k] = weights[:, i]
+        if known:
+            driven[node] = picked
+    if not driven:
+        raise MeshError(f"{Path(source).name} has none of the morph targets {', '.join(names[:6])}")
+    builder = GlbBuilder(document, bytearray(binary))
+    add_animation(builder, animation, driven)
+    write_container(path, document, bytes(builder.binary))
