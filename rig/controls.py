@@ -13,6 +13,7 @@ eight brow channels with blink, lid press, inner squint, cheek raise and scrunch
 18. ``lip_no_sticky`` and ``upper_face_gaze`` are alternatives of the same sizes.
 """
 
+import csv
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ DEFAULT_ID = "metahuman-185@mh4"
 SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
 """Named sets that are columns of the table."""
 SIDES = {"left": "L", "right": "R", "center": "C"}
+NEWER_ONLY = "-"
+"""`mh3_name` of a control that the older board did not have."""
 MAX_CONTROLS = 4096
 """A control set is a list a person can read, not a mesh."""
 
@@ -64,8 +67,10 @@ class Control:
         -1 where mirroring turns the value round.
     raw_positive, raw_negative : tuple of str
         Raw ``CTRL_expressions`` curves driven by the positive and the negative half.
-    mh3_name, emoface_name : str
-        Spelling on the mh3 board (2021 to 2023) and in EmoFace's columns; empty if none or equal.
+    mh3_name : str
+        Name on the mh3 board (2021 to 2023): empty if it is the same, ``-`` if it had none.
+    emoface_name : str
+        Spelling in EmoFace's 174 columns, empty if it has none.
     """
 
     name: str
@@ -198,11 +203,22 @@ class ControlSet:
         ControlError
             If a name is unknown, or two names mean one control.
         """
-        is_older = any(n not in self._aliases and n in self._older_aliases for n in names)
-        older = self._older_aliases if is_older else {}
+        older = self._older_aliases if self.is_older_board(names) else {}
         resolved = tuple(older.get(name) or self.canonical(name) for name in names)
         check_unique(resolved, where="the header (after older names are resolved)")
         return resolved
+
+    def is_older_board(self, names: Iterable[str]) -> bool:
+        """Return whether a header holds a name that only the older board has."""
+        return any(n not in self._aliases and n in self._older_aliases for n in names)
+
+    def missing(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the controls that a header lacks; what its older board never had is no lack."""
+        present = set(self.resolve(names))
+        lacking = [control for control in self.controls if control.name not in present]
+        if self.is_older_board(names):
+            lacking = [control for control in lacking if control.mh3_name != NEWER_ONLY]
+        return tuple(control.name for control in lacking)
 
     def subset(self, name: str) -> Indices:
         """Return the columns of a named set, region, side or role.
@@ -259,16 +275,12 @@ class ControlSet:
         """
         path = Path(path)
         try:
-            header = pd.read_csv(path, nrows=0, skipinitialspace=True).columns
+            with path.open(encoding="utf-8-sig", newline="") as stream:
+                header = [cell.strip() for cell in next(csv.reader(stream), [])]
             if "name" in header:
                 table = pd.read_csv(path, keep_default_na=False, dtype=str, nrows=MAX_CONTROLS + 1)
                 return cls(id or path.stem, _controls_from(table))
-        except (
-            OSError,
-            UnicodeDecodeError,
-            pd.errors.ParserError,
-            pd.errors.EmptyDataError,
-        ) as error:
+        except (OSError, UnicodeDecodeError, csv.Error, pd.errors.ParserError) as error:
             raise ControlError(f"cannot read a control set from {path}: {error}") from error
         names = [name for name in header if name not in ("frame", "time")]
         return cls.from_names(names, id=id or path.stem, minimum=-1.0)
@@ -355,9 +367,11 @@ def _check_control(control: Control, known: set[str]) -> None:
 
 def _spellings(name: str) -> tuple[str, ...]:
     """Return ``X.ty`` as Unreal and Maya spell it too."""
+    if name in ("", NEWER_ONLY):
+        return ()
     stem, dot, axis = name.rpartition(".t")
     if not dot or axis not in ("x", "y"):
-        return (name,) if name else ()
+        return (name,)
     upper = axis.upper()
     return (name, f"{stem}.{upper}", f"{stem}-translate{upper}", f"{stem}.translate{upper}")
 
@@ -382,7 +396,7 @@ def _control_from(row: dict[str, str]) -> Control:
     for column, field in (("raw_pos", "raw_positive"), ("raw_neg", "raw_negative")):
         fields[field] = tuple(filter(None, row.get(column, "").split("|")))
     fields["sets"] = frozenset(name for name in SETS if row.get(name) == "1")
-    return Control(name=row["name"].strip(), **fields)
+    return Control(name=row["name"].strip(), **fields)  # type: ignore[arg-type]
 
 
 def _number(text: str, where: str) -> float:

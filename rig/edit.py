@@ -1,0 +1,234 @@
+"""Changes an animator makes to curves: smoothing, gain and offset, clamping to the ranges."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
+
+from rig.controls import ControlSet, default_controls
+from rig.curves import RigCurves
+from rig.errors import CurveError
+
+CLOSURE_CONTROLS = (
+    "CTRL_C_jaw.ty",
+    "CTRL_L_mouth_lipsTogetherU.ty",
+    "CTRL_R_mouth_lipsTogetherU.ty",
+    "CTRL_L_mouth_lipsTogetherD.ty",
+    "CTRL_R_mouth_lipsTogetherD.ty",
+)
+"""Controls whose extremes are the lip closures of p, b and m."""
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """What clamping did to one control.
+
+    Parameters
+    ----------
+    name : str
+    n_frames : int
+        Frames that were outside the range.
+    worst_excess : float
+        Greatest distance outside the range, in the control's own unit.
+    """
+
+    name: str
+    n_frames: int
+    worst_excess: float
+
+
+@dataclass(frozen=True)
+class ClampReport:
+    """Which controls were clamped; empty if none. Its text is one line."""
+
+    clipped: tuple[Clipped, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.clipped)
+
+    def __str__(self) -> str:
+        if not self.clipped:
+            return "all values are within their ranges"
+        worst = max(self.clipped, key=lambda item: item.worst_excess)
+        frames = sum(item.n_frames for item in self.clipped)
+        return (
+            f"{frames} values of {len(self.clipped)} controls were clamped to their ranges; "
+            f"worst {worst.name} by {worst.worst_excess:.4g}"
+        )
+
+
+def clamp(
+    curves: RigCurves, controls: ControlSet | None = None, *, tolerance: float = 1e-6
+) -> tuple[RigCurves, ClampReport]:
+    """Clamp values to the ranges of their controls, and report what was changed.
+
+    Parameters
+    ----------
+    curves : RigCurves
+    controls : ControlSet, optional
+        Where the ranges come from; the default board.
+    tolerance : float
+        Excess (in the controls' unit) that is clamped but not worth reporting: rounding.
+
+    Returns
+    -------
+    clamped : RigCurves
+        Within range; the same object if nothing was outside.
+    report : ClampReport
+        In the order of the controls.
+    """
+    controls = controls or default_controls()
+    places = controls.indices(curves.names)
+    low, high = controls.minimum[places], controls.maximum[places]
+    clamped = np.clip(curves.values, low, high)
+    if np.array_equal(clamped, curves.values):
+        return curves, ClampReport()
+    excess = np.abs(curves.values - clamped)
+    clipped = [
+        Clipped(curves.names[i], int((excess[:, i] > tolerance).sum()), float(excess[:, i].max()))
+        for i in np.flatnonzero((excess > tolerance).any(axis=0))
+    ]
+    return replace(curves, values=clamped), ClampReport(tuple(clipped))
+
+
+def gain(
+    curves: RigCurves,
+    gains: Mapping[str, float] | None = None,
+    offsets: Mapping[str, float] | None = None,
+    controls: ControlSet | None = None,
+) -> RigCurves:
+    """Scale each control's distance from rest, then add an offset.
+
+    ``value = rest + gain * (value - rest) + offset``; not clamped, see `clamp`.
+
+    Parameters
+    ----------
+    curves : RigCurves
+    gains, offsets : mapping of str to float, optional
+        Keys are controls (any spelling) or sets (``mouth``, ``upper_face``, ``left`` …). Gains of a
+        control that is named more than once multiply, offsets add.
+    controls : ControlSet, optional
+        Where rest values and sets come from; the default board.
+
+    Raises
+    ------
+    CurveError
+        If a number is not finite.
+    ControlError
+        If a key is neither a set nor a control.
+    """
+    controls = controls or default_controls()
+    scale = np.ones(len(controls), np.float32)
+    shift = np.zeros(len(controls), np.float32)
+    for key, number in (gains or {}).items():
+        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
+    for key, number in (offsets or {}).items():
+        shift[_members(controls, key)] += _finite(number, f"offset of {key}")
+    places = controls.indices(curves.names)
+    rest = controls.rest[places]
+    return replace(curves, values=rest + (curves.values - rest) * scale[places] + shift[places])
+
+
+def smooth(
+    curves: RigCurves,
+    seconds: float,
+    *,
+    names: Iterable[str] | None = None,
+    keep_closures: bool = True,
+) -> RigCurves:
+    """Smooth over time with a Gaussian; the ends hold their first and last value.
+
+    A plain low pass opens the lips of a short p, b or m. With `keep_closures` the smoothed jaw and
+    lips-together curves are drawn back to the unsmoothed ones around each closure: their weight is
+    a Gaussian of half the width, so that the closure frame is exact and no step appears. A closure
+    is the lowest jaw (below a quarter of its 95th percentile) or the highest lips-together value
+    (above half of it) within one deviation, where the curve moves by more than 0.05.
+
+    Parameters
+    ----------
+    curves : RigCurves
+    seconds : float
+        Standard deviation of the Gaussian, seconds; 0 returns the curves as they are. 0.02 to 0.05
+        takes away jitter.
+    names : iterable of str, optional
+        Controls or sets to smooth; all by default.
+    keep_closures : bool
+        Whether closures keep their depth.
+
+    Raises
+    ------
+    CurveError
+        If `seconds` is negative or not finite.
+    """
+    if not (math.isfinite(seconds) and seconds >= 0):
+        raise CurveError(f"smoothing over {seconds} s must be a finite time of 0 or more")
+    if seconds == 0 or len(curves) < 2:
+        return curves
+    sigma = seconds * curves.fps
+    values = curves.values.copy()
+    chosen = _columns(curves, names)
+    smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
+    values[:, chosen] = smoothed
+    if keep_closures:
+        _restore_closures(values, curves, chosen, sigma)
+    return replace(curves, values=values)
+
+
+def _restore_closures(
+    values: NDArray[np.float32], curves: RigCurves, chosen: NDArray[np.intp], sigma: float
+) -> None:
+    present = set(chosen.tolist())
+    for name in CLOSURE_CONTROLS:
+        if name not in curves.names or (column := curves.index(name)) not in present:
+            continue
+        original = curves.values[:, column]
+        closed = _closures(original, sigma, is_jaw=name == "CTRL_C_jaw.ty")
+        if closed.any():
+            weight = _bump(closed, sigma)
+            values[:, column] = weight * original + (1 - weight) * values[:, column]
+
+
+def _closures(curve: NDArray[np.float32], sigma: float, *, is_jaw: bool) -> NDArray[np.bool_]:
+    """Return the frames where a moving curve is deepest in its neighbourhood, and deep."""
+    size = 2 * math.ceil(sigma) + 1
+    lowest, highest = minimum_filter1d(curve, size), maximum_filter1d(curve, size)
+    reach = float(np.percentile(curve, 95))
+    is_deep = curve <= 0.25 * reach if is_jaw else curve >= max(0.5 * reach, 0.1)
+    is_extreme = curve == (lowest if is_jaw else highest)
+    return np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
+
+
+def _bump(closed: NDArray[np.bool_], sigma: float) -> NDArray[np.float32]:
+    """Return 1 on closed frames, falling as a Gaussian to 0 away from them."""
+    radius = max(1, math.ceil(3 * sigma))
+    frames = np.flatnonzero(closed)
+    position = np.arange(len(closed))
+    right = frames[np.minimum(np.searchsorted(frames, position), len(frames) - 1)]
+    left = frames[np.maximum(np.searchsorted(frames, position, side="right") - 1, 0)]
+    distance = np.minimum(np.abs(right - position), np.abs(position - left))
+    weight = np.exp(-0.5 * (distance / max(sigma / 2, 1e-6)) ** 2)
+    return np.where(distance <= radius, weight, 0.0).astype(np.float32)
+
+
+def _columns(curves: RigCurves, names: Iterable[str] | None) -> NDArray[np.intp]:
+    if names is None:
+        return np.arange(len(curves.names))
+    controls = default_controls()
+    wanted = {controls.names[i] for name in names for i in _members(controls, name)}
+    return np.array([i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp)
+
+
+def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
+    """Return the columns of a set, or of one control."""
+    if key in controls.subset_names:
+        return controls.subset(key)
+    return controls.indices([key])
+
+
+def _finite(number: float, what: str) -> float:
+    if not math.isfinite(number):
+        raise CurveError(f"{what} is {number}; it must be finite")
+    return number
