@@ -50,12 +50,13 @@ class WeightAnimation:
 
 @dataclass
 class GlbBuilder:
-    """Grows the JSON and the binary chunk together."""
+    """A GLB in the making: grows the JSON and the binary chunk together."""
 
     json: dict[str, Any] = field(default_factory=dict)
     binary: bytearray = field(default_factory=bytearray)
 
     def view(self, array: NDArray[Any], target: int | None = None) -> int:
+        """Append the array's bytes, aligned to 4; give the index of its bufferView."""
         while len(self.binary) % 4:
             self.binary.append(0)
         data = array.tobytes()
@@ -70,11 +71,13 @@ class GlbBuilder:
         return len(views) - 1
 
     def accessor(self, **fields: Any) -> int:
+        """Append an accessor; give its index."""
         accessors = self.json.setdefault("accessors", [])
         accessors.append(fields)
         return len(accessors) - 1
 
     def dense(self, array: NDArray[Any], kind: str, target: int | None = None) -> int:
+        """Accessor over all of `array`, as uint32 or float32."""
         array = np.ascontiguousarray(array, dtype="<u4" if array.dtype.kind in "iu" else "<f4")
         fields: dict[str, Any] = {
             "bufferView": self.view(array, target),
@@ -197,7 +200,8 @@ def add_animation(
     """Append one animation that drives the morph weights of nodes (§3.11)."""
     frames = len(next(iter(weights.values())))
     times = builder.dense(np.arange(frames, dtype=np.float64) / animation.fps, "SCALAR")
-    samplers, channels = [], []
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
     for node, columns in weights.items():
         output = builder.dense(columns.ravel(), "SCALAR")
         channels.append({"sampler": len(samplers), "target": {"node": node, "path": "weights"}})

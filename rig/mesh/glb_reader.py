@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import FormatError, MeshError
-from rig.mesh.glb import WeightAnimation, GlbBuilder, add_animation, read_container, write_container
+from rig.mesh.glb import GlbBuilder, WeightAnimation, add_animation, read_container, write_container
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import MAX_ELEMENTS, TriMesh
 

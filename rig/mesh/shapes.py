@@ -72,7 +72,7 @@ class ShapeSet:
 
     def delta(self, name: str) -> Floats:
         """Displacement of one shape [shape=(V, 3)] as float64."""
-        return self.deltas[self.index(name)].astype(np.float64)
+        return np.asarray(self.deltas[self.index(name)], dtype=np.float64)
 
     def evaluate(self, weights: Any) -> Floats:
         """Vertices at `weights` [shape=(T, K)] -> [shape=(T, V, 3)]: neutral + sum of deltas."""
@@ -80,8 +80,7 @@ class ShapeSet:
         if w.ndim != 2 or w.shape[1] != len(self.names):
             raise MeshError(f"weights have shape {w.shape}; they must be (T, {len(self.names)})")
         flat: Floats = w @ self.deltas.reshape(len(self.names), -1)
-        moved: Floats = self.neutral.vertices + flat.reshape(len(w), -1, 3)
-        return moved
+        return np.asarray(self.neutral.vertices + flat.reshape(len(w), -1, 3))
 
 
 def write_shapes_npz(path: Path | str, shapes: ShapeSet) -> None:
