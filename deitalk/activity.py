@@ -207,7 +207,8 @@ def _noise_floor(levels: FloatArray) -> FloatArray:
     for band, values in enumerate(np.array(lowest).T):
         floor[:, band] = np.interp(np.arange(n_frames), centres, values)
     loudest = np.percentile(levels.max(axis=1), 98)
-    return np.maximum(floor, loudest - SPEECH_RANGE_DB)
+    floor = np.maximum(floor, np.float32(loudest - SPEECH_RANGE_DB))
+    return floor
 
 
 def _runs(mask: BoolArray) -> npt.NDArray[np.int64]:

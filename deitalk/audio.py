@@ -165,7 +165,11 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
             "pass the samples of one channel"
         )
     try:
-        with atomic_write(path) as beside, wave.open(str(beside), "wb") as file:
+        with (
+            atomic_write(path) as beside,
+            beside.open("wb") as raw,
+            wave.open(raw, "wb") as file,
+        ):
             file.setparams((1, 2, SAMPLE_RATE, 0, "NONE", "NONE"))
             for start in range(0, len(samples), BLOCK_SAMPLES):
                 scaled = np.rint(samples[start : start + BLOCK_SAMPLES] * 32768.0)

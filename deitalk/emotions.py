@@ -275,7 +275,7 @@ def _read_rows(path: Path) -> list[dict[str, Any]]:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise EmotionError(f"{path} is larger than 32 MB; give a track with fewer keys")
         text = path.read_text(encoding="utf-8-sig")
-        rows = _parse_rows(text, path.suffix.lower())
+        rows = _parse_rows(text, path)
     except OSError as error:
         raise EmotionError(
             f"cannot read {path}: {error.strerror}; give a {', '.join(TRACK_SUFFIXES)} file, or "
@@ -291,7 +291,8 @@ def _read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _parse_rows(text: str, suffix: str) -> list[dict[str, Any]]:
+def _parse_rows(text: str, path: Path) -> list[dict[str, Any]]:
+    suffix = path.suffix.lower()
     if suffix == ".csv":
         delimiter = ";" if ";" in text.split("\n", 1)[0] else ","
         reader = csv.DictReader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
@@ -302,7 +303,7 @@ def _parse_rows(text: str, suffix: str) -> list[dict[str, Any]]:
         content = _load_yaml(text)
     else:
         raise EmotionError(
-            f"a track's suffix must be one of {', '.join(TRACK_SUFFIXES)}, not {suffix!r}"
+            f"{path}: suffix {suffix!r} is none of {', '.join(TRACK_SUFFIXES)}; rename or convert"
         )
     if isinstance(content, dict):
         content = content.get("keys")

@@ -1,0 +1,250 @@
+"""Emotions in every spelling: the same weights, and one line for every mistake."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deitalk.emotions import (
+    EMOTIONS,
+    EmotionTrack,
+    check_intensity,
+    parse_emotion,
+    read_intensity_curve,
+    write_intensity_csv,
+)
+from deitalk.errors import EmotionError
+
+KEYS = [
+    {"time": 1.0, "emotion": "happy", "strength": 1.0},
+    {"time": 3.0, "emotion": "sad", "strength": 0.5},
+]
+
+
+def write_track(path, keys):
+    if path.suffix == ".json":
+        path.write_text(json.dumps(keys))
+    elif path.suffix == ".yaml":
+        path.write_text(yaml.safe_dump({"keys": keys}))
+    else:
+        lines = [
+            ",".join(str(key.get(c, "")) for c in ("time", "emotion", "strength")) for key in keys
+        ]
+        path.write_text("\n".join(["time,emotion,strength", *lines]) + "\n")
+    return path
+
+
+def assert_error(emotion, *words):
+    with pytest.raises(EmotionError) as error:
+        parse_emotion(emotion)
+    message = str(error.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def weights(emotion, time=0.0):
+    return dict(zip(EMOTIONS, parse_emotion(emotion).at([time])[0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("name", EMOTIONS)
+def test_label_is_one_hot_forever(name):
+    track = parse_emotion(f" {name.upper()} ").at([-1, 0, 1e6])
+    assert track.dtype == np.float32
+    assert np.array_equal(track, np.tile(np.eye(5)[EMOTIONS.index(name)], (3, 1)))
+
+
+def test_what_is_left_open_is_neutral():
+    assert weights("happy=0.7") == pytest.approx(
+        {"neutral": 0.3, "angry": 0, "happy": 0.7, "sad": 0, "surprised": 0}
+    )
+    assert weights("happy=0.7, Surprised=0.3")["neutral"] == pytest.approx(0, abs=1e-7)
+    assert weights({"happy": 0.7}) == weights("happy=0.7")
+    assert weights("neutral=0.2,sad=0.2")["neutral"] == pytest.approx(0.8)
+    assert weights({})["neutral"] == 1
+
+
+@given(st.lists(st.floats(0, 1), min_size=5, max_size=5))
+def test_weights_are_a_distribution(strengths):
+    total = max(sum(strengths), 1.0)
+    row = parse_emotion({n: s / total for n, s in zip(EMOTIONS, strengths, strict=True)}).at([0.0])[
+        0
+    ]
+    assert row.min() >= 0
+    assert row.sum() == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+def test_keyframes_are_joined_by_lines_and_held_outside(tmp_path, suffix):
+    path = write_track(tmp_path / f"track{suffix}", KEYS)
+    for spelling in (path, str(path)):
+        track = parse_emotion(spelling).at([0.0, 1.0, 1.5, 3.0, 9.0])
+        #        neutral angry happy sad surprised
+        assert track.tolist() == [
+            [0, 0, 1, 0, 0],
+            [0, 0, 1, 0, 0],
+            [0.125, 0, 0.75, 0.125, 0],
+            [0.5, 0, 0, 0.5, 0],
+            [0.5, 0, 0, 0.5, 0],
+        ]
+
+
+def test_keys_at_one_time_mix(tmp_path):
+    keys = [{"time": 0, "emotion": e, "strength": s} for e, s in (("happy", 0.6), ("angry", 0.4))]
+    path = write_track(tmp_path / "t.json", keys)
+    assert weights(path) == weights("happy=0.6,angry=0.4")
+
+
+def test_spreadsheet_csv_with_mark_and_semicolons(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"\xef\xbb\xbfTime;Emotion;Strength\r\n0;happy;0.5\r\n")
+    assert weights(path)["happy"] == 0.5
+
+
+def test_a_track_is_itself():
+    track = parse_emotion("sad")
+    assert parse_emotion(track) is track
+    assert isinstance(track, EmotionTrack)
+
+
+@pytest.mark.parametrize(
+    ("emotion", "words"),
+    [
+        ("furious", ["unknown emotion 'furious'", *EMOTIONS]),
+        ("", ["unknown emotion ''", "neutral"]),
+        ("joy=0.5", ["unknown emotion 'joy'", "surprised"]),
+        ({"joy": 0.5}, ["unknown emotion 'joy'"]),
+        ("happy=0.7,sad=0.6", ["sum to 1.3", "intensity"]),
+        ("happy=1.5", ["sum to 1.5", "must not exceed 1"]),
+        ("happy=-0.2", ["happy is -0.2", "0 to 1"]),
+        ("happy=nan", ["'nan'", "finite"]),
+        ("happy=loud", ["'loud'", "finite number"]),
+        ("happy=0.1,happy=0.2", ["given twice"]),
+        ("happy=0.1,sad", ["<emotion>=<strength>"]),
+        ({"happy": True}, ["finite number"]),
+        ({"happy": None}, ["finite number"]),
+        ("missing.csv", ["cannot read missing.csv", "No such file", "happy"]),
+    ],
+)
+def test_mistakes_are_one_line(emotion, words):
+    assert_error(emotion, *words)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ([KEYS[1], KEYS[0]], ["key 2", "time 1 comes after 3", "sort"]),
+        ([KEYS[0], KEYS[0]], ["key 2", "'happy' twice"]),
+        ([{**KEYS[0], "strength": -0.5}], ["time 1", "happy is -0.5"]),
+        ([{**KEYS[0], "strength": 1.5}], ["time 1", "sum to 1.5"]),
+        ([{**KEYS[0], "time": float("nan")}], ["key 1", "time is", "finite"]),
+        ([{**KEYS[0], "emotion": "joy"}], ["unknown emotion 'joy'", "happy"]),
+        ([KEYS[0], {"time": 3.0, "emotion": "sad"}], ["key 2", "no 'strength'"]),
+        ([{"emotion": "sad", "strength": 1}], ["key 1", "no 'time'"]),
+        ([], ["holds no keys"]),
+    ],
+)
+def test_malformed_tracks_are_one_line(tmp_path, suffix, keys, words):
+    path = write_track(tmp_path / f"track{suffix}", keys)
+    assert_error(path, *words)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("t.json", b"{"),
+        ("t.json", b"[" * 100_000),
+        ("t.json", b"3"),
+        ("t.json", b"[1, 2]"),
+        ("t.yaml", b"keys: [a: {"),
+        ("t.yaml", b"!!python/object/apply:os.system [echo]"),
+        ("t.csv", b"time,strength\n0,1\n"),
+        ("t.csv", b"\xff\xfe\x00"),
+        ("t.csv", b""),
+        ("t.txt", b"0 happy"),
+    ],
+)
+def test_files_that_are_no_track(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    assert_error(path, "t.")
+
+
+def test_huge_file_is_refused(tmp_path):
+    path = tmp_path / "t.csv"
+    with path.open("wb") as file:
+        file.truncate(33 * 1024**2)
+    assert_error(path, "larger than 32 MB")
+
+
+def intensity_csv(path, n=90):
+    times = np.arange(n) / 30
+    write_intensity_csv(
+        path,
+        times=times,
+        weights=parse_emotion("happy=0.7,sad=0.3").at(times),
+        saliency=np.full(n, 0.5),
+        predicted=np.full(n, 0.9),
+        intensity=times,
+    )
+    return times
+
+
+def test_written_intensity_is_read_back(tmp_path):
+    path = tmp_path / "intensity.csv"
+    times = intensity_csv(path)
+    header = path.read_text().splitlines()[0]
+    assert header == "frame,time,neutral,angry,happy,sad,surprised,saliency,predicted,intensity"
+    curve = read_intensity_curve(path)
+    np.testing.assert_allclose(curve.at(times), times, atol=1e-5)
+    np.testing.assert_allclose(curve.at([0.01, 99.0]), [0.01, times[-1]], atol=1e-5)
+    assert weights(path, 1.0)["happy"] == pytest.approx(0.7)  # a take's table is a track too
+
+
+def test_intensity_needs_only_time_and_intensity(tmp_path):
+    path = tmp_path / "edited.csv"
+    path.write_text("time,intensity\n0,0\n2,4\n")
+    assert read_intensity_curve(path).at([0.0, 0.5, 2.0]).tolist() == [0, 1, 4]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("0,-0.1", "intensity -0.1 must be 0 to 4"),
+        ("0,4.1", "intensity 4.1 must be 0 to 4"),
+        ("0,nan", "finite"),
+        ("0,inf", "finite"),
+        ("1,1\n1,1", "time 1 must be after 1"),
+        ("0,", "no 'intensity'"),
+        ("x,1", "time is 'x'"),
+    ],
+)
+def test_malformed_intensity_is_one_line(tmp_path, rows, words):
+    path = tmp_path / "i.csv"
+    path.write_text("time,intensity\n" + rows + "\n")
+    with pytest.raises(EmotionError, match=words) as error:
+        read_intensity_curve(path)
+    assert "\n" not in str(error.value)
+
+
+def test_global_intensity_is_checked_by_the_same_rule():
+    assert check_intensity(4) == 4
+    for bad in (-1, 5, float("nan")):
+        with pytest.raises(EmotionError, match="must be 0 to 4"):
+            check_intensity(bad)
+
+
+def test_unwritable_intensity_leaves_the_old_file(tmp_path):
+    path = tmp_path / "intensity.csv"
+    intensity_csv(path)
+    before = path.read_bytes()
+    with pytest.raises(ValueError):
+        write_intensity_csv(
+            path, times=[0], weights=np.zeros((2, 5)), saliency=[0], predicted=[0], intensity=[0]
+        )
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["intensity.csv"]
