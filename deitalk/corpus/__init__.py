@@ -1,0 +1,1 @@
+"""Speech with known phones: synthesised, or recorded and aligned."""

@@ -1,0 +1,354 @@
+"""espeak-ng through its C library: speech with the exact time of every phone.
+
+The library keeps one global state: use it from one thread per process. Phone events are exact to
+about 4 ms but for stops, whose event comes at the burst; `with_closures` gives a stop the silent
+run before it.
+"""
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.corpus.phones import STOPS, ipa_to_phones
+from deitalk.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
+from deitalk.errors import ConfigError, DataError, MissingError
+
+PACKAGE = "espeak-ng"
+MISSING = f"espeak: the library libespeak-ng.so.1 is not on this machine; apt-get install {PACKAGE}"
+PRIMARY_SHARE = 0.65  # of an event that fuses two phones (a vowel and its r) belongs to the first
+
+# speak_lib.h of espeak-ng 1.51
+_SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
+_UTF8, _SSML, _PHONEMES_IPA, _PHONEME_EVENT, _LIST_END = 1, 0x10, 2, 7, 0
+_RATE, _VOLUME, _PITCH, _RANGE = 1, 2, 3, 4
+
+
+class _EventId(ctypes.Union):
+    _fields_ = (
+        ("number", ctypes.c_int),
+        ("name", ctypes.c_char_p),
+        ("string", ctypes.c_char * 8),
+    )
+
+
+class _Event(ctypes.Structure):
+    _fields_ = (
+        ("type", ctypes.c_int),
+        ("unique_identifier", ctypes.c_uint),
+        ("text_position", ctypes.c_int),
+        ("length", ctypes.c_int),
+        ("audio_position", ctypes.c_int),
+        ("sample", ctypes.c_int),
+        ("user_data", ctypes.c_void_p),
+        ("id", _EventId),
+    )
+
+
+_Callback = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(_Event)
+)
+
+
+class _Engine:
+    """The loaded library; one per process."""
+
+    def __init__(self) -> None:
+        try:
+            self.library = ctypes.CDLL("libespeak-ng.so.1")
+            self.c_library = ctypes.CDLL(None)
+        except OSError as error:
+            raise MissingError(MISSING) from error
+        options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
+        self.sample_rate = self.library.espeak_Initialize(_SYNCHRONOUS, 200, None, options)
+        if self.sample_rate <= 0:
+            raise MissingError(f"espeak: the voice data cannot be read; apt-get install {PACKAGE}")
+        self.library.espeak_TextToPhonemes.restype = ctypes.c_char_p
+        self.chunks: list[np.ndarray] = []
+        self.events: list[tuple[int, str]] = []  # (sample, IPA)
+        self._callback = _Callback(self._receive)
+        self.library.espeak_SetSynthCallback(self._callback)
+
+    def _receive(self, samples, count: int, events) -> int:  # type: ignore[no-untyped-def]
+        """Collect audio and phone events."""
+        if samples and count > 0:
+            self.chunks.append(np.ctypeslib.as_array(samples, (count,)).copy())
+        i = 0
+        while events and events[i].type != _LIST_END:
+            if events[i].type == _PHONEME_EVENT:
+                name = events[i].id.string.decode("utf-8", "ignore")
+                self.events.append((events[i].sample, name))
+            i += 1
+        return 0
+
+    def set_voice(self, name: str) -> None:
+        """Choose a voice, or tell how to list the known ones."""
+        if self.library.espeak_SetVoiceByName(name.encode()) != 0:
+            raise ConfigError(
+                f"voice={name!r} is not an espeak-ng voice; espeak-ng --voices lists them"
+            )
+
+    def say(self, text: str, flags: int) -> tuple[np.ndarray, list[tuple[int, str]]]:
+        """Waveform (int16) and events of `text`."""
+        self.chunks, self.events = [], []
+        self.c_library.srand(0)  # breath noise comes from rand(): one text, one waveform
+        data = text.encode()
+        self.library.espeak_Synth(data, len(data) + 1, 0, 1, 0, flags, None, None)
+        self.library.espeak_Synchronize()
+        chunks = self.chunks or [np.zeros(0, np.int16)]
+        return np.concatenate(chunks), self.events
+
+
+@cache
+def _engine() -> _Engine:
+    return _Engine()
+
+
+def missing() -> str | None:
+    """None if espeak-ng works here, else the reason and the package to install."""
+    try:
+        _engine()
+    except MissingError as error:
+        return str(error)
+    return None
+
+
+@cache
+def variants() -> tuple[str, ...]:
+    """Names of the voice variants installed (f1, m3, klatt, ...), sorted."""
+    library = _engine().library
+    library.espeak_Info.restype = ctypes.c_char_p
+    path = ctypes.c_char_p()
+    library.espeak_Info(ctypes.byref(path))
+    folder = Path((path.value or b"").decode()) / "voices" / "!v"
+    return tuple(sorted(p.name for p in folder.glob("*") if " " not in p.name))
+
+
+@cache
+def has_voice(name: str) -> bool:
+    """Whether espeak-ng knows the voice `name` here."""
+    return _engine().library.espeak_SetVoiceByName(name.encode()) == 0
+
+
+def pronounce(text: str, *, voice: str = "en-us") -> str:
+    """How espeak-ng would say `text`, in the International Phonetic Alphabet.
+
+    Raises
+    ------
+    MissingError
+        If espeak-ng is not installed.
+    """
+    engine = _engine()
+    engine.set_voice(voice)
+    pointer = ctypes.c_char_p(text.encode())
+    parts = []
+    while pointer.value is not None:
+        ipa = engine.library.espeak_TextToPhonemes(ctypes.byref(pointer), _UTF8, _PHONEMES_IPA)
+        parts.append((ipa or b"").decode("utf-8", "ignore"))
+    return " ".join(parts)
+
+
+def synthesise(
+    text: str,
+    *,
+    voice: str = "en-us",
+    variant: str | None = None,
+    language: str = "en",
+    rate: float = 165.0,
+    pitch: float = 50.0,
+    pitch_range: float = 50.0,
+    volume: float = 100.0,
+    style: str = "neutral",
+    ssml: bool = False,
+) -> Utterance:
+    """Say `text`.
+
+    Parameters
+    ----------
+    text : str
+        Plain text, or SSML (``<speak>...</speak>`` with ``<prosody>``) when `ssml` is set.
+    voice, variant : str
+        A voice (``en-us``, ``gmw/en``, ``es``) and one of `variants`.
+    language : str
+        Code kept in the utterance; it also decides what the symbols `a` and `r` mean.
+    rate : float
+        Words per minute, 80 to 450.
+    pitch, pitch_range : float
+        0 to 100; 50 is the voice's own.
+    volume : float
+        Percent, 0 to 200; 100 is the engine's own.
+    style : str
+        Emotion whose prosody the numbers above carry; kept in the utterance.
+    ssml : bool
+        Whether `text` is SSML.
+
+    Returns
+    -------
+    utterance : Utterance
+        Its `text` is as given, tags included. Silence is digital zero: add a noise floor before
+        training on it.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown voice or a number out of its range.
+    DataError
+        If there is nothing to say.
+    MissingError
+        If espeak-ng is not installed.
+    """
+    check_ranges(rate=(rate, 80, 450), pitch=(pitch, 0, 100), pitch_range=(pitch_range, 0, 100),
+                  volume=(volume, 0, 200))  # fmt: skip
+    engine = _engine()
+    if variant is not None and variant not in variants():
+        raise ConfigError(f"variant={variant!r} is not installed; known: {', '.join(variants())}")
+    name = voice if variant is None else f"{voice}+{variant}"
+    engine.set_voice(name)
+    for code, value in ((_RATE, rate), (_PITCH, pitch), (_RANGE, pitch_range), (_VOLUME, volume)):
+        engine.library.espeak_SetParameter(code, round(value), 0)
+    samples, events = engine.say(text, _UTF8 | (_SSML if ssml else 0))
+    if not np.any(samples):
+        raise DataError(f"text={text!r} gives no speech in the espeak-ng voice {name}")
+    waveform = samples.astype(np.float32) / 32768
+    segments = event_segments(waveform, engine.sample_rate, events, language)
+    segments = with_closures(waveform, engine.sample_rate, segments)
+    return Utterance(
+        waveform=(resampled := _to_16khz(waveform, engine.sample_rate)),
+        phones=contiguous(segments, len(resampled) / SAMPLE_RATE),
+        text=text,
+        style=style,
+        speaker=f"espeak:{name}",
+        engine="espeak",
+        language=language,
+    )
+
+
+def event_segments(
+    waveform: np.ndarray, sample_rate: int, events: list[tuple[int, str]], language: str
+) -> list[tuple[float, float, str]]:
+    """Timed phones of phone events.
+
+    Each event lasts until the next. A nameless event is silence where nothing is heard and
+    lengthens the phone before it elsewhere; an event of several phones is divided.
+
+    Parameters
+    ----------
+    waveform : float array [shape=(S,)]
+    sample_rate : int
+        Hz.
+    events : list of (sample, IPA)
+    language : str
+
+    Returns
+    -------
+    segments : list of (start, end, name)
+        Seconds, sorted.
+    """
+    segments: list[tuple[float, float, str]] = []
+    ends = [sample for sample, _ in events[1:]] + [len(waveform)]
+    for (start, ipa), end in zip(events, ends, strict=True):
+        if end <= start:
+            continue
+        names = ipa_to_phones(ipa, language)
+        if not names:
+            is_silent = np.sqrt(np.mean(waveform[start:end] ** 2)) < 0.003
+            names = ("SIL",) if is_silent or not segments else (segments[-1][2],)
+        segments += _divide(start / sample_rate, end / sample_rate, names)
+    return _join_repeats(segments)
+
+
+def _divide(start: float, end: float, names: tuple[str, ...]) -> list[tuple[float, float, str]]:
+    """Share a time between phones: `PRIMARY_SHARE` to the first, the rest in equal parts."""
+    if len(names) == 1:
+        return [(start, end, names[0])]
+    middle = start + PRIMARY_SHARE * (end - start)
+    cuts = np.linspace(middle, end, len(names))
+    rest = zip(cuts[:-1], cuts[1:], names[1:], strict=True)
+    return [(start, middle, names[0]), *((float(a), float(b), name) for a, b, name in rest)]
+
+
+def _join_repeats(segments: list[tuple[float, float, str]]) -> list[tuple[float, float, str]]:
+    """One phone where the same name touches itself without a pause."""
+    joined: list[tuple[float, float, str]] = []
+    for start, end, name in segments:
+        if joined and joined[-1][2] == name and start - joined[-1][1] < 1e-9:
+            start = joined.pop()[0]
+        joined.append((start, end, name))
+    return joined
+
+
+def with_closures(
+    waveform: np.ndarray,
+    sample_rate: int,
+    segments: list[tuple[float, float, str]],
+    *,
+    quiet: float = 0.004,
+    longest_seconds: float = 0.12,
+    longest_after_pause_seconds: float = 0.06,
+) -> list[tuple[float, float, str]]:
+    """Move the start of every stop back over the silent run before it.
+
+    ::
+
+        events     | vowel       . . . .| P burst |        the dots are silence
+        result     | vowel      | P closure+burst |
+
+    Parameters
+    ----------
+    waveform : float array [shape=(S,), range -1 to 1]
+    sample_rate : int
+        Hz.
+    segments : list of (start, end, name)
+        Seconds, sorted.
+    quiet : float
+        Largest absolute sample of a silent run.
+    longest_seconds : float
+        A closure is not made longer than this; 20 ms of the phone before it stay.
+    longest_after_pause_seconds : float
+        The same after a pause, where silence does not tell when the lips meet.
+
+    Returns
+    -------
+    segments : list of (start, end, name)
+    """
+    hop = max(1, round(0.002 * sample_rate))
+    n_hops = len(waveform) // hop
+    is_quiet = np.abs(waveform[: n_hops * hop].reshape(n_hops, hop)).max(1) < quiet
+    fixed = list(segments)
+    for i in range(1, len(fixed)):
+        start, end, name = fixed[i]
+        before_start, _, before = fixed[i - 1]
+        if name not in STOPS:
+            continue
+        is_pause = before == "SIL"
+        longest = longest_after_pause_seconds if is_pause else longest_seconds
+        silence = _silence_start(is_quiet, int(start * sample_rate / hop), hop / sample_rate)
+        moved = max(silence, start - longest, before_start + (0.0 if is_pause else 0.02))
+        if start - moved > 0.008:
+            fixed[i - 1] = (before_start, moved, before)
+            fixed[i] = (moved, end, name)
+    return [segment for segment in fixed if segment[1] > segment[0]]
+
+
+def _silence_start(is_quiet: np.ndarray, hop: int, hop_seconds: float) -> float:
+    """Time at which the silent run ending at `hop` begins; two loud hops at its end are allowed."""
+    first = k = min(hop, len(is_quiet))
+    while k > 0 and (is_quiet[k - 1] or first - k < 2):
+        k -= 1
+    return k * hop_seconds
+
+
+def _to_16khz(waveform: np.ndarray, sample_rate: int) -> np.ndarray:
+    """Resample and keep the peak within 1."""
+    import soxr
+
+    resampled = np.asarray(soxr.resample(waveform, sample_rate, SAMPLE_RATE), np.float32)
+    return np.clip(resampled, -1.0, 1.0)
+
+
+def check_ranges(**values: tuple[float, float, float]) -> None:
+    """Raise ConfigError for the first (value, lowest, highest) that is out of its range."""
+    for name, (value, low, high) in values.items():
+        if not low <= value <= high:
+            raise ConfigError(f"{name}={value} must lie between {low} and {high}")

@@ -1,0 +1,110 @@
+"""The phone set of the corpus, and how other alphabets map onto it.
+
+The set is ARPABET with the reduced vowels and the flap that the engines distinguish (AX, IX, DX),
+the glottal stop (Q) and silence (SIL): 43 names. Phones are chosen for what the *face* does, so the
+tables map a foreign sound to the English phone with the nearest lips and jaw, then the nearest
+tongue: the front rounded vowels become rounded ones, a tapped r becomes DX (whose lips are free)
+and not R (whose lips protrude).
+"""
+
+import unicodedata
+from functools import lru_cache
+
+PHONES = tuple(
+    "SIL Q IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY P B M F V TH DH T D N L DX S Z SH ZH "
+    "CH JH K G NG HH R W Y".split()
+)
+VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
+BILABIALS = frozenset(("P", "B", "M"))
+LABIODENTALS = frozenset(("F", "V"))
+STOPS = frozenset("P B T D K G CH JH DX".split())
+"""Phones that begin with a closure, during which little or nothing is heard."""
+
+# Symbol(s) of the International Phonetic Alphabet -> phones. Length marks are looked up first and
+# then dropped; stress, tone, nasality and secondary articulation are dropped (see _PLAIN).
+IPA_CONSONANTS = {
+    "p": "P", "b": "B", "m": "M", "β": "B", "ʙ": "B", "ɓ": "B",
+    "f": "F", "v": "V", "ɸ": "F", "ɱ": "V", "ʋ": "V", "ⱱ": "V",
+    "θ": "TH", "ð": "DH",
+    "t": "T", "d": "D", "n": "N", "l": "L", "ɫ": "L", "ɾ": "DX", "ɬ": "L", "ɮ": "L", "ɗ": "D",
+    "ʈ": "T", "ɖ": "D", "ɳ": "N", "ɭ": "L", "ɽ": "DX", "ɺ": "DX",
+    "s": "S", "z": "Z", "ʃ": "SH", "ʒ": "ZH", "ʂ": "SH", "ʐ": "ZH", "ɕ": "SH", "ʑ": "ZH",
+    "tʃ": "CH", "dʒ": "JH", "tɕ": "CH", "dʑ": "JH", "tʂ": "CH", "dʐ": "JH", "ʈʂ": "CH",
+    "ɖʐ": "JH", "ts": "T S", "dz": "D Z", "pf": "P F", "ɧ": "SH",
+    "k": "K", "g": "G", "ŋ": "NG", "ɴ": "NG", "q": "K", "ɢ": "G", "x": "K", "ɣ": "G", "χ": "K",
+    "ʁ": "G", "ʀ": "G", "ɰ": "G", "c": "K", "ɟ": "G", "ɠ": "G", "ç": "HH", "ʝ": "Y",
+    "ɲ": "N", "ʎ": "L", "j": "Y", "h": "HH", "ɦ": "HH", "ħ": "HH", "ʕ": "Q", "ʔ": "Q",
+    "ɹ": "R", "ɻ": "R", "r": "R", "w": "W", "ʍ": "W", "ɥ": "W",
+}  # fmt: skip
+IPA_VOWELS = {
+    "i": "IY", "ɪ": "IH", "e": "EY", "ɛ": "EH", "æ": "AE", "a": "AE", "aː": "AA", "ɑ": "AA",
+    "ɒ": "AO", "ɔ": "AO", "o": "OW", "ʊ": "UH", "u": "UW", "ʌ": "AH", "ə": "AX", "əː": "ER",
+    "ɐ": "AX", "ᵻ": "IX", "ɨ": "IX", "ᵿ": "UH", "ɜ": "AX", "ɜː": "ER", "ɚ": "ER", "ɝ": "ER",
+    "ɞ": "ER", "ɘ": "AX", "ɤ": "AH", "ɯ": "IX", "ɶ": "AE", "y": "UW", "ʏ": "UH", "ʉ": "UW",
+    "ø": "UH", "œ": "ER", "ɵ": "UH",
+    "eɪ": "EY", "ei": "EY", "ɛɪ": "EY", "æɪ": "EY", "aɪ": "AY", "ai": "AY", "ɑɪ": "AY", "ʌɪ": "AY",
+    "ɐɪ": "AY", "aʊ": "AW", "au": "AW", "ɑu": "AW", "æʊ": "AW", "ɑʊ": "AW", "ɛʊ": "AW",
+    "oʊ": "OW", "əʊ": "OW", "ou": "OW", "ʌʊ": "OW", "əʉ": "OW", "ɔɪ": "OY", "oɪ": "OY", "ɔø": "OY",
+    "ɔʏ": "OY", "ɪə": "IH AX", "iə": "IY AX", "eə": "EH AX", "ɛə": "EH AX", "ʊə": "UH AX",
+    "aɪə": "AY AX", "aʊə": "AW AX", "aɪɚ": "AY ER", "aʊɚ": "AW ER", "əl": "AX L",
+    "ɪɹ": "IH R", "ɛɹ": "EH R", "ʊɹ": "UH R", "ɔːɹ": "AO R", "ɑːɹ": "AA R",
+}  # fmt: skip
+# Outside English `a` is open and central (no spreading) and `r` is a tap or a trill.
+IPA_NOT_ENGLISH = {"a": "AA", "ɐ": "AH", "r": "DX", "rr": "DX", "l̩": "L"}
+
+# Names of the festival and flite American phone sets that differ from ours by more than case.
+FESTIVAL_NAMES = {
+    "pau": "SIL", "h#": "SIL", "#": "SIL", "brth": "SIL", "sil": "SIL", "ssil": "SIL",
+    "axr": "ER", "hv": "HH", "em": "M", "en": "N", "el": "L", "nx": "N", "eng": "NG", "q": "Q",
+}  # fmt: skip
+
+_PLAIN = str.maketrans("", "", "ˈˌˑ˞ʰʲʷˠˤʼ̚˥˦˧˨˩0123456789.|‖_ -'\u200d\u0361\u035c\u0348")
+
+
+@lru_cache(maxsize=4096)
+def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
+    """Phones of a string in the International Phonetic Alphabet.
+
+    Longest symbols first. Stress, tones, length, nasality and other diacritics are ignored, and
+    so are symbols that no table names.
+
+    Parameters
+    ----------
+    ipa : str
+        One phone or many, with or without word boundaries.
+    language : str
+        Language code; decides what `a` and `r` mean.
+
+    Returns
+    -------
+    phones : tuple of str
+        Members of `PHONES`; empty if nothing in `ipa` is a phone.
+    """
+    table = _table(language == "en" or language.startswith("en-"))
+    left, found = _plain(ipa), []
+    while left:
+        size = next((n for n in (3, 2, 1) if left[:n] in table), 0)
+        found += table[left[:size]].split() if size else []
+        left = left[size or 1 :]
+    return tuple(found)
+
+
+def festival_to_phone(name: str) -> str:
+    """The phone that festival's or flite's `name` stands for; unknown names become AX."""
+    phone = FESTIVAL_NAMES.get(name.lower(), name.upper())
+    return phone if phone in PHONES else "AX"
+
+
+@lru_cache(maxsize=2)
+def _table(is_english: bool) -> dict[str, str]:
+    """All symbols in one table."""
+    return {**IPA_CONSONANTS, **IPA_VOWELS, **({} if is_english else IPA_NOT_ENGLISH)}
+
+
+def _plain(ipa: str) -> str:
+    """`ipa` without diacritics and marks; length stays, ç and ᵻ stay whole."""
+    composed = unicodedata.normalize("NFC", ipa).replace("ɡ", "g").replace("ç", "\0")
+    bare = "".join(
+        c for c in unicodedata.normalize("NFD", composed) if not unicodedata.combining(c)
+    )
+    return bare.replace("\0", "ç").translate(_PLAIN)

@@ -1,0 +1,189 @@
+"""Recordings of people: folders of speech with transcripts."""
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.corpus.utterance import SAMPLE_RATE
+from deitalk.errors import AudioError, ConfigError, DataError
+
+LONGEST_SECONDS = 600
+"""Recordings beyond this are refused: cut them into utterances first."""
+AUDIO_SUFFIXES = (".flac", ".wav", ".mp3", ".opus", ".ogg")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recorded utterance, not yet read.
+
+    Attributes
+    ----------
+    path : Path
+        The audio file.
+    text : str
+        What is said.
+    speaker : str
+        ``<source>:<name>``; the same for all recordings of one person.
+    canonical_phones : tuple of str, optional
+        Dictionary phones of the text (ARPABET without stress), where the source gives them.
+    age : int, optional
+        Years, where the source gives it.
+    """
+
+    path: Path
+    text: str
+    speaker: str
+    canonical_phones: tuple[str, ...] | None = None
+    age: int | None = None
+
+
+def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
+    """Recordings of a folder, in a fixed order.
+
+    Parameters
+    ----------
+    folder : Path
+        One of the layouts below.
+    layout : str
+        ``librispeech``: ``<speaker>/<chapter>/*.trans.txt`` beside flac files;
+        ``tsv``: tables ``<source>.tsv`` with the columns path, speaker, text and optionally age
+        and phones; ``clips``: ``clips.csv`` with the columns audio, transcript and optionally clip
+        and speaker; ``auto``: whichever of them is there.
+
+    Returns
+    -------
+    recordings : list of Recording
+
+    Raises
+    ------
+    DataError
+        If the folder holds none, a column is missing, or a row names a file that is not there.
+    ConfigError
+        If `layout` is unknown.
+    """
+    folder = Path(folder)
+    if layout not in (*_READERS, "auto"):
+        raise ConfigError(f"layout={layout!r} must be one of {', '.join((*_READERS, 'auto'))}")
+    if not folder.is_dir():
+        raise DataError(f"{folder} is not a folder; give the folder that holds the recordings")
+    for name in _READERS if layout == "auto" else (layout,):
+        found = list(_READERS[name](folder))
+        if found:
+            return found
+    raise DataError(
+        f"{folder} holds no recordings with transcripts; it needs clips.csv (audio, transcript, "
+        "speaker), tables *.tsv (path, speaker, text) or LibriSpeech's *.trans.txt"
+    )
+
+
+def read_waveform(path: Path | str) -> np.ndarray:
+    """Audio file as 16 kHz mono.
+
+    Parameters
+    ----------
+    path : Path
+        Any format libsndfile reads: wav, flac, mp3, ogg, opus.
+
+    Returns
+    -------
+    waveform : float32 array [shape=(S,), 16 kHz, range -1 to 1]
+
+    Raises
+    ------
+    AudioError
+        If the file cannot be read, is empty or longer than `LONGEST_SECONDS`.
+    """
+    import soundfile
+    import soxr
+
+    try:
+        with soundfile.SoundFile(path) as file:
+            if file.frames > LONGEST_SECONDS * file.samplerate:
+                raise AudioError(
+                    f"{path} lasts {file.frames / file.samplerate:.0f} s; at most "
+                    f"{LONGEST_SECONDS} s: cut it into utterances"
+                )
+            samples, rate = file.read(dtype="float32", always_2d=True), file.samplerate
+    except (soundfile.LibsndfileError, OSError) as error:
+        raise AudioError(f"{path} is not readable audio: {error}") from error
+    waveform = samples.mean(1)
+    if rate != SAMPLE_RATE and len(waveform):
+        waveform = soxr.resample(waveform, rate, SAMPLE_RATE)
+    if not len(waveform) or not np.all(np.isfinite(waveform)):
+        raise AudioError(f"{path} holds no sound; leave it out")
+    return np.clip(waveform, -1, 1).astype(np.float32)
+
+
+def _librispeech(folder: Path) -> Iterator[Recording]:
+    """``1272-128104-0000 MISTER QUILTER ...`` lines beside 1272-128104-0000.flac."""
+    for transcript in sorted(folder.rglob("*.trans.txt")):
+        for line in transcript.read_text(encoding="utf-8").splitlines():
+            key, _, text = line.strip().partition(" ")
+            if not text:
+                continue
+            audio = _beside(transcript.parent, key)
+            yield Recording(audio, text, f"librispeech:{key.split('-')[0]}")
+
+
+def _beside(folder: Path, key: str) -> Path:
+    """The audio file called `key` with any suffix known."""
+    for suffix in AUDIO_SUFFIXES:
+        if (audio := folder / f"{key}{suffix}").is_file():
+            return audio
+    raise DataError(f"{folder / key}.flac is missing although its transcript is there")
+
+
+def _tables(folder: Path) -> Iterator[Recording]:
+    """Every <source>.tsv of the folder."""
+    for table in sorted(folder.glob("*.tsv")):
+        for row in _rows(table, ("path", "speaker", "text"), delimiter="\t"):
+            yield Recording(
+                path=_existing(folder / row["path"], table),
+                text=row["text"],
+                speaker=f"{table.stem}:{row['speaker']}",
+                canonical_phones=_canonical(row.get("phones") or ""),
+                age=int(age) if (age := (row.get("age") or "").strip()).isdigit() else None,
+            )
+
+
+def _clips(folder: Path) -> Iterator[Recording]:
+    """A user's own clips.csv."""
+    table = folder / "clips.csv"
+    if not table.is_file():
+        return
+    for row in _rows(table, ("audio", "transcript"), delimiter=","):
+        if row["transcript"]:
+            speaker = row.get("speaker") or "unnamed"
+            audio = _existing(folder / row["audio"], table)
+            yield Recording(audio, row["transcript"], f"{folder.resolve().name}:{speaker}")
+
+
+_READERS = {"clips": _clips, "tsv": _tables, "librispeech": _librispeech}
+
+
+def _rows(table: Path, needed: tuple[str, ...], *, delimiter: str) -> Iterator[dict[str, str]]:
+    """Rows of a table that must have the columns `needed`."""
+    quoting = csv.QUOTE_NONE if delimiter == "\t" else csv.QUOTE_MINIMAL
+    with table.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.DictReader(file, delimiter=delimiter, quoting=quoting)
+        absent = [name for name in needed if name not in (reader.fieldnames or ())]
+        if absent:
+            raise DataError(f"{table} lacks the column(s) {', '.join(absent)} in its first line")
+        for row in reader:
+            yield {key: (value or "").strip() for key, value in row.items() if key is not None}
+
+
+def _existing(path: Path, table: Path) -> Path:
+    """`path`, which `table` promises to be there."""
+    if not path.is_file():
+        raise DataError(f"{table} names {path}, which is not there")
+    return path
+
+
+def _canonical(phones: str) -> tuple[str, ...] | None:
+    """``W_B IY0_E | K_B AO0_I L_E`` as (W, IY, K, AO, L); None if the table gives nothing."""
+    names = [token.split("_")[0].rstrip("012") for token in phones.split() if token != "|"]
+    return tuple(names) or None
