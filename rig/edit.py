@@ -68,6 +68,7 @@ def clamp(
     Parameters
     ----------
     curves : RigCurves
+        Any values.
     controls : ControlSet, optional
         Where the ranges come from; the default board.
     tolerance : float
@@ -107,6 +108,7 @@ def gain(
     Parameters
     ----------
     curves : RigCurves
+        Any values.
     gains, offsets : mapping of str to float, optional
         Keys are controls (any spelling) or sets (``mouth``, ``upper_face``, ``left`` …). Gains of a
         control that is named more than once multiply, offsets add.
@@ -150,6 +152,7 @@ def smooth(
     Parameters
     ----------
     curves : RigCurves
+        Any values.
     seconds : float
         Standard deviation of the Gaussian, seconds; 0 returns the curves as they are. 0.02 to 0.05
         takes away jitter.

@@ -1,0 +1,103 @@
+"""Curves as a wide CSV: ``frame,time,<one column per control>``.
+
+Plain enough for pandas, a spreadsheet and Unreal's data tables. Controls are values only: emotion
+and intensity tracks go into JSON and NPZ, and beside a take into its ``intensity.csv``.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.controls import ControlSet
+from rig.curves import RigCurves, snap_fps
+from rig.errors import FormatError
+from rig.formats.fixed_point import Block, rows
+from rig.formats.wide_csv import read_header, read_numbers
+
+DECIMALS = 6
+"""Digits of a value: half a millionth of error at most."""
+TIME_DECIMALS = 9
+INDEX_COLUMNS = ("frame", "time")
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write all controls, six decimals, trailing zeros left out."""
+    frame = np.arange(len(curves)).reshape(-1, 1)
+    blocks = [
+        Block(frame, 0),
+        Block(curves.times.reshape(-1, 1), TIME_DECIMALS),
+        Block(curves.values, DECIMALS),
+    ]
+    with path.open("wb") as stream:
+        stream.write(",".join((*INDEX_COLUMNS, *curves.names)).encode() + b"\n")
+        stream.writelines(rows(blocks))
+
+
+def read(path: Path, controls: ControlSet, fps: float | None = None) -> RigCurves:
+    """Read all controls of a set, in any column order and any known spelling.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    controls : ControlSet
+        What the columns must be.
+    fps : float, optional
+        Frames per second; taken from the ``time`` column if not given.
+
+    Raises
+    ------
+    FormatError, ControlError
+        If the file is no such table, a control is missing, doubled or unknown, or the times are
+        not evenly spaced.
+    """
+    header = read_header(path)
+    columns = [i for i, name in enumerate(header) if name not in INDEX_COLUMNS]
+    names = controls.resolve([header[i] for i in columns])
+    require_all(path, controls, [header[i] for i in columns])
+    numbers, _ = read_numbers(path, header)
+    if fps is None:
+        if "time" not in header:
+            raise FormatError(f"{path} has no column 'time'; say the rate with fps")
+        fps = fps_of(numbers[:, header.index("time")], where=str(path))
+    curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)
+    return curves.reorder(controls)
+
+
+def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
+    """Raise FormatError if a header lacks controls of the set."""
+    missing = controls.missing(names)
+    if missing:
+        shown = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
+        raise FormatError(
+            f"{path} lacks {len(missing)} of the {len(controls)} controls of {controls.id}: "
+            f"{shown}; add these columns, or read it with a control set of its own"
+        )
+
+
+def fps_of(times: NDArray[np.float64], *, where: str) -> float:
+    """Return the rate of evenly spaced times (seconds): a standard one where it fits.
+
+    Raises
+    ------
+    FormatError
+        If times do not rise, or a step differs from the mean step by more than a tenth.
+    """
+    if len(times) < 2:
+        return 30.0
+    steps = np.diff(times)
+    mean = (times[-1] - times[0]) / len(steps)
+    if not (mean > 0 and np.isfinite(mean)):
+        raise FormatError(f"{where}: the times do not rise; give each frame a later time")
+    uneven = np.abs(steps - mean) > 0.1 * mean
+    if uneven.any():
+        row = int(np.argmax(uneven)) + 2
+        raise FormatError(
+            f"{where}: data row {row} comes {steps[row - 2]:g} s after the last, others "
+            f"{mean:g} s; frames must be evenly spaced"
+        )
+    exact = float(1.0 / mean)
+    rounded = round(exact, 4)
+    return snap_fps(rounded if abs(rounded - exact) < 2e-5 * exact and rounded else exact)

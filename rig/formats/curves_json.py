@@ -1,0 +1,146 @@
+"""Curves as JSON, schema ``deitalk.curves/1``: self-describing, tracks included.
+
+The schema is written down in ``docs/formats.md``.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from rig.controls import ControlSet
+from rig.curves import EMOTIONS, RigCurves
+from rig.errors import CurveError, FormatError
+from rig.formats.curves_csv import DECIMALS, require_all
+from rig.formats.fixed_point import Block, rows
+from rig.formats.wide_csv import check_size
+
+SCHEMA = "deitalk.curves/1"
+MAX_BYTES = 512 << 20
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write one line per frame."""
+    head = {
+        "schema": SCHEMA,
+        "control_set": curves.control_set,
+        "fps": curves.fps,
+        "n_frames": len(curves),
+        "names": curves.names,
+    }
+    with path.open("wb") as stream:
+        stream.write(json.dumps(head, indent=1, ensure_ascii=False)[:-2].encode())
+        for key, track in (("emotion", curves.emotion), ("intensity", curves.intensity)):
+            if track is not None:
+                _write_array(stream, key, track)
+        if curves.emotion is not None:
+            stream.write(b',\n "emotion_names": ' + json.dumps(EMOTIONS).encode())
+        _write_array(stream, "values", curves.values)
+        stream.write(b"\n}\n")
+
+
+def _write_array(stream: Any, key: str, values: np.ndarray[Any, Any]) -> None:
+    stream.write(f',\n "{key}": [\n'.encode())
+    if len(values):
+        is_flat = values.ndim == 1
+        before, after = (b"  ", b",\n") if is_flat else (b"  [", b"],\n")
+        last = b""
+        for text in rows(
+            [Block(values.reshape(len(values), -1), DECIMALS)], before=before, after=after
+        ):
+            stream.write(last + text[:-2])
+            last = text[-2:]
+    stream.write(b"\n ]")
+
+
+def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> RigCurves:
+    """Read curves; the control set named in the file must be `controls` if that is given.
+
+    Raises
+    ------
+    FormatError
+        If the text is no JSON, of another schema, or a field is missing or of a wrong type.
+    """
+    data = read_json(path, SCHEMA)
+    names = _field(path, data, "names", list)
+    if not all(isinstance(name, str) for name in names):
+        raise FormatError(f"{path}: every one of 'names' must be text")
+    set_id = str(_field(path, data, "control_set", str))
+    if controls is not None:
+        if set_id != controls.id:
+            raise FormatError(f"{path} is of control set {set_id!r}; {controls.id!r} is wanted")
+        require_all(path, controls, names)
+        names = list(controls.resolve(names))
+    _check_emotions(path, data)
+    try:
+        curves = RigCurves(
+            _array(path, data, "values", (0, len(names))),
+            tuple(names),
+            fps or float(_field(path, data, "fps", (int, float))),
+            emotion=_array(path, data, "emotion", (0, len(EMOTIONS)))
+            if "emotion" in data
+            else None,
+            intensity=_array(path, data, "intensity", (0,)) if "intensity" in data else None,
+            control_set=set_id,
+        )
+    except CurveError as error:
+        raise FormatError(f"{path}: {error}") from error
+    if data.get("n_frames", len(curves)) != len(curves):
+        raise FormatError(
+            f"{path}: 'n_frames' is {data['n_frames']!r} and there are {len(curves)} rows of values"
+        )
+    return curves if controls is None else curves.reorder(controls)
+
+
+def read_json(path: Path, schema: str | None = None, limit: int = MAX_BYTES) -> dict[str, Any]:
+    """Read a JSON object; NaN and Infinity, which JSON does not know, are errors.
+
+    Raises
+    ------
+    FormatError
+        If the file is absent or too large, the text is no JSON object, or its ``schema`` differs.
+    """
+    check_size(path, limit)
+    try:
+        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path} is no JSON: {error}") from error
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    if not isinstance(data, dict):
+        raise FormatError(f"{path} must hold a JSON object, not a {type(data).__name__}")
+    if schema is not None and data.get("schema") != schema:
+        raise FormatError(f"{path}: schema is {data.get('schema')!r}; this reads {schema!r}")
+    return data
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not allowed; every value must be a finite number")
+
+
+def _field(path: Path, data: dict[str, Any], key: str, kind: type | tuple[type, ...]) -> Any:
+    value = data.get(key)
+    if not isinstance(value, kind) or isinstance(value, bool):
+        got = "missing" if key not in data else f"a {type(value).__name__}"
+        raise FormatError(f"{path}: field {key!r} is {got}; see docs/formats.md")
+    return value
+
+
+def _array(
+    path: Path, data: dict[str, Any], key: str, empty_shape: tuple[int, ...]
+) -> np.ndarray[Any, Any]:
+    rows_of = _field(path, data, key, list)
+    if not rows_of:
+        return np.zeros(empty_shape, np.float32)
+    try:
+        return np.array(rows_of, dtype=np.float32)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise FormatError(
+            f"{path}: {key!r} must be rows of numbers of one length: {error}"
+        ) from error
+
+
+def _check_emotions(path: Path, data: dict[str, Any]) -> None:
+    if "emotion" in data and data.get("emotion_names", list(EMOTIONS)) != list(EMOTIONS):
+        raise FormatError(f"{path}: 'emotion_names' must be {', '.join(EMOTIONS)}, in this order")
