@@ -1,0 +1,218 @@
+"""Carry shapes, or frames, from a registered source head to the target.
+
+Two ways. *Displacements* (default): each target vertex takes its source point's displacement,
+turned and scaled by the registration's local Jacobian. *Gradients*: each target triangle takes
+its source triangles' deformation gradient and the vertices are solved for (Sumner & Popovic 2004;
+SDFA's use of Eq. 1-6 across topologies). The first is closer at the lips, where gradients of a
+few rim slivers lead the whole lip astray (measured: docs/mesh.md).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from rig.errors import MeshError
+from rig.mesh.closest import ClosestPoints
+from rig.mesh.gradients import deformation_gradients
+from rig.mesh.reconstruct import DeformationSolver, rigid_motion
+from rig.mesh.register import Registration
+from rig.mesh.trimesh import (
+    TriMesh,
+    adjacency,
+    components,
+    triangle_areas,
+    triangle_normals,
+    without_degenerate,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TRUSTED = 0.25
+"""A correspondence further than this share of the eye distance is filled in from neighbours."""
+_ON_SKIN = 0.05
+"""A loose part this near the skin (brow, lash) moves with it; one further in (eye) is rigid."""
+_NEAR_PART = 0.1
+"""A loose part this near a loose part of the source (eye to eye) takes its motion."""
+_JACOBIAN_PASSES = 10
+_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
+"""Points of a target triangle whose source gradients are averaged."""
+
+
+def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
+    """Displacements of the target's vertices from those of the source's.
+
+    Parameters
+    ----------
+    registration : Registration
+        From `rig.mesh.register`.
+    deltas : array [shape=(K, V_source, 3)]
+        Displacements from the source's neutral.
+
+    Returns
+    -------
+    moved : array [shape=(K, V_target, 3)]
+    """
+    source = _checked(registration, deltas)
+    jacobian = local_jacobians(registration)
+    mapped = np.einsum("vab,kvb->kva", jacobian, source)
+    points = registration.correspond()
+    faces = registration.source.faces
+    result = np.stack([points.interpolate(faces, delta) for delta in mapped])
+    trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
+    result = _fill(registration.target, result, trusted)
+    return _settle_parts(registration, mapped, result)
+
+
+def transfer_gradients(registration: Registration, deltas: Any) -> Floats:
+    """As `transfer_displacements`, by deformation gradients; frames of a take go the same way.
+
+    Vertices whose source stays within 0.1 % of the head through all K are held there; each part
+    without one is pinned where its displacement says.
+    """
+    source = _checked(registration, deltas)
+    target = without_degenerate(registration.target)
+    by_displacement = transfer_displacements(registration, source)
+    motion = np.linalg.norm(by_displacement, axis=-1).max(axis=0)
+    used = np.unique(target.faces)
+    quiet = used[motion[used] < 1e-3 * registration.eyes]
+    solver = DeformationSolver(target, pins=quiet)
+    where = _sampled_triangles(registration, target)
+    rotation = registration.rotation
+    result = np.empty_like(by_displacement)
+    for k, delta in enumerate(source):
+        gradients = deformation_gradients(registration.source, registration.source.vertices + delta)
+        local = gradients[where].mean(axis=1)
+        turned = rotation @ local @ rotation.T
+        pins = target.vertices[solver.pins] + by_displacement[k, solver.pins]
+        result[k] = solver.solve_gradients(turned, pin_positions=pins) - target.vertices
+    loose = components(registration.target) > 0
+    result[:, loose] = by_displacement[:, loose]
+    return result
+
+
+def _checked(registration: Registration, deltas: Any) -> Floats:
+    array = np.asarray(deltas, dtype=np.float64)
+    if array.ndim != 3 or array.shape[1:] != registration.source.vertices.shape:
+        raise MeshError(
+            f"deltas have shape {array.shape}; the source needs "
+            f"(K, {len(registration.source.vertices)}, 3)"
+        )
+    return array
+
+
+def local_jacobians(registration: Registration) -> Floats:
+    """How the registration turns and stretches space around each source vertex.
+
+    Area-weighted mean of the triangles' gradients, averaged ten times with the neighbours: the
+    single triangles follow every wrinkle of the fit.
+
+    Returns
+    -------
+    jacobians : array [shape=(V_source, 3, 3)]
+    """
+    source = registration.source
+    proper = without_degenerate(source)
+    placed = _uncollapsed(proper, registration.placed)
+    gradients = deformation_gradients(placed, registration.placed)
+    areas = triangle_areas(placed)
+    total = np.zeros(len(source.vertices))
+    sums = np.zeros((len(source.vertices), 3, 3))
+    for corner in range(3):
+        np.add.at(total, placed.faces[:, corner], areas)
+        np.add.at(sums, placed.faces[:, corner], areas[:, None, None] * gradients)
+    whole = registration.scale * registration.rotation
+    seen = total > 0
+    mean = np.where(seen[:, None, None], sums / np.where(seen, total, 1.0)[:, None, None], whole)
+    links = adjacency(source)
+    share = diags_array(1.0 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1.0)) @ links
+    flat = mean.reshape(len(mean), 9)
+    lonely = np.asarray(links.sum(axis=1)).ravel() == 0
+    for _ in range(_JACOBIAN_PASSES):
+        flat = np.where(lonely[:, None], flat, 0.5 * (flat + share @ flat))
+    return np.asarray(flat.reshape(-1, 3, 3))
+
+
+def _uncollapsed(mesh: TriMesh, placed: Floats) -> TriMesh:
+    """Leave out the triangles that the registration flattened."""
+    areas = triangle_areas(TriMesh(placed, mesh.faces))
+    keep = areas > 1e-12 * float(np.linalg.norm(np.ptp(placed, axis=0))) ** 2
+    return TriMesh(mesh.vertices, mesh.faces[keep])
+
+
+def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
+    """Source triangles under four points of each target triangle [shape=(N, 4)]."""
+    corners = target.vertices[target.faces]
+    sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
+    normals = triangle_normals(target)
+    found = [
+        registration.correspond_points(np.einsum("k,nkc->nc", w, corners), normals, sides)
+        for w in _SAMPLES
+    ]
+    return np.stack([points.triangles for points in found], axis=1)
+
+
+def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats:
+    """Fill untrusted vertices harmonically from trusted ones of their part; parts without: 0."""
+    links = adjacency(target)
+    _, labels = connected_components(links, directed=False)
+    reachable = np.isin(labels, np.unique(labels[trusted]))
+    result = deltas.copy()
+    result[:, ~trusted] = 0.0
+    open_ = np.flatnonzero(~trusted & reachable)
+    if len(open_) == 0:
+        return result
+    laplacian = csc_array(diags_array(np.asarray(links.sum(axis=1)).ravel()) - links)
+    factors = splu(
+        csc_array(laplacian[open_][:, open_]),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    coupling = laplacian[open_]
+    for delta in result:
+        delta[open_] = factors.solve(-(coupling @ delta))
+    return result
+
+
+def _settle_parts(registration: Registration, mapped: Floats, result: Floats) -> Floats:
+    """Make loose parts of the target (eyes, teeth) move as one piece.
+
+    A part on the skin (brow, lash) keeps what it has; a part near a loose part of the source takes
+    its rigid motion; any other stays still: an eyeball must not follow the lids.
+    """
+    labels = components(registration.target)
+    if labels.max() == 0:
+        return result
+    skin, inner = _searches(registration)
+    for label in range(1, int(labels.max()) + 1):
+        part = np.flatnonzero(labels == label)
+        rest = registration.target.vertices[part]
+        if np.median(skin.query(rest).distances) < _ON_SKIN * registration.eyes:
+            continue
+        result[:, part] = 0.0
+        if inner is None:
+            continue
+        points = inner.query(rest)
+        if np.median(points.distances) > _NEAR_PART * registration.eyes:
+            continue
+        for k, delta in enumerate(mapped):
+            moved = rest + points.interpolate(inner.mesh.faces, delta)
+            turn, shift = rigid_motion(rest, moved)
+            result[k, part] = rest @ turn.T + shift - rest
+    return result
+
+
+def _searches(registration: Registration) -> tuple[ClosestPoints, ClosestPoints | None]:
+    """Search over the placed source's skin, and over its loose parts if it has any."""
+    faces = registration.source.faces
+    on_skin = components(registration.source)[faces[:, 0]] == 0
+    skin, inner = faces[on_skin], faces[~on_skin]
+    return (
+        ClosestPoints(TriMesh(registration.placed, skin), candidates=8),
+        ClosestPoints(TriMesh(registration.placed, inner)) if len(inner) else None,
+    )
