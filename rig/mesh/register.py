@@ -115,15 +115,11 @@ def register(
     Raises
     ------
     MeshError
-        If landmarks are missing or lie on one spot.
+        If landmarks are missing, or the lips share one.
     """
     for landmarks, mesh in ((source_landmarks, source), (target_landmarks, target)):
         check_landmarks(landmarks, len(mesh.vertices))
-    shared = [name for name in source_landmarks if name in target_landmarks]
-    from_ = np.array([source_landmarks[name] for name in shared])
-    to = target.vertices[[target_landmarks[name] for name in shared]]
-    if len(np.unique(to.round(12), axis=0)) < len(to):
-        raise MeshError("two landmarks of the target are the same point; mark them apart")
+    from_, to = _shared_points(source, source_landmarks, target, target_landmarks)
     source_labels = lip_labels(source, source_landmarks)
     target_labels = lip_labels(target, target_landmarks)
 
@@ -162,6 +158,35 @@ def register(
         residual,
         inside_out,
     )
+
+
+def _shared_points(
+    source: TriMesh,
+    source_landmarks: Mapping[str, int],
+    target: TriMesh,
+    target_landmarks: Mapping[str, int],
+) -> tuple[Ints, Floats]:
+    """Source vertices and target points of the landmarks both have, each place once.
+
+    On a coarse mesh two landmarks may share a vertex; an upper and a lower one may not.
+    """
+    upper, lower = (
+        {target_landmarks[n] for n in names if n in target_landmarks}
+        for names in ((*UPPER_RIM, "upper_lip_top"), (*LOWER_RIM, "lower_lip_bottom"))
+    )
+    if upper & lower:
+        raise MeshError(
+            f"vertex {min(upper & lower)} is a landmark of the upper and of the lower lip; "
+            "mark them apart (the lips of the mesh must not share vertices there)"
+        )
+    names = [name for name in source_landmarks if name in target_landmarks]
+    from_ = np.array([source_landmarks[name] for name in names])
+    to = target.vertices[[target_landmarks[name] for name in names]]
+    _, first = np.unique(to, axis=0, return_index=True)
+    first = np.sort(first)
+    _, kept = np.unique(from_[first], return_index=True)
+    chosen = first[np.sort(kept)]
+    return from_[chosen], to[chosen]
 
 
 def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Ints:

@@ -24,7 +24,6 @@ from rig.mesh.trimesh import (
     TriMesh,
     adjacency,
     components,
-    triangle_areas,
     triangle_normals,
     without_degenerate,
 )
@@ -38,7 +37,8 @@ _ON_SKIN = 0.05
 """A loose part this near the skin (brow, lash) moves with it; one further in (eye) is rigid."""
 _NEAR_PART = 0.1
 """A loose part this near a loose part of the source (eye to eye) takes its motion."""
-_JACOBIAN_PASSES = 10
+_REGION = 0.3
+_FITS = 300
 _SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
 """Points of a target triangle whose source gradients are averaged."""
 
@@ -108,40 +108,42 @@ def _checked(registration: Registration, deltas: Any) -> Floats:
 def local_jacobians(registration: Registration) -> Floats:
     """How the registration turns and stretches space around each source vertex.
 
-    Area-weighted mean of the triangles' gradients, averaged ten times with the neighbours: the
-    single triangles follow every wrinkle of the fit.
+    Affine maps fitted to the placed skin about a few hundred of its vertices, within a Gaussian of
+    `_REGION` eye distances, then blended. Gradients of single triangles would follow every
+    wrinkle of the fit, and know nothing of the direction across the skin.
 
     Returns
     -------
     jacobians : array [shape=(V_source, 3, 3)]
     """
     source = registration.source
-    proper = without_degenerate(source)
-    placed = _uncollapsed(proper, registration.placed)
-    gradients = deformation_gradients(placed, registration.placed)
-    areas = triangle_areas(placed)
-    total = np.zeros(len(source.vertices))
-    sums = np.zeros((len(source.vertices), 3, 3))
-    for corner in range(3):
-        np.add.at(total, placed.faces[:, corner], areas)
-        np.add.at(sums, placed.faces[:, corner], areas[:, None, None] * gradients)
+    skin = np.flatnonzero(components(source) == 0)
+    before, after = source.vertices[skin], registration.placed[skin]
+    centres = before[:: max(1, len(skin) // _FITS)]
+    reach = _REGION * registration.eyes / registration.scale
+    near = _gaussian(centres, before, reach)
+    near /= near.sum(axis=1, keepdims=True)
+    mean_before, mean_after = near @ before, near @ after
+    moments = np.stack([_moments(near, x, before) for x in (before, after)])
+    moments[0] -= mean_before[:, :, None] * mean_before[:, None, :]
+    moments[1] -= mean_after[:, :, None] * mean_before[:, None, :]
+    # A patch of skin is nearly flat; what it does not show about its normal, the whole head does.
     whole = registration.scale * registration.rotation
-    seen = total > 0
-    mean = np.where(seen[:, None, None], sums / np.where(seen, total, 1.0)[:, None, None], whole)
-    links = adjacency(source)
-    share = diags_array(1.0 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1.0)) @ links
-    flat = mean.reshape(len(mean), 9)
-    lonely = np.asarray(links.sum(axis=1)).ravel() == 0
-    for _ in range(_JACOBIAN_PASSES):
-        flat = np.where(lonely[:, None], flat, 0.5 * (flat + share @ flat))
-    return np.asarray(flat.reshape(-1, 3, 3))
+    ridge = 1e-3 * np.trace(moments[0], axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    fitted = (moments[1] + whole @ ridge) @ np.linalg.inv(moments[0] + ridge)
+    blend = _gaussian(centres, source.vertices, 0.5 * reach) + 1e-12
+    blend /= blend.sum(axis=0)
+    return np.asarray((blend.T @ fitted.reshape(len(centres), 9)).reshape(-1, 3, 3))
 
 
-def _uncollapsed(mesh: TriMesh, placed: Floats) -> TriMesh:
-    """Leave out the triangles that the registration flattened."""
-    areas = triangle_areas(TriMesh(placed, mesh.faces))
-    keep = areas > 1e-12 * float(np.linalg.norm(np.ptp(placed, axis=0))) ** 2
-    return TriMesh(mesh.vertices, mesh.faces[keep])
+def _gaussian(centres: Floats, points: Floats, reach: float) -> Floats:
+    squared = (centres**2).sum(axis=1)[:, None] - 2 * centres @ points.T + (points**2).sum(axis=1)
+    return np.asarray(np.exp(-np.maximum(squared, 0.0) / (2 * reach**2)))
+
+
+def _moments(weights: Floats, values: Floats, points: Floats) -> Floats:
+    outer = (values[:, :, None] * points[:, None, :]).reshape(len(points), 9)
+    return np.asarray((weights @ outer).reshape(-1, 3, 3))
 
 
 def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
