@@ -1,0 +1,167 @@
+"""Make one recording sound like many: voices, rooms, microphones, noise.
+
+SDFA §4.3 (noise, pre-emphasis, warps) and what helped most with synthetic speech: resampling as
+vocal-tract change, equalisers, rooms, band limits. Every function takes a Generator; none changes
+its input. Letters: S samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from deitalk.features import SAMPLE_RATE
+
+Audio = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Recordings of noise and of rooms to mix in; both may be empty."""
+
+    noises: tuple[Audio, ...] = field(default=(), repr=False)
+    rooms: tuple[Audio, ...] = field(default=(), repr=False)
+
+    @classmethod
+    def read(cls, noise_folder: str | None, room_folder: str | None) -> "Surroundings":
+        """Read every audio file of two folders; None leaves a kind out."""
+        return cls(_read_folder(noise_folder), _read_folder(room_folder))
+
+
+def _read_folder(folder: str | None) -> tuple[Audio, ...]:
+    if folder is None:
+        return ()
+    from deitalk.audio import load_audio
+    from deitalk.errors import DataError
+
+    files = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in (".wav", ".flac"))
+    if not files:
+        raise DataError(f"{folder}: holds no .wav or .flac; name a folder of recordings or null")
+    return tuple(load_audio(path).waveform for path in files)
+
+
+def speed_factor(rng: np.random.Generator) -> float:
+    """Factor of speed and pitch: above 1 is faster, higher, a shorter vocal tract."""
+    return float(rng.uniform(0.82, 1.25)) if rng.random() < 0.75 else 1.0
+
+
+def change_speed(waveform: Audio, factor: float) -> Audio:
+    """Resample: S samples become about S / factor, pitch and formants rise by the factor."""
+    if factor == 1.0:
+        return waveform
+    import soxr
+
+    fast: Audio = soxr.resample(waveform, SAMPLE_RATE * factor, SAMPLE_RATE, quality="MQ")
+    return fast
+
+
+def augment(
+    waveform: Audio,
+    rng: np.random.Generator,
+    surroundings: Surroundings,
+    voices: Sequence[Audio] = (),
+) -> Audio:
+    """Change colour, room, band, noise and level, not the timing.
+
+    Parameters
+    ----------
+    waveform : ndarray [shape=(S,)]
+        Speech at the normal level.
+    rng : numpy.random.Generator
+    surroundings : Surroundings
+    voices : sequence of ndarray
+        Other speech, for babble.
+
+    Returns
+    -------
+    ndarray [shape=(S,)]
+    """
+    x = _colour(waveform.astype(np.float64), rng)
+    if rng.random() < 0.45:
+        x = _reverberate(x, rng, surroundings.rooms)
+    x = _limit_band(x, rng)
+    power = float(np.sqrt(np.mean(x**2)) + 1e-9)
+    if rng.random() < 0.9:
+        snr_db, noise = rng.uniform(6, 50), _noise(len(x), rng, surroundings.noises, voices)
+        x = x + noise * power * 10 ** (-snr_db / 20)
+    else:
+        x = x + rng.standard_normal(len(x)) * 10 ** rng.uniform(-5, -3.5)
+    x = x * 10 ** (rng.uniform(-9, 7) / 20)
+    if rng.random() < 0.03:
+        x = np.clip(x, -0.3 * np.abs(x).max(), 0.3 * np.abs(x).max())
+    return x.astype(np.float32)
+
+
+def _colour(x: Floats, rng: np.random.Generator) -> Floats:
+    """One to three peaking equalisers, and a tilt by (de-)emphasis (SDFA §4.3)."""
+    for _ in range(rng.integers(1, 4)):
+        centre = float(np.exp(rng.uniform(np.log(120), np.log(6500))))
+        b, a = _peak(centre, rng.uniform(-9, 9), rng.uniform(0.4, 1.2))
+        x = signal.lfilter(b, a, x)
+    if rng.random() < 0.6:
+        x = signal.lfilter([1, -rng.uniform(-0.5, 0.6)], [1], x)
+    return x
+
+
+def _peak(centre: float, gain_db: float, q: float) -> tuple[Floats, Floats]:
+    """Peaking equaliser after Bristow-Johnson's audio EQ cookbook."""
+    amplitude = 10 ** (gain_db / 40)
+    omega = 2 * np.pi * centre / SAMPLE_RATE
+    alpha, cosine = np.sin(omega) / (2 * q), np.cos(omega)
+    b = np.array([1 + alpha * amplitude, -2 * cosine, 1 - alpha * amplitude])
+    a = np.array([1 + alpha / amplitude, -2 * cosine, 1 - alpha / amplitude])
+    return b / a[0], a / a[0]
+
+
+def _reverberate(x: Floats, rng: np.random.Generator, rooms: Sequence[Audio]) -> Floats:
+    if rooms and rng.random() < 0.5:
+        room = rooms[rng.integers(len(rooms))][:SAMPLE_RATE].astype(np.float64)
+        room = room[max(int(np.abs(room).argmax()) - 8, 0) :]  # no delay: curves stay in time
+        room = room / (np.abs(room).max() + 1e-9)
+        wet = signal.fftconvolve(x, room)[: len(x)]
+        mixed = x + rng.uniform(0.1, 1.0) * wet * (np.std(x) / (np.std(wet) + 1e-9))
+        return mixed
+    length = int(SAMPLE_RATE * rng.uniform(0.08, 0.5))
+    tail = rng.standard_normal(length) * np.exp(-6.9 * np.arange(length) / length)
+    tail *= rng.uniform(0.02, 0.12)
+    tail[0] = 1
+    return signal.fftconvolve(x, tail)[: len(x)]
+
+
+def _limit_band(x: Floats, rng: np.random.Generator) -> Floats:
+    if rng.random() < 0.3:
+        x = signal.sosfilt(
+            signal.butter(4, rng.uniform(3300, 7500), fs=SAMPLE_RATE, output="sos"), x
+        )
+    if rng.random() < 0.3:
+        x = signal.sosfilt(
+            signal.butter(2, rng.uniform(60, 300), "high", fs=SAMPLE_RATE, output="sos"), x
+        )
+    return x
+
+
+def _noise(
+    n: int, rng: np.random.Generator, noises: Sequence[Audio], voices: Sequence[Audio]
+) -> Floats:
+    """Coloured, recorded or babble, at power 1."""
+    kind = rng.random()
+    if kind < 0.15 and len(voices) >= 4:
+        noise = np.sum([_piece(voices[rng.integers(len(voices))], n, rng) for _ in range(4)], axis=0)
+    elif kind < 0.5 and noises:
+        noise = _piece(noises[rng.integers(len(noises))], n, rng)
+    else:
+        spectrum = np.fft.rfft(rng.standard_normal(n))
+        spectrum *= (np.arange(len(spectrum)) + 1.0) ** -rng.choice((0.0, 0.5, 0.75, 1.0))
+        noise = np.fft.irfft(spectrum, n)
+    return noise / (noise.std() + 1e-9)
+
+
+def _piece(recording: Audio, n: int, rng: np.random.Generator) -> Floats:
+    """A random stretch of n samples, repeated where the recording is shorter; power 1."""
+    start = int(rng.integers(max(len(recording) - n, 0) + 1))
+    piece = np.resize(recording[start : start + n], n).astype(np.float64)
+    return piece / (piece.std() + 1e-9)

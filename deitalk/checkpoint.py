@@ -1,0 +1,170 @@
+"""Model folders: configuration, weights and their history, without pickle.
+
+::
+
+    config.yaml          every setting of the model
+    model.safetensors    weights (float16 in shipped models)
+    model.json           format version, control set, training summary
+"""
+
+import hashlib
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deitalk.config import Config, load_config
+from deitalk.errors import CheckpointError
+from deitalk.models import DEITalk
+from rig import default_controls
+from rig.files import atomic_write
+
+FORMAT_VERSION = 1
+EMBEDDED = ("default", "compact")
+"""Models that come with the package; `embedded_models` lists those that are there."""
+MAX_BYTES = 4 * 1024**3
+
+
+def embedded_models() -> list[str]:
+    """Names of the models inside the package."""
+    folder = resources.files("deitalk").joinpath("weights")
+    return [name for name in EMBEDDED if folder.joinpath(name, "model.safetensors").is_file()]
+
+
+def save_model(
+    folder: Path, model: DEITalk, config: Config, summary: dict[str, Any], *, half: bool = False
+) -> None:
+    """Write a model folder; an existing one is replaced at once.
+
+    Parameters
+    ----------
+    folder : Path
+    model : DEITalk
+    config : Config
+    summary : dict
+        What trained it: steps, data, scores.
+    half : bool
+        Store float16.
+    """
+    import torch
+    from safetensors.torch import save_file
+
+    weights = {
+        name: (
+            value.half() if half and value.dtype == torch.float32 else value
+        ).detach().cpu().contiguous()
+        for name, value in model.state_dict().items()
+    }
+    about = {
+        "format_version": FORMAT_VERSION,
+        "control_set": model.controls.id,
+        "controls": list(model.controls.names),
+        "parameters": sum(p.numel() for p in model.parameters()),
+        "training": summary,
+    }
+    with atomic_write(folder) as beside:
+        beside.mkdir(parents=True)
+        save_file(weights, beside / "model.safetensors")
+        settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+        (beside / "config.yaml").write_text(settings)
+        (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
+
+
+def model_folder(name_or_path: str | Path) -> Path:
+    """Folder of an embedded model or of one on disk.
+
+    Raises
+    ------
+    CheckpointError
+        If there is neither; it lists the embedded ones.
+    """
+    if str(name_or_path) in EMBEDDED:
+        folder = Path(str(resources.files("deitalk").joinpath("weights", str(name_or_path))))
+    else:
+        folder = Path(name_or_path)
+    if not (folder / "model.safetensors").is_file() or not (folder / "config.yaml").is_file():
+        raise CheckpointError(
+            f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder "
+            f"or one of {', '.join(embedded_models()) or 'no embedded models'}"
+        )
+    return folder
+
+
+def describe_model(name_or_path: str | Path) -> dict[str, Any]:
+    """What ``model.json`` says, with the hash and size of the weights; imports no torch."""
+    folder = model_folder(name_or_path)
+    about = _read_about(folder)
+    weights = folder / "model.safetensors"
+    about.pop("controls", None)
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    return {
+        "name": str(name_or_path),
+        **about,
+        "bytes": weights.stat().st_size,
+        "sha256": digest,
+    }
+
+
+def _read_about(folder: Path) -> dict[str, Any]:
+    path = folder / "model.json"
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        version = about["format_version"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise CheckpointError(
+            f"{path}: missing or damaged; save the model again with `deitalk train`"
+        ) from None
+    if version != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{path}: format version {version}, this deitalk reads {FORMAT_VERSION}; "
+            "use the deitalk that wrote it, or train again"
+        )
+    return dict(about)
+
+
+def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> DEITalk:
+    """Read a model, ready to predict.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        ``default``, ``compact``, or a folder that `save_model` wrote.
+    device : str
+        ``cpu`` or ``cuda``.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, its weights are damaged or too large, they do not fit its
+        configuration, or it belongs to another control set.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    folder = model_folder(name_or_path)
+    about = _read_about(folder)
+    controls = default_controls()
+    if about["control_set"] != controls.id or about["controls"] != list(controls.names):
+        raise CheckpointError(
+            f"{folder}: made for control set {about['control_set']!r}, this deitalk drives "
+            f"{controls.id!r}; train on curves of that set"
+        )
+    config = load_config(folder / "config.yaml")
+    path = folder / "model.safetensors"
+    if path.stat().st_size > MAX_BYTES:
+        raise CheckpointError(f"{path}: {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
+    try:
+        weights = load_file(path)
+    except (SafetensorError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise CheckpointError(f"{path}: no safetensors file ({reason}); copy it again") from None
+    model = DEITalk(config.model, controls, pretrained=False)
+    try:
+        model.load_state_dict({name: value.float() for name, value in weights.items()})
+    except RuntimeError:
+        raise CheckpointError(
+            f"{path}: weights do not fit {folder / 'config.yaml'}; both must be of one model"
+        ) from None
+    return model.to(device).eval()

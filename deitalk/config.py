@@ -1,0 +1,191 @@
+"""Configuration of a model and of its training: frozen, one class a stage.
+
+The defaults are the numbers the two papers print; a YAML file in ``configs/`` holds only what
+differs. An unknown key is an error. Modules take plain numbers; only the builders in
+`deitalk.models` and `deitalk.train` read these classes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from deitalk.errors import ConfigError
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+class Section(BaseModel):
+    """A frozen group of settings that refuses unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MelConfig(Section):
+    """Mel spectrogram, Spec-BiLSTM, Time-BiLSTM and temporal attention (SDFA §3.1-3.3, §4.4)."""
+
+    kind: Literal["mel"] = "mel"
+    window_seconds: float = Field(0.064, gt=0, description="length of one spectrum (FFT_win)")
+    frame_rate: float = Field(125.0, gt=0, description="spectra per second; 1 / FFT_hop")
+    n_mels: Positive = Field(128, description="mel bins (F)")
+    conv_channels: tuple[Positive, Positive, Positive] = (32, 64, 64)
+    spec_hidden: Positive = Field(32, description="Spec-BiLSTM units per direction")
+    spectral_size: Positive = Field(256, description="features of one spectrum (C_spec)")
+    time_stack: Positive = Field(1, description="spectra joined before the Time-BiLSTM")
+    time_hidden: Positive = Field(256, description="Time-BiLSTM units per direction")
+    time_layers: Positive = 2
+    window_frames: Positive = Field(64, description="spectra the attention sees (L)")
+    query_frames: Positive = Field(7, description="K_qry; Paper silent")
+    attention_size: Positive = Field(128, description="C_att; Paper silent")
+    recurrence: Literal["window", "segment"] = Field(
+        "window", description="Time-BiLSTM once per window (the paper) or along the clip"
+    )
+    weight_norm: bool = Field(True, description="weight normalisation on every weight (§4.4)")
+    dropout: float = Field(0.0, ge=0, lt=1)
+
+
+class Wav2VecConfig(Section):
+    """wav2vec 2.0 (DEITalk §3.2): a published checkpoint, or a compact encoder of one's own."""
+
+    kind: Literal["wav2vec"] = "wav2vec"
+    checkpoint: str | None = Field(
+        "facebook/wav2vec2-base-960h", description="hub name or folder; null builds `encoder`"
+    )
+    encoder: dict[str, Any] = Field(
+        default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
+    )
+    freeze_stem: bool = Field(True, description="keep the convolutional stem fixed (§4.1)")
+
+
+class ModelConfig(Section):
+    """The network of DEITalk §3; defaults are §4.1's numbers."""
+
+    frontend: MelConfig | Wav2VecConfig = Field(
+        default_factory=Wav2VecConfig, discriminator="kind"
+    )
+    control_set: str = "metahuman-185@mh4"
+    positions: bool = Field(True, description="dynamic positional encoding (Eq. 2-3)")
+    intensity: bool = Field(True, description="dynamic emotional intensity (Eq. 4-6)")
+    emotion_size: Positive = Field(128, description="width of S_emo and E_in")
+    saliency_frames: Positive | None = Field(
+        None, description="frames the embedding of Eq. 5 is pooled over; null: the whole clip"
+    )
+    style_size: Positive = Field(16, description="width of the emotional style embedding")
+    motion_channels: tuple[Positive, ...] = (384, 384, 768, 768)
+    classifier_size: Positive = 64
+    decoder_channels: Positive = 512
+    decoder_dilations: tuple[Positive, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    kernel_size: Positive = 3
+    dropout: float = Field(0.0, ge=0, lt=1)
+
+
+class LossConfig(Section):
+    """The four-part loss (DEITalk Eq. 8) and what we add to it."""
+
+    contrast: float = Field(0.1, ge=0, description="lambda_1")
+    classification: float = Field(0.1, ge=0, description="lambda_2")
+    position: float = Field(1.0, ge=0, description="lambda_3")
+    velocity: float = Field(4.0, ge=0, description="lambda_4")
+    temperature: float = Field(0.07, gt=0, description="tau of Eq. 10")
+    intensity: float = Field(
+        0.0, ge=0, description="weight of labelled intensity on the saliency; not in the paper"
+    )
+    contact: float = Field(
+        0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
+    )
+    control_weights: dict[str, float] = Field(
+        default_factory=dict, description="weight of a control or subset in Eq. 12-13 (default 1)"
+    )
+
+
+class DataConfig(Section):
+    """How clips become windows (DEITalk §4.1)."""
+
+    window_frames: Positive = 128
+    stride_frames: Positive = 5
+    augment: bool = Field(False, description="deitalk.augment on every training window")
+    noise_folder: str | None = Field(None, description="recordings of noise to mix in")
+    room_folder: str | None = Field(None, description="room impulse responses")
+    real_fraction: float | None = Field(
+        None, ge=0, le=1, description="share of windows from recorded (not synthetic) speech"
+    )
+
+
+class TrainConfig(Section):
+    """Optimiser and schedule (DEITalk §4.1)."""
+
+    learning_rate: float = Field(1e-4, gt=0)
+    optimizer: Literal["adam", "adamw"] = "adam"
+    weight_decay: float = Field(0.0, ge=0)
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    batch_size: Positive = 32
+    epochs: float = Field(300, gt=0, description="passes over all training windows")
+    steps: Positive | None = Field(None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(None, gt=0)
+    ema: float | None = Field(None, gt=0, lt=1, description="decay of the averaged weights")
+    evaluate_every: Positive = Field(500, description="steps between evaluations and checkpoints")
+    seed: int = 0
+    workers: int = Field(0, ge=0, description="processes that prepare windows")
+
+
+class Config(Section):
+    """Everything a run needs besides its data."""
+
+    name: str = "deitalk"
+    model: ModelConfig = ModelConfig()
+    loss: LossConfig = LossConfig()
+    data: DataConfig = DataConfig()
+    train: TrainConfig = TrainConfig()
+
+
+def parse_config(tree: dict[str, Any]) -> Config:
+    """Check a tree of settings.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key, the value and the rule, all problems in one line.
+    """
+    try:
+        return Config.model_validate(tree)
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(str(part) for part in item['loc'])}={item['input']!r}: {item['msg']}"
+            for item in error.errors()
+        )
+        raise ConfigError(f"configuration: {problems}") from None
+
+
+def load_config(path: Path | str, overrides: Sequence[str] = ()) -> Config:
+    """Read a YAML file and apply overrides such as ``train.batch_size=8``.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is no YAML mapping, or holds an unknown key or a bad value.
+    """
+    path = Path(path)
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from None
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
+    for override in overrides:
+        _override(tree, override)
+    return parse_config(tree)
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    key, equals, value = override.partition("=")
+    if not equals:
+        raise ConfigError(f"override {override!r} has no '='; write train.batch_size=8")
+    *parents, leaf = key.split(".")
+    for parent in parents:
+        tree = tree.setdefault(parent, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"override {override!r}: {parent!r} is a value, not a section")
+    tree[leaf] = yaml.safe_load(value)

@@ -1,0 +1,185 @@
+"""Articulation, emotion and its intensity to the curves of a rig: the face we teach.
+
+Three tables are the performer: ``tables/channels.csv`` maps articulation channels to controls
+(left and right differ a little, as on any face), ``tables/styles.csv`` holds the pose of every
+emotion at full intensity with its FACS source (Ekman, Friesen and Hager 2002; EMFACS), and
+`GAINS` says how an emotion moves the mouth. Gains follow what articulographs saw: joy and anger
+widen the range of the lips 1.2 to 1.5 times, quiet sadness narrows it to 0.85 to 0.95.
+
+Letters: N frames, K channels, C controls.
+"""
+
+import csv
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.corpus.articulation import (
+    BITE,
+    CHANNELS,
+    FUNNEL,
+    JAW,
+    LOWER,
+    PURSE,
+    STRETCH,
+    TOGETHER,
+    UPPER,
+)
+from deitalk.emotions import EMOTIONS
+from rig import ControlSet
+
+Floats = NDArray[np.float64]
+
+GAINS = {
+    "neutral": (1.0, 1.0, 1.0),
+    "angry": (1.3, 1.35, 1.05),
+    "happy": (1.2, 1.3, 0.95),
+    "sad": (0.8, 0.85, 0.95),
+    "surprised": (1.3, 1.15, 1.05),
+}
+"""Factor on jaw, on the lips' opening and spreading, on their rounding, at full intensity."""
+
+LOUDNESS_GAIN = 0.45
+"""A livelier moment opens more in every style: (1 + this * (e - usual))."""
+USUAL_INTENSITY = 0.575
+"""Intensity of a speaker's average moment."""
+
+_OPENING = ("upperLipRaise", "lowerLipDepress", "CTRL_C_jaw.ty", "funnel")
+_SPREADING = ("cornerPull", "stretch", "dimple", "sharpCornerPull")
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = resources.files("deitalk.corpus").joinpath(f"tables/{name}.csv").read_text()
+    return list(csv.DictReader(text.splitlines()))
+
+
+def _sides(pattern: str) -> tuple[str, ...]:
+    return (
+        tuple(pattern.replace("*", side) for side in "LR") if "*" in pattern else (pattern,)
+    )
+
+
+@cache
+def channel_matrix(controls: ControlSet) -> Floats:
+    """Controls from channels [shape=(K + 1, C)]; the last row is stickiness."""
+    matrix = np.zeros((len(CHANNELS) + 1, len(controls.names)))
+    order = (*CHANNELS, "sticky")
+    for row in _rows("channels"):
+        names = _sides(row["control"])
+        for name, gain in zip(names, (row["left"], row["right"]), strict=False):
+            matrix[order.index(row["channel"]), controls.index(name)] += float(gain)
+    return matrix
+
+
+@cache
+def style_poses(controls: ControlSet) -> Floats:
+    """Pose of every emotion at full intensity, as offsets from rest [shape=(5, C)]."""
+    poses = np.zeros((len(EMOTIONS), len(controls.names)))
+    for row in _rows("styles"):
+        for name in _sides(row["control"]):
+            for i, emotion in enumerate(EMOTIONS):
+                poses[i, controls.index(name)] = float(row.get(emotion) or 0)
+    # A smile is never even: the left corner pulls a little more.
+    for base in ("cornerPull", "sharpCornerPull", "dimple"):
+        poses[:, controls.index(f"CTRL_L_mouth_{base}.ty")] *= 1.06
+        poses[:, controls.index(f"CTRL_R_mouth_{base}.ty")] *= 0.94
+    return poses
+
+
+def _columns(controls: ControlSet, words: tuple[str, ...]) -> NDArray[np.intp]:
+    return np.array([i for i, n in enumerate(controls.names) if any(w in n for w in words)])
+
+
+def act(
+    channels: Floats, weights: Floats, intensity: Floats, fps: float, controls: ControlSet
+) -> NDArray[np.float32]:
+    """Curves of an utterance, acted.
+
+    Parameters
+    ----------
+    channels : ndarray [shape=(N, K), range 0 to 1]
+        From `deitalk.corpus.articulation.articulate`.
+    weights : ndarray [shape=(5,) or (N, 5)]
+        Weights of the emotions, summing to 1.
+    intensity : ndarray [shape=(N,), range 0 to 1]
+        e(t); 0 is the face at rest.
+    fps : float
+    controls : ControlSet
+
+    Returns
+    -------
+    ndarray [shape=(N, C)]
+        Within the ranges of the controls.
+    """
+    weights = np.broadcast_to(weights, (len(channels), len(EMOTIONS)))
+    moved = _gained(channels, weights, intensity)
+    sticky = _stickiness(moved[:, TOGETHER], fps)
+    curves = np.column_stack((moved, sticky)) @ channel_matrix(controls)
+    pose = (weights @ style_poses(controls)) * intensity[:, None]
+    contact = np.maximum(moved[:, TOGETHER], moved[:, BITE])[:, None]
+    rounding = np.maximum(moved[:, FUNNEL], moved[:, PURSE])[:, None]
+    pose[:, _columns(controls, _OPENING)] *= 1 - contact
+    pose[:, _columns(controls, _SPREADING)] *= 1 - 0.5 * rounding
+    out = np.clip(controls.rest + curves + pose, controls.minimum, controls.maximum)
+    return out.astype(np.float32)
+
+
+def _gained(channels: Floats, weights: Floats, intensity: Floats) -> Floats:
+    """Range of the mouth by emotion and liveliness; contacts stay contacts."""
+    gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
+    gains = 1 + (gains - 1) * intensity[:, None]
+    speaking = intensity > 0
+    lively = 1 + LOUDNESS_GAIN * np.where(speaking, intensity - USUAL_INTENSITY, 0)
+    moved = channels.copy()
+    moved[:, JAW] *= gains[:, 0] * lively
+    moved[:, [UPPER, LOWER, STRETCH]] *= (gains[:, 1] * lively)[:, None]
+    moved[:, [FUNNEL, PURSE]] *= gains[:, [2]]
+    contact = np.maximum(moved[:, TOGETHER], moved[:, BITE])
+    excess = np.maximum(moved[:, JAW] - 0.2, 0)
+    moved[:, JAW] -= contact * excess
+    return np.clip(moved, 0, 1.6)
+
+
+def _stickiness(together: Floats, fps: float, seconds: float = 0.06) -> Floats:
+    """How far parting lips still cling: the closure's decaying memory, while it opens."""
+    decay = np.exp(-1 / (fps * seconds))
+    memory = np.empty_like(together)
+    level = 0.0
+    for i, value in enumerate(together):
+        level = max(value, level * decay)
+        memory[i] = level
+    return memory - together
+
+
+def intensity_envelope(
+    z: Floats, speech: tuple[float, float] | None, fps: float
+) -> Floats:
+    """Intensity of every frame from prosody in standard deviations.
+
+    Parameters
+    ----------
+    z : ndarray [shape=(N,)]
+        Smoothed prosody index against the speaker's mean; held through pauses.
+    speech : (float, float) or None
+        Seconds at which the speech begins and ends; None for silence.
+    fps : float
+
+    Returns
+    -------
+    ndarray [shape=(N,), range 0 to 1]
+        About 0.575 at an average moment. It rises from rest over 0.35 s before the speech and
+        falls back over at most 0.8 s after it, reaching 0 by the last frame.
+    """
+    times = np.arange(len(z)) / fps
+    if speech is None:
+        return np.zeros(len(z))
+    begin, end = speech
+    attack = min(0.35, max(begin, 1e-3) + 0.15)
+    decay = min(0.8, max(times[-1] - end, 1 / fps))
+    rise = np.clip((times - (begin + 0.15 - attack)) / attack, 0, 1)
+    fall = np.clip(1 - (times - end) / decay, 0, 1)
+    ramp = np.minimum(rise, fall)
+    ramp = ramp * ramp * (3 - 2 * ramp)
+    return ramp * (0.15 + 0.85 / (1 + np.exp(-1.3 * z)))

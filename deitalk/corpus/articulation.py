@@ -1,0 +1,179 @@
+"""Phones to articulation: dominance functions, hard contacts, thirteen channels.
+
+After Cohen and Massaro (1993), "Modeling coarticulation in synthetic visual speech": every phone
+pulls every channel towards its target with a dominance that falls off exponentially on both
+sides; a frame is the dominance-weighted mean. Bilabials and labiodentals then override the mean,
+because lips that only almost meet do not say /m/.
+
+Targets are the table ``tables/articulation.csv`` (our reading of phonetics textbooks, 0 rest to
+1 full). Letters: P phones, K channels, N frames.
+"""
+
+import csv
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.corpus.phones import BILABIALS, LABIODENTALS, VOWELS
+from deitalk.corpus.utterance import Phone
+
+CHANNELS = (
+    "jaw", "together", "press", "bite", "funnel", "purse", "stretch", "upper", "lower", "tip",
+    "out", "back", "hiss",
+)  # fmt: skip
+JAW, TOGETHER, PRESS, BITE, FUNNEL, PURSE, STRETCH, UPPER, LOWER, TIP, OUT, BACK, HISS = range(13)
+
+DIPHTHONGS = {
+    "AY": ("AA", "IY", 0.6),
+    "AW": ("AA", "UW", 0.55),
+    "OY": ("AO", "IY", 0.55),
+    "EY": ("EH", "IY", 0.5),
+    "OW": ("OW", "UW", 0.55),
+}
+"""Two targets, and the share of the time that belongs to the first."""
+
+ONSET_RATE = np.array([14, 38, 34, 34, 11, 11, 12, 18, 16, 30, 26, 28, 26.0])
+"""Fall of dominance before a phone, 1/s: rounding begins 200 ms early, closures 30 ms."""
+OFFSET_RATE = np.array([15, 40, 36, 36, 13, 13, 13, 18, 17, 30, 26, 28, 26.0])
+"""Fall of dominance after a phone, 1/s."""
+CONTACT_RAMP_SECONDS = 0.045
+"""Lips take this long to come together and to part."""
+CONTACT_MINIMUM_SECONDS = 0.075
+"""A contact is held at least this long: two frames of video see it."""
+REACH_SECONDS = 0.45
+"""Dominance is neglected farther away than this."""
+
+Floats = NDArray[np.float64]
+
+
+@cache
+def targets() -> dict[str, Floats]:
+    """Target of every phone [shape=(K,)], diphthongs excepted."""
+    text = resources.files("deitalk.corpus").joinpath("tables/articulation.csv").read_text()
+    return {
+        row["phone"]: np.array([float(row[channel]) for channel in CHANNELS])
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+@cache
+def dominance(name: str) -> Floats:
+    """How strongly a phone insists on its target, per channel [shape=(K,)]."""
+    target = targets()[name]
+    strength = np.full(len(CHANNELS), 0.35)
+    if name in VOWELS:
+        strength[JAW] = 0.8
+        strength[[FUNNEL, PURSE, STRETCH]] = 0.7
+        strength[[UPPER, LOWER, TOGETHER, BITE]] = 0.6
+    elif name == "SIL":
+        strength[:] = 0.5
+    else:
+        strength[[FUNNEL, PURSE, STRETCH]] = 0.12  # consonants borrow the vowels' lips ...
+    strength = np.where(target > 0.3, np.maximum(strength, 0.9), strength)  # ... unless their own
+    if name in BILABIALS:
+        strength[[TOGETHER, PRESS]] = 4
+        strength[[JAW, UPPER, LOWER]] = (0.9, 1.5, 1.5)
+    if name in LABIODENTALS:
+        strength[[BITE, JAW]] = (4, 0.9)
+    if target[HISS] > 0:
+        strength[[JAW, HISS]] = (1.6, 2)
+    rounded = [c for c in (FUNNEL, PURSE) if target[c] > 0.25 and name not in VOWELS]
+    strength[rounded] = 1.6
+    tongue = [c for c in (TIP, OUT, BACK) if target[c] > 0.4]
+    strength[tongue] = 2.5
+    return strength
+
+
+def articulate(
+    phones: Sequence[Phone], n_frames: int, fps: float, stress: Floats | None = None
+) -> Floats:
+    """Channels of an utterance.
+
+    Parameters
+    ----------
+    phones : sequence of Phone
+        In time order.
+    n_frames : int
+    fps : float
+        Frame i is at i / fps seconds.
+    stress : ndarray [shape=(P,)] or None
+        Factor on the jaw of every phone: how loudly it is spoken (1 is usual).
+
+    Returns
+    -------
+    ndarray [shape=(N, K), range 0 to 1]
+    """
+    times = np.arange(n_frames) / fps
+    weighted = np.zeros((n_frames, len(CHANNELS)))
+    weight = np.full((n_frames, len(CHANNELS)), 1e-6)
+    segments = _segments(phones, stress)
+    for start, end, name, factor in segments:
+        first, last = np.searchsorted(times, (start - REACH_SECONDS, end + REACH_SECONDS))
+        if first >= last or end <= start:
+            continue
+        near = times[first:last, None]
+        begin, finish = _plateau(start, end, name)
+        fall = np.maximum(begin - near, 0) * ONSET_RATE + np.maximum(near - finish, 0) * OFFSET_RATE
+        strength = dominance(name) * np.exp(-fall)
+        if name == "SIL" and end - start < 0.06:
+            strength = 0.3 * strength
+        target = targets()[name].copy()
+        target[JAW] *= factor
+        weighted[first:last] += strength * target
+        weight[first:last] += strength
+    channels = weighted / weight
+    for start, end, name, _ in segments:
+        if name in BILABIALS or name in LABIODENTALS:
+            _contact(channels, times, start, end, name)
+    return np.clip(channels, 0, 1)
+
+
+def _segments(
+    phones: Sequence[Phone], stress: Floats | None
+) -> list[tuple[float, float, str, float]]:
+    """Diphthongs become two targets; unknown names become a schwa."""
+    out = []
+    for i, phone in enumerate(phones):
+        factor = 1.0 if stress is None else float(stress[i])
+        if phone.name in DIPHTHONGS:
+            first, second, share = DIPHTHONGS[phone.name]
+            middle = phone.start + share * (phone.end - phone.start)
+            out.append((phone.start, middle, first, factor))
+            out.append((middle, phone.end, second, factor))
+        else:
+            name = phone.name if phone.name in targets() else "AX"
+            out.append((phone.start, phone.end, name, factor))
+    return out
+
+
+def _plateau(start: float, end: float, name: str) -> tuple[float, float]:
+    """Where within a phone its dominance is full."""
+    length = end - start
+    if name == "SIL":
+        middle = (start + end) / 2
+        return min(start + 0.08, middle), max(end - 0.08, middle)
+    if name == "M":
+        return start, end
+    if name in BILABIALS or name in LABIODENTALS:
+        return start, end - 0.15 * length
+    return start + 0.25 * length, end - 0.25 * length
+
+
+def _contact(channels: Floats, times: Floats, start: float, end: float, name: str) -> None:
+    """Lips meet (P B M), or the lower lip meets the teeth (F V); nothing works against it."""
+    if name == "P":
+        end -= 0.25 * (end - start)  # the burst is already open
+    missing = max(CONTACT_MINIMUM_SECONDS - (end - start), 0) / 2
+    start, end, ramp = start - missing, end + missing, CONTACT_RAMP_SECONDS
+    grip = np.clip(np.minimum(times - (start - ramp), end + ramp - times) / ramp, 0, 1)
+    grip = grip * grip * (3 - 2 * grip)
+    own, other = (TOGETHER, BITE) if name in BILABIALS else (BITE, TOGETHER)
+    channels[:, own] = np.maximum(channels[:, own], grip)
+    channels[:, other] *= 1 - grip
+    channels[:, JAW] += grip * (np.minimum(channels[:, JAW], 0.2) - channels[:, JAW])
+    if name in BILABIALS:
+        channels[:, UPPER] *= 1 - grip
+        channels[:, LOWER] *= 1 - grip

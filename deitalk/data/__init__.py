@@ -1,0 +1,1 @@
+"""Dataset folders: what a user brings and what the corpus builder writes."""

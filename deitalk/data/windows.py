@@ -1,0 +1,220 @@
+"""Clips to training windows that know their place in the clip (DEITalk §3.2, §4.1).
+
+Letters: S samples, T frames of a window (128), C controls.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
+
+from deitalk.activity import normalise_level
+from deitalk.audio import load_audio
+from deitalk.augment import Surroundings, augment, change_speed, speed_factor
+from deitalk.config import DataConfig
+from deitalk.data.folder import Clip, read_intensity
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
+from deitalk.features import RIG_RATE, SAMPLE_RATE
+from rig import ControlSet, RigCurves, read_curves
+
+
+class Window(NamedTuple):
+    """One training example; a batch has the same fields with a leading axis."""
+
+    waveform: Tensor
+    """[shape=(S,)], level-normalised (then augmented)."""
+    curves: Tensor
+    """[shape=(T, C)]."""
+    emotion: Tensor
+    """One-hot of the curves' emotion [shape=(5,)]."""
+    voice: Tensor
+    """One-hot of the emotion the voice acts [shape=(5,)]."""
+    intensity: Tensor
+    """[shape=(T,)], NaN where unknown."""
+    frames: Tensor
+    """Frame indices in the whole clip [shape=(T,)]."""
+    total: Tensor
+    """Frames of the whole clip, scalar."""
+
+
+class Material(NamedTuple):
+    """A clip in memory."""
+
+    waveform: NDArray[np.float32]
+    times: NDArray[np.float64]
+    values: NDArray[np.float16]
+    intensity: NDArray[np.float32]
+
+
+def load_material(clip: Clip, controls: ControlSet) -> Material:
+    """Read audio and curves of one clip.
+
+    Raises
+    ------
+    DataError
+        If the curves lack a control of `controls`.
+    """
+    curves = read_curves(clip.curves)
+    if isinstance(curves, RigCurves) and curves.names != controls.names:
+        missing = sorted(set(controls.names) - set(curves.names))
+        if missing:
+            raise DataError(
+                f"{clip.curves}: lacks {len(missing)} controls of {controls.id}, such as "
+                f"{missing[0]}; convert the curves first"
+            )
+        curves = curves.select(controls.names)
+    times = np.arange(len(curves.values)) / curves.fps + clip.offset_seconds
+    if clip.intensity is None:
+        intensity = np.full(len(times), np.nan, np.float32)
+    else:
+        intensity = read_intensity(clip.intensity, times)
+    return Material(
+        _waveform(str(clip.audio)), times, curves.values.astype(np.float16), intensity
+    )
+
+
+@lru_cache(maxsize=64)
+def _waveform(path: str) -> NDArray[np.float32]:
+    return normalise_level(load_audio(path).waveform)
+
+
+def cut(
+    material: Material, first: int, n_frames: int, speed: float = 1.0
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], int]:
+    """Window of a clip played at another speed.
+
+    Parameters
+    ----------
+    material : Material
+    first : int
+        First frame, on the time axis after the change of speed.
+    n_frames : int
+    speed : float
+
+    Returns
+    -------
+    waveform [shape=(S,)], curves [shape=(T, C)], intensity [shape=(T,)], total frames
+        Beyond the clip's end the audio is silent and the curves hold.
+    """
+    start = round(first * speed / RIG_RATE * SAMPLE_RATE)
+    length = round(n_frames / RIG_RATE * SAMPLE_RATE)
+    piece = material.waveform[start : start + round(length * speed) + 8]
+    piece = change_speed(piece, speed)[:length]
+    waveform = np.pad(piece, (0, length - len(piece)))
+    times = (first + np.arange(n_frames)) / RIG_RATE * speed
+    step = material.times[1] - material.times[0] if len(material.times) > 1 else 1.0
+    place = np.clip((times - material.times[0]) / step, 0, len(material.times) - 1)
+    below = np.minimum(place.astype(int), max(len(material.times) - 2, 0))
+    above = np.minimum(below + 1, len(material.times) - 1)
+    mix = (place - below).astype(np.float32)
+    low, high = material.values[below].astype(np.float32), material.values[above]
+    curves = low + mix[:, None] * (high.astype(np.float32) - low)
+    intensity = material.intensity[below] * (1 - mix) + material.intensity[above] * mix
+    total = max(int(np.ceil(len(material.waveform) / SAMPLE_RATE * RIG_RATE / speed)), 1)
+    return waveform, curves, intensity, total
+
+
+class Batches(IterableDataset[Window]):
+    """Endless batches of random windows of many clips.
+
+    Every clip is as likely as another (or recorded ones by `DataConfig.real_fraction`); within a
+    clip the first frame is a random multiple of the stride. Clips stay in memory once read.
+
+    Parameters
+    ----------
+    clips : sequence of Clip
+    controls : ControlSet
+    config : DataConfig
+    seed : int
+        Window k depends on the seed and k alone, whatever the number of workers.
+    batch_size : int
+        Windows of a batch, over all processes.
+    skip : int
+        First batch: where an interrupted training goes on.
+    rank, world : int
+        Share of this process when several train together: batch b is the same windows whatever
+        the number of processes and workers.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[Clip],
+        controls: ControlSet,
+        config: DataConfig,
+        seed: int,
+        batch_size: int,
+        skip: int = 0,
+        rank: int = 0,
+        world: int = 1,
+    ) -> None:
+        if not clips:
+            raise DataError("no clips to train on; the dataset has none in this split")
+        self.clips, self.controls, self.config = list(clips), controls, config
+        self.seed, self.batch_size, self.skip = seed, batch_size, skip
+        self.rank, self.world = rank, world
+        self.recorded = np.array([clip.source == "recording" for clip in self.clips])
+        self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
+
+    def __iter__(self) -> Iterator[Window]:
+        """Yield this worker's batches, stacked."""
+        worker = get_worker_info()
+        step, lane = (worker.num_workers, worker.id) if worker else (1, 0)
+        for batch in count(self.skip + lane, step):
+            first = batch * self.batch_size
+            numbers = range(first + self.rank, first + self.batch_size, self.world)
+            windows = [self.window(number) for number in numbers]
+            yield Window(*(torch.stack(field) for field in zip(*windows, strict=True)))
+
+    def window(self, number: int) -> Window:
+        """The window of one number."""
+        rng = np.random.default_rng((self.seed, number))
+        clip = self._draw(rng)
+        material = _material(clip, self.controls)
+        config = self.config
+        speed = speed_factor(rng) if config.augment else 1.0
+        frames = int(np.ceil(len(material.waveform) / SAMPLE_RATE * RIG_RATE / speed))
+        latest = max(frames - config.window_frames, 0) // config.stride_frames
+        first = int(rng.integers(latest + 1)) * config.stride_frames
+        waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
+        if config.augment:
+            waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
+        return Window(
+            torch.from_numpy(waveform),
+            torch.from_numpy(curves),
+            _one_hot(clip.emotion),
+            _one_hot(clip.voice),
+            torch.from_numpy(intensity),
+            torch.arange(first, first + config.window_frames),
+            torch.tensor(max(total, 1)),
+        )
+
+    def _draw(self, rng: np.random.Generator) -> Clip:
+        fraction = self.config.real_fraction
+        if fraction is None or not (0 < self.recorded.sum() < len(self.clips)):
+            return self.clips[rng.integers(len(self.clips))]
+        wanted = rng.random() < fraction
+        places = np.flatnonzero(self.recorded == wanted)
+        return self.clips[places[rng.integers(len(places))]]
+
+
+@lru_cache(maxsize=4096)
+def _material(clip: Clip, controls: ControlSet) -> Material:
+    return load_material(clip, controls)
+
+
+def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[NDArray[np.float32]]:
+    """Four other voices for babble, now and then; reading them costs time."""
+    if rng.random() > 0.06:
+        return []
+    return [_waveform(str(clips[rng.integers(len(clips))].audio)) for _ in range(4)]
+
+
+def _one_hot(emotion: str) -> Tensor:
+    return torch.eye(len(EMOTIONS))[EMOTIONS.index(emotion)]

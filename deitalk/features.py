@@ -1,0 +1,85 @@
+"""Waveform to mel spectrogram with two derivatives (SDFA §3.1, §4.4).
+
+Letters: B batch, S samples, L spectra, F mel bins, T rig frames (30 per second).
+Spectrum k is centred at k / frame_rate seconds, rig frame i at i / 30 seconds::
+
+    frame_rate 120, rig 30:   spectra  0 1 2 3 4 5 6 7 8
+                              rig      0       1       2
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+SAMPLE_RATE = 16_000
+RIG_RATE = 30
+FLOOR = 1e-5
+"""Added to mel power before the logarithm; speech at -23 dB has cells of 1e-4 to 10."""
+
+
+def spectra_centres(n_spectra: int, frame_rate: float) -> Tensor:
+    """Sample at the centre of every spectrum, to the nearest sample."""
+    return torch.round(torch.arange(n_spectra, dtype=torch.float64) * SAMPLE_RATE / frame_rate).long()
+
+
+def nearest_spectra(n_frames: int, frame_rate: float, stack: int = 1) -> Tensor:
+    """Index of the (stacked) spectrum nearest to every rig frame [shape=(T,)]."""
+    return torch.round(torch.arange(n_frames, dtype=torch.float64) * frame_rate / RIG_RATE / stack).long()
+
+
+def derivative(x: Tensor) -> Tensor:
+    """Half the difference of the neighbours along the last axis; ends repeat."""
+    padded = F.pad(x, (1, 1), mode="replicate")
+    return (padded[..., 2:] - padded[..., :-2]) / 2
+
+
+class MelSpectrogram(nn.Module):
+    """Log-mel spectrogram with first and second derivative.
+
+    Parameters
+    ----------
+    window_seconds : float
+        Length of the Hann window.
+    frame_rate : float
+        Spectra per second.
+    n_mels : int
+
+    Notes
+    -----
+    Paper silent: scaling. The log-power is moved and divided by fixed numbers (mean -6.5, spread
+    3.5 measured on level-normalised speech), the same for every clip: nothing depends on how
+    much silence a clip holds, and a piece of a clip gives the same spectra as the whole.
+    """
+
+    def __init__(self, window_seconds: float, frame_rate: float, n_mels: int) -> None:
+        super().__init__()
+        import librosa
+
+        self.frame_rate = frame_rate
+        self.length = round(window_seconds * SAMPLE_RATE)
+        self.n_fft = 1 << (self.length - 1).bit_length()
+        filters = librosa.filters.mel(
+            sr=SAMPLE_RATE, n_fft=self.n_fft, n_mels=n_mels, fmin=50, fmax=7600, norm=None
+        )
+        self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
+        self.register_buffer("window", torch.hann_window(self.length), persistent=False)
+
+    def forward(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
+        """Map (B, S) to (B, 3, F, n_spectra), beginning with spectrum `first` of the waveform.
+
+        Outside the waveform there is silence.
+        """
+        centres = spectra_centres(first + n_spectra, self.frame_rate)[first:]
+        half = self.length // 2
+        start = int(centres[0]) - half
+        stop = int(centres[-1]) + self.length
+        piece = waveform[:, max(start, 0) : max(stop, 0)]
+        piece = F.pad(piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0)))
+        index = (centres - half - start).unsqueeze(1) + torch.arange(self.length)
+        frames = piece[:, index.to(piece.device)] * self.window  # (B, L, window)
+        spectrum = torch.fft.rfft(frames, self.n_fft)
+        power = spectrum.real.square() + spectrum.imag.square()  # (B, L, bins)
+        mel = torch.log(power @ self.filters / self.length + FLOOR)
+        mel = ((mel + 6.5) / 3.5).transpose(1, 2)  # (B, F, L)
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)), dim=1)

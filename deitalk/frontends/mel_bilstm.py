@@ -1,0 +1,234 @@
+"""Spectral gathering and temporal attention: the mel frontend (SDFA §3.1-3.3, Tables 1-2).
+
+Two deviations in how, none in what: convolutions and Spec-BiLSTM see one spectrum at a time, so
+they run once per spectrum and windows are gathered afterwards; and with ``recurrence: segment``
+the Time-BiLSTM runs along the clip instead of once per window (some ten times less work).
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.nn.utils.parametrizations import weight_norm
+
+from deitalk.config import MelConfig
+from deitalk.features import RIG_RATE, MelSpectrogram, nearest_spectra
+
+SEGMENT_FRAMES = 240
+"""Rig frames the Time-BiLSTM runs over at once on a clip (8 s)."""
+CONTEXT_FRAMES = 32
+"""Rig frames of context on either side of a segment, computed and thrown away (1.07 s)."""
+
+
+class SpectralGathering(nn.Module):
+    """Formant analysis, one spectrum at a time (SDFA §3.2, Table 1).
+
+    Parameters
+    ----------
+    n_mels : int
+    conv_channels : (int, int, int)
+        Filters of the two 3x1 convolutions and of the 1x1 convolution.
+    hidden : int
+        Spec-BiLSTM units per direction.
+    out_size : int
+    """
+
+    def __init__(
+        self, n_mels: int, conv_channels: tuple[int, int, int], hidden: int, out_size: int
+    ) -> None:
+        super().__init__()
+        first, second, third = conv_channels
+        self.convolve = nn.Sequential(
+            nn.Conv1d(3, first, 3, padding=1),
+            nn.BatchNorm1d(first),
+            nn.LeakyReLU(0.2),
+            nn.MaxPool1d(2),
+            nn.Conv1d(first, second, 3, padding=1),
+            nn.BatchNorm1d(second),
+            nn.LeakyReLU(0.2),
+            nn.MaxPool1d(2),
+            nn.Conv1d(second, third, 1),
+            nn.BatchNorm1d(third),
+            nn.LeakyReLU(0.2),
+        )
+        self.gather = nn.LSTM(third, hidden, batch_first=True, bidirectional=True)
+        self.project = nn.Linear(2 * hidden * (n_mels // 4), out_size)
+
+    def forward(self, mel: Tensor) -> Tensor:
+        """Map (B, 3, F, L) to (B, L, out_size)."""
+        batch, channels, bins, length = mel.shape
+        x = mel.permute(0, 3, 1, 2).reshape(batch * length, channels, bins)  # a 3x1 conv sees F
+        x = self.convolve(x).transpose(1, 2)  # (B L, F / 4, third)
+        x, _ = self.gather(x)
+        out: Tensor = self.project(x.flatten(1)).view(batch, length, -1)
+        return out
+
+
+class TemporalAttention(nn.Module):
+    """Additive attention over a window, asked by its central frames (SDFA §3.3, Fig. 2).
+
+    Parameters
+    ----------
+    size : int
+        Width of the memory (C_time).
+    attention_size : int
+        C_att.
+    query_frames : int
+        K_qry, odd.
+    """
+
+    def __init__(self, size: int, attention_size: int, query_frames: int) -> None:
+        super().__init__()
+        self.query_frames = query_frames
+        self.query = nn.Conv1d(size, size, query_frames)
+        self.query_project = nn.Linear(size, attention_size)
+        self.key_project = nn.Linear(size, attention_size)
+        self.score = nn.Linear(attention_size, 1, bias=False)
+
+    def windows(self, memory: Tensor, query: Tensor) -> tuple[Tensor, Tensor]:
+        """Attend within windows.
+
+        Parameters
+        ----------
+        memory : Tensor [shape=(N, L, size)]
+        query : Tensor [shape=(N, query_frames, size)]
+
+        Returns
+        -------
+        attended : Tensor [shape=(N, size)]
+        weights : Tensor [shape=(N, L)], sum 1
+        """
+        asked = self.query_project(self.query(query.transpose(1, 2)).squeeze(-1))
+        keys = self.key_project(memory)
+        scores = self.score(torch.tanh(keys + asked.unsqueeze(1))).squeeze(-1)
+        weights = scores.softmax(dim=-1)
+        return torch.einsum("nl,nld->nd", weights, memory), weights
+
+    def along(self, memory: Tensor, centres: Tensor, window: int) -> Tensor:
+        """Attend around given places of one long memory.
+
+        Parameters
+        ----------
+        memory : Tensor [shape=(B, L, size)]
+        centres : Tensor [shape=(T,)]
+            Index of the window's centre for every output frame.
+        window : int
+            Spectra in a window; those outside the memory get no weight.
+
+        Returns
+        -------
+        Tensor [shape=(B, T, size)]
+        """
+        batch, length, size = memory.shape
+        half = self.query_frames // 2
+        filtered = self.query(F.pad(memory.transpose(1, 2), (half, half))).transpose(1, 2)
+        asked = self.query_project(filtered[:, centres])  # (B, T, C_att)
+        keys = self.key_project(memory)  # (B, L, C_att)
+        index = centres.unsqueeze(1) + torch.arange(window, device=memory.device) - window // 2
+        outside = (index < 0) | (index >= length)
+        index = index.clamp(0, length - 1)
+        scores = self.score(torch.tanh(keys[:, index] + asked.unsqueeze(2))).squeeze(-1)
+        weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
+        spread = memory.new_zeros(batch, len(centres), length)
+        spread.scatter_add_(2, index.expand(batch, -1, -1), weights)
+        return spread @ memory
+
+
+class MelFrontend(nn.Module):
+    """Waveform to speech features at 30 Hz.
+
+    Parameters
+    ----------
+    config : MelConfig
+
+    Attributes
+    ----------
+    output_size : int
+        Width D of a row: twice the Time-BiLSTM's units.
+    """
+
+    def __init__(self, config: MelConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.output_size = 2 * config.time_hidden
+        self.mel = MelSpectrogram(config.window_seconds, config.frame_rate, config.n_mels)
+        self.spectral = SpectralGathering(
+            config.n_mels, config.conv_channels, config.spec_hidden, config.spectral_size
+        )
+        self.recurrent = nn.LSTM(
+            config.spectral_size * config.time_stack,
+            config.time_hidden,
+            config.time_layers,
+            batch_first=True,
+            bidirectional=True,
+            dropout=config.dropout if config.time_layers > 1 else 0.0,
+        )
+        self.attention = TemporalAttention(
+            self.output_size, config.attention_size, config.query_frames
+        )
+        if config.weight_norm:
+            _normalise_weights(self)
+
+    def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
+        return self._frames(waveform, 0, n_frames)
+
+    @torch.no_grad()
+    def encode(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow."""
+        rows = []
+        for start in range(0, n_frames, SEGMENT_FRAMES):
+            stop = min(start + SEGMENT_FRAMES, n_frames)
+            first = max(start - CONTEXT_FRAMES, 0)
+            last = min(stop + CONTEXT_FRAMES, n_frames)
+            segment = self._frames(waveform.unsqueeze(0), first, last)
+            rows.append(segment[0, start - first : stop - first])
+        return torch.cat(rows)
+
+    def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
+        """Rows first..last; the mel window may reach outside them, the recurrence may not."""
+        config = self.config
+        if config.recurrence == "window":
+            return self._frames_by_window(waveform, first, last)
+        centres = nearest_spectra(last, config.frame_rate, config.time_stack)[first:]
+        begin = int(centres[0])
+        n_spectra = (int(centres[-1]) - begin + 1) * config.time_stack
+        mel = self.mel(waveform, n_spectra, begin * config.time_stack)
+        spectral = self.spectral(mel)
+        batch = spectral.shape[0]
+        memory, _ = self.recurrent(spectral.reshape(batch, -1, self.recurrent.input_size))
+        window = config.window_frames // config.time_stack
+        return self.attention.along(memory, (centres - begin).to(memory.device), window)
+
+    def _frames_by_window(self, waveform: Tensor, first: int, last: int) -> Tensor:
+        """As printed: for every rig frame a window of spectra, a Time-BiLSTM, an attention."""
+        config = self.config
+        half = config.window_frames // 2
+        centres = nearest_spectra(last, config.frame_rate)[first:] + half  # padded by half a window
+        begin = int(centres[0]) - half
+        padded = F.pad(waveform, (self._samples(half), 0))
+        n_spectra = int(centres[-1]) + half - begin
+        spectral = self.spectral(self.mel(padded, n_spectra, begin))  # (B, L, spectral_size)
+        index = (centres - half - begin).unsqueeze(1) + torch.arange(config.window_frames)
+        batch, frames = spectral.shape[0], last - first
+        windows = spectral[:, index.to(spectral.device)].flatten(0, 1)  # (B T, window, size)
+        memory, _ = self.recurrent(windows)
+        middle = half - config.query_frames // 2
+        query = memory[:, middle : middle + config.query_frames]
+        attended, _ = self.attention.windows(memory, query)
+        return attended.view(batch, frames, -1)
+
+    def _samples(self, spectra: int) -> int:
+        return round(spectra * 16_000 / self.config.frame_rate)
+
+
+def _normalise_weights(module: nn.Module) -> None:
+    """Weight normalisation on every weight (SDFA §4.4)."""
+    for child in module.modules():
+        if isinstance(child, nn.Conv1d | nn.Linear):
+            weight_norm(child)
+        elif isinstance(child, nn.LSTM):
+            for name in [name for name, _ in child.named_parameters() if name.startswith("weight")]:
+                weight_norm(child, name)
+
+
+assert RIG_RATE == 30

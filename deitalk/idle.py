@@ -1,0 +1,68 @@
+"""What no voice tells: blinks and the small motions of the gaze, from a seed.
+
+A network that regresses blinks learns half-closed eyes, because their times cannot be heard; so
+they are left out of the curves it learns and added here.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import ControlSet
+
+Floats = NDArray[np.float32]
+
+BLINK = np.array([0.0, 0.45, 0.95, 1.0, 0.75, 0.45, 0.2, 0.06, 0.0])
+"""Closure of the lids at 30 Hz: shut in 0.1 s, open again in 0.17 s (Trutoiu et al. 2011)."""
+INTERVAL_SECONDS, INTERVAL_SPREAD = 3.2, 0.55
+"""Median interval between blinks while speaking, and sigma of its logarithm."""
+REST_SECONDS = 0.5
+"""The eyes are quiet this long before the clip ends."""
+
+
+def add_idle_motion(
+    curves: Floats, controls: ControlSet, *, fps: float, rng: np.random.Generator
+) -> None:
+    """Add blinks and gaze motion to curves, in place.
+
+    Parameters
+    ----------
+    curves : ndarray [shape=(T, C)]
+    controls : ControlSet
+    fps : float
+    rng : numpy.random.Generator
+        The same generator gives the same blinks whatever the emotion is.
+    """
+    lids = blink_track(len(curves), fps, rng)
+    gaze = gaze_track(len(curves), fps, rng)
+    for side in "LR":
+        lid = controls.index(f"CTRL_{side}_eye_blink.ty")
+        curves[:, lid] += lids * (1 - curves[:, lid])
+        for axis in (0, 1):
+            curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += gaze[:, axis]
+
+
+def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
+    """Closure of the lids [shape=(T,), range 0 to 1]."""
+    shape_times = np.arange(len(BLINK)) / 30
+    shape = np.interp(np.arange(0, shape_times[-1] + 1 / fps, 1 / fps), shape_times, BLINK)
+    track = np.zeros(n_frames, np.float32)
+    time = rng.uniform(0.6, 2.5)
+    while True:
+        start = round(time * fps)
+        if start + len(shape) > n_frames - REST_SECONDS * fps:
+            return track
+        track[start : start + len(shape)] = shape
+        time += max(INTERVAL_SECONDS * np.exp(INTERVAL_SPREAD * rng.standard_normal()), 0.6)
+
+
+def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
+    """Small saccades, left-right and up-down, in control units [shape=(T, 2)]."""
+    track = np.zeros((n_frames, 2), np.float32)
+    time, place = 0.4, np.zeros(2)
+    while time * fps < n_frames:
+        place = 0.3 * place + rng.normal(0, (0.035, 0.02))
+        track[round(time * fps) :] = place
+        time += rng.uniform(0.4, 1.6)
+    edge = max(int(REST_SECONDS * fps), 1)
+    fade = np.clip((n_frames - 1 - np.arange(n_frames)) / edge, 0, 1)
+    return (track * fade[:, None]).astype(np.float32)
