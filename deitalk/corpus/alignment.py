@@ -210,6 +210,7 @@ def reason_against(phones: Sequence[Phone], score: float) -> str | None:
     Parameters
     ----------
     phones : sequence of Phone
+        The alignment.
     score : float
         Mean acoustic score per speech frame.
 
@@ -259,6 +260,7 @@ def reduced(word: str, names: list[str]) -> list[str]:
     Parameters
     ----------
     word : str
+        Lower case, as in the transcript.
     names : list of str
         Dictionary phones.
 
@@ -297,6 +299,7 @@ def aligned_utterances(
     Parameters
     ----------
     recordings : sequence of Recording
+        English speech with transcripts.
     workers : int
         Processes; 1 aligns in this process.
     cache : Path, optional

@@ -1,4 +1,4 @@
-"""Endless labelled speech from each engine: random voices, accents, styles and rates from a seed."""
+"""Labelled speech from each engine: random voices, accents, styles and rates from a seed."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

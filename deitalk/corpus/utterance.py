@@ -1,4 +1,4 @@
-"""Labelled speech: a waveform with the times of its phones. What every source of the corpus yields."""
+"""Labelled speech, which every source of the corpus yields: a waveform and its phones' times."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,114 +1,36 @@
-"""espeak-ng through its C library: speech with the exact time of every phone.
+"""espeak-ng: speech in many languages with the exact time of every phone.
 
-The library keeps one global state: use it from one thread per process. Phone events are exact to
-about 4 ms but for stops, whose event comes at the burst; `with_closures` gives a stop the silent
-run before it.
+Phone events are exact to about 4 ms but for stops, whose event comes at the burst: `with_closures`
+gives a stop the silent run before it.
 """
 
-import ctypes
+import atexit
+import os
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from deitalk.corpus.engines.espeak_library import Server, known_voice, library
 from deitalk.corpus.phones import STOPS, ipa_to_phones
 from deitalk.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 from deitalk.errors import ConfigError, DataError, MissingError
 
-PACKAGE = "espeak-ng"
-MISSING = f"espeak: the library libespeak-ng.so.1 is not on this machine; apt-get install {PACKAGE}"
 PRIMARY_SHARE = 0.65  # of an event that fuses two phones (a vowel and its r) belongs to the first
-
-# speak_lib.h of espeak-ng 1.51
-_SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
-_UTF8, _SSML, _PHONEMES_IPA, _PHONEME_EVENT, _LIST_END = 1, 0x10, 2, 7, 0
-_RATE, _VOLUME, _PITCH, _RANGE = 1, 2, 3, 4
-
-
-class _EventId(ctypes.Union):
-    _fields_ = (
-        ("number", ctypes.c_int),
-        ("name", ctypes.c_char_p),
-        ("string", ctypes.c_char * 8),
-    )
-
-
-class _Event(ctypes.Structure):
-    _fields_ = (
-        ("type", ctypes.c_int),
-        ("unique_identifier", ctypes.c_uint),
-        ("text_position", ctypes.c_int),
-        ("length", ctypes.c_int),
-        ("audio_position", ctypes.c_int),
-        ("sample", ctypes.c_int),
-        ("user_data", ctypes.c_void_p),
-        ("id", _EventId),
-    )
-
-
-_Callback = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(_Event)
-)
-
-
-class _Engine:
-    """The loaded library; one per process."""
-
-    def __init__(self) -> None:
-        try:
-            self.library = ctypes.CDLL("libespeak-ng.so.1")
-            self.c_library = ctypes.CDLL(None)
-        except OSError as error:
-            raise MissingError(MISSING) from error
-        options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
-        self.sample_rate = self.library.espeak_Initialize(_SYNCHRONOUS, 200, None, options)
-        if self.sample_rate <= 0:
-            raise MissingError(f"espeak: the voice data cannot be read; apt-get install {PACKAGE}")
-        self.library.espeak_TextToPhonemes.restype = ctypes.c_char_p
-        self.chunks: list[np.ndarray] = []
-        self.events: list[tuple[int, str]] = []  # (sample, IPA)
-        self._callback = _Callback(self._receive)
-        self.library.espeak_SetSynthCallback(self._callback)
-
-    def _receive(self, samples, count: int, events) -> int:  # type: ignore[no-untyped-def]
-        """Collect audio and phone events."""
-        if samples and count > 0:
-            self.chunks.append(np.ctypeslib.as_array(samples, (count,)).copy())
-        i = 0
-        while events and events[i].type != _LIST_END:
-            if events[i].type == _PHONEME_EVENT:
-                name = events[i].id.string.decode("utf-8", "ignore")
-                self.events.append((events[i].sample, name))
-            i += 1
-        return 0
-
-    def set_voice(self, name: str) -> None:
-        """Choose a voice, or tell how to list the known ones."""
-        if self.library.espeak_SetVoiceByName(name.encode()) != 0:
-            raise ConfigError(
-                f"voice={name!r} is not an espeak-ng voice; espeak-ng --voices lists them"
-            )
-
-    def say(self, text: str, flags: int) -> tuple[np.ndarray, list[tuple[int, str]]]:
-        """Waveform (int16) and events of `text`."""
-        self.chunks, self.events = [], []
-        self.c_library.srand(0)  # breath noise comes from rand(): one text, one waveform
-        data = text.encode()
-        self.library.espeak_Synth(data, len(data) + 1, 0, 1, 0, flags, None, None)
-        self.library.espeak_Synchronize()
-        chunks = self.chunks or [np.zeros(0, np.int16)]
-        return np.concatenate(chunks), self.events
 
 
 @cache
-def _engine() -> _Engine:
-    return _Engine()
+def _server(process_id: int) -> Server:
+    """The server of this process; a forked process starts its own."""
+    server = Server()
+    atexit.register(server.close)
+    return server
 
 
 def missing() -> str | None:
     """None if espeak-ng works here, else the reason and the package to install."""
     try:
-        _engine()
+        library()
     except MissingError as error:
         return str(error)
     return None
@@ -117,18 +39,14 @@ def missing() -> str | None:
 @cache
 def variants() -> tuple[str, ...]:
     """Names of the voice variants installed (f1, m3, klatt, ...), sorted."""
-    library = _engine().library
-    library.espeak_Info.restype = ctypes.c_char_p
-    path = ctypes.c_char_p()
-    library.espeak_Info(ctypes.byref(path))
-    folder = Path((path.value or b"").decode()) / "voices" / "!v"
+    folder = Path(library().data_folder()) / "voices" / "!v"
     return tuple(sorted(p.name for p in folder.glob("*") if " " not in p.name))
 
 
 @cache
 def has_voice(name: str) -> bool:
     """Whether espeak-ng knows the voice `name` here."""
-    return _engine().library.espeak_SetVoiceByName(name.encode()) == 0
+    return library().has_voice(name)
 
 
 def pronounce(text: str, *, voice: str = "en-us") -> str:
@@ -136,17 +54,12 @@ def pronounce(text: str, *, voice: str = "en-us") -> str:
 
     Raises
     ------
+    ConfigError
+        For an unknown voice.
     MissingError
         If espeak-ng is not installed.
     """
-    engine = _engine()
-    engine.set_voice(voice)
-    pointer = ctypes.c_char_p(text.encode())
-    parts = []
-    while pointer.value is not None:
-        ipa = engine.library.espeak_TextToPhonemes(ctypes.byref(pointer), _UTF8, _PHONEMES_IPA)
-        parts.append((ipa or b"").decode("utf-8", "ignore"))
-    return " ".join(parts)
+    return library().pronounce(text, known_voice(voice))
 
 
 def synthesise(
@@ -200,21 +113,21 @@ def synthesise(
     """
     check_ranges(rate=(rate, 80, 450), pitch=(pitch, 0, 100), pitch_range=(pitch_range, 0, 100),
                   volume=(volume, 0, 200))  # fmt: skip
-    engine = _engine()
+    library()
     if variant is not None and variant not in variants():
         raise ConfigError(f"variant={variant!r} is not installed; known: {', '.join(variants())}")
-    name = voice if variant is None else f"{voice}+{variant}"
-    engine.set_voice(name)
-    for code, value in ((_RATE, rate), (_PITCH, pitch), (_RANGE, pitch_range), (_VOLUME, volume)):
-        engine.library.espeak_SetParameter(code, round(value), 0)
-    samples, events = engine.say(text, _UTF8 | (_SSML if ssml else 0))
-    if not np.any(samples):
+    name = known_voice(voice if variant is None else f"{voice}+{variant}")
+    numbers = {"rate": rate, "volume": volume, "pitch": pitch, "pitch_range": pitch_range}
+    parameters = {key: round(value) for key, value in numbers.items()}
+    said, events = _server(os.getpid()).say(text, name, parameters, ssml=ssml)
+    waveform = np.frombuffer(said, np.int16).astype(np.float32) / 32768
+    if not np.any(waveform):
         raise DataError(f"text={text!r} gives no speech in the espeak-ng voice {name}")
-    waveform = samples.astype(np.float32) / 32768
-    segments = event_segments(waveform, engine.sample_rate, events, language)
-    segments = with_closures(waveform, engine.sample_rate, segments)
+    rate_hz = library().sample_rate
+    segments = event_segments(waveform, rate_hz, events, language)
+    segments = with_closures(waveform, rate_hz, segments)
     return Utterance(
-        waveform=(resampled := _to_16khz(waveform, engine.sample_rate)),
+        waveform=(resampled := _to_16khz(waveform, rate_hz)),
         phones=contiguous(segments, len(resampled) / SAMPLE_RATE),
         text=text,
         style=style,
@@ -235,10 +148,13 @@ def event_segments(
     Parameters
     ----------
     waveform : float array [shape=(S,)]
+        What the engine said.
     sample_rate : int
         Hz.
     events : list of (sample, IPA)
+        When each phone begins.
     language : str
+        Code that decides what the symbols `a` and `r` mean.
 
     Returns
     -------
@@ -297,6 +213,7 @@ def with_closures(
     Parameters
     ----------
     waveform : float array [shape=(S,), range -1 to 1]
+        What the engine said.
     sample_rate : int
         Hz.
     segments : list of (start, end, name)

@@ -153,6 +153,7 @@ def parse_labels(labels: str) -> list[tuple[float, float, str]]:
     Parameters
     ----------
     labels : str
+        Text of the file.
 
     Returns
     -------

@@ -101,6 +101,7 @@ def parse_durations(listing: str) -> list[tuple[float, float, str]]:
     Parameters
     ----------
     listing : str
+        What flite printed.
 
     Returns
     -------

@@ -1,0 +1,211 @@
+"""libespeak-ng through ctypes, and a server that gives every utterance a fresh process.
+
+The library keeps noise, phase and pitch from one utterance to the next, even through its own
+termination, so that one text has as many waveforms as histories. `Server` starts a small process
+that loads the library once and forks for each utterance: every one begins from the same state, and
+a voice that crashes or hangs takes only its own utterance with it.
+
+Protocol on the pipes: one JSON line in; one JSON line with the sample count and the events out,
+then the samples as 16-bit integers.
+"""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from functools import cache
+from typing import Any
+
+from deitalk.errors import ConfigError, DataError, MissingError
+
+PACKAGE = "espeak-ng"
+MISSING = f"espeak: the library libespeak-ng.so.1 is not on this machine; apt-get install {PACKAGE}"
+TIMEOUT_SECONDS = 20
+"""An utterance takes some milliseconds; one that takes this long hangs."""
+
+# speak_lib.h of espeak-ng 1.51
+_SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
+_UTF8, _SSML, _PHONEMES_IPA, _PHONEME_EVENT, _LIST_END = 1, 0x10, 2, 7, 0
+_PARAMETERS = {"rate": 1, "volume": 2, "pitch": 3, "pitch_range": 4}
+
+
+class _EventId(ctypes.Union):
+    _fields_ = (
+        ("number", ctypes.c_int),
+        ("name", ctypes.c_char_p),
+        ("string", ctypes.c_char * 8),
+    )
+
+
+class _Event(ctypes.Structure):
+    _fields_ = (
+        ("type", ctypes.c_int),
+        ("unique_identifier", ctypes.c_uint),
+        ("text_position", ctypes.c_int),
+        ("length", ctypes.c_int),
+        ("audio_position", ctypes.c_int),
+        ("sample", ctypes.c_int),
+        ("user_data", ctypes.c_void_p),
+        ("id", _EventId),
+    )
+
+
+_Callback = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(_Event)
+)
+
+
+class Library:
+    """The loaded library; one per process, used by one thread."""
+
+    def __init__(self) -> None:
+        try:
+            self._library = ctypes.CDLL("libespeak-ng.so.1")
+        except OSError as error:
+            raise MissingError(MISSING) from error
+        options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
+        self.sample_rate = self._library.espeak_Initialize(_SYNCHRONOUS, 200, None, options)
+        if self.sample_rate <= 0:
+            raise MissingError(f"espeak: the voice data cannot be read; apt-get install {PACKAGE}")
+        self._library.espeak_TextToPhonemes.restype = ctypes.c_char_p
+        self._library.espeak_Info.restype = ctypes.c_char_p
+        self._samples = bytearray()
+        self._events: list[tuple[int, str]] = []
+        self._callback = _Callback(self._receive)
+        self._library.espeak_SetSynthCallback(self._callback)
+
+    def _receive(self, samples: Any, count: int, events: Any) -> int:
+        """Collect audio and phone events."""
+        if samples and count > 0:
+            self._samples += ctypes.string_at(samples, 2 * count)
+        i = 0
+        while events and events[i].type != _LIST_END:
+            if events[i].type == _PHONEME_EVENT:
+                # names are cut at 8 bytes, perhaps inside a letter
+                self._events.append((events[i].sample, events[i].id.string.decode(errors="ignore")))
+            i += 1
+        return 0
+
+    def has_voice(self, name: str) -> bool:
+        """Choose the voice `name`; False if there is none."""
+        return bool(self._library.espeak_SetVoiceByName(name.encode()) == 0)
+
+    def data_folder(self) -> str:
+        """Where the voices and their variants lie."""
+        path = ctypes.c_char_p()
+        self._library.espeak_Info(ctypes.byref(path))
+        return (path.value or b"").decode()
+
+    def say(
+        self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
+    ) -> tuple[bytes, list[tuple[int, str]]]:
+        """Samples (16-bit) of `text`, and the sample and IPA name at which each phone begins."""
+        self.has_voice(voice)
+        for name, value in parameters.items():
+            self._library.espeak_SetParameter(_PARAMETERS[name], value, 0)
+        data = text.encode()
+        self._library.espeak_Synth(
+            data, len(data) + 1, 0, 1, 0, _UTF8 | (_SSML if ssml else 0), None, None
+        )
+        self._library.espeak_Synchronize()
+        return bytes(self._samples), self._events
+
+    def pronounce(self, text: str, voice: str) -> str:
+        """`text` in the International Phonetic Alphabet, as `voice` would say it."""
+        self.has_voice(voice)
+        left, parts = ctypes.c_char_p(text.encode()), []
+        while left.value is not None:
+            ipa = self._library.espeak_TextToPhonemes(ctypes.byref(left), _UTF8, _PHONEMES_IPA)
+            parts.append((ipa or b"").decode(errors="ignore"))
+        return " ".join(parts)
+
+
+@cache
+def library() -> Library:
+    """The library of this process."""
+    return Library()
+
+
+class Server:
+    """A process that says texts, each from the same initial state."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+        )
+
+    def say(
+        self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
+    ) -> tuple[bytes, list[tuple[int, str]]]:
+        """`Library.say` in a fresh process.
+
+        Raises
+        ------
+        DataError
+            If espeak-ng crashes or hangs on the text.
+        """
+        job = {"text": text, "voice": voice, "parameters": parameters, "ssml": ssml}
+        with self._lock:
+            answered, given = self._process.stdin, self._process.stdout
+            assert answered is not None and given is not None
+            answered.write(json.dumps(job).encode() + b"\n")
+            answered.flush()
+            header = json.loads(given.readline() or b'{"bytes": 0, "events": null}')
+            samples = given.read(header["bytes"])
+        if header["events"] is None:
+            raise DataError(f"text={text!r} crashes espeak-ng in the voice {voice}; leave it out")
+        return samples, [(sample, ipa) for sample, ipa in header["events"]]
+
+    def close(self) -> None:
+        """End the process."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait(timeout=TIMEOUT_SECONDS)
+
+
+def serve() -> None:
+    """Answer the jobs on standard input until it ends."""
+    library()
+    for line in sys.stdin.buffer:
+        answer = _in_fork(json.loads(line))
+        sys.stdout.buffer.write(answer or b'{"bytes": 0, "events": null}\n')
+        sys.stdout.buffer.flush()
+
+
+def _in_fork(job: dict[str, Any]) -> bytes:
+    """The answer to one job, made by a child; empty if the child dies."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(TIMEOUT_SECONDS)  # its default action ends the child
+        samples, events = library().say(job.pop("text"), job.pop("voice"), **job)
+        with os.fdopen(writing, "wb") as pipe:
+            pipe.write(json.dumps({"bytes": len(samples), "events": events}).encode() + b"\n")
+            pipe.write(samples)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        answer = pipe.read()
+    _, status = os.waitpid(child, 0)
+    return answer if status == 0 else b""
+
+
+def known_voice(name: str) -> str:
+    """`name` if it is a voice here.
+
+    Raises
+    ------
+    ConfigError
+        If it is not.
+    """
+    if not library().has_voice(name):
+        raise ConfigError(f"voice={name!r} is not an espeak-ng voice; espeak-ng --voices lists all")
+    return name
