@@ -422,8 +422,8 @@ def _decode_with_ffmpeg(name: str, data: bytes | None, folder: Path, max_seconds
         source = folder / "source"
         source.write_bytes(data)
     command = [ffmpeg, "-nostdin", "-v", "error", "-protocol_whitelist", "file"]
-    command += ["-i", f"file:{source}", "-map", "0:a:0", "-t", str(max_seconds + 1)]
-    command += ["-c:a", "pcm_s16le", f"file:{target}"]
+    command += ["-i", str(source), "-map", "0:a:0", "-t", str(max_seconds + 1)]
+    command += ["-c:a", "pcm_s16le", str(target)]
     try:
         done = subprocess.run(
             command, capture_output=True, timeout=FFMPEG_TIMEOUT_SECONDS, check=False

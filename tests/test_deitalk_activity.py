@@ -114,6 +114,22 @@ def test_clicks_are_not_speech(rng):
     assert not speech_activity(waveform).any()
 
 
+def test_no_side_of_time_is_preferred(rng):
+    """Played backwards, speech is active at the mirrored frames: windows are centred on frames."""
+    waveform, _ = placed(rng, [-1, 1.5, -0.7, 1, -1.2])
+    whole = waveform[: 161 * 1600 // 3 + 1]  # frame 161 is the last sample: frames mirror
+    forwards, backwards = speech_activity(whole), speech_activity(whole[::-1])[::-1]
+    assert np.abs(edges(forwards) - edges(backwards)).max() <= 1
+
+
+def test_breath_far_below_the_speech_is_not_speech(rng):
+    parts = [voice(1, rng, -10), np.zeros(RATE), voice(1, rng, -62), np.zeros(RATE)]
+    activity = speech_activity(np.concatenate(parts))
+    assert activity[1:29].all()
+    assert not activity[33:].any()
+    assert speech_activity(np.concatenate(parts[1:]))[31:59].all()  # alone it is speech
+
+
 def test_real_speech_keeps_its_activity_in_noise(shared):
     found, false = [], []
     clips = sorted((shared / "data/speech/librispeech").glob("*-0005.mp3"))[:6]
