@@ -71,6 +71,8 @@ class Control:
         Name on the mh3 board (2021 to 2023): empty if it is the same, ``-`` if it had none.
     emoface_name : str
         Spelling in EmoFace's 174 columns, empty if it has none.
+    aliases : tuple of str
+        Further spellings.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Control:
     raw_negative: tuple[str, ...] = ()
     mh3_name: str = ""
     emoface_name: str = ""
+    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -294,7 +297,7 @@ class ControlSet:
         """Spellings of this board: name, Unreal channel, Maya channel."""
         aliases: dict[str, str] = {}
         for control in self.controls:
-            for spelling in (control.ue_channel, *_spellings(control.name)):
+            for spelling in (control.ue_channel, *control.aliases, *_spellings(control.name)):
                 if spelling:
                     aliases.setdefault(spelling, control.name)
         return aliases | {name: name for name in self.names}
@@ -393,7 +396,8 @@ def _control_from(row: dict[str, str]) -> Control:
     for column, field in number.items():
         if row.get(column):
             fields[field] = _number(row[column], f"control {row['name']!r}, column {column}")
-    for column, field in (("raw_pos", "raw_positive"), ("raw_neg", "raw_negative")):
+    lists = {"raw_pos": "raw_positive", "raw_neg": "raw_negative", "aliases": "aliases"}
+    for column, field in lists.items():
         fields[field] = tuple(filter(None, row.get(column, "").split("|")))
     fields["sets"] = frozenset(name for name in SETS if row.get(name) == "1")
     return Control(name=row["name"].strip(), **fields)  # type: ignore[arg-type]

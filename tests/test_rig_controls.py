@@ -116,7 +116,7 @@ def test_unknown_control_lists_near_matches():
 
 
 def test_two_spellings_of_one_control_are_doubled():
-    with pytest.raises(ControlError, match="'CTRL_C_jaw.ty' occurs twice"):
+    with pytest.raises(ControlError, match=r"'CTRL_C_jaw.ty' occurs twice"):
         CONTROLS.resolve(["CTRL_C_jaw.ty", "CTRL_C_jaw.Y"])
 
 

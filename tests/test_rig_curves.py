@@ -138,7 +138,7 @@ def test_mirror_swaps_sides_and_turns_the_jaw_round(rng):
 
 
 def test_mirror_needs_the_other_side():
-    with pytest.raises(ControlError, match="CTRL_R_brow_down.ty"):
+    with pytest.raises(ControlError, match=r"CTRL_R_brow_down.ty"):
         RigCurves(np.zeros((1, 1)), ("CTRL_L_brow_down.ty",)).mirror()
 
 
@@ -188,7 +188,7 @@ def test_values_are_a_private_copy_and_cannot_be_changed():
 
 
 def test_absent_control_is_named():
-    with pytest.raises(ControlError, match="'CTRL_C_jaw.tx' is not among these 1 curves"):
+    with pytest.raises(ControlError, match=r"'CTRL_C_jaw.tx' is not among these 1 curves"):
         jaw([0.0])["CTRL_C_jaw.tx"]
 
 

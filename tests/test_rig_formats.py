@@ -149,11 +149,11 @@ def test_older_board_reads_with_rest_for_what_it_lacked(tmp_path):
 
 def test_control_faults_are_one_line_errors(tmp_path):
     table = table_of_rest()
-    with pytest.raises(FormatError, match="lacks 1 of the 185 controls.*CTRL_C_jaw.ty"):
+    with pytest.raises(FormatError, match=r"lacks 1 of the 185 controls.*CTRL_C_jaw.ty"):
         read_curves(save(table.drop(columns=JAW), tmp_path / "missing.csv"))
-    with pytest.raises(ControlError, match="'CTRL_C_jaw.ty' occurs twice"):
+    with pytest.raises(ControlError, match=r"'CTRL_C_jaw.ty' occurs twice"):
         read_curves(save(table.assign(**{"CTRL_C_jaw.Y": 0}), tmp_path / "doubled.csv"))
-    with pytest.raises(ControlError, match="unknown control 'CTRL_C_jaws.ty'.*did you mean"):
+    with pytest.raises(ControlError, match=r"unknown control 'CTRL_C_jaws.ty'.*did you mean"):
         read_curves(save(table.assign(**{"CTRL_C_jaws.ty": 0}), tmp_path / "unknown.csv"))
 
 
@@ -326,7 +326,7 @@ def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monk
     monkeypatch.setattr("rig.formats.curves_csv.rows", full_disk)
     monkeypatch.setattr("rig.formats.curves_json.rows", full_disk)
     monkeypatch.setattr("numpy.savez_compressed", full_disk)
-    with pytest.raises(FormatError, match="cannot write.*No space left"):
+    with pytest.raises(FormatError, match=r"cannot write.*No space left"):
         write_curves(path, rest_curves(2))
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]

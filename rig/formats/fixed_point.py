@@ -80,7 +80,7 @@ def _cells(
     largest = scaled.max(initial=0.0)
     if not largest < LARGEST:
         raise OverflowError(f"{largest / 10.0**block.decimals:g} is too large to write")
-    kind = np.int32 if largest < 2**31 else np.int64
+    kind = np.int32 if max(largest, 10.0**block.decimals) < 2**31 else np.int64
     whole: NDArray[np.signedinteger] = scaled.astype(kind)
     n_integer = max(1, len(str(int(largest))) - block.decimals)
     width = 1 + n_integer + 1 + block.decimals + 1  # sign, digits, point, digits, separator
