@@ -1,0 +1,226 @@
+"""Bake a rig into linear morph targets, and say which curves drive each.
+
+A shape is driven by a product of control halves, so that what a rig does beyond the sum of its
+controls (a jaw that turns, lips that seal over it) comes along as correctives: what the rig shows
+in a pose, less what the shapes before it show.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.controls import ControlSet
+from rig.curves import RigCurves
+from rig.errors import MeshError
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
+
+Floats = NDArray[np.float64]
+Evaluate = Callable[[NDArray[np.float32]], Any]
+"""Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
+
+_STILL = 1e-4
+"""A shape that moves no vertex by this share of the mesh's size is not kept."""
+
+
+@dataclass(frozen=True)
+class Half:
+    """One half of a control's travel, from rest (0) to an end of its range (1).
+
+    Parameters
+    ----------
+    control : str
+    sign : int
+        1 towards the maximum, -1 towards the minimum.
+    """
+
+    control: str
+    sign: int = 1
+
+    def amount(self, values: NDArray[Any], controls: ControlSet) -> Floats:
+        """How far along [shape=(T,), range 0 to 1], of control values [shape=(T, C)]."""
+        i = controls.index(self.control)
+        rest = float(controls.rest[i])
+        end = float(controls.maximum[i] if self.sign > 0 else controls.minimum[i])
+        if end == rest:
+            return np.zeros(len(values))
+        return np.clip((np.asarray(values[:, i], dtype=np.float64) - rest) / (end - rest), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Weight of one shape: the product over groups of the least amount in each.
+
+    Parameters
+    ----------
+    groups : tuple of tuple of Half
+        ``((jaw,), (upper, lower))`` is jaw x min(upper, lower).
+    peak : float or None [0 to 1]
+        For an in-between: the weight is 1 where the product is `peak`, 0 at 0 and at 1.
+    """
+
+    groups: tuple[tuple[Half, ...], ...]
+    peak: float | None = None
+
+    def weight(self, values: NDArray[Any], controls: ControlSet) -> Floats:
+        """Weight over time [shape=(T,), range 0 to 1]."""
+        product = np.ones(len(values))
+        for group in self.groups:
+            product *= np.min([half.amount(values, controls) for half in group], axis=0)
+        if self.peak is None:
+            return product
+        return np.asarray(np.interp(product, [0.0, self.peak, 1.0], [0.0, 1.0, 0.0]))
+
+    def pose(self, controls: ControlSet) -> NDArray[np.float32]:
+        """Control values [shape=(C,)] at which the weight is 1."""
+        values = controls.rest.copy()
+        for group in self.groups:
+            for half in group:
+                i = controls.index(half.control)
+                end = controls.maximum[i] if half.sign > 0 else controls.minimum[i]
+                share = 1.0 if self.peak is None else self.peak ** (1.0 / len(self.groups))
+                values[i] = controls.rest[i] + share * (end - controls.rest[i])
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class BakedRig:
+    """Morph targets with their drivers.
+
+    Parameters
+    ----------
+    shapes : ShapeSet
+    drivers : tuple of Driver
+        One for each shape.
+    controls : ControlSet
+        What the drivers' names mean.
+    """
+
+    shapes: ShapeSet
+    drivers: tuple[Driver, ...]
+    controls: ControlSet
+
+    def weights(self, curves: RigCurves) -> NDArray[np.float32]:
+        """Weights of the shapes over time [shape=(T, K), range 0 to 1]."""
+        values = curves.reorder(self.controls).values
+        return self.weights_of(values)
+
+    def weights_of(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """As `weights`, of bare control values [shape=(T, C)]."""
+        weights = np.zeros((len(values), len(self.drivers)), dtype=np.float32)
+        for k, driver in enumerate(self.drivers):
+            weights[:, k] = driver.weight(values, self.controls)
+        return weights
+
+    def on(self, neutral: TriMesh, deltas: Any) -> "BakedRig":
+        """The same drivers over other shapes: `deltas` [shape=(K, V, 3)] of another mesh."""
+        return replace(self, shapes=ShapeSet(neutral, self.shapes.names, deltas))
+
+    def moving(self) -> "BakedRig":
+        """Without the shapes that move nothing to speak of."""
+        least = _STILL * self.shapes.neutral.size
+        moves = np.linalg.norm(self.shapes.deltas, axis=-1).max(axis=1, initial=0.0) > least
+        kept = np.flatnonzero(moves)
+        shapes = replace(
+            self.shapes,
+            names=tuple(self.shapes.names[k] for k in kept),
+            deltas=self.shapes.deltas[kept],
+        )
+        return replace(self, shapes=shapes, drivers=tuple(self.drivers[k] for k in kept))
+
+
+def bake(
+    neutral: TriMesh,
+    evaluate: Evaluate,
+    controls: ControlSet,
+    *,
+    correctives: Sequence[tuple[str, Driver]] = (),
+) -> BakedRig:
+    """Evaluate a rig at the end of every half, then at its correctives.
+
+    Parameters
+    ----------
+    neutral : TriMesh
+        The rig's mesh at rest.
+    evaluate : callable
+        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]; one pose at a time is asked.
+    controls : ControlSet
+        Columns of those values.
+    correctives : sequence of (str, Driver)
+        Named shapes to add, in this order: each holds what is still missing in its pose.
+
+    Returns
+    -------
+    BakedRig
+        Shapes that move nothing are left out.
+
+    Raises
+    ------
+    MeshError
+        If the rig's vertices are not the neutral mesh's.
+    """
+    drivers: list[Driver] = []
+    names: list[str] = []
+    deltas: list[NDArray[np.float32]] = []
+    rest = _posed(evaluate, controls.rest, neutral)
+    for name, driver in [*_halves(controls), *correctives]:
+        shown = rest.copy()
+        for delta, other in zip(deltas, drivers, strict=True):
+            weight = float(other.weight(driver.pose(controls)[None], controls)[0])
+            if weight:
+                shown += weight * delta
+        delta = (_posed(evaluate, driver.pose(controls), neutral) - shown).astype(np.float32)
+        if np.linalg.norm(delta, axis=1).max() > _STILL * neutral.size:
+            names.append(name)
+            drivers.append(driver)
+            deltas.append(delta)
+    stacked = np.array(deltas, dtype=np.float32).reshape(-1, *neutral.vertices.shape)
+    return BakedRig(
+        ShapeSet(neutral.with_vertices(rest), tuple(names), stacked), tuple(drivers), controls
+    )
+
+
+def _halves(controls: ControlSet) -> list[tuple[str, Driver]]:
+    halves = []
+    for name, low, rest, high in zip(
+        controls.names, controls.minimum, controls.rest, controls.maximum, strict=True
+    ):
+        if high > rest:
+            halves.append((name, Driver(((Half(name, 1),),))))
+        if low < rest:
+            halves.append((f"{name}_negative", Driver(((Half(name, -1),),))))
+    return halves
+
+
+def _posed(evaluate: Evaluate, values: NDArray[np.float32], neutral: TriMesh) -> Floats:
+    vertices = np.asarray(evaluate(np.asarray(values, dtype=np.float32)[None]), dtype=np.float64)
+    if vertices.shape != (1, *neutral.vertices.shape):
+        raise MeshError(
+            f"the rig gives vertices of shape {vertices.shape}; its neutral mesh needs "
+            f"{(1, *neutral.vertices.shape)}"
+        )
+    return vertices[0]
+
+
+def face_correctives() -> list[tuple[str, Driver]]:
+    """Correctives a MetaHuman-board face needs to stay true as morph targets.
+
+    The jaw turns rather than slides and lids go round the eyeball: an in-between half way each.
+    Lips together close over an open jaw: each side, then both.
+    """
+    jaw = Half("CTRL_C_jaw.ty")
+    found = [("jaw_half", Driver(((jaw,),), peak=0.5))]
+    for side in "LR":
+        blink = Half(f"CTRL_{side}_eye_blink.ty")
+        found.append((f"blink_half_{side}", Driver(((blink,),), peak=0.5)))
+    lips = {
+        side: tuple(Half(f"CTRL_{side}_mouth_lipsTogether{row}.ty") for row in "UD")
+        for side in "LR"
+    }
+    for side in "LR":
+        found.append((f"seal_{side}", Driver(((jaw,), lips[side]))))
+    found.append(("seal", Driver(((jaw,), lips["L"] + lips["R"]))))
+    return found
