@@ -202,7 +202,7 @@ def _posed(evaluate: Evaluate, values: NDArray[np.float32], neutral: TriMesh) ->
             f"the rig gives vertices of shape {vertices.shape}; its neutral mesh needs "
             f"{(1, *neutral.vertices.shape)}"
         )
-    return vertices[0]
+    return np.asarray(vertices[0])
 
 
 def face_correctives() -> list[tuple[str, Driver]]:

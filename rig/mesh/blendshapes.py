@@ -104,7 +104,7 @@ class ShapePoses:
     @property
     def understood(self) -> tuple[str, ...]:
         """Names that mean something here."""
-        moving = self.poses.any(axis=1)
+        moving = np.asarray(self.poses.any(axis=1))
         return tuple(n for i, n in enumerate(self.names) if moving[i] or i == self.mouth_close)
 
     def weights(self, curves: RigCurves) -> BlendshapeFit:
@@ -246,7 +246,8 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
     still = np.flatnonzero(motion < 0.3 * motion.max())
     if motion.max() == 0 or len(moved) == 0 or len(still) == 0:
         return 1.0
-    distance, nearest = KDTree(rest[still]).query(rest[moved])
+    found = KDTree(rest[still]).query(rest[moved])
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     near = distance < 0.02 * size
     low, high = moved[near], still[nearest[near]]
     torn, mended = jaw[low] - jaw[high], close[low] - close[high]

@@ -73,14 +73,14 @@ def lip_pairs(mesh: TriMesh, landmarks: Mapping[str, int], labels: Ints) -> LipP
     gap = float(np.linalg.norm(points[landmarks["upper_rim"]] - points[landmarks["lower_rim"]]))
     used = np.zeros(len(points), dtype=bool)
     used[mesh.faces.ravel()] = True
-    upper, lower = (np.flatnonzero((labels == side) & used) for side in (1, -1))
+    upper, lower = (np.flatnonzero(np.asarray((labels == side) & used)) for side in (1, -1))
     if len(upper) == 0 or len(lower) == 0:
         raise MeshError("no lips found around the rim landmarks; check upper_rim and lower_rim")
     reach = max(1.5 * gap, _NEAR_SLIT * width)
-    down, below = KDTree(points[lower]).query(points[upper])
-    above_distance, above = KDTree(points[upper]).query(points[lower])
+    down, below = _nearest(points[lower], points[upper])
+    up, above = _nearest(points[upper], points[lower])
     pairs = [(upper[i], lower[below[i]]) for i in np.flatnonzero(down <= reach)]
-    pairs += [(upper[above[i]], lower[i]) for i in np.flatnonzero(above_distance <= reach)]
+    pairs += [(upper[above[i]], lower[i]) for i in np.flatnonzero(up <= reach)]
     chosen = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     if len(chosen) == 0:
         raise MeshError("the lips are nowhere near one another; the neutral mouth must be closed")
@@ -136,11 +136,16 @@ def repair_lips(
     return result
 
 
+def _nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
+    distance, index = KDTree(points).query(queries)
+    return np.asarray(distance), np.asarray(index, dtype=np.int64)
+
+
 def _inverse_distance(points: Floats, queries: Floats, values: Floats) -> Floats:
     """Interpolate values [shape=(K, P, 3)] at points to queries by their four nearest."""
     count = min(4, len(points))
     distance, nearest = KDTree(points).query(queries, k=count)
-    distance, nearest = distance.reshape(-1, count), nearest.reshape(-1, count)
+    distance, nearest = (np.asarray(x).reshape(-1, count) for x in (distance, nearest))
     weight = 1.0 / np.maximum(distance, 1e-9) ** 2
     weight /= weight.sum(axis=1, keepdims=True)
     return np.asarray(np.einsum("qn,kqnc->kqc", weight, values[:, nearest]))

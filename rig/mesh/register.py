@@ -6,6 +6,7 @@ The upper lip only ever meets the upper lip: vertices near the mouth are labelle
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,15 +80,26 @@ class Registration:
     inside_out: bool
 
     def correspond(self) -> SurfacePoints:
-        """For every target vertex, its point on the placed source (any part of it)."""
+        """For every target vertex, its point on the placed source's skin."""
         normals = vertex_normals(self.target)
         return self.correspond_points(self.target.vertices, normals, self.target_labels)
 
     def correspond_points(self, points: Floats, normals: Floats, labels: Ints) -> SurfacePoints:
-        """For points on the target with the target's normals, their points on the source."""
-        search = ClosestPoints(TriMesh(self.placed, self.source.faces), labels=self.source_labels)
+        """For points on the target with the target's normals, their points on the source's skin.
+
+        The triangles are numbered in `skin_faces`.
+        """
+        search = ClosestPoints(
+            TriMesh(self.placed, self.source.faces[self.skin_faces]), labels=self.source_labels
+        )
         outward = -normals if self.inside_out else normals
         return search.query(points, normals=outward, labels=labels)
+
+    @cached_property
+    def skin_faces(self) -> Ints:
+        """Triangles of the source's largest part; teeth and tongue must not answer for lips."""
+        on_skin = components(self.source)[self.source.faces[:, 0]] == 0
+        return np.flatnonzero(np.asarray(on_skin))
 
 
 def register(

@@ -61,7 +61,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
     jacobian = local_jacobians(registration)
     mapped = np.einsum("vab,kvb->kva", jacobian, source)
     points = registration.correspond()
-    faces = registration.source.faces
+    faces = registration.source.faces[registration.skin_faces]
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
     trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
     result = _fill(registration.target, result, trusted)
@@ -82,10 +82,11 @@ def transfer_gradients(registration: Registration, deltas: Any) -> Floats:
     quiet = used[motion[used] < 1e-3 * registration.eyes]
     solver = DeformationSolver(target, pins=quiet)
     where = _sampled_triangles(registration, target)
+    skin = TriMesh(registration.source.vertices, registration.source.faces[registration.skin_faces])
     rotation = registration.rotation
     result = np.empty_like(by_displacement)
     for k, delta in enumerate(source):
-        gradients = deformation_gradients(registration.source, registration.source.vertices + delta)
+        gradients = deformation_gradients(skin, skin.vertices + delta)
         local = gradients[where].mean(axis=1)
         turned = rotation @ local @ rotation.T
         pins = target.vertices[solver.pins] + by_displacement[k, solver.pins]
@@ -147,7 +148,7 @@ def _moments(weights: Floats, values: Floats, points: Floats) -> Floats:
 
 
 def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
-    """Source triangles under four points of each target triangle [shape=(N, 4)]."""
+    """Triangles of the source's skin under four points of each target triangle [shape=(N, 4)]."""
     corners = target.vertices[target.faces]
     sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
     normals = triangle_normals(target)
