@@ -1,0 +1,11 @@
+"""The embedded head: a procedural face that every one of the 185 controls can move.
+
+`build_head(identity)` gives a `Head`; `Head.pose(values)` gives vertices. Nothing is loaded from
+files: skull, lips, lids, teeth and hair are formulas (see docs/face.md).
+"""
+
+from rig.face.head import Head, build_head
+from rig.face.identity import IDENTITIES, Identity
+from rig.face.mesh import Mesh
+
+__all__ = ["IDENTITIES", "Head", "Identity", "Mesh", "build_head"]

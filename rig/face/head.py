@@ -1,0 +1,300 @@
+"""The embedded head: neutral parts, and vertices for any values of the 185 controls."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig import default_controls
+from rig.errors import RigError
+from rig.face import ears, eyes, hair, teeth
+from rig.face.bindings import bindings
+from rig.face.contact import Arch, Seal
+from rig.face.identity import Identity, resolve_identity
+from rig.face.jaw import Jaw
+from rig.face.lids import Lids
+from rig.face.mesh import Array, Index, Mesh, join, mirrored
+from rig.face.shapes import ShapeMaker
+from rig.face.shapes_face import FACE_SHAPES
+from rig.face.shapes_mouth import MOUTH_SHAPES
+from rig.face.shapes_other import neck_shapes, side_shapes
+from rig.face.skin import Skin, build_skin, paint_skin
+from rig.face.store import load_or_build
+from rig.face.tongue import Tongue
+from rig.face.topology import EYE_L, EYE_R, FILLER, MOUTH
+
+Inputs = dict[str, Array]
+GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
+"""Full gaze (MetaHuman's board: 40 degrees sideways and down, 30 up)."""
+CONVERGENCE_DEGREES = 2.0
+PART_NAMES = (
+    "skin", "eye_L", "eye_R", "lash_L", "lash_R", "teeth_upper", "teeth_lower", "tongue",
+    "brow_L", "brow_R", "ear_L", "ear_R", "hair",
+)  # fmt: skip
+BATCH = 64
+
+
+@dataclass(frozen=True)
+class _Follow:
+    """Vertices that ride on the skin: for each, some skin vertices and their weights."""
+
+    near: Index
+    weight: Array
+
+
+class Head:
+    """A head of one identity.
+
+    Attributes
+    ----------
+    identity : Identity
+    skin : Mesh
+        The skin alone, neutral.
+    parts : dict of str to Mesh
+        Every part, neutral, in the order of the joined mesh.
+    mesh : Mesh
+        All parts joined; `pose` returns its vertices.
+    slices : dict of str to slice
+        Where each part's vertices are in the joined mesh.
+    features : Skin
+        The skin's loops and anatomy, for landmarks and checks.
+    """
+
+    def __init__(self, identity: Identity, features: Skin, shapes: dict[str, Array]) -> None:
+        self.identity, self.features = identity, features
+        place = features.anatomy
+        self._lip_z = float(features.vertices[features.loop(MOUTH, 0)[13], 2])
+        self.parts = self._make_parts()
+        self.mesh = join(list(self.parts.values()))
+        counts = np.cumsum([0] + [len(p.vertices) for p in self.parts.values()])
+        self.slices = {
+            name: slice(int(a), int(b))
+            for name, a, b in zip(self.parts, counts, counts[1:], strict=False)
+        }
+        self.skin = self.parts["skin"]
+        self.jaw = Jaw(features, shapes["jawWeights"][:, 0])
+        self._names = tuple(name for name in shapes if name != "jawWeights")
+        stack = np.stack([shapes[name] for name in self._names]).astype(np.float32)
+        self._moving = np.flatnonzero(np.abs(stack).max((0, 2)) > 1e-4)
+        self._shapes = stack[:, self._moving].reshape(len(stack), -1)
+        self._lids, self._seal = Lids(features), Seal(features)
+        self._arches = self._make_arches()
+        self._tongue = Tongue(
+            self.parts["tongue"].vertices, self._tongue_place, place.mouth_y, self._lip_z
+        )
+        self._brows = {s: self._follow(self.parts[f"brow_{s}"].vertices) for s in "LR"}
+        rim, lip = features.loop(MOUTH, 0), len(features.loop(MOUTH, 0)) // 4
+        self._rim_middle = rim[lip], rim[3 * lip]
+
+    def _make_parts(self) -> dict[str, Mesh]:
+        i, skin = self.identity, self.features
+        colors, gloss = paint_skin(skin, i)
+        place = skin.anatomy
+        eye, self._pupil = eyes.eyeball(i, place.eye_radius)
+        self._eye_rest = eye.vertices
+        parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss)}
+        for name, side in (("eye_L", 1), ("eye_R", -1)):
+            turned = eye.vertices @ _gaze_matrix(
+                np.array([0.0]), np.array([-side * CONVERGENCE_DEGREES]))[0].T
+            parts[name] = Mesh(turned + place.eye * [side, 1, 1], eye.faces, eye.colors, eye.gloss)
+        self._lash_root, self._lash_along = {}, {}
+        for s, kind in (("L", EYE_L), ("R", EYE_R)):
+            mesh, root, along = eyes.lashes(skin, kind, i)
+            parts[f"lash_{s}"] = mesh
+            self._lash_root[s], self._lash_along[s] = root, along
+        parts["teeth_upper"] = teeth.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
+        parts["teeth_lower"] = teeth.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
+        parts["tongue"], self._tongue_place = teeth.tongue(place.mouth_y, self._lip_z)
+        parts["brow_L"], parts["brow_R"] = hair.brow(i)[0], hair.brow(i, -1)[0]
+        parts["ear_L"] = ears.ear(i)
+        parts["ear_R"] = mirrored(parts["ear_L"])
+        parts["hair"] = hair.hair(i)
+        return parts
+
+    def _make_arches(self) -> dict[str, Arch]:
+        y = self.features.anatomy.mouth_y
+        arches = {}
+        for name, width, depth, back, edge, up in (
+            ("upper", 2.06, 4.2, teeth.UPPER_BACK, teeth.UPPER_EDGE, 1),
+            ("lower", 1.94, 4.1, teeth.LOWER_BACK, teeth.LOWER_EDGE, -1),
+        ):
+            center_z = self._lip_z - back - depth
+            arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
+        return arches
+
+    def _follow(self, vertices: Array, count: int = 6) -> _Follow:
+        from scipy.spatial import cKDTree
+
+        skin = self.features
+        ids = np.flatnonzero((skin.kind == FILLER) | (skin.ring >= 3))
+        distance, near = cKDTree(skin.vertices[ids]).query(vertices, k=count)
+        weight = 1 / (distance + 0.05)
+        return _Follow(ids[near], weight / weight.sum(1, keepdims=True))
+
+    def pose(self, values: ArrayLike) -> NDArray[np.float32]:
+        """Vertices of the joined mesh for control values.
+
+        Parameters
+        ----------
+        values : array [shape=(185,) or (T, 185)]
+            Values of `rig.default_controls()`, within their ranges.
+
+        Returns
+        -------
+        vertices : ndarray [shape=(V, 3) or (T, V, 3)], cm
+
+        Raises
+        ------
+        RigError
+            If the last axis is not 185 or a value is not finite.
+        """
+        table = np.asarray(values, dtype=np.float64)
+        count = len(default_controls().names)
+        if table.ndim not in (1, 2) or table.shape[-1] != count:
+            raise RigError(f"values have shape {table.shape}; a pose needs (T, {count})")
+        if not np.isfinite(table).all():
+            raise RigError("values contain NaN or infinity; a pose needs finite numbers")
+        frames = np.atleast_2d(table)
+        out = np.concatenate(
+            [self._pose(frames[k : k + BATCH]) for k in range(0, max(len(frames), 1), BATCH)]
+        )
+        return out[0] if table.ndim == 1 else out
+
+    def _pose(self, frames: Array) -> NDArray[np.float32]:
+        inputs = bindings()(frames)
+        inputs["larynxUp"] = inputs["larynxUp"] + np.interp(
+            inputs["swallow"], [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0.4, 1, 1, 0.4, 0])
+        vertices = np.repeat(self.mesh.vertices[None], len(frames), 0)
+        skin = vertices[:, self.slices["skin"]]
+        weights = np.stack([inputs[name] for name in self._names], 1).astype(np.float32)
+        shift = weights @ self._shapes
+        skin[:, self._moving] += shift.reshape(len(frames), -1, 3)
+        self.jaw.pose(skin, inputs)
+        self._clear_teeth(skin, inputs)
+        turns = self._lids.pose(skin, inputs)
+        self._seal.pose(skin, inputs)
+        self._pose_mouth(vertices, inputs)
+        self._pose_eyes(vertices, inputs, turns)
+        self._pose_rest(vertices, inputs)
+        return vertices.astype(np.float32)
+
+    def _clear_teeth(self, skin: Array, inputs: Inputs) -> None:
+        upper, lower = self._arches["upper"], self._arches["lower"]
+        skin[:, upper.ids] += upper.push(skin[:, upper.ids])
+        in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
+        moved = in_jaw + lower.push(in_jaw)
+        skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
+
+    def _pose_mouth(self, vertices: Array, inputs: Inputs) -> None:
+        shift = {
+            jaw: np.stack([inputs[f"teeth.{jaw}_{axis}"] for axis in "xyz"], -1)[:, None] * 0.25
+            for jaw in ("upper", "lower")
+        }
+        vertices[:, self.slices["teeth_upper"]] += shift["upper"]
+        lower = vertices[:, self.slices["teeth_lower"]] + shift["lower"]
+        vertices[:, self.slices["teeth_lower"]] = self.jaw.ride(lower, inputs)
+        tongue = self.jaw.ride(self._tongue.shape(inputs), inputs, self._tongue.jaw_share)
+        edge = np.array([[[0, self.features.anatomy.mouth_y + teeth.LOWER_EDGE,
+                           self._lip_z - teeth.LOWER_BACK]]])  # fmt: skip
+        edge = self.jaw.ride(np.repeat(edge, len(vertices), 0) + shift["lower"], inputs)
+        skin = vertices[:, self.slices["skin"]]
+        high, low = (skin[:, k, 1:] for k in self._rim_middle)
+        vertices[:, self.slices["tongue"]] = self._tongue.settle(tongue, edge[:, 0, 1:], low, high)
+
+    def _pose_eyes(self, vertices: Array, inputs: Inputs, turns: dict[str, Array]) -> None:
+        gaze_x = {s: np.clip(inputs[f"gaze.x_{s}"], -1, 1) for s in "LR"}
+        gaze_y = {s: np.clip(inputs[f"gaze.y_{s}"], -1, 1) for s in "LR"}
+        parallel = np.clip(inputs["gaze.parallel"], 0, 1)
+        for s, side in (("L", 1), ("R", -1)):
+            x = gaze_x[s] + parallel * (0.5 * (gaze_x["L"] + gaze_x["R"]) - gaze_x[s])
+            y = gaze_y[s] + parallel * (0.5 * (gaze_y["L"] + gaze_y["R"]) - gaze_y[s])
+            pitch = np.where(y > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"]) * y
+            yaw = GAZE_DEGREES["side"] * x - side * CONVERGENCE_DEGREES * (1 - parallel)
+            turn = _gaze_matrix(pitch, yaw)
+            ball = self._eye_rest + inputs[f"pupil_{s}"][:, None, None] * self._pupil
+            ball *= self.features.anatomy.eye_radius / np.linalg.norm(ball, axis=-1, keepdims=True)
+            center = self.features.anatomy.eye * [side, 1, 1]
+            vertices[:, self.slices[f"eye_{s}"]] = ball @ turn.transpose(0, 2, 1) + center
+            self._pose_lashes(vertices, inputs, s, turns[s])
+
+    def _pose_lashes(self, vertices: Array, inputs: Inputs, s: str, turn: Array) -> None:
+        part, root = self.slices[f"lash_{s}"], self._lash_root[s]
+        skin = vertices[:, self.slices["skin"]]
+        neutral = self.features.vertices[root]
+        offset = self.parts[f"lash_{s}"].vertices - neutral
+        rim = self.features.loop(EYE_L if s == "L" else EYE_R, 0)
+        slot = {int(v): k for k, v in enumerate(rim)}
+        angle = turn[:, [slot[int(v)] for v in root]] * 0.8
+        along = self._lash_along[s]
+        angle = angle + 0.35 * inputs[f"lash.in_{s}"][:, None] * np.clip(1 - 2 * along, 0, 1)
+        angle = angle + 0.35 * inputs[f"lash.out_{s}"][:, None] * np.clip(2 * along - 1, 0, 1)
+        cos, sin = np.cos(angle), np.sin(angle)
+        y = cos * offset[:, 1] + sin * offset[:, 2]
+        z = cos * offset[:, 2] - sin * offset[:, 1]
+        moved = np.stack(np.broadcast_arrays(offset[:, 0], y, z), -1)
+        vertices[:, part] = skin[:, root] + moved
+
+    def _pose_rest(self, vertices: Array, inputs: Inputs) -> None:
+        skin = vertices[:, self.slices["skin"]]
+        for s, side in (("L", 1), ("R", -1)):
+            ride = self._brows[s]
+            shift = skin[:, ride.near] - self.features.vertices[ride.near]
+            vertices[:, self.slices[f"brow_{s}"]] += np.einsum("tvkc,vk->tvc", shift, ride.weight)
+            lift = inputs[f"ear_{s}"][:, None, None] * np.array([0.06 * side, 0.32, -0.05])
+            vertices[:, self.slices[f"ear_{s}"]] += lift
+
+
+def _gaze_matrix(pitch_degrees: Array, yaw_degrees: Array) -> Array:
+    """Rotations (T, 3, 3): first up by pitch, then to the character's left by yaw."""
+    p, w = np.radians(pitch_degrees), np.radians(yaw_degrees)
+    zero, one = np.zeros_like(p), np.ones_like(p)
+    tilt = np.stack([one, zero, zero, zero, np.cos(p), np.sin(p), zero, -np.sin(p), np.cos(p)], -1)
+    turn = np.stack([np.cos(w), zero, np.sin(w), zero, one, zero, -np.sin(w), zero, np.cos(w)], -1)
+    return np.asarray(turn.reshape(-1, 3, 3) @ tilt.reshape(-1, 3, 3))
+
+
+def _build(identity: Identity) -> dict[str, Array]:
+    """Neutral skin and every linear shape of one identity, as plain arrays."""
+    skin = build_skin(identity)
+    maker = ShapeMaker(skin)
+    shapes: dict[str, Array] = {}
+    for shape in (*MOUTH_SHAPES, *FACE_SHAPES):
+        shapes |= maker.make(shape)
+    shapes |= side_shapes(maker) | neck_shapes(maker)
+    weights = Jaw.weights(maker)
+    return {
+        "vertices": skin.vertices, "faces": skin.faces, "kind": skin.kind, "ring": skin.ring,
+        "slot": skin.slot, "mirror": skin.mirror,
+        **{f"shape.{name}": shape.astype(np.float32) for name, shape in shapes.items()},
+        "shape.jawWeights": weights[:, None],
+    }  # fmt: skip
+
+
+def build_head(identity: int | str | Identity = 0) -> Head:
+    """Build the head of an identity, or take it from the user's cache.
+
+    Parameters
+    ----------
+    identity : int, str or Identity, optional
+        One of `rig.face.IDENTITIES` by number or name, or proportions of your own.
+
+    Raises
+    ------
+    RigError
+        For an unknown identity.
+    """
+    return _head(resolve_identity(identity))
+
+
+@lru_cache(maxsize=16)
+def _head(identity: Identity) -> Head:
+    from rig.face.loops import anatomy
+
+    arrays = load_or_build(identity, _build)
+    skin = Skin(
+        arrays["vertices"], arrays["faces"].astype(np.int64), arrays["kind"], arrays["ring"],
+        arrays["slot"], arrays["mirror"], anatomy(identity),
+    )  # fmt: skip
+    shapes = {k.removeprefix("shape."): v for k, v in arrays.items() if k.startswith("shape.")}
+    return Head(identity, skin, shapes)

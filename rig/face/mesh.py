@@ -1,0 +1,100 @@
+"""A triangle mesh with vertex colours, and the few operations the head needs on it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Vertices (V, 3) in cm, faces (N, 3) counter-clockwise seen from outside.
+
+    `colors` (V, 3) are sRGB in 0..1; `gloss` (V,) in 0..1 is how much a vertex shines.
+    """
+
+    vertices: Array
+    faces: Index
+    colors: Array = field(repr=False)
+    gloss: Array = field(repr=False)
+
+
+def join(meshes: list[Mesh]) -> Mesh:
+    """Put meshes side by side in one, in order."""
+    starts = np.cumsum([0] + [len(m.vertices) for m in meshes])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=False)]),
+        np.concatenate([m.colors for m in meshes]),
+        np.concatenate([m.gloss for m in meshes]),
+    )
+
+
+def painted(vertices: Array, faces: Index, color: Array, gloss: float = 0.2) -> Mesh:
+    """Build a mesh of one colour, or of one colour a vertex."""
+    n = len(vertices)
+    return Mesh(vertices, faces, np.broadcast_to(color, (n, 3)).copy(), np.full(n, gloss))
+
+
+def mirrored(mesh: Mesh) -> Mesh:
+    """The mesh seen in the mirror plane x = 0, faces still counter-clockwise."""
+    return Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1], mesh.colors, mesh.gloss)
+
+
+def grid_faces(rows: int, columns: int, *, closed: bool = True, start: int = 0) -> Index:
+    """Triangles of a (rows, columns) grid of vertices; `closed` joins last column to first."""
+    i, j = np.meshgrid(
+        np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij"
+    )
+    a, b = i * columns + j, i * columns + (j + 1) % columns
+    quad = np.stack([a, b, b + columns, a + columns], -1).reshape(-1, 4) + start
+    return np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+
+
+def adjacency(faces: Index, n_vertices: int) -> sp.csr_matrix:
+    """Symmetric 0/1 matrix of the mesh's edges."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    one_way = sp.coo_matrix(
+        (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n_vertices, n_vertices)
+    )
+    both = (one_way + one_way.T).tocsr()
+    both.data[:] = 1
+    return both
+
+
+def edge_counts(faces: Index) -> tuple[Index, Index]:
+    """Every edge (E, 2) once, and how many faces use it (2 inside a manifold, 1 on a border)."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    return unique, counts
+
+
+def vertex_normals(vertices: Array, faces: Index) -> Array:
+    """Unit normals (V, 3), the faces' cross products summed at their corners (area weights)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    corners = faces.T.ravel()
+    total = np.stack(
+        [
+            np.bincount(corners, np.tile(cross[:, axis], 3), len(vertices))
+            for axis in range(3)
+        ],
+        -1,
+    )  # fmt: skip
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors divided by their lengths along the last axis."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def smoothstep(x: Array | float) -> Array:
+    """0 below 0, 1 above 1, and a smooth cubic between."""
+    clipped = np.clip(x, 0.0, 1.0)
+    return np.asarray(clipped * clipped * (3 - 2 * clipped))

@@ -1,0 +1,51 @@
+"""Where the camera stands."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.face.mesh import Array, unit
+
+NEAR, FAR = 15.0, 140.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera at `position` looking at `target` (cm) with a vertical field of view."""
+
+    target: tuple[float, float, float]
+    position: tuple[float, float, float]
+    degrees: float
+
+    def matrix(self, aspect: float) -> Array:
+        """World to clip space, (4, 4), for column vectors; `aspect` is width / height."""
+        eye, target = np.array(self.position), np.array(self.target)
+        back = unit(eye - target)
+        right = unit(np.cross([0.0, 1.0, 0.0], back))
+        look = np.eye(4)
+        look[:3, :3] = [right, np.cross(back, right), back]
+        look[:3, 3] = -look[:3, :3] @ eye
+        f = 1 / np.tan(np.radians(self.degrees) / 2)
+        lens = np.array(
+            [
+                [f / aspect, 0, 0, 0],
+                [0, f, 0, 0],
+                [0, 0, (FAR + NEAR) / (NEAR - FAR), 2 * FAR * NEAR / (NEAR - FAR)],
+                [0, 0, -1, 0],
+            ]
+        )
+        return np.asarray(lens @ look)
+
+
+VIEWS = {
+    "front": View((0, -1.6, 1), (0, -0.6, 66), 26),
+    "three_quarter": View((0, -1.6, 1), (38, 2.5, 52), 26),
+    "side": View((0, -1.6, -0.5), (66, -1, 2), 26),
+    "face": View((0, -2.2, 4), (0, -1.6, 60), 19),
+    "mouth": View((0, -7.3, 8), (0, -6.4, 46), 13),
+    "mouth_side": View((0, -7.3, 7.5), (30, -5.5, 36), 13.5),
+    "eyes": View((0, 0.6, 6), (0, 1.0, 46), 17),
+    "neck": View((0, -9.5, 2), (0, -9.0, 52), 18),
+    "ear": View((7, -1, -1), (42, 0, 24), 16),
+}
+"""Named cameras; +x (the character's left) is on the right of the picture."""

@@ -1,0 +1,80 @@
+"""The same picture by OpenGL 3.3 without a window (moderngl over EGL); moderngl is optional."""
+
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.face.mesh import Array, Mesh
+from rig.face.render.camera import View
+from rig.face.render.shading import background, glsl
+
+
+class OpenGLRenderer:
+    """Draws one mesh's poses on the GPU (or Mesa's software driver) with 4x antialiasing.
+
+    Raises
+    ------
+    RigError
+        If moderngl is not installed or no OpenGL context can be made.
+    """
+
+    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
+        self.size, self.view = size, view
+        self._context = _context()
+        context, n = self._context, len(mesh.vertices)
+        vertex, fragment = glsl()
+        self._program = context.program(vertex_shader=vertex, fragment_shader=fragment)
+        self._points = context.buffer(reserve=n * 24)
+        paint = np.c_[mesh.colors, mesh.gloss].astype("f4")
+        index = context.buffer(mesh.faces.astype("i4").tobytes())
+        self._array = context.vertex_array(
+            self._program,
+            [(self._points, "3f 3f", "position", "normal"),
+             (context.buffer(paint.tobytes()), "4f", "paint")],
+            index,
+        )  # fmt: skip
+        self._many = context.framebuffer(
+            [context.renderbuffer(size, 4, samples=4)],
+            context.depth_renderbuffer(size, samples=4),
+        )
+        self._one = context.framebuffer([context.renderbuffer(size, 4)])
+        self._sky = np.broadcast_to(background(size[1]), (size[1], size[0], 3))
+
+    def draw(self, vertices: Array, normals: Array) -> Array:
+        """Picture (height, width, 3) in 0..1 of the mesh with these vertices and normals."""
+        width, height = self.size
+        self._points.write(np.hstack([vertices, normals]).astype("f4").tobytes())
+        matrix = self.view.matrix(width / height)
+        self._program["view"].write(matrix.T.astype("f4").tobytes())
+        self._program["eye"].value = tuple(float(x) for x in self.view.position)
+        context = self._context
+        self._many.use()
+        context.enable(context.DEPTH_TEST)
+        self._many.clear(0.0, 0.0, 0.0, 0.0)
+        self._array.render()
+        context.copy_framebuffer(self._one, self._many)
+        raw = np.frombuffer(self._one.read(components=4), np.uint8).reshape(height, width, 4)
+        pixels = raw[::-1].astype(np.float64) / 255
+        return np.asarray(pixels[..., :3] + (1 - pixels[..., 3:]) * self._sky)
+
+    def close(self) -> None:
+        """Free the context."""
+        self._context.release()
+
+
+def _context() -> Any:
+    try:
+        import moderngl
+    except ImportError as error:
+        raise RigError(
+            "OpenGL pictures need moderngl, which is not installed; "
+            "pip install 'deitalk[preview]', or use backend='software'"
+        ) from error
+    try:
+        return moderngl.create_standalone_context(backend="egl")
+    except Exception as error:  # moderngl raises bare Exception when EGL or a driver is missing
+        raise RigError(
+            f"no OpenGL context could be made ({error}); install Mesa's EGL "
+            "(Debian: libegl1 libgl1-mesa-dri), or use backend='software'"
+        ) from error

@@ -1,0 +1,89 @@
+"""Light and material, the same in numpy and in GLSL.
+
+Linear light, wrapped diffuse (red wraps further, as in skin), Blinn-Phong highlights, a sky and
+ground ambient, and a gentle shoulder before sRGB.
+"""
+
+import numpy as np
+
+from rig.face.mesh import Array, unit
+
+LIGHTS = (
+    # direction to the light, colour times strength
+    ((0.62, 0.62, 0.70), (1.02, 0.96, 0.89)),
+    ((-0.85, 0.15, 0.55), (0.24, 0.28, 0.35)),
+    ((-0.55, 0.45, -0.75), (0.70, 0.80, 0.95)),
+    ((0.85, 0.10, -0.50), (0.40, 0.34, 0.30)),
+)
+WRAP = (0.38, 0.22, 0.16)
+SKY, GROUND = (0.22, 0.24, 0.27), (0.10, 0.085, 0.08)
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
+GAMMA = 2.2
+
+
+def shade(
+    albedo: Array, normals: Array, to_eye: Array, gloss: Array, is_front: Array
+) -> Array:
+    """Colour (n, 3) sRGB of surface points from their sRGB albedo, normal, view and gloss.
+
+    Where `is_front` is false the inside of a surface is seen; it gets little light.
+    """
+    facing = np.where(is_front, 1.0, -1.0)[:, None]
+    albedo, gloss = albedo * np.where(is_front, 1.0, 0.3)[:, None], gloss * is_front
+    n = unit(normals + 1e-12) * facing
+    wrap = np.array(WRAP)
+    up = 0.5 + 0.5 * n[:, 1:2]
+    diffuse = np.array(GROUND) + (np.array(SKY) - np.array(GROUND)) * up
+    highlight = np.zeros_like(albedo)
+    power = 10 + 240 * gloss**2
+    strength = 0.16 * np.minimum(gloss, 0.28) + 0.50 * gloss**2.5
+    for direction, color in LIGHTS:
+        d = unit(np.array(direction))
+        cosine = (n @ d)[:, None]
+        diffuse = diffuse + np.array(color) * np.clip((cosine + wrap) / (1 + wrap), 0, 1) ** 1.25
+        half = unit(d + to_eye)
+        shine = np.clip((n * half).sum(1), 0, 1) ** power * strength * (cosine[:, 0] > 0)
+        highlight += shine[:, None] * np.array(color)
+    linear = albedo**GAMMA * diffuse + highlight
+    return np.asarray((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1) ** (1 / GAMMA))
+
+
+def background(height: int) -> Array:
+    """One column (height, 1, 3) sRGB, top to bottom."""
+    t = np.linspace(0, 1, height)[:, None, None]
+    return np.array(BACKGROUND_TOP) * (1 - t) + np.array(BACKGROUND_BOTTOM) * t
+
+
+def _vec(values: tuple[float, ...]) -> str:
+    return f"vec3({', '.join(f'{v:.6f}' for v in values)})"
+
+
+def glsl() -> tuple[str, str]:
+    """Vertex and fragment shader of the same light."""
+    lamps = "".join(
+        f"  lamp({_vec(tuple(unit(np.array(d))))}, {_vec(c)}, n, v, paint.a, diffuse, shine);\n"
+        for d, c in LIGHTS
+    )
+    vertex = """#version 330
+in vec3 position; in vec3 normal; in vec4 paint;
+uniform mat4 view; centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_;
+void main() { n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1); }
+"""
+    fragment = f"""#version 330
+centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; uniform vec3 eye; out vec4 color_;
+void lamp(vec3 d, vec3 c, vec3 n, vec3 v, float g, inout vec3 diffuse, inout vec3 shine) {{
+  float k = dot(n, d); vec3 w = {_vec(WRAP)};
+  diffuse += c * pow(clamp((k + w) / (1 + w), 0, 1), vec3(1.25));
+  if (k > 0) shine += c * pow(clamp(dot(n, normalize(d + v)), 0, 1), 10 + 240 * g * g)
+    * (0.16 * min(g, 0.28) + 0.50 * pow(g, 2.5));
+}}
+void main() {{
+  vec3 v = normalize(eye - p_), n = normalize(n_);
+  vec4 paint = paint_;
+  if (!gl_FrontFacing) {{ n = -n; paint *= vec4(0.3, 0.3, 0.3, 0); }}
+  vec3 diffuse = mix({_vec(GROUND)}, {_vec(SKY)}, 0.5 + 0.5 * n.y), shine = vec3(0);
+{lamps}  vec3 linear = pow(paint.rgb, vec3({GAMMA})) * diffuse + shine;
+  color_ = vec4(pow(clamp(linear * 1.12 / (1 + 0.12 * linear), 0, 1), vec3(1 / {GAMMA})), 1);
+}}
+"""
+    return vertex, fragment

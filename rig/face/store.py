@@ -1,0 +1,56 @@
+"""Heads kept on disk between runs, as plain arrays in the user's cache folder."""
+
+import hashlib
+import os
+import sys
+import zipfile
+from collections.abc import Callable
+from dataclasses import astuple
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from rig.face.identity import Identity
+from rig.face.mesh import Array
+from rig.files import atomic_write
+
+Arrays = dict[str, Array]
+
+
+def cache_folder() -> Path:
+    """Where heads are kept: ``$DEITALK_CACHE``, else the system's cache folder for this user."""
+    if chosen := os.environ.get("DEITALK_CACHE"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "deitalk"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "deitalk"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "deitalk"
+
+
+@lru_cache(maxsize=1)
+def _source_key() -> str:
+    """Digest of the code that builds heads: a change of it makes old heads unfindable."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def load_or_build(identity: Identity, build: Callable[[Identity], Arrays]) -> Arrays:
+    """Arrays of a head from the cache, or built and then kept where the folder can be written."""
+    key = hashlib.sha256(f"{_source_key()} {astuple(identity)}".encode()).hexdigest()[:20]
+    path = cache_folder() / f"head-{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, zipfile.BadZipFile):
+        arrays = build(identity)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as beside:
+            np.savez(beside, **arrays)  # type: ignore[arg-type]
+    except OSError:
+        pass  # a cache that cannot be written is no error: the head is built again next time
+    return arrays
