@@ -32,7 +32,7 @@ IPA_CONSONANTS = {
     "tʃ": "CH", "dʒ": "JH", "tɕ": "CH", "dʑ": "JH", "tʂ": "CH", "dʐ": "JH", "ʈʂ": "CH",
     "ɖʐ": "JH", "ts": "T S", "dz": "D Z", "pf": "P F", "ɧ": "SH",
     "k": "K", "g": "G", "ŋ": "NG", "ɴ": "NG", "q": "K", "ɢ": "G", "x": "K", "ɣ": "G", "χ": "K",
-    "ʁ": "G", "ʀ": "G", "ɰ": "G", "c": "K", "ɟ": "G", "ɠ": "G", "ç": "HH", "ʝ": "Y",
+    "ʁ": "G", "ʀ": "G", "ɰ": "G", "c": "CH", "ɟ": "JH", "ɠ": "G", "ç": "HH", "ʝ": "Y",
     "ɲ": "N", "ʎ": "L", "j": "Y", "h": "HH", "ɦ": "HH", "ħ": "HH", "ʕ": "Q", "ʔ": "Q",
     "ɹ": "R", "ɻ": "R", "r": "R", "w": "W", "ʍ": "W", "ɥ": "W",
 }  # fmt: skip
@@ -40,17 +40,27 @@ IPA_VOWELS = {
     "i": "IY", "ɪ": "IH", "e": "EY", "ɛ": "EH", "æ": "AE", "a": "AE", "aː": "AA", "ɑ": "AA",
     "ɒ": "AO", "ɔ": "AO", "o": "OW", "ʊ": "UH", "u": "UW", "ʌ": "AH", "ə": "AX", "əː": "ER",
     "ɐ": "AX", "ᵻ": "IX", "ɨ": "IX", "ᵿ": "UH", "ɜ": "AX", "ɜː": "ER", "ɚ": "ER", "ɝ": "ER",
-    "ɞ": "ER", "ɘ": "AX", "ɤ": "AH", "ɯ": "IX", "ɶ": "AE", "y": "UW", "ʏ": "UH", "ʉ": "UW",
-    "ø": "UH", "œ": "ER", "ɵ": "UH",
+    "ɞ": "ER", "ɘ": "AX", "ɤ": "AH", "ɯ": "IX", "ɯᵝ": "UH", "ɶ": "AE",
+    "y": "UW", "ʏ": "UH", "ʉ": "UW", "ø": "UH", "œ": "ER", "ɵ": "UH",
     "eɪ": "EY", "ei": "EY", "ɛɪ": "EY", "æɪ": "EY", "aɪ": "AY", "ai": "AY", "ɑɪ": "AY", "ʌɪ": "AY",
     "ɐɪ": "AY", "aʊ": "AW", "au": "AW", "ɑu": "AW", "æʊ": "AW", "ɑʊ": "AW", "ɛʊ": "AW",
     "oʊ": "OW", "əʊ": "OW", "ou": "OW", "ʌʊ": "OW", "əʉ": "OW", "ɔɪ": "OY", "oɪ": "OY", "ɔø": "OY",
     "ɔʏ": "OY", "ɪə": "IH AX", "iə": "IY AX", "eə": "EH AX", "ɛə": "EH AX", "ʊə": "UH AX",
     "aɪə": "AY AX", "aʊə": "AW AX", "aɪɚ": "AY ER", "aʊɚ": "AW ER", "əl": "AX L",
-    "ɪɹ": "IH R", "ɛɹ": "EH R", "ʊɹ": "UH R", "ɔːɹ": "AO R", "ɑːɹ": "AA R",
+    "aa": "AE",
+    "oːɹ": "AO R", "ɪɹ": "IH R", "ɛɹ": "EH R", "ʊɹ": "UH R", "ɔːɹ": "AO R", "ɑːɹ": "AA R",
 }  # fmt: skip
-# Outside English `a` is open and central (no spreading) and `r` is a tap or a trill.
-IPA_NOT_ENGLISH = {"a": "AA", "ɐ": "AH", "r": "DX", "rr": "DX", "l̩": "L"}
+# Outside English e and o do not glide, `a` is open and central, and `r` is a tap or a trill.
+IPA_NOT_ENGLISH = {
+    "e": "EH", "eː": "EY", "o": "AO", "oː": "OW", "a": "AA", "ɐ": "AH", "r": "DX", "rr": "DX",
+}  # fmt: skip
+# espeak-ng's own names for Mandarin, where h after a stop is aspiration and a dot is retroflexion.
+MANDARIN = {
+    "ph": "P", "th": "T", "kh": "K", "ts": "T S", "tsh": "T S", "tɕh": "CH", "ts.": "CH",
+    "ts.h": "CH", "s.": "SH", "i.": "IX", "o-": "AH", "ər": "ER", "iɛ": "Y EH", "iɑ": "Y AA",
+    "iɑu": "Y AW", "iou": "Y OW", "uɑ": "W AA", "ua": "W AA", "uai": "W AY", "uei": "W EY", "uə": "W AX",
+    "uo": "W AO", "yɛ": "W EH", "y": "UW", "onɡ": "UH NG",
+}  # fmt: skip
 
 # Names of the festival and flite American phone sets that differ from ours by more than case.
 FESTIVAL_NAMES = {
@@ -66,21 +76,26 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
     """Phones of a string in the International Phonetic Alphabet.
 
     Longest symbols first. Stress, tones, length, nasality and other diacritics are ignored, and
-    so are symbols that no table names.
+    so are symbols that no table names, and names in parentheses, with which espeak-ng tells that
+    it changes the language.
 
     Parameters
     ----------
     ipa : str
         One phone or many, with or without word boundaries.
     language : str
-        Language code; decides what `a` and `r` mean.
+        Language code; decides what `a`, `e`, `o` and `r` mean, and the names of Mandarin.
 
     Returns
     -------
     phones : tuple of str
         Members of `PHONES`; empty if nothing in `ipa` is a phone.
     """
-    table = _table(language == "en" or language.startswith("en-"))
+    if language == "cmn" and ipa in MANDARIN:
+        return tuple(MANDARIN[ipa].split())
+    if ipa.startswith("("):
+        return ()
+    table = _table(language == "en")
     left, found = _plain(ipa), []
     while left:
         size = next((n for n in (3, 2, 1) if left[:n] in table), 0)
@@ -104,6 +119,7 @@ def _table(is_english: bool) -> dict[str, str]:
 def _plain(ipa: str) -> str:
     """`ipa` without diacritics and marks; length stays, ç and ᵻ stay whole."""
     composed = unicodedata.normalize("NFC", ipa).replace("ɡ", "g").replace("ç", "\0")
+    composed = composed.replace(":", "ː")
     bare = "".join(
         c for c in unicodedata.normalize("NFD", composed) if not unicodedata.combining(c)
     )

@@ -114,7 +114,7 @@ def read_waveform(path: Path | str) -> np.ndarray:
         waveform = soxr.resample(waveform, rate, SAMPLE_RATE)
     if not len(waveform) or not np.all(np.isfinite(waveform)):
         raise AudioError(f"{path} holds no sound; leave it out")
-    return np.clip(waveform, -1, 1).astype(np.float32)
+    return np.asarray(np.clip(waveform, -1, 1), np.float32)
 
 
 def _librispeech(folder: Path) -> Iterator[Recording]:
@@ -139,7 +139,7 @@ def _beside(folder: Path, key: str) -> Path:
 def _tables(folder: Path) -> Iterator[Recording]:
     """Every <source>.tsv of the folder."""
     for table in sorted(folder.glob("*.tsv")):
-        for row in _rows(table, ("path", "speaker", "text"), delimiter="\t"):
+        for row in _rows(table, ("path", "speaker", "text"), is_tsv=True):
             yield Recording(
                 path=_existing(folder / row["path"], table),
                 text=row["text"],
@@ -154,7 +154,7 @@ def _clips(folder: Path) -> Iterator[Recording]:
     table = folder / "clips.csv"
     if not table.is_file():
         return
-    for row in _rows(table, ("audio", "transcript"), delimiter=","):
+    for row in _rows(table, ("audio", "transcript"), is_tsv=False):
         if row["transcript"]:
             speaker = row.get("speaker") or "unnamed"
             audio = _existing(folder / row["audio"], table)
@@ -164,11 +164,14 @@ def _clips(folder: Path) -> Iterator[Recording]:
 _READERS = {"clips": _clips, "tsv": _tables, "librispeech": _librispeech}
 
 
-def _rows(table: Path, needed: tuple[str, ...], *, delimiter: str) -> Iterator[dict[str, str]]:
+def _rows(table: Path, needed: tuple[str, ...], *, is_tsv: bool) -> Iterator[dict[str, str]]:
     """Rows of a table that must have the columns `needed`."""
-    quoting = csv.QUOTE_NONE if delimiter == "\t" else csv.QUOTE_MINIMAL
     with table.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, delimiter=delimiter, quoting=quoting)
+        reader = (
+            csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE)
+            if is_tsv
+            else csv.DictReader(file)
+        )
         absent = [name for name in needed if name not in (reader.fieldnames or ())]
         if absent:
             raise DataError(f"{table} lacks the column(s) {', '.join(absent)} in its first line")

@@ -86,13 +86,13 @@ FOREIGN = {
         "Amanhã vamos de barco até a ilha verde.",
         "Os filhos do vizinho brincam muito bem juntos.",
     ),
-    "cmn": (
-        "我的妈妈每天早上买面包。",
-        "你明白不明白这个问题？",
-        "爸爸和朋友一起去北边爬山。",
-        "今天的风非常大，我们不出门。",
-        "太漂亮了！我喜欢这片绿色的湖。",
-        "他跑步跑得很快，不怕下雨。",
+    "cmn": (  # pinyin: espeak-ng often lacks the dictionary of characters
+        "Wǒ de māma měi tiān zǎoshang mǎi miànbāo.",
+        "Nǐ míngbái bù míngbái zhège wèntí?",
+        "Bàba hé péngyou yìqǐ qù běibiān páshān.",
+        "Jīntiān de fēng fēicháng dà, wǒmen bù chūmén.",
+        "Tài piàoliang le! Wǒ xǐhuan zhè piàn lǜsè de hú.",
+        "Tā pǎobù pǎo de hěn kuài, bú pà xià yǔ.",
     ),
     "hi": (
         "मेरी माँ बाज़ार से फल लाती है।",

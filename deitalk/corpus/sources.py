@@ -39,7 +39,7 @@ ENGLISH_ACCENTS = (
 )  # fmt: skip
 FOREIGN_VOICES = {
     "es": ("es", "es-419"), "de": ("de",), "fr": ("fr", "fr-be", "fr-ch"), "it": ("it",),
-    "pt": ("pt", "pt-br"), "cmn": ("cmn",), "hi": ("hi",), "ja": ("ja",), "ko": ("ko",),
+    "pt": ("pt", "pt-br"), "cmn": ("cmn-latn-pinyin",), "hi": ("hi",), "ja": ("ja",), "ko": ("ko",),
 }  # fmt: skip
 FOREIGN_SHARE = 0.2
 WHISPER_SHARE = 0.02
@@ -132,19 +132,19 @@ def _espeak_batch(rng: np.random.Generator) -> list[Utterance | None]:
     sentence = english_sentence(rng) if language == "en" else foreign_sentence(language, rng)
     style = _style(rng)
     prosody = STYLE[style]
-    said = {
-        "voice": _choice(rng, _voices(language)),
-        "variant": _variant(rng),
-        "rate": float(np.clip(rng.uniform(120, 200) * prosody.rate, 80, 450)),
-        "pitch": float(np.clip(rng.uniform(30, 70) * prosody.pitch, 0, 99)),
-        "pitch_range": float(np.clip(rng.uniform(35, 65) * prosody.pitch_range, 0, 99)),
-        "volume": float(100 * min(prosody.volume, 1.0)),
-    }
     try:
         utterance = espeak.synthesise(
             held_ssml(sentence) if sentence.held else sentence.text,
-            language=language, style=style, ssml=bool(sentence.held), **said,
-        )  # fmt: skip
+            ssml=bool(sentence.held),
+            voice=_choice(rng, _voices(language)),
+            variant=_variant(rng),
+            language=language,
+            style=style,
+            rate=float(np.clip(rng.uniform(120, 200) * prosody.rate, 80, 450)),
+            pitch=float(np.clip(rng.uniform(30, 70) * prosody.pitch, 0, 99)),
+            pitch_range=float(np.clip(rng.uniform(35, 65) * prosody.pitch_range, 0, 99)),
+            volume=70 * prosody.volume,  # leaves room for the loudest style
+        )
     except DataError:
         return [None]
     return [replace(utterance, text=sentence.text)]
