@@ -1,0 +1,376 @@
+"""OBJ, PLY, NPZ and GLB: round trips, exporters' habits, and bad files in one line."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from rig.errors import FormatError, MeshError, TopologyError
+from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
+from rig.mesh.glb_reader import animate_glb, morph_names, read_accessor, read_glb
+from rig.mesh.obj import read_obj, read_obj_folder, write_obj, write_obj_folder
+from rig.mesh.ply import read_ply, read_ply_sequence, write_ply, write_ply_sequence
+from rig.mesh.shapes import ShapeSet, read_shapes_npz, write_shapes_npz
+from rig.mesh.trimesh import (
+    TriMesh,
+    boundary_edges,
+    components,
+    degenerate_triangles,
+    triangle_areas,
+    vertex_normals,
+    without_degenerate,
+)
+
+CUBE = TriMesh(
+    [[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)],
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]],
+)  # fmt: skip
+
+
+@pytest.fixture
+def shapes(rng):
+    deltas = rng.normal(scale=0.1, size=(3, 8, 3))
+    deltas[1, 2:] = 0  # a sparse one
+    deltas[2] = 0
+    return ShapeSet(CUBE, ("jawOpen", "eyeBlink_L", "nothing"), deltas, {"chin": 3})
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+# --- meshes
+
+
+def test_cube_measures():
+    assert triangle_areas(CUBE).sum() == pytest.approx(6.0)
+    assert CUBE.size == pytest.approx(np.sqrt(3))
+    assert len(boundary_edges(CUBE)) == 0
+    outward = vertex_normals(CUBE) * (CUBE.vertices - 0.5)
+    assert (outward.sum(axis=1) > 0).all()
+
+
+def test_components_count_loose_vertices_and_put_the_largest_first():
+    mesh = TriMesh(
+        np.vstack([np.eye(3), CUBE.vertices + 5, [[9, 9, 9]]]),
+        np.vstack([[[0, 1, 2]], CUBE.faces + 3]),
+    )
+    assert components(mesh).tolist() == [1] * 3 + [0] * 8 + [2]
+
+
+def test_compact_drops_unused_vertices():
+    mesh = TriMesh(np.vstack([[[7, 7, 7]], CUBE.vertices]), CUBE.faces + 1)
+    compact, used = mesh.compact()
+    np.testing.assert_array_equal(compact.vertices, CUBE.vertices)
+    np.testing.assert_array_equal(used, np.arange(1, 9))
+
+
+def test_degenerate_triangles_are_found_and_can_be_left_out():
+    mesh = TriMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 3], [0, 1, 2]])
+    assert degenerate_triangles(mesh).tolist() == [1]
+    assert without_degenerate(mesh).faces.tolist() == [[0, 1, 3]]
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "error", "words"),
+    [
+        ([[0, 0]], [[0, 0, 0]], MeshError, r"\(V, 3\)"),
+        (np.eye(3), [[0, 1]], MeshError, r"\(N, 3\)"),
+        (np.eye(3), np.zeros((0, 3), int), MeshError, "no triangles"),
+        (np.eye(3), [[0, 1, 3]], TopologyError, "triangles 0 name vertices outside 0..2"),
+        (np.eye(3), [[0, 1, -1]], TopologyError, "outside"),
+        (np.eye(3), [[0, 1, 2], [0, 1, 1]], TopologyError, "triangles 1 name a vertex twice"),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], MeshError, "vertices 0, 1, 2 are not finite"),
+    ],
+)
+def test_meshes_that_are_none(vertices, faces, error, words):
+    with pytest.raises(error, match=words):
+        TriMesh(vertices, faces)
+
+
+# --- OBJ
+
+
+def test_obj_round_trip(tmp_path, rng):
+    mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
+    write_obj(tmp_path / "a.obj", mesh)
+    again = read_obj(tmp_path / "a.obj")
+    np.testing.assert_array_equal(again.vertices, mesh.vertices)
+    np.testing.assert_array_equal(again.faces, mesh.faces)
+
+
+def test_obj_as_exporters_write_it(tmp_path):
+    text = (
+        "# made by hand\nmtllib x.mtl\no face\nv 0 0 0 1 1 1\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 5 5 5\n"
+        "vt 0 0\nvn 0 0 1\ng skin\nusemtl s\ns off\nf 1/1/1 2/1/1 3/1/1 4/1/1\nf -5//1 -4//1 \\\n -3//1\n"
+    )
+    mesh = read_obj(write(tmp_path / "a.obj", text))
+    # The quad is a fan from its first corner; negative indices count back; vertex 5 is kept.
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
+    assert len(mesh.vertices) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "words"),
+    [
+        ("", FormatError, "no vertices"),
+        ("v 0 0 zero\n", FormatError, "line 1: cannot read 'v 0 0 zero'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", FormatError, "line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", FormatError, "line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", TopologyError, "outside"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", MeshError, "no triangles"),
+    ],
+)
+def test_bad_obj(tmp_path, text, error, words):
+    with pytest.raises(error, match=words):
+        read_obj(write(tmp_path / "a.obj", text))
+
+
+def test_obj_folder_round_trip(tmp_path, shapes):
+    write_obj_folder(tmp_path / "set", shapes)
+    again = read_obj_folder(tmp_path / "set")
+    assert set(again.names) == set(shapes.names)
+    for name in shapes.names:
+        np.testing.assert_allclose(again.delta(name), shapes.delta(name), atol=1e-7)
+
+
+def test_obj_folder_refuses(tmp_path, shapes):
+    with pytest.raises(FormatError, match=r"holds no \.obj"):
+        read_obj_folder(tmp_path)
+    write_obj_folder(tmp_path / "set", shapes)
+    write(tmp_path / "set" / "short.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(TopologyError, match=r"short\.obj has 3 vertices and neutral\.obj 8"):
+        read_obj_folder(tmp_path / "set")
+    (tmp_path / "set" / "neutral.obj").rename(tmp_path / "set" / "zero.obj")
+    with pytest.raises(FormatError, match=r"must be named neutral\.obj .* found none"):
+        read_obj_folder(tmp_path / "set")
+
+
+# --- PLY
+
+
+@pytest.mark.parametrize("ascii", [True, False])
+def test_ply_round_trip(tmp_path, rng, ascii):
+    mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
+    write_ply(tmp_path / "a.ply", mesh, ascii=ascii)
+    again = read_ply(tmp_path / "a.ply")
+    np.testing.assert_array_equal(again.vertices, mesh.vertices)
+    np.testing.assert_array_equal(again.faces, mesh.faces)
+
+
+def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
+    header = (
+        "ply\nformat binary_big_endian 1.0\ncomment x\nelement vertex 4\nproperty float x\n"
+        "property float y\nproperty float z\nproperty uchar red\nelement face 1\n"
+        "property list uchar int vertex_index\nproperty float quality\nend_header\n"
+    )
+    body = b"".join(
+        struct.pack(">fffB", *p, 7) for p in [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 2)]
+    )
+    body += struct.pack(">Biiiif", 4, 0, 1, 2, 3, 0.5)
+    (tmp_path / "a.ply").write_bytes(header.encode() + body)
+    mesh = read_ply(tmp_path / "a.ply")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert mesh.vertices[3].tolist() == [0, 1, 2]
+    (tmp_path / "a.ply").write_bytes((header.encode() + body)[:-3])
+    with pytest.raises(FormatError, match="cut short"):
+        read_ply(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "plx\n", "ply\nformat ascii 1.0\nend_header\n", "ply\nformat odd 1.0\nend_header\n",
+     "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
+     "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\n"],
+)  # fmt: skip
+def test_bad_ply(tmp_path, text):
+    with pytest.raises(FormatError, match=r"a\.ply"):
+        read_ply(write(tmp_path / "a.ply", text))
+
+
+def test_ply_sequence_round_trip(tmp_path, rng):
+    frames = rng.normal(size=(12, 8, 3))
+    write_ply_sequence(tmp_path / "s", CUBE, frames)
+    mesh, again = read_ply_sequence(tmp_path / "s")
+    np.testing.assert_allclose(again, frames, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, CUBE.faces)
+    write_ply(tmp_path / "s" / "z.ply", TriMesh(np.eye(3), [[0, 1, 2]]))
+    with pytest.raises(TopologyError, match=r"z\.ply has 3 vertices"):
+        read_ply_sequence(tmp_path / "s")
+
+
+# --- NPZ and shape sets
+
+
+def test_npz_round_trip(tmp_path, shapes):
+    write_shapes_npz(tmp_path / "a.npz", shapes)
+    again = read_shapes_npz(tmp_path / "a.npz")
+    assert again.names == shapes.names and dict(again.landmarks) == {"chin": 3}
+    np.testing.assert_array_equal(again.deltas, shapes.deltas)
+    np.testing.assert_array_equal(again.neutral.faces, CUBE.faces)
+
+
+def test_bad_npz(tmp_path):
+    np.savez(tmp_path / "a.npz", neutral=np.eye(3))
+    with pytest.raises(FormatError, match="no array 'triangles'"):
+        read_shapes_npz(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", neutral=np.array([{}], dtype=object))
+    with pytest.raises(FormatError, match="not a readable NPZ"):
+        read_shapes_npz(tmp_path / "b.npz")
+
+
+def test_shape_sets_that_are_none():
+    with pytest.raises(MeshError, match="'a' appears twice"):
+        ShapeSet(CUBE, ("a", "a"), np.zeros((2, 8, 3)))
+    with pytest.raises(MeshError, match=r"need \(1, 8, 3\)"):
+        ShapeSet(CUBE, ("a",), np.zeros((1, 7, 3)))
+    with pytest.raises(MeshError, match="'b' holds numbers that are not finite"):
+        ShapeSet(CUBE, ("a", "b"), np.stack([np.zeros((8, 3)), np.full((8, 3), np.inf)]))
+
+
+def test_evaluate_adds_weighted_shapes(shapes):
+    moved = shapes.evaluate([[0, 0, 0], [0.5, 1, 1]])
+    np.testing.assert_array_equal(moved[0], CUBE.vertices)
+    expected = CUBE.vertices + 0.5 * shapes.delta("jawOpen") + shapes.delta("eyeBlink_L")
+    np.testing.assert_allclose(moved[1], expected, atol=1e-6)
+
+
+# --- GLB
+
+
+def test_glb_round_trip(tmp_path, shapes):
+    write_glb(tmp_path / "a.glb", shapes)
+    again = read_glb(tmp_path / "a.glb")
+    assert again.names == shapes.names
+    np.testing.assert_allclose(again.neutral.vertices, CUBE.vertices, atol=1e-7)
+    np.testing.assert_array_equal(again.neutral.faces, CUBE.faces)
+    np.testing.assert_allclose(again.deltas, shapes.deltas, atol=1e-4)
+
+
+def test_glb_targets_are_sparse_and_bounded(tmp_path, shapes):
+    write_glb(tmp_path / "a.glb", shapes)
+    document, _ = read_container(tmp_path / "a.glb")
+    targets = document["meshes"][0]["primitives"][0]["targets"]
+    accessors = [document["accessors"][t["POSITION"]] for t in targets]
+    assert accessors[1]["sparse"]["count"] == 2
+    assert "sparse" not in accessors[2] and accessors[2]["max"] == [0, 0, 0]
+    np.testing.assert_allclose(
+        accessors[1]["min"], np.minimum(shapes.deltas[1].min(axis=0), 0), atol=1e-6
+    )
+    assert document["meshes"][0]["extras"]["targetNames"] == list(shapes.names)
+
+
+def test_glb_animation_has_a_weight_for_every_target_and_frame(tmp_path, shapes, rng):
+    weights = rng.random((5, 3)).astype(np.float32)
+    write_glb(tmp_path / "a.glb", shapes, animation=WeightAnimation(weights, fps=30))
+    document, binary = read_container(tmp_path / "a.glb")
+    animation = document["animations"][0]
+    assert animation["channels"][0]["target"] == {"node": 0, "path": "weights"}
+    times = read_accessor(document, binary, animation["samplers"][0]["input"])
+    output = read_accessor(document, binary, animation["samplers"][0]["output"])
+    np.testing.assert_allclose(times, np.arange(5) / 30, atol=1e-7)
+    np.testing.assert_array_equal(output.reshape(5, 3), weights)
+    time_accessor = document["accessors"][animation["samplers"][0]["input"]]
+    assert time_accessor["min"] == [0] and time_accessor["max"] == pytest.approx([4 / 30])
+
+
+def test_glb_agrees_with_an_independent_reader(tmp_path, shapes):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is an independent reader")
+    write_glb(tmp_path / "a.glb", shapes)
+    other = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(other.vertices, CUBE.vertices, atol=1e-7)
+    np.testing.assert_array_equal(other.faces, CUBE.faces)
+
+
+def test_animate_keeps_the_users_file_and_fills_by_name(tmp_path, shapes):
+    write_glb(tmp_path / "a.glb", shapes)
+    assert morph_names(tmp_path / "a.glb") == shapes.names
+    weights = np.array([[0.1, 0.2], [0.3, 0.4]])
+    animate_glb(
+        tmp_path / "a.glb", tmp_path / "b.glb", ("eyeBlink_L", "unknown"), WeightAnimation(weights)
+    )
+    before, old = read_container(tmp_path / "a.glb")
+    after, new = read_container(tmp_path / "b.glb")
+    assert after["meshes"] == before["meshes"] and new[: len(old)] == old
+    output = read_accessor(after, new, after["animations"][0]["samplers"][0]["output"])
+    np.testing.assert_allclose(output.reshape(2, 3), [[0, 0.1, 0], [0, 0.3, 0]], atol=1e-7)
+    with pytest.raises(MeshError, match="none of the morph targets nobody"):
+        animate_glb(tmp_path / "a.glb", tmp_path / "b.glb", ("nobody",), WeightAnimation(weights))
+
+
+def test_glb_nodes_move_and_scale_their_meshes(tmp_path, shapes):
+    write_glb(tmp_path / "a.glb", shapes)
+    document, binary = read_container(tmp_path / "a.glb")
+    half = np.sqrt(0.5)
+    document["nodes"] = [
+        {"children": [1], "translation": [1, 0, 0]},
+        {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 2, 2]},
+    ]
+    write_container(tmp_path / "b.glb", document, binary)
+    again = read_glb(tmp_path / "b.glb")
+    quarter_turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(
+        again.neutral.vertices, 2 * CUBE.vertices @ quarter_turn.T + [1, 0, 0], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        again.delta("jawOpen"), 2 * shapes.delta("jawOpen") @ quarter_turn.T, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("extension", "words"),
+    [
+        ("KHR_draco_mesh_compression", "Draco"),
+        ("EXT_meshopt_compression", "meshopt"),
+        ("KHR_texture_basisu", "KTX2"),
+        ("VENDOR_secret", "needs the extension VENDOR_secret"),
+    ],
+)
+def test_compressed_glb_is_refused_in_one_line(tmp_path, shapes, extension, words):
+    write_glb(tmp_path / "a.glb", shapes)
+    document, binary = read_container(tmp_path / "a.glb")
+    document["extensionsRequired"] = [extension]
+    write_container(tmp_path / "a.glb", document, binary)
+    with pytest.raises(FormatError, match=words) as caught:
+        read_glb(tmp_path / "a.glb")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("change", ["accessor", "view", "type", "indices", "json"])
+def test_broken_glb_is_refused(tmp_path, shapes, change):
+    write_glb(tmp_path / "a.glb", shapes)
+    document, binary = read_container(tmp_path / "a.glb")
+    if change == "accessor":
+        document["accessors"][0]["bufferView"] = 999
+    elif change == "view":
+        document["bufferViews"][-1]["byteOffset"] = len(binary)
+    elif change == "type":
+        document["accessors"][0]["componentType"] = 1
+    elif change == "indices":
+        document["accessors"][-1]["count"] = 10**9
+    data = json.dumps(document).encode()
+    if change == "json":
+        data = b"{" * len(data)
+    data += b" " * (-len(data) % 4)
+    head = struct.pack("<III", 0x46546C67, 2, 28 + len(data) + len(binary))
+    chunks = struct.pack("<II", len(data), 0x4E4F534A) + data
+    chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
+    (tmp_path / "a.glb").write_bytes(head + chunks)
+    with pytest.raises((FormatError, MeshError)):
+        read_glb(tmp_path / "a.glb")
+
+
+def test_not_a_glb(tmp_path):
+    with pytest.raises(FormatError, match="not a binary glTF"):
+        read_glb(write(tmp_path / "a.glb", "glTF but text, and long enough to have a header"))
+    with pytest.raises(FormatError, match="is not a file"):
+        read_glb(tmp_path / "none.glb")
+
+
+def test_animation_refuses_wrong_columns(tmp_path, shapes):
+    with pytest.raises(MeshError, match=r"must be \(T, 3\)"):
+        write_glb(tmp_path / "a.glb", shapes, animation=WeightAnimation(np.zeros((4, 2))))
+    assert not (tmp_path / "a.glb").exists()
