@@ -92,7 +92,8 @@ def head_landmarks(head: Head) -> dict[str, int]:
 def _profile(points: Floats, known: dict[str, Ints], head: Head) -> dict[str, int]:
     """Nose, chin and brows, by where the skin stands out or folds in."""
     skin = head.features
-    middle = np.flatnonzero((np.abs(points[:, 0]) < 1e-6) & (points[:, 2] > 0))
+    inside = (skin.kind == MOUTH) & (skin.ring < 0)
+    middle = np.flatnonzero((np.abs(points[:, 0]) < 1e-6) & (points[:, 2] > 0) & ~inside)
     y, z = points[middle, 1], points[middle, 2]
     lip, mouth = points[known["upper_lip_top"]], points[known["lower_lip_bottom"]]
     eye = points[known["eye_inner_left"]]

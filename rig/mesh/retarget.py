@@ -1,0 +1,124 @@
+"""A take on someone's own face: the three ways, each from plain arrays to plain arrays.
+
+(a) their blendshapes, driven by name: `rig.mesh.blendshapes`;
+(b) their one neutral mesh: `shapes_for` registers the embedded head and bakes its shapes onto it;
+(c) any sequence of one head onto another, frame by frame: `sequence_for`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.mesh.bake import BakedRig
+from rig.mesh.head import SourceHead, source_head
+from rig.mesh.lips import LipPairs, lip_pairs, repair_lips
+from rig.mesh.register import POOR_MATCH, Registration, register
+from rig.mesh.transfer import transfer_displacements, transfer_gradients
+from rig.mesh.trimesh import TriMesh
+
+Floats = NDArray[np.float64]
+Method = Literal["displacements", "gradients"]
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """A rig on the user's mesh, and how well it lies.
+
+    Parameters
+    ----------
+    rig : BakedRig
+        Shapes on the user's mesh with the drivers of the source.
+    registration : Registration
+    source_pairs, target_pairs : LipPairs
+        Where the lips meet on each.
+    warnings : tuple of str
+        What an artist should look at, one line each.
+    """
+
+    rig: BakedRig
+    registration: Registration
+    source_pairs: LipPairs
+    target_pairs: LipPairs
+    warnings: tuple[str, ...]
+
+
+def shapes_for(
+    mesh: TriMesh,
+    landmarks: Mapping[str, int],
+    *,
+    source: SourceHead | None = None,
+    method: Method = "displacements",
+) -> Retargeted:
+    """Bake the rig of a source head onto a neutral mesh of any topology.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        The user's face, mouth closed, eyes open; any units and pose.
+    landmarks : mapping of str to int
+        Its vertices for at least `rig.mesh.landmarks.NEEDED`.
+    source : SourceHead, optional
+        The embedded head unless given.
+    method : str
+        "displacements" (default) or "gradients", see `rig.mesh.transfer`.
+
+    Returns
+    -------
+    Retargeted
+
+    Raises
+    ------
+    MeshError
+        If landmarks are missing or the lips cannot be told apart.
+    """
+    source = source_head() if source is None else source
+    registration = register(source.mesh, source.landmarks, mesh, landmarks)
+    source_pairs = lip_pairs(source.mesh, source.landmarks, registration.source_labels)
+    target_pairs = lip_pairs(mesh, landmarks, registration.target_labels)
+    deltas = source.rig.shapes.deltas.astype(np.float64)
+    transfer = transfer_gradients if method == "gradients" else transfer_displacements
+    moved = transfer(registration, deltas)
+    moved = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
+    return Retargeted(
+        source.rig.on(mesh, moved).moving(),
+        registration,
+        source_pairs,
+        target_pairs,
+        _warnings(registration, target_pairs),
+    )
+
+
+def sequence_for(registration: Registration, vertices: Any) -> Floats:
+    """Carry frames of the source head [shape=(T, V, 3)] to the target by their gradients.
+
+    SDFA's own way across topologies: T of each source triangle, Eq. 5-6 on the target.
+
+    Returns
+    -------
+    vertices : array [shape=(T, V_target, 3)]
+    """
+    deltas = np.asarray(vertices, dtype=np.float64) - registration.source.vertices
+    return registration.target.vertices + transfer_gradients(registration, deltas)
+
+
+def _warnings(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
+    found = []
+    if registration.residual > POOR_MATCH:
+        found.append(
+            f"the source head lies {100 * registration.residual:.1f} % of the eye distance off "
+            f"the mesh (over {100 * POOR_MATCH:.0f} %): check the landmarks, left is the subject's"
+        )
+    if registration.inside_out:
+        found.append("the mesh's normals point inward; turned over for the matching only")
+    if not 0.5 < registration.scale < 2.0:
+        found.append(f"the mesh is {registration.scale:.3g} x the size of a head in centimetres")
+    gap = float(np.median(np.abs(pairs.gaps(registration.target.vertices))))
+    if gap > 0.04 * pairs.width:
+        found.append(
+            f"the neutral mouth stands open ({gap / pairs.width:.0%} of its width): "
+            "lips will not meet; give a mesh with its mouth closed"
+        )
+    return tuple(found)
