@@ -181,6 +181,10 @@ class ControlSet:
         """Return the columns of several controls, by any of their spellings."""
         return np.array([self.index(name) for name in names], dtype=np.intp)
 
+    def knows(self, name: str) -> bool:
+        """Return whether a name is a spelling of one of the controls."""
+        return name in self._aliases or name in self._older_aliases
+
     def canonical(self, name: str) -> str:
         """Return the canonical name of one spelling; mh4 wins where both boards use a name.
 

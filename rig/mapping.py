@@ -1,6 +1,6 @@
 """From any control set we know to any other: board, raw curves, ARKit shapes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rig.arkit import ARKIT_ID, arkit_controls, arkit_to_raw, raw_to_arkit
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
@@ -48,3 +48,23 @@ def convert(curves: RigCurves, control_set: str) -> RigCurves:
             f"known: {', '.join(KNOWN)}"
         )
     return from_raw(to_raw(curves))
+
+
+def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
+    """Return the known control set that has all of some names.
+
+    Raises
+    ------
+    ControlError
+        If none has; the message is that of the set that knows most of them.
+    """
+    sets = [make() for make in KNOWN.values()]
+    known = [sum(controls.knows(name) for name in names) for controls in sets]
+    best = sets[known.index(max(known))]
+    if max(known) < len(names):
+        stranger = next(name for name in names if not best.knows(name))
+        try:
+            best.canonical(stranger)
+        except ControlError as error:
+            raise ControlError(f"{where}: {error}") from None
+    return best

@@ -10,11 +10,13 @@ from hypothesis.extra import numpy as hnp
 from rig import ControlSet, RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.errors import ControlError, FormatError, RigError
 from rig.formats.fixed_point import Block, rows
+from rig.formats.table import FORMATS as TABLE
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 PRECISION = {"csv": 6e-7, "json": 6e-7, "npz": 0.0}
 FORMATS = list(PRECISION)
+EVERY_SUFFIX = [suffix for f in TABLE if f.read for suffix in f.suffixes]
 
 
 @st.composite
@@ -219,7 +221,7 @@ def json_of_rest():
     ("change", "message"),
     [
         ({"schema": "deitalk.curves/9"}, "schema is 'deitalk.curves/9'; this reads"),
-        ({"control_set": "arkit-61"}, "control set 'arkit-61'; 'metahuman-185@mh4' is wanted"),
+        ({"control_set": "arkit-61"}, "in arkit-61"),
         ({"fps": "fast"}, "'fps' is a str"),
         ({"fps": True}, "'fps' is a bool"),
         ({"fps": 0}, "fps=0 must be above 0"),
@@ -239,7 +241,7 @@ def json_of_rest():
 )
 def test_broken_json_fields_are_errors(tmp_path, change, message):
     (tmp_path / "c.json").write_text(json.dumps(json_of_rest() | change))
-    with pytest.raises(FormatError, match=message):
+    with pytest.raises(RigError, match=message):
         read_curves(tmp_path / "c.json")
 
 
@@ -264,24 +266,24 @@ def test_archive_without_an_array_says_which(tmp_path):
         read_curves(tmp_path / "c.npz")
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", EVERY_SUFFIX)
 @settings(max_examples=40, deadline=None)
 @given(data=st.binary(max_size=400))
 def test_any_bytes_give_a_clear_error(suffix, data, tmp_path_factory):
-    path = tmp_path_factory.mktemp("fuzz") / f"c.{suffix}"
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
     path.write_bytes(data)
     with pytest.raises(RigError) as caught:
-        read_curves(path)
+        read_curves(path, fps=30)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-@settings(max_examples=40, deadline=None)
+@pytest.mark.parametrize("suffix", EVERY_SUFFIX)
+@settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
 def test_one_wrong_byte_is_read_or_refused_never_a_crash(
     suffix, place, byte, cut, tmp_path_factory
 ):
-    path = tmp_path_factory.mktemp("fuzz") / f"c.{suffix}"
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
     write_curves(path, rest_curves(2))
     data = bytearray(path.read_bytes())
     at = min(int(place * len(data)), len(data) - 1)
@@ -291,7 +293,7 @@ def test_one_wrong_byte_is_read_or_refused_never_a_crash(
         data[at] = byte
     path.write_bytes(data)
     try:
-        curves = read_curves(path)
+        curves = read_curves(path, fps=30)
     except RigError as error:
         assert str(error)
     else:
@@ -344,12 +346,12 @@ def test_own_control_sets_travel_through_every_format(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", [f.suffixes[0] for f in TABLE if f.write])
 def test_an_hour_is_written_in_ten_seconds(tmp_path, rng, suffix):
     import time
 
     values = rng.uniform(CONTROLS.minimum, CONTROLS.maximum, (108_000, 185)).astype(np.float32)
     curves = RigCurves(values, CONTROLS.names)
     start = time.process_time()
-    write_curves(tmp_path / f"c.{suffix}", curves)
+    write_curves(tmp_path / f"c{suffix}", curves)
     assert time.process_time() - start <= 10

@@ -4,49 +4,24 @@
 sizes, ranges, NaN, missing and doubled controls, and a file that is written whole or not at all.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from rig.controls import DEFAULT_ID, ControlSet, default_controls
+from rig.arkit import ARKIT_ID, raw_to_arkit
+from rig.controls import DEFAULT_ID, ControlSet
 from rig.curves import RigCurves
 from rig.edit import ClampReport, clamp
 from rig.errors import FormatError
 from rig.files import atomic_write
-from rig.formats import curves_csv, curves_json, curves_npz
+from rig.formats.table import FORMATS, Format, find_format, format_of_header
+from rig.formats.wide_csv import read_header
+from rig.mapping import convert, known_controls
+from rig.raw import RAW_ID
 
-Reader = Callable[[Path, ControlSet, float | None], RigCurves]
-Writer = Callable[[Path, RigCurves], None]
 RANGE_TOLERANCE = 1e-4
 """Excess over a range that a reader takes for rounding and clamps."""
-
-
-@dataclass(frozen=True)
-class Format:
-    """One file format.
-
-    Parameters
-    ----------
-    name : str
-        What ``--format`` says.
-    suffixes : tuple of str
-        Ends of file names that mean this format, the longest match wins.
-    description : str
-        One line.
-    read, write : callable, optional
-        None where a format goes one way only.
-    has_tracks : bool
-        Whether emotion and intensity are kept.
-    """
-
-    name: str
-    suffixes: tuple[str, ...]
-    description: str
-    read: Reader | None = None
-    write: Writer | None = None
-    has_tracks: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +38,8 @@ class WriteReport:
         Values brought into their ranges; empty if none.
     dropped : tuple of str
         Tracks the format cannot hold.
+    note : str
+        What else was lost, in one line: the residual of ARKit shapes; empty if nothing.
     """
 
     path: Path
@@ -71,33 +48,7 @@ class WriteReport:
     fps: float
     clipped: ClampReport
     dropped: tuple[str, ...] = ()
-
-
-FORMATS: tuple[Format, ...] = (
-    Format(
-        "csv",
-        (".csv",),
-        "frame, time and one column per control",
-        curves_csv.read,
-        curves_csv.write,
-    ),
-    Format(
-        "json",
-        (".json",),
-        "schema deitalk.curves/1, with tracks",
-        curves_json.read,
-        curves_json.write,
-        has_tracks=True,
-    ),
-    Format(
-        "npz",
-        (".npz",),
-        "numpy archive, exact, with tracks",
-        curves_npz.read,
-        curves_npz.write,
-        has_tracks=True,
-    ),
-)
+    note: str = ""
 
 
 def read_curves(
@@ -106,8 +57,9 @@ def read_curves(
     format: str | None = None,
     controls: ControlSet | None = None,
     fps: float | None = None,
+    control_set: str | None = DEFAULT_ID,
 ) -> RigCurves:
-    """Read curves from a file of any known format.
+    """Read curves from a file of any known format, by default as channels of the MetaHuman board.
 
     Parameters
     ----------
@@ -116,10 +68,13 @@ def read_curves(
     format : str, optional
         Name of a format; by default the suffix, and for CSV the header, tells.
     controls : ControlSet, optional
-        What the columns are; by default the MetaHuman board. All its controls must be there, in
-        any order and any known spelling.
+        Someone's own control set that the columns are; all its controls must be there. By default
+        the file or its names tell: board, raw curves or ARKit, in any order and known spelling.
     fps : float, optional
         Frames per second where the file does not say, or says wrong.
+    control_set : str, optional
+        Set to convert to where the file holds another of the known ones: a Live Link take becomes
+        board channels. None leaves the curves as they are.
 
     Raises
     ------
@@ -130,10 +85,17 @@ def read_curves(
         If a control is unknown or doubled.
     """
     path = Path(path)
-    controls = controls or default_controls()
     chosen = find_format(path, format, readable=True)
+    if format is None and path.suffix.lower() == ".csv":
+        chosen = find_format(path, format_of_header(read_header(path)) or chosen.name)
     assert chosen.read is not None
-    return check_range(chosen.read(path, controls, fps), controls, where=str(path))
+    curves = chosen.read(path, controls, fps)
+    known = controls or known_controls(curves.control_set)
+    if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges
+        curves = check_range(curves, known, where=str(path))
+    if controls is not None or control_set is None:
+        return curves
+    return convert(curves, control_set)
 
 
 def write_curves(
@@ -167,11 +129,9 @@ def write_curves(
     assert chosen.write is not None
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
-    clipped = ClampReport()
-    if curves.control_set == DEFAULT_ID:
-        curves, clipped = clamp(curves)
     if fps is not None:
         curves = curves.resample(fps)
+    curves, clipped, note = _prepared(curves, chosen)
     try:
         with atomic_write(path) as beside:
             chosen.write(beside, curves)
@@ -180,30 +140,22 @@ def write_curves(
         raise FormatError(f"cannot write {path}: {reason}") from error
     tracks = {"emotion": curves.emotion, "intensity": curves.intensity}
     lost = () if chosen.has_tracks else tuple(k for k, v in tracks.items() if v is not None)
-    return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost)
+    return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost, note)
 
 
-def find_format(
-    path: Path, name: str | None = None, *, readable: bool = False, writable: bool = False
-) -> Format:
-    """Return the format of a name, or of a path's suffix.
-
-    Raises
-    ------
-    FormatError
-        If there is none that goes the way that is asked for; the known ones are listed.
-    """
-    fits = [f for f in FORMATS if (f.read or not readable) and (f.write or not writable)]
-    by_name: Mapping[str, Format] = {f.name: f for f in fits}
-    if name is not None:
-        if name not in by_name:
-            raise FormatError(f"unknown format {name!r}; known: {', '.join(by_name)}")
-        return by_name[name]
-    endings = [(s, f) for f in fits for s in f.suffixes if path.name.lower().endswith(s)]
-    if not endings:
-        known = ", ".join(s for f in fits for s in f.suffixes)
-        raise FormatError(f"{path}: no format has the suffix {path.suffix!r}; known: {known}")
-    return max(endings, key=lambda ending: len(ending[0]))[1]
+def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
+    """Return curves clamped and in the control set that a format takes, and what that lost."""
+    known = known_controls(curves.control_set)
+    clipped, note = ClampReport(), ""
+    if known is not None and known.id != ARKIT_ID:
+        curves, clipped = clamp(curves, known)
+    wanted = chosen.control_set
+    if wanted == ARKIT_ID and curves.control_set != ARKIT_ID:
+        fit = raw_to_arkit(convert(curves, RAW_ID))
+        curves, note = fit.curves, str(fit)
+    elif wanted is not None:
+        curves = convert(curves, wanted)
+    return curves, clipped, note
 
 
 def check_range(curves: RigCurves, controls: ControlSet, *, where: str) -> RigCurves:

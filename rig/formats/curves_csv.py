@@ -15,6 +15,7 @@ from rig.curves import RigCurves, snap_fps
 from rig.errors import FormatError
 from rig.formats.fixed_point import Block, rows
 from rig.formats.wide_csv import read_header, read_numbers
+from rig.mapping import controls_of
 
 DECIMALS = 6
 """Digits of a value: half a millionth of error at most."""
@@ -35,15 +36,15 @@ def write(path: Path, curves: RigCurves) -> None:
         stream.writelines(rows(blocks))
 
 
-def read(path: Path, controls: ControlSet, fps: float | None = None) -> RigCurves:
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read all controls of a set, in any column order and any known spelling.
 
     Parameters
     ----------
     path : Path
         The file.
-    controls : ControlSet
-        What the columns must be.
+    controls : ControlSet, optional
+        What the columns must be; told from their names if not given.
     fps : float, optional
         Frames per second; taken from the ``time`` column if not given.
 
@@ -55,6 +56,7 @@ def read(path: Path, controls: ControlSet, fps: float | None = None) -> RigCurve
     """
     header = read_header(path)
     columns = [i for i, name in enumerate(header) if name not in INDEX_COLUMNS]
+    controls = controls or controls_of([header[i] for i in columns], where=str(path))
     names = controls.resolve([header[i] for i in columns])
     require_all(path, controls, [header[i] for i in columns])
     numbers, _ = read_numbers(path, header)

@@ -15,6 +15,7 @@ from rig.errors import CurveError, FormatError
 from rig.formats.curves_csv import DECIMALS, require_all
 from rig.formats.fixed_point import Block, rows
 from rig.formats.wide_csv import check_size
+from rig.mapping import known_controls
 
 SCHEMA = "deitalk.curves/1"
 MAX_BYTES = 512 << 20
@@ -54,7 +55,7 @@ def _write_array(stream: Any, key: str, values: np.ndarray[Any, Any]) -> None:
     stream.write(b"\n ]")
 
 
-def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> RigCurves:
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read curves; the control set named in the file must be `controls` if that is given.
 
     Raises
@@ -67,11 +68,12 @@ def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> R
     if not all(isinstance(name, str) for name in names):
         raise FormatError(f"{path}: every one of 'names' must be text")
     set_id = str(_field(path, data, "control_set", str))
-    if controls is not None:
-        if set_id != controls.id:
-            raise FormatError(f"{path} is of control set {set_id!r}; {controls.id!r} is wanted")
-        require_all(path, controls, names)
-        names = list(controls.resolve(names))
+    known = controls or known_controls(set_id)
+    if known is not None:
+        if set_id != known.id:
+            raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
+        require_all(path, known, names)
+        names = list(known.resolve(names))
     _check_emotions(path, data)
     try:
         curves = RigCurves(
@@ -90,7 +92,7 @@ def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> R
         raise FormatError(
             f"{path}: 'n_frames' is {data['n_frames']!r} and there are {len(curves)} rows of values"
         )
-    return curves if controls is None else curves.reorder(controls)
+    return curves if known is None else curves.reorder(known)
 
 
 def read_json(path: Path, schema: str | None = None, limit: int = MAX_BYTES) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from rig.curves import RigCurves
 from rig.errors import CurveError, FormatError, RigError
 from rig.formats.curves_csv import require_all
 from rig.formats.wide_csv import MAX_BYTES, check_size
+from rig.mapping import known_controls
 
 SCHEMA = "deitalk.curves/1"
 
@@ -31,7 +32,7 @@ def write(path: Path, curves: RigCurves) -> None:
         np.savez_compressed(stream, **{k: v for k, v in arrays.items() if v is not None})
 
 
-def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> RigCurves:
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read curves; the control set named in the file must be `controls` if that is given.
 
     Raises
@@ -46,11 +47,12 @@ def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> R
         rate = fps or float(data["fps"])
         if str(data["schema"]) != SCHEMA:
             raise FormatError(f"{path}: schema is {str(data['schema'])!r}; this reads {SCHEMA!r}")
-        if controls is not None:
-            if set_id != controls.id:
-                raise FormatError(f"{path} is of control set {set_id!r}; {controls.id!r} is wanted")
-            require_all(path, controls, names)
-            names = list(controls.resolve(names))
+        known = controls or known_controls(set_id)
+        if known is not None:
+            if set_id != known.id:
+                raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
+            require_all(path, known, names)
+            names = list(known.resolve(names))
         curves = RigCurves(
             data["values"],
             tuple(names),
@@ -67,7 +69,7 @@ def read(path: Path, controls: ControlSet | None, fps: float | None = None) -> R
         if isinstance(error, RigError):
             raise
         raise FormatError(f"{path} does not hold curves: {error}") from error
-    return curves if controls is None else curves.reorder(controls)
+    return curves if known is None else curves.reorder(known)
 
 
 def _load(path: Path) -> dict[str, np.ndarray[Any, Any]]:

@@ -35,8 +35,24 @@ class Block:
     trim: bool = True
 
 
+@dataclass(frozen=True)
+class Text:
+    """A column of text of fixed width.
+
+    Parameters
+    ----------
+    characters : array of uint8 [shape=(T, width)]
+    """
+
+    characters: NDArray[np.uint8]
+
+
 def rows(
-    blocks: Sequence[Block], *, before: bytes = b"", after: bytes = b"\n", separator: bytes = b","
+    blocks: Sequence[Block | Text],
+    *,
+    before: bytes = b"",
+    after: bytes = b"\n",
+    separator: bytes = b",",
 ) -> Iterator[bytes]:
     """Yield the text of a table, chunk by chunk.
 
@@ -44,15 +60,16 @@ def rows(
 
     Parameters
     ----------
-    blocks : sequence of Block
+    blocks : sequence of Block or Text
         Columns from left to right, all of the same number of rows.
     before, after : bytes
         Text around each row.
     separator : bytes
         One byte between numbers.
     """
-    n_rows = len(blocks[0].values)
-    n_columns = sum(block.values.shape[1] for block in blocks)
+    tables = [b.characters if isinstance(b, Text) else b.values for b in blocks]
+    n_rows = len(tables[0])
+    n_columns = sum(table.shape[1] for table in tables)
     step = max(1, CHUNK_CELLS // max(n_columns, 1))
     for start in range(0, n_rows, step):
         parts = [_cells(block, start, start + step, separator) for block in blocks]
@@ -72,9 +89,13 @@ def _framed(text: NDArray[np.uint8], keep: NDArray[np.bool_], before: bytes, aft
 
 
 def _cells(
-    block: Block, start: int, stop: int, separator: bytes
+    block: Block | Text, start: int, stop: int, separator: bytes
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return characters and which of them count [both shape=(rows, columns * width)]."""
+    if isinstance(block, Text):
+        part = block.characters[start:stop]
+        text = np.concatenate([part, np.full((len(part), 1), ord(separator), np.uint8)], axis=1)
+        return text, np.ones_like(text, bool)
     values = np.asarray(block.values[start:stop], dtype=np.float64)
     scaled = np.rint(np.abs(values) * 10.0**block.decimals)
     largest = scaled.max(initial=0.0)

@@ -56,7 +56,7 @@ def read_header(path: Path) -> tuple[str, ...]:
 
 
 def read_numbers(
-    path: Path, header: Sequence[str], *, text_columns: Sequence[int] = ()
+    path: Path, header: Sequence[str], *, text_columns: Sequence[int] = (), skip_rows: int = 1
 ) -> tuple[NDArray[np.float64], list[list[str]]]:
     """Read the rows under the header.
 
@@ -69,6 +69,9 @@ def read_numbers(
     text_columns : sequence of int
         Columns that are returned as text (time codes) and not as numbers.
 
+    skip_rows : int
+        Lines before the first row.
+
     Returns
     -------
     numbers : array [shape=(T, columns - text columns)]
@@ -80,7 +83,7 @@ def read_numbers(
     FormatError
         Naming row and column, if a cell is empty or no finite number, or rows differ in length.
     """
-    table = _read_table(path, header, dict.fromkeys(text_columns, str))
+    table = _read_table(path, header, dict.fromkeys(text_columns, str), skip_rows)
     too_long = table[len(header)].notna().to_numpy()
     if too_long.any():
         raise FormatError(
@@ -88,7 +91,7 @@ def read_numbers(
             f"{len(header)} of the header"
         )
     if not len(table):
-        raise FormatError(f"{path} has a header and no rows; it needs one row per frame")
+        raise FormatError(f"{path} has no rows under its header; it needs one per frame")
     numeric = [i for i in range(len(header)) if i not in text_columns]
     try:
         numbers = table[numeric].to_numpy(dtype=np.float64)
@@ -99,12 +102,26 @@ def read_numbers(
     return numbers, [table[i].astype(str).tolist() for i in text_columns]
 
 
-def _read_table(path: Path, header: Sequence[str], dtype: dict[int, type]) -> pd.DataFrame:
+def read_matrix(path: Path, n_columns: int) -> NDArray[np.float64]:
+    """Read a table without a header [shape=(T, n_columns)].
+
+    Raises
+    ------
+    FormatError
+        As `read_numbers`.
+    """
+    header = [str(i + 1) for i in range(n_columns)]
+    return read_numbers(path, header, skip_rows=0)[0]
+
+
+def _read_table(
+    path: Path, header: Sequence[str], dtype: dict[int, type], skip_rows: int
+) -> pd.DataFrame:
     try:
         return pd.read_csv(
             path,
             header=None,
-            skiprows=1,
+            skiprows=skip_rows,
             names=list(range(len(header) + 1)),  # one more, to catch rows that are too long
             index_col=False,
             dtype=dtype,

@@ -1,0 +1,47 @@
+"""EmoFace and MEDTalk text: 174 board values per line, commas between, no header and no rate.
+
+The columns are the channels of the mh3 board in the alphabetical order of their Maya names. The
+list that EmoFace publishes names ``CTRL_C_tongue_tip`` twice; by its alphabetical order the first
+pair stands where ``CTRL_C_tongue_roll`` belongs, and is read as that.
+"""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from rig.controls import ControlSet, default_controls
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.formats.fixed_point import Block, rows
+from rig.formats.wide_csv import check_size, read_matrix
+
+DECIMALS = 6
+
+
+@cache
+def columns() -> tuple[str, ...]:
+    """Return the 174 canonical names in column order."""
+    controls = [c for c in default_controls().controls if c.emoface_name]
+    return tuple(c.name for c in sorted(controls, key=lambda c: c.emoface_name))
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write the 174 channels; the 11 that the older board lacked are left out."""
+    with path.open("wb") as stream:
+        stream.writelines(rows([Block(curves.select(columns()).values, DECIMALS)]))
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read 174 values per line; channels the file lacks rest.
+
+    Raises
+    ------
+    FormatError
+        If `fps` is not given (the file does not say), or a line has not 174 finite numbers.
+    """
+    check_size(path)
+    if fps is None:
+        raise FormatError(f"{path} does not say its rate; give fps")
+    numbers = read_matrix(path, len(columns()))
+    return RigCurves(numbers.astype(np.float32), columns(), fps).reorder()

@@ -1,0 +1,216 @@
+"""Live Link Face CSV: what the iPhone app records, and what Unreal, Blender and Maya import.
+
+Columns are ``Timecode, BlendShapeCount`` and 61 ARKit names; a row is a frame. The time code
+``HH:MM:SS:FF.mmm`` counts **sixtieths of a second whatever the rate** (``.mmm`` are thousandths of
+a sixtieth). A writer that counts FF up to 29 at 30 fps squeezes each second into its first half:
+Unreal's importer reads ``H*3600 + M*60 + S + FF/60``.
+
+A recorded take has its own, slightly uneven times, so it is kept as `LiveLinkTake` with its time
+codes to the last digit; `to_curves` puts it on an even grid.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arkit import ARKIT_ID, arkit_controls
+from rig.controls import ControlSet, check_unique
+from rig.curves import RigCurves, snap_fps
+from rig.errors import CurveError, FormatError
+from rig.formats.fixed_point import Block, Text, rows
+from rig.formats.wide_csv import read_header, read_numbers
+from rig.raw import PREFIX, RAW_ID, raw_controls
+
+TICKS_PER_SECOND = 60_000
+"""A tick is a thousandth of a sixtieth of a second: the last digit of a time code."""
+TICKS_PER_DAY = 24 * 3600 * TICKS_PER_SECOND
+DECIMALS = 10
+TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,2})(?:\.(\d{1,3}))?")
+SUBJECT = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+?)(?:_(?:cal|raw|neutral))?")
+"""How the importer reads a file name: ``<Slate>_<Take>_<Subject>[_cal|_raw|_neutral].csv``."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveLinkTake:
+    """A recorded take, as it is.
+
+    Parameters
+    ----------
+    ticks : array of int64 [shape=(T,)]
+        Time of each frame in 1/60000 s since midnight; rising.
+    values : array of float64 [shape=(T, C)]
+        As in the file, not clamped.
+    names : tuple of str [length C]
+        Columns after the time code and the count.
+    """
+
+    ticks: NDArray[np.int64]
+    values: NDArray[np.float64]
+    names: tuple[str, ...]
+
+    @property
+    def fps(self) -> float:
+        """Frames per second: of the median step, a standard rate if it is within 1 %."""
+        if len(self.ticks) < 2:
+            return 30.0
+        exact = TICKS_PER_SECOND / float(np.median(np.diff(self.ticks)))
+        for standard in (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0):
+            if abs(exact - standard) < 3e-4 * standard:
+                return standard
+        return snap_fps(exact)
+
+    def to_curves(self, fps: float | None = None) -> RigCurves:
+        """Put the take on an even grid, linear between frames, starting with its first frame.
+
+        ARKit names give curves of ``arkit-61``, raw names of the raw curves; further columns are
+        left out.
+
+        Raises
+        ------
+        FormatError
+            If the columns are neither.
+        """
+        controls = _controls_of(self.names)
+        places = {controls.canonical(n): i for i, n in enumerate(self.names) if controls.knows(n)}
+        names = tuple(name for name in controls.names if name in places)
+        fps = snap_fps(fps or self.fps)
+        seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
+        grid = np.arange(int(seconds[-1] * fps + 0.5) + 1) / fps
+        columns = [np.interp(grid, seconds, self.values[:, places[name]]) for name in names]
+        values = np.stack(columns, axis=1).astype(np.float32)
+        return RigCurves(values, names, fps, control_set=controls.id).reorder(controls)
+
+
+def read_take(path: Path) -> LiveLinkTake:
+    """Read a take with its own times.
+
+    Raises
+    ------
+    FormatError
+        If the first columns are not ``Timecode`` and ``BlendShapeCount``, a time code is malformed
+        or does not rise, or a cell is no finite number.
+    """
+    header = read_header(path)
+    if [cell.lower() for cell in header[:2]] != ["timecode", "blendshapecount"] or len(header) < 3:
+        raise FormatError(
+            f"{path} begins with {', '.join(header[:2])!r}; a Live Link Face CSV begins with "
+            "'Timecode, BlendShapeCount' and has a column per curve"
+        )
+    names = header[2:]
+    check_unique(names, where=str(path))
+    numbers, (timecodes,) = read_numbers(path, header, text_columns=(0,))
+    ticks = np.array([parse_timecode(t, row=i, where=path) for i, t in enumerate(timecodes, 1)])
+    ticks += TICKS_PER_DAY * np.concatenate([[0], np.cumsum(np.diff(ticks) < -TICKS_PER_DAY // 2)])
+    still = np.diff(ticks) <= 0
+    if still.any():
+        row = int(np.argmax(still)) + 2
+        raise FormatError(
+            f"{path}: data row {row} has time code {timecodes[row - 1]}, not after the one before"
+        )
+    return LiveLinkTake(ticks, numbers[:, 1:], names)
+
+
+def write_take(path: Path, take: LiveLinkTake) -> None:
+    """Write a take, ten decimals, one row per frame."""
+    n_curves = np.full((len(take.ticks), 1), len(take.names))
+    blocks: list[Block | Text] = [
+        Text(timecode_text(take.ticks)),
+        Block(n_curves, 0),
+        Block(take.values, DECIMALS, trim=False),
+    ]
+    with path.open("wb") as stream:
+        stream.write(",".join(("Timecode", "BlendShapeCount", *take.names)).encode() + b"\n")
+        stream.writelines(rows(blocks))
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read a take onto an even grid."""
+    return read_take(path).to_curves(fps)
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write ARKit shapes, or raw curves, from time code 00:00:00:00.000."""
+    values = curves.values.astype(np.float64)
+    write_take(path, LiveLinkTake(frame_ticks(len(curves), curves.fps), values, curves.names))
+
+
+def frame_ticks(n_frames: int, fps: float) -> NDArray[np.int64]:
+    """Return the ticks of evenly spaced frames: 2000 apart at 30 fps, 2002 at 29.97."""
+    ticks = np.rint(np.arange(n_frames) * (TICKS_PER_SECOND / fps))
+    return np.asarray(ticks, dtype=np.int64)
+
+
+def timecode_text(ticks: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return ``HH:MM:SS:FF.mmm`` as characters [shape=(T, 15)]."""
+    text = np.tile(np.frombuffer(b"00:00:00:00.000", np.uint8), (len(ticks), 1))
+    sixtieths = ticks // 1000
+    fields = (
+        (0, sixtieths // 216_000 % 24, 2),
+        (3, sixtieths // 3600 % 60, 2),
+        (6, sixtieths // 60 % 60, 2),
+        (9, sixtieths % 60, 2),
+        (12, ticks % 1000, 3),
+    )
+    for start, number, width in fields:
+        for place in range(start + width - 1, start - 1, -1):
+            text[:, place] = number % 10 + ord("0")
+            number = number // 10
+    return text
+
+
+def parse_timecode(text: str, *, row: int, where: Path) -> int:
+    """Return a time code in ticks.
+
+    Raises
+    ------
+    FormatError
+        If it is not ``HH:MM:SS:FF.mmm`` with fields in their ranges.
+    """
+    match = TIMECODE.fullmatch(text.strip())
+    if match is None:
+        raise FormatError(
+            f"{where}: data row {row} has time code {text[:40]!r}; it must be HH:MM:SS:FF.mmm"
+        )
+    hours, minutes, seconds, sixtieths = (int(match[i]) for i in range(1, 5))
+    if hours > 23 or max(minutes, seconds, sixtieths) > 59:
+        raise FormatError(
+            f"{where}: data row {row} has time code {text!r}; FF counts sixtieths, 00 to 59"
+        )
+    thousandths = int((match[5] or "0").ljust(3, "0"))
+    return (((hours * 60 + minutes) * 60 + seconds) * 60 + sixtieths) * 1000 + thousandths
+
+
+def subject_of(path: Path) -> str | None:
+    """Return the Live Link subject that the importer takes from a file name, or None."""
+    match = SUBJECT.fullmatch(path.stem)
+    return match["subject"] if match else None
+
+
+def take_name(slate: str, take: int, subject: str) -> str:
+    """Return a file name that the importer reads, ``<Slate>_<Take>_<Subject>.csv``.
+
+    Raises
+    ------
+    CurveError
+        If a part is empty, or the subject holds an underscore.
+    """
+    if not slate or not subject or "_" in subject or take < 0:
+        raise CurveError(
+            f"slate {slate!r}, take {take}, subject {subject!r}: none may be empty, and "
+            "the subject may hold no underscore (the importer splits there)"
+        )
+    return f"{slate}_{take}_{subject}.csv"
+
+
+def _controls_of(names: tuple[str, ...]) -> ControlSet:
+    raw_names = sum(name.startswith(PREFIX) for name in names)
+    controls = raw_controls() if raw_names > len(names) / 2 else arkit_controls()
+    if not any(controls.knows(name) for name in names):
+        raise FormatError(
+            f"none of the columns {', '.join(names[:3])}, … is an ARKit shape or a raw curve "
+            f"({ARKIT_ID}, {RAW_ID})"
+        )
+    return controls

@@ -1,0 +1,92 @@
+"""RigMapper CSV: the long table that Unreal's RigMapper plugin imports (5.7 and later).
+
+``curve_name, frame_number, value``, one row per key. Unreal turns it into an AnimSequence or into a
+section of a control rig. The file knows frames only: the rate is said on import.
+"""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from rig.controls import ControlSet
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.formats.fixed_point import Block, rows
+from rig.formats.wide_csv import read_header
+from rig.mapping import controls_of
+
+HEADER = ("curve_name", "frame_number", "value")
+DECIMALS = 6
+MAX_FRAMES = 10_000_000
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write curve after curve, a key per frame."""
+    frame = np.arange(len(curves)).reshape(-1, 1)
+    with path.open("wb") as stream:
+        stream.write(", ".join(HEADER).encode() + b"\n")
+        for name, values in zip(curves.names, curves.values.T, strict=True):
+            blocks = [Block(frame, 0), Block(values.reshape(-1, 1), DECIMALS)]
+            stream.writelines(rows(blocks, before=name.encode() + b","))
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read all curves; frames without a key hold a straight line between keys.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    controls : ControlSet, optional
+        What the curves are; told from the names if not given.
+    fps : float, optional
+        Frames per second, which the file does not say; 30 if not given.
+    """
+    if read_header(path) != HEADER:
+        raise FormatError(f"{path}: the first line must be {', '.join(HEADER)!r}")
+    table = _read_keys(path)
+    names = table["curve_name"].astype(str).str.strip()
+    frame = table["frame_number"].to_numpy()
+    n_frames = int(frame.max()) + 1
+    if frame.min() < 0 or n_frames > MAX_FRAMES or n_frames * names.nunique() > 1 << 28:
+        raise FormatError(f"{path}: frame numbers {frame.min():g} to {frame.max():g} are no clip")
+    grid = np.arange(n_frames)
+    columns: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+    for name, keys in table.groupby(names, sort=False):
+        keys = keys.sort_values("frame_number")
+        at, values = keys["frame_number"].to_numpy(), keys["value"].to_numpy(np.float64)
+        if (np.diff(at) == 0).any():
+            raise FormatError(f"{path}: curve {name!r} has two keys on one frame")
+        columns[str(name)] = np.interp(grid, at, values)
+    controls = controls or controls_of(list(columns), where=str(path))
+    values = np.stack(list(columns.values()), axis=1).astype(np.float32)
+    curves = RigCurves(
+        values, controls.resolve(list(columns)), fps or 30.0, control_set=controls.id
+    )
+    return curves.reorder(controls)
+
+
+def _read_keys(path: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(
+            path, skiprows=1, header=None, names=list(HEADER), index_col=False, low_memory=False
+        )
+        for column in ("frame_number", "value"):
+            table[column] = pd.to_numeric(table[column])
+    except (ValueError, TypeError, OverflowError) as error:
+        raise FormatError(f"{path} is no table of keys: {' '.join(str(error).split())}") from error
+    except pd.errors.EmptyDataError:
+        table = pd.DataFrame(columns=list(HEADER))
+    if table.empty:
+        raise FormatError(f"{path} has a header and no keys")
+    numbers = table[["frame_number", "value"]].to_numpy(np.float64)
+    bad = ~np.isfinite(numbers).all(axis=1) | (numbers[:, 0] != np.rint(numbers[:, 0]))
+    if bad.any():
+        row = int(np.argmax(bad))
+        cells = ", ".join(str(cell) for cell in itertools.islice(table.iloc[row], 3))
+        raise FormatError(
+            f"{path}: data row {row + 1} is {cells!r}; frame and value must be numbers"
+        )
+    return table

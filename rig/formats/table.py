@@ -1,0 +1,174 @@
+"""The table of formats: names and suffixes to readers and writers."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.arkit import ARKIT_ID
+from rig.controls import DEFAULT_ID, ControlSet
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.formats import (
+    a2f_csv,
+    curves_csv,
+    curves_json,
+    curves_npz,
+    emoface_txt,
+    livelink_csv,
+    rigmapper_csv,
+    unreal_json,
+)
+from rig.raw import RAW_ID
+
+Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
+Writer = Callable[[Path, RigCurves], None]
+Header = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format.
+
+    Parameters
+    ----------
+    name : str
+        What ``--format`` says.
+    suffixes : tuple of str
+        Ends of file names that mean this format, the longest match wins.
+    description : str
+        One line.
+    read, write : callable, optional
+        None where a format goes one way only.
+    control_set : str, optional
+        What the writer takes; curves are converted to it. None takes any.
+    has_tracks : bool
+        Whether emotion and intensity are kept.
+    begins : tuple of str
+        First cells (lower case) of a CSV of this format, to tell it by its header.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    description: str
+    read: Reader | None = None
+    write: Writer | None = None
+    control_set: str | None = None
+    has_tracks: bool = False
+    begins: tuple[str, ...] = ()
+
+
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "csv",
+        (".csv",),
+        "frame, time and one column per control",
+        curves_csv.read,
+        curves_csv.write,
+    ),
+    Format(
+        "json",
+        (".json",),
+        "schema deitalk.curves/1, with tracks",
+        curves_json.read,
+        curves_json.write,
+        has_tracks=True,
+    ),
+    Format(
+        "npz",
+        (".npz",),
+        "numpy archive, exact, with tracks",
+        curves_npz.read,
+        curves_npz.write,
+        has_tracks=True,
+    ),
+    Format(
+        "raw-csv",
+        (".raw.csv",),
+        "frame, time and the 251 raw CTRL_expressions curves",
+        curves_csv.read,
+        curves_csv.write,
+        RAW_ID,
+    ),
+    Format(
+        "rigmapper",
+        (".rigmapper.csv",),
+        "Unreal RigMapper keys of the raw curves: curve_name, frame_number, value",
+        rigmapper_csv.read,
+        rigmapper_csv.write,
+        RAW_ID,
+        begins=("curve_name", "frame_number"),
+    ),
+    Format(
+        "livelink",
+        (".livelink.csv",),
+        "Live Link Face CSV, 61 ARKit columns (lossy)",
+        livelink_csv.read,
+        livelink_csv.write,
+        ARKIT_ID,
+        begins=("timecode", "blendshapecount"),
+    ),
+    Format(
+        "livelink-raw",
+        (".livelink-raw.csv",),
+        "Live Link CSV with the 251 raw curves as columns",
+        livelink_csv.read,
+        livelink_csv.write,
+        RAW_ID,
+    ),
+    Format(
+        "a2f",
+        (".a2f.csv", "animation_frames.csv"),
+        "animation_frames.csv of NVIDIA Audio2Face-3D, 52 ARKit shapes (lossy)",
+        a2f_csv.read,
+        a2f_csv.write,
+        ARKIT_ID,
+        begins=("", "timecode"),
+    ),
+    Format(
+        "emoface",
+        (".txt",),
+        "EmoFace and MEDTalk, 174 board values per line; reading needs fps",
+        emoface_txt.read,
+        emoface_txt.write,
+        DEFAULT_ID,
+    ),
+    Format(
+        "unreal",
+        (".unreal.json",),
+        "raw curves and board keys for the script inside Unreal",
+        write=unreal_json.write,
+        control_set=DEFAULT_ID,
+    ),
+)
+
+
+def find_format(
+    path: Path, name: str | None = None, *, readable: bool = False, writable: bool = False
+) -> Format:
+    """Return the format of a name, or of a path's suffix.
+
+    Raises
+    ------
+    FormatError
+        If there is none that goes the way that is asked for; the known ones are listed.
+    """
+    fits = [f for f in FORMATS if (f.read or not readable) and (f.write or not writable)]
+    by_name: Mapping[str, Format] = {f.name: f for f in fits}
+    if name is not None:
+        if name not in by_name:
+            raise FormatError(f"unknown format {name!r}; known: {', '.join(by_name)}")
+        return by_name[name]
+    endings = [(s, f) for f in fits for s in f.suffixes if path.name.lower().endswith(s)]
+    if not endings:
+        known = ", ".join(s for f in fits for s in f.suffixes)
+        raise FormatError(f"{path}: no format has the suffix {path.suffix!r}; known: {known}")
+    return max(endings, key=lambda ending: len(ending[0]))[1]
+
+
+def format_of_header(header: Header) -> str | None:
+    """Return the format whose CSV begins with a header's first cells, or None."""
+    cells = tuple(cell.lower() for cell in header)
+    for known in FORMATS:
+        if known.begins and cells[: len(known.begins)] == known.begins:
+            return known.name
+    return None
