@@ -1,0 +1,210 @@
+"""From a take's curves and a mesh file to an animated file: what `deitalk retarget` does."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from rig.curves import RigCurves
+from rig.errors import FormatError, MeshError
+from rig.files import atomic_write
+from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes, read_mapping
+from rig.mesh.glb import WeightAnimation, write_glb
+from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
+from rig.mesh.landmarks import NEEDED, read_landmarks
+from rig.mesh.obj import read_obj, read_obj_folder
+from rig.mesh.ply import read_ply, write_ply_sequence
+from rig.mesh.retarget import Method, shapes_for
+from rig.mesh.shapes import ShapeSet, read_shapes_npz
+from rig.mesh.trimesh import TriMesh
+
+Way = Literal["blendshapes", "neutral"]
+
+MAX_SEQUENCE_BYTES = 4 * 2**30
+"""Largest vertex sequence that is written; morph targets have no such limit."""
+
+
+@dataclass(frozen=True)
+class RetargetReport:
+    """What was done.
+
+    Parameters
+    ----------
+    path : Path
+        The file or folder written.
+    way : str
+        "blendshapes": the mesh's own shapes were driven; "neutral": shapes were made for it.
+    shapes : int
+        Shapes that are driven.
+    frames : int
+    lost : float or None [range 0 to 1]
+        Share of the movement the mesh's own shapes cannot say.
+    notes : tuple of str
+        Warnings, one line each.
+    """
+
+    path: Path
+    way: Way
+    shapes: int
+    frames: int
+    lost: float | None
+    notes: tuple[str, ...]
+
+
+def retarget_curves(
+    curves: RigCurves,
+    mesh: Path | str,
+    out: Path | str,
+    *,
+    landmarks: Path | str | None = None,
+    mapping: Path | str | None = None,
+    method: Method = "displacements",
+    as_neutral: bool = False,
+) -> RetargetReport:
+    """Put a take on a user's face and write it.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        Board, raw or ARKit curves.
+    mesh : Path or str
+        A blendshape set (GLB with morph targets, folder of OBJ, NPZ) or one neutral mesh (OBJ, PLY,
+        GLB, NPZ without shapes).
+    out : Path or str
+        ``.glb`` (morph targets and animation), ``.npz`` (`vertices` (T, V, 3) and `triangles`), or
+        a folder of PLY files.
+    landmarks : Path or str, optional
+        Where the landmarks of a neutral mesh are; needed for one.
+    mapping : Path or str, optional
+        What shapes of unknown names stand for.
+    method : str
+        How shapes are made for a neutral mesh: "displacements" or "gradients".
+    as_neutral : bool
+        Take no notice of the mesh's own shapes.
+
+    Raises
+    ------
+    FormatError, MeshError, TopologyError, ControlError
+        With one line that says what to mend.
+    """
+    mesh, out = Path(mesh), Path(out)
+    _check_out(out)
+    if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
+        return _drive_glb(curves, mesh, out, mapping)
+    shapes = read_shapes(mesh)
+    if shapes.names and not as_neutral:
+        fit, poses = _fit(curves, shapes, mapping)
+        _write(out, shapes, fit.weights, curves.fps)
+        return _driven(out, fit, poses, len(curves))
+    if landmarks is None and not shapes.landmarks:
+        raise MeshError(
+            f"{mesh.name} has no shapes, so it needs --landmarks: a JSON or CSV file with the "
+            f"vertices or positions of {', '.join(NEEDED)} (more are better)"
+        )
+    found: Mapping[str, int] = (
+        shapes.landmarks if landmarks is None else read_landmarks(landmarks, shapes.neutral)
+    )
+    made = shapes_for(shapes.neutral, found, method=method)
+    _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps)
+    return RetargetReport(
+        out, "neutral", len(made.rig.shapes.names), len(curves), None, made.warnings
+    )
+
+
+def read_shapes(path: Path | str) -> ShapeSet:
+    """Read a mesh or shape set: a folder of OBJ, or .obj, .ply, .glb or .npz.
+
+    A file of one mesh is a set without shapes.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is none of these.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return read_obj_folder(path)
+    readers: dict[str, Any] = {
+        ".obj": read_obj, ".ply": read_ply, ".glb": read_glb, ".npz": read_shapes_npz
+    }  # fmt: skip
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise FormatError(
+            f"{path.name}: meshes come as .obj, .ply, .glb, .npz or a folder of .obj files; "
+            "convert it (Blender reads FBX and USD and exports .glb)"
+        )
+    read: ShapeSet | TriMesh = reader(path)
+    if isinstance(read, TriMesh):
+        return ShapeSet(read, (), np.zeros((0, *read.vertices.shape), dtype=np.float32))
+    return read
+
+
+def _check_out(out: Path) -> None:
+    if out.suffix.lower() not in (".glb", ".npz", ""):
+        raise FormatError(
+            f"{out.name}: retargeting writes .glb, .npz or a folder of .ply files (no suffix)"
+        )
+    if not out.parent.is_dir():
+        raise FormatError(f"{out.parent} is not a folder; make it first")
+
+
+def _drive_glb(
+    curves: RigCurves, mesh: Path, out: Path, mapping: Path | str | None
+) -> RetargetReport:
+    """Drive a GLB's own morph targets; its file is kept as it is where the output is a GLB."""
+    if out.suffix.lower() != ".glb":
+        shapes = read_glb(mesh)
+        fit, poses = _fit(curves, shapes, mapping)
+        _write(out, shapes, fit.weights, curves.fps)
+        return _driven(out, fit, poses, len(curves))
+    try:
+        fit, poses = _fit(curves, read_glb(mesh), mapping)
+    except FormatError:
+        # Compressed geometry cannot be measured; its names can be driven all the same.
+        own = None if mapping is None else read_mapping(mapping)
+        poses = match_shapes(morph_names(mesh), mapping=own)
+        fit = poses.weights(curves)
+    animate_glb(mesh, out, fit.names, WeightAnimation(fit.weights, curves.fps))
+    return _driven(out, fit, poses, len(curves))
+
+
+def _fit(
+    curves: RigCurves, shapes: ShapeSet, mapping: Path | str | None
+) -> tuple[BlendshapeFit, ShapePoses]:
+    own = None if mapping is None else read_mapping(mapping)
+    poses = match_shapes(shapes.names, mapping=own, shapes=shapes)
+    return poses.weights(curves), poses
+
+
+def _driven(out: Path, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> RetargetReport:
+    notes = []
+    unknown = [name for name in poses.names if name not in poses.understood]
+    if unknown:
+        notes.append(
+            f"{len(unknown)} shapes of unknown name stay at 0 ({', '.join(unknown[:4])}"
+            f"{' ...' if len(unknown) > 4 else ''}); a mapping file can name them"
+        )
+    if fit.unsaid:
+        notes.append(f"no shape for {', '.join(fit.unsaid[:6])}")
+    return RetargetReport(out, "blendshapes", len(poses.understood), frames, fit.lost, tuple(notes))
+
+
+def _write(out: Path, shapes: ShapeSet, weights: Any, fps: float) -> None:
+    if out.suffix.lower() == ".glb":
+        write_glb(out, shapes, animation=WeightAnimation(weights, fps))
+        return
+    size = 4 * len(weights) * shapes.neutral.vertices.size
+    if size > MAX_SEQUENCE_BYTES:
+        raise MeshError(
+            f"{len(weights)} frames of {len(shapes.neutral.vertices)} vertices are "
+            f"{size / 2**30:.1f} GiB; write .glb, or cut the take"
+        )
+    vertices = shapes.evaluate(weights).astype(np.float32)
+    if out.suffix.lower() == ".npz":
+        with atomic_write(out) as beside, open(beside, "wb") as file:
+            triangles = shapes.neutral.faces.astype(np.int32)
+            np.savez_compressed(file, vertices=vertices, triangles=triangles, fps=fps)
+        return
+    write_ply_sequence(out, shapes.neutral, vertices)
