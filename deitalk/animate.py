@@ -1,0 +1,185 @@
+"""The main path: speech and an emotion in, 185 curves out."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.activity import expression_gate, mouth_gate, normalise_level, speech_activity
+from deitalk.audio import Recording, frame_times, load_audio
+from deitalk.emotions import (
+    EmotionTrack,
+    IntensityCurve,
+    check_intensity,
+    parse_emotion,
+    read_intensity_curve,
+)
+from deitalk.expression import Expression
+from deitalk.idle import add_idle_motion
+from rig import RigCurves
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from deitalk.models import DEITalk
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A face acted to a recording.
+
+    All tracks share one time axis: row i is time i / 30 s of the recording.
+    """
+
+    curves: RigCurves
+    """The result, with the emotion weights and the applied intensity as tracks."""
+    neutral: RigCurves
+    """The neutral reading of the same speech: what intensity 0 gives."""
+    saliency: Floats
+    """Emotional saliency e_sim [shape=(T,), range -1 to 1] (DEITalk Eq. 5)."""
+    predicted: Floats
+    """Intensity heard in the voice [shape=(T,), range 0 to 1]."""
+    recording: Recording
+    clipped: int
+    """Values that had to be clamped to their control's range."""
+    timings: dict[str, float] = field(default_factory=dict)
+    """Seconds spent per stage."""
+
+
+def animate(
+    audio: "str | Path | bytes | IO[bytes] | Recording",
+    emotion: "str | Path | Mapping[str, float] | EmotionTrack" = "neutral",
+    *,
+    model: "str | Path | DEITalk" = "default",
+    intensity: float = 1.0,
+    intensity_curve: str | Path | IntensityCurve | None = None,
+    idle: bool = True,
+    seed: int = 0,
+) -> Performance:
+    """Animate a face from speech.
+
+    Parameters
+    ----------
+    audio : path, bytes, file object or Recording
+        Any recording `deitalk.audio.load_audio` reads.
+    emotion : str, mapping, Path or EmotionTrack
+        A label (``"happy"``), weights (``"happy=0.7,surprised=0.3"``) or a keyframed track.
+    model : str, Path or DEITalk
+        Name of an embedded model, a model folder, or a loaded model.
+    intensity : float, range 0 to 4
+        Factor on the intensity heard in the voice; 0 is the neutral reading.
+    intensity_curve : path or IntensityCurve, optional
+        Intensity to apply instead of the one heard, as written in a take's ``intensity.csv``.
+    idle : bool
+        Add blinks and small motions of the gaze.
+    seed : int
+        Of the blinks.
+
+    Returns
+    -------
+    Performance
+
+    Raises
+    ------
+    AudioError, EmotionError, CheckpointError
+        One line each: the value, the rule and the way out.
+    """
+    clock = _Clock()
+    check_intensity(intensity)
+    track = parse_emotion(emotion)
+    curve = _intensity_curve(intensity_curve)
+    recording = audio if isinstance(audio, Recording) else load_audio(audio)
+    clock.lap("audio")
+    network = _network(model)
+    clock.lap("model")
+    activity = speech_activity(recording.waveform)
+    shown = expression_gate(activity)
+    times = frame_times(recording.n_frames)
+    weights = track.at(times)
+    neutral, emotional, saliency, heard = _read(network, recording, weights, activity)
+    clock.lap("network")
+    predicted = heard * shown
+    applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
+    rules = Expression(network.controls)
+    values = rules.blend(neutral, emotional, applied, predicted)
+    del emotional
+    for reading in (neutral, values):
+        rules.quieten(reading)
+        rules.rest_in_silence(reading, mouth_gate(activity), shown)
+        if idle and activity.any():
+            rng = np.random.default_rng(seed)
+            add_idle_motion(reading, network.controls, fps=30, rng=rng)
+    clipped = _clamp(values, network) + 0 * _clamp(neutral, network)
+    clock.lap("expression")
+    made = {"names": network.controls.names, "fps": 30.0, "control_set": network.controls.id}
+    return Performance(
+        RigCurves(values, emotion=weights, intensity=applied.astype(np.float32), **made),
+        RigCurves(neutral, **made),
+        saliency,
+        predicted,
+        recording,
+        clipped,
+        clock.laps,
+    )
+
+
+def _read(
+    network: "DEITalk", recording: Recording, weights: Floats, activity: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Neutral and emotional reading [shape=(T, C)], saliency and intensity [shape=(T,)]."""
+    import torch
+
+    n_frames = recording.n_frames
+    device = next(network.parameters()).device
+    waveform = normalise_level(recording.waveform, activity=activity)
+    analysis = network.analyse(torch.from_numpy(waveform).to(device), n_frames)
+    plain = torch.zeros(n_frames, weights.shape[1], device=device)
+    plain[:, 0] = 1
+    neutral = network.decode(analysis, plain).cpu().numpy()
+    emotional = neutral
+    if (weights[:, 0] < 1).any():
+        emotional = network.decode(analysis, torch.from_numpy(weights).to(device)).cpu().numpy()
+    if analysis.saliency is None or analysis.strength is None:
+        return neutral, emotional, np.zeros(n_frames, np.float32), np.ones(n_frames, np.float32)
+    return neutral, emotional, analysis.saliency.cpu().numpy(), analysis.strength.cpu().numpy()
+
+
+def _network(model: "str | Path | DEITalk") -> "DEITalk":
+    if isinstance(model, str | Path):
+        from deitalk.checkpoint import load_model
+
+        return load_model(model)
+    return model.eval()
+
+
+def _intensity_curve(curve: str | Path | IntensityCurve | None) -> IntensityCurve | None:
+    return read_intensity_curve(curve) if isinstance(curve, str | Path) else curve
+
+
+def _clamp(values: Floats, network: "DEITalk") -> int:
+    """Clamp to the controls' ranges in place; count the values that were more than 1 % outside."""
+    low, high = network.controls.minimum, network.controls.maximum
+    count = 0
+    for start in range(0, len(values), 4096):
+        rows = values[start : start + 4096]
+        count += int(((rows < low - 0.01) | (rows > high + 0.01)).sum())
+        np.clip(rows, low, high, out=rows)
+    return count
+
+
+class _Clock:
+    """Seconds between laps."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now

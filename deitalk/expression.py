@@ -1,0 +1,136 @@
+"""From two readings of one speech, neutral and emotional, to the face an artist asked for.
+
+The network reads the speech twice: once neutrally, once in the emotion. The difference is the
+expression; it is scaled by the intensity curve, kept from forcing closed lips open, and brought
+to rest in silence. The laws hold by construction: intensity 0 is the neutral reading, more is
+more, lips that meet still meet. Letters: T frames, C controls.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import ControlSet
+
+Floats = NDArray[np.float32]
+
+LEAST_PREDICTED = 0.15
+"""Where the voice is fainter than this, an edited curve scales as if it were this strong."""
+CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
+"""Neutral lips-together (or lip-bite) value at which protection begins, and is complete."""
+STILL = 0.01
+"""Openings below this share of a control's range are the network's murmur, not speech."""
+
+OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
+           "lipsBlow", "suckBlow")  # fmt: skip
+"""Parts of the names of controls that part the lips."""
+ARTICULATORS = ("mouth", "jaw", "tongue", "teeth")
+
+
+@dataclass(frozen=True)
+class Expression:
+    """The rules of expression for one control set."""
+
+    controls: ControlSet
+
+    def blend(
+        self, neutral: Floats, emotional: Floats, applied: Floats, predicted: Floats
+    ) -> Floats:
+        """Scale the expression by the applied intensity and keep contacts closed.
+
+        Parameters
+        ----------
+        neutral, emotional : ndarray [shape=(T, C)]
+            Two readings of the same speech.
+        applied : ndarray [shape=(T,), range 0 to 4]
+            Intensity asked for.
+        predicted : ndarray [shape=(T,), range 0 to 1]
+            Intensity heard; `emotional` already shows this much.
+
+        Returns
+        -------
+        ndarray [shape=(T, C)]
+        """
+        scale = applied / np.maximum(predicted, LEAST_PREDICTED)
+        delta = (emotional - neutral) * scale[:, None].astype(np.float32)
+        free = 1 - self.contact(neutral)
+        delta[:, self.opening] *= free[:, None]
+        seals = delta[:, self.seals]
+        delta[:, self.seals] = np.where(seals < 0, seals * free[:, None], seals)
+        delta += neutral
+        return delta
+
+    def contact(self, neutral: Floats) -> Floats:
+        """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""
+        closed = np.maximum(
+            neutral[:, self.together].mean(axis=1), neutral[:, self.bite].mean(axis=1)
+        )
+        share = np.clip((closed - CONTACT_FROM) / (CONTACT_FULL - CONTACT_FROM), 0, 1)
+        smooth: Floats = share * share * (3 - 2 * share)
+        return smooth
+
+    def rest_in_silence(self, curves: Floats, mouth: Floats, expression: Floats) -> None:
+        """Bring curves to rest where nobody speaks, in place.
+
+        Parameters
+        ----------
+        curves : ndarray [shape=(T, C)]
+        mouth, expression : ndarray [shape=(T,), range 0 to 1]
+            From `deitalk.activity.mouth_gate` and `expression_gate`.
+        """
+        rest = self.controls.rest
+        curves -= rest
+        gate = np.where(self.follows_mouth, 1, 0).astype(np.float32)
+        for start in range(0, len(curves), 4096):
+            rows = slice(start, start + 4096)
+            part = curves[rows]
+            part *= expression[rows, None]
+            part *= 1 - gate + gate * mouth[rows, None]
+        curves += rest
+
+    def quieten(self, curves: Floats) -> None:
+        """Remove the network's murmur from controls that part or move the lips, in place.
+
+        Values below one percent of the range go to 0; above, nothing but that percent is lost.
+        """
+        places = self.opening
+        values = curves[:, places]
+        curves[:, places] = np.sign(values) * np.maximum(np.abs(values) - STILL, 0)
+
+    @cached_property
+    def opening(self) -> NDArray[np.intp]:
+        """Controls that part the lips."""
+        return self._named(*OPENING)
+
+    @cached_property
+    def together(self) -> NDArray[np.intp]:
+        """The four lips-together controls."""
+        return self._named("lipsTogether")
+
+    @cached_property
+    def bite(self) -> NDArray[np.intp]:
+        """The lower lip's bite."""
+        return self._named("lipBiteD")
+
+    @cached_property
+    def seals(self) -> NDArray[np.intp]:
+        """Controls that close the lips; an expression may add to them, never take away."""
+        return np.concatenate((self.together, self.bite))
+
+    @cached_property
+    def follows_mouth(self) -> NDArray[np.bool_]:
+        """Controls that rest as soon as the mouth does: they speak, or part the lips.
+
+        What an expression alone moves (corners, brows, lids, cheeks) stays through pauses.
+        """
+        speaks = np.zeros(len(self.controls.names), bool)
+        speaks[self.opening] = True
+        speaks[self._named("lipsTogether", "lipBite", "purse", "towards", "mouth_press", "tongue",
+                           "teeth", "icky", "lipsPress", "pushPull", "jaw_fwdBack")] = True
+        return speaks
+
+    def _named(self, *parts: str) -> NDArray[np.intp]:
+        names = self.controls.names
+        return np.array([i for i, n in enumerate(names) if any(p in n for p in parts)], np.intp)
