@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import fft, signal
 
 from deitalk.features import SAMPLE_RATE
 
@@ -154,9 +154,9 @@ def _noise(
     elif kind < 0.5 and noises:
         noise = _piece(noises[rng.integers(len(noises))], n, rng)
     else:
-        spectrum = np.fft.rfft(rng.standard_normal(n))
+        spectrum = fft.rfft(rng.standard_normal(fft.next_fast_len(n, real=True)))
         spectrum *= (np.arange(len(spectrum)) + 1.0) ** -rng.choice((0.0, 0.5, 0.75, 1.0))
-        noise = np.fft.irfft(spectrum, n)
+        noise = fft.irfft(spectrum)[:n]
     return noise / (noise.std() + 1e-9)
 
 

@@ -81,7 +81,10 @@ def train(
     """
     from accelerate import Accelerator
 
-    accelerator = Accelerator(cpu=not torch.cuda.is_available())
+    accelerator = Accelerator(
+        cpu=not torch.cuda.is_available(),
+        mixed_precision="bf16" if config.train.precision == "bfloat16" else "no",
+    )
     torch.manual_seed(config.train.seed)
     model = DEITalk(config.model)
     if start_from is not None:
