@@ -30,12 +30,12 @@ def test_raw_csv_is_told_by_its_names(tmp_path, curves):
 
 
 def test_rigmapper_keys_by_hand(tmp_path):
-    values = rest_curves(2).values.copy()
+    values = rest_curves(3).values.copy()
     values[1, BOARD.index("CTRL_C_jaw.ty")] = 0.5
     write_curves(tmp_path / "c.rigmapper.csv", RigCurves(values, BOARD.names))
     lines = (tmp_path / "c.rigmapper.csv").read_text().splitlines()
     assert lines[0] == "curve_name, frame_number, value"
-    assert len(lines) == 1 + 2 * 251
+    assert len(lines) == 1 + 2 * 251 + 1  # only the jaw moves
     assert "CTRL_expressions_jawOpen,0,0" in lines and "CTRL_expressions_jawOpen,1,0.5" in lines
 
 

@@ -23,12 +23,14 @@ MAX_FRAMES = 10_000_000
 
 
 def write(path: Path, curves: RigCurves) -> None:
-    """Write curve after curve, a key per frame."""
-    frame = np.arange(len(curves)).reshape(-1, 1)
+    """Write curve after curve, a key per frame; a curve that never moves has its first and last."""
+    frame = np.arange(len(curves))
+    ends = np.unique([0, len(curves) - 1])
     with path.open("wb") as stream:
         stream.write(", ".join(HEADER).encode() + b"\n")
         for name, values in zip(curves.names, curves.values.T, strict=True):
-            blocks = [Block(frame, 0), Block(values.reshape(-1, 1), DECIMALS)]
+            keys = frame if np.ptp(values) else ends
+            blocks = [Block(keys.reshape(-1, 1), 0), Block(values[keys].reshape(-1, 1), DECIMALS)]
             stream.writelines(rows(blocks, before=name.encode() + b","))
 
 

@@ -1,0 +1,18 @@
+"""Live curves over UDP: to Unreal's Live Link, to JSON receivers, to VMC marionettes, and back."""
+
+from rig.livelink.packet import Packet, decode, encode
+from rig.livelink.protocols import PROTOCOLS, make_protocol
+from rig.livelink.receiver import Receiver, Recording
+from rig.livelink.sender import SendReport, send
+
+__all__ = [
+    "PROTOCOLS",
+    "Packet",
+    "Receiver",
+    "Recording",
+    "SendReport",
+    "decode",
+    "encode",
+    "make_protocol",
+    "send",
+]

@@ -1,0 +1,137 @@
+"""Ways to put one frame of curves into datagrams: Live Link Face, JSON properties, VMC."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arkit import ARKIT_ID, arkit_controls, udp_order
+from rig.errors import FormatError
+from rig.livelink import osc
+from rig.livelink.packet import PORT, Packet, encode
+
+DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
+"""Our device id: 36 characters, as receivers that misread the length expect."""
+MAX_JSON_BYTES = 60_000
+MAX_OSC_BYTES = 1_400
+"""Below one Ethernet frame, so that nothing is cut into fragments."""
+Floats = NDArray[np.float32]
+
+
+class LiveProtocol(Protocol):
+    """What `rig.livelink.sender.send` needs."""
+
+    @property
+    def control_set(self) -> str | None:
+        """Set the values belong to; None takes any."""
+
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+        """Return the datagrams of one frame."""
+
+
+@dataclass(frozen=True)
+class LiveLinkFace:
+    """Live Link Face packets, version 6 (Unreal's Apple ARKit face source)."""
+
+    subject: str = "deitalk"
+    device: str = DEVICE
+    names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
+    control_set: str | None = ARKIT_ID
+
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+        """Return one packet."""
+        rate = Fraction(fps).limit_denominator(1001)
+        timing = (rate.numerator, rate.denominator)
+        frame = frame % 2**31
+        return [encode(Packet(self.device, self.subject, frame, 0.0, timing, values[udp_order()]))]
+
+
+@dataclass(frozen=True)
+class PropertyJson:
+    """Named properties as JSON, the form of FACEGOOD's FgLiveLinkReceiver.
+
+    A receiver takes names and order from the first datagram, so they never change.
+    """
+
+    subject: str = "deitalk"
+    names: Sequence[str] = ()
+    control_set: str | None = None
+
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+        """Return one datagram of text, below 60 kB.
+
+        Raises
+        ------
+        FormatError
+            If the names and values need more.
+        """
+        properties = [
+            {"Name": name, "Value": round(float(value), 6)}
+            for name, value in zip(self.names, values, strict=True)
+        ]
+        content = {self.subject: {"FrameId": frame, "Properties": properties}}
+        data = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+        if len(data) > MAX_JSON_BYTES:
+            raise FormatError(
+                f"a frame of {len(properties)} properties needs {len(data)} bytes; a datagram "
+                f"holds {MAX_JSON_BYTES}; send fewer curves"
+            )
+        return [data]
+
+
+@dataclass(frozen=True)
+class Vmc:
+    """VMC protocol over OSC: one value per curve, then Apply, with a time and an OK before."""
+
+    names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
+    control_set: str | None = ARKIT_ID
+
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+        """Return bundles that fit an Ethernet frame each."""
+        messages = [
+            osc.message("/VMC/Ext/OK", 1),
+            osc.message("/VMC/Ext/T", float(seconds)),
+            *(
+                osc.message("/VMC/Ext/Blend/Val", name, float(value))
+                for name, value in zip(self.names, values, strict=True)
+            ),
+            osc.message("/VMC/Ext/Blend/Apply"),
+        ]
+        return list(osc.bundles(messages, max_bytes=MAX_OSC_BYTES))
+
+
+@dataclass(frozen=True)
+class ProtocolInfo:
+    """A protocol by name: its usual port and how it is made from subject and names."""
+
+    port: int
+    description: str
+    make: Callable[[str, Sequence[str]], LiveProtocol]
+
+
+PROTOCOLS: dict[str, ProtocolInfo] = {
+    "livelink": ProtocolInfo(
+        PORT, "Live Link Face v6, 61 ARKit values", lambda subject, names: LiveLinkFace(subject)
+    ),
+    "json": ProtocolInfo(
+        54321, "JSON properties (FgLiveLinkReceiver), all curves by name", PropertyJson
+    ),
+    "vmc": ProtocolInfo(39539, "VMC over OSC, 61 ARKit values", lambda subject, names: Vmc()),
+}
+
+
+def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol:
+    """Return a protocol by its name.
+
+    Raises
+    ------
+    FormatError
+        If the name is unknown; the known ones are listed.
+    """
+    if name not in PROTOCOLS:
+        raise FormatError(f"unknown protocol {name!r}; known: {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name].make(subject, names)

@@ -1,0 +1,193 @@
+"""Send curves in time: paced by a monotonic clock, late frames skipped, at rest in the end."""
+
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Event
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.livelink.protocols import LiveProtocol
+from rig.mapping import convert, known_controls
+
+REST_REPEATS = 3
+"""UDP may lose a datagram; a face that stays open is worse than three packets."""
+
+
+@dataclass(frozen=True)
+class SendReport:
+    """What was sent.
+
+    Parameters
+    ----------
+    n_sent, n_skipped : int
+        Frames sent, and frames left out because their time had passed.
+    seconds : float
+        Time from the first frame to the end.
+    worst_lateness : float
+        Greatest delay of a sent frame behind its time, in seconds.
+    """
+
+    n_sent: int
+    n_skipped: int
+    seconds: float
+    worst_lateness: float
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Where time comes from; tests bring their own."""
+
+    now: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+
+
+def send(
+    curves: RigCurves,
+    protocol: LiveProtocol,
+    address: tuple[str, int],
+    *,
+    loop: bool = False,
+    first_frame: int = 0,
+    stop: Event | None = None,
+    on_start: Callable[[], None] | None = None,
+    on_frame: Callable[[int], None] | None = None,
+    clock: Clock | None = None,
+) -> SendReport:
+    """Send curves to a UDP address at their own rate.
+
+    Frame i leaves at start + i / fps of a monotonic clock, so delays do not add up. A frame whose
+    successor is already due is skipped. At the end, on `stop` and on an interrupt, the face at rest
+    is sent.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        Converted to what the protocol takes.
+    protocol : LiveProtocol
+        See `rig.livelink.protocols`.
+    address : tuple of str and int
+        Host and port.
+    loop : bool
+        Begin again at the end, with rising frame numbers, until `stop` or an interrupt.
+    first_frame : int
+        Number of the first frame.
+    stop : threading.Event, optional
+        Ends the sending.
+    on_start : callable, optional
+        Called right before the first frame: play the audio, send a signal.
+    on_frame : callable, optional
+        Called after each frame with its index in the clip.
+    clock : Clock, optional
+        Other sources of time.
+
+    Raises
+    ------
+    FormatError
+        If there are no frames or the address cannot be reached.
+    """
+    if not len(curves):
+        raise FormatError("there are no frames to send")
+    if protocol.control_set is not None:
+        curves = convert(curves, protocol.control_set)
+    clock = clock or Clock()
+    with _connected(address) as link:
+        run = _Run(curves, protocol, link, clock, first_frame)
+        if on_start is not None:
+            on_start()
+        run.begin()
+        try:
+            while run.step(on_frame, stop):
+                if run.index >= len(curves) and not loop:
+                    break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            run.rest()
+        return run.report()
+
+
+class _Run:
+    """One sending, frame by frame."""
+
+    def __init__(
+        self,
+        curves: RigCurves,
+        protocol: LiveProtocol,
+        link: socket.socket,
+        clock: Clock,
+        first_frame: int,
+    ) -> None:
+        self.curves, self.protocol, self.link, self.clock = curves, protocol, link, clock
+        self.first_frame = first_frame
+        self.index = self.n_sent = self.n_skipped = 0
+        self.start = self.worst = 0.0
+
+    def begin(self) -> None:
+        """Start the clock."""
+        self.start = self.clock.now()
+
+    def step(self, on_frame: Callable[[int], None] | None, stop: Event | None) -> bool:
+        """Wait for the next frame and send it; return whether to go on."""
+        fps = self.curves.fps
+        due = self.start + self.index / fps
+        if stop is not None and stop.is_set():
+            return False
+        wait = due - self.clock.now()
+        if wait > 0:
+            self.clock.sleep(wait)
+        late = self.clock.now() - due
+        missed = int(late * fps)
+        if missed > 0:
+            self.n_skipped += missed
+            self.index += missed
+            late -= missed / fps
+        at = self.index % len(self.curves)
+        self._send(self.index, self.curves.values[at])
+        self.worst = max(self.worst, late)
+        self.n_sent += 1
+        self.index += 1
+        if on_frame is not None:
+            on_frame(at)
+        return True
+
+    def rest(self) -> None:
+        """Send the face at rest, in the frames that follow."""
+        controls = known_controls(self.curves.control_set)
+        if controls is None:
+            values = np.zeros(len(self.curves.names), np.float32)
+        else:
+            values = controls.rest[controls.indices(self.curves.names)]
+        for i in range(REST_REPEATS):
+            self._send(self.index + i, values)
+
+    def report(self) -> SendReport:
+        """Return what was sent so far."""
+        seconds = self.clock.now() - self.start
+        return SendReport(self.n_sent, self.n_skipped, seconds, max(self.worst, 0.0))
+
+    def _send(self, index: int, values: NDArray[np.float32]) -> None:
+        frame = self.first_frame + index
+        fps = self.curves.fps
+        for datagram in self.protocol.datagrams(frame, index / fps, fps, values):
+            try:
+                self.link.send(datagram)
+            except ConnectionRefusedError:
+                pass  # nobody listens yet: UDP goes on
+
+
+def _connected(address: tuple[str, int]) -> socket.socket:
+    host, port = address
+    if not 0 < port < 65536:
+        raise FormatError(f"port {port} must be 1 to 65535")
+    try:
+        family, kind, number, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        link = socket.socket(family, kind, number)
+        link.connect(target)
+    except OSError as error:
+        raise FormatError(f"cannot send to {host}:{port}: {error.strerror or error}") from error
+    return link
