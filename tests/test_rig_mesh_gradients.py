@@ -5,7 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.errors import MeshError, TopologyError
-from rig.mesh.gradients import deformation_gradients, pack, triangle_frames, unpack
+from rig.mesh.gradients import (
+    deformation_gradients,
+    pack,
+    pack_vertices,
+    triangle_frames,
+    unpack,
+)
 from rig.mesh.reconstruct import (
     DeformationSolver,
     RigidPart,
@@ -92,6 +98,19 @@ def test_unpack_undoes_pack(rng):
     s, r = pack(gradients)
     assert s.shape == (4, 6 * len(mesh.faces)) and r.shape == (4, 3 * len(mesh.faces))
     np.testing.assert_allclose(unpack(s, r), gradients, atol=1e-12)
+
+
+def test_frames_that_follow_one_another_are_unwrapped():
+    """A sheet turning once and a half keeps turning in r; single poses come back to |r| <= pi."""
+    mesh = sheet(4)
+    angles = np.linspace(0, 3 * np.pi, 60)
+    turns = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    frames = mesh.vertices @ turns.swapaxes(1, 2)
+    s, r = pack_vertices(mesh, frames, continuous=True)
+    np.testing.assert_allclose(r[:, 2::3], np.tile(angles[:, None], len(mesh.faces)), atol=1e-7)
+    single_s, single_r = pack_vertices(mesh, frames)
+    assert np.abs(single_r).max() <= np.pi + 1e-12
+    np.testing.assert_allclose(unpack(single_s, single_r), unpack(s, r), atol=1e-12)
 
 
 def test_degenerate_triangles_are_refused_by_index():
@@ -234,7 +253,7 @@ def test_ict_round_trip(shared, rng):
     deltas = file["expression_deltas"].astype(float)
     mixes = np.einsum("tk,kvc->tvc", rng.exponential(0.1, (6, len(deltas))), deltas)
     moved = mesh.vertices + np.concatenate([deltas, mixes])
-    s, r = pack(deformation_gradients(mesh, moved))
+    s, r = pack_vertices(mesh, moved, continuous=True)
     solver = DeformationSolver(mesh)
     pins = moved[:, solver.pins]
     for dtype, bound in ((np.float64, 1e-9), (np.float32, 1e-4), (np.float16, 1e-4)):

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Order of the six packed stretch entries: xx, xy, xz, yy, yz, zz."""
 
+_FRAMES_AT_ONCE = 16
 _COLLAPSED = 1e-14
 """A moved triangle counts as collapsed below this share of the mesh's squared size."""
 
@@ -108,22 +109,24 @@ def _refuse_collapsed(moved: Floats, size: float) -> None:
     )
 
 
-def pack(gradients: Any, *, start: Any = None) -> tuple[Floats, Floats]:
+def pack(gradients: Any, *, continuous: bool = False) -> tuple[Floats, Floats]:
     """Split frames of gradients into packed stretch and rotation (SDFA §3.4).
 
     Parameters
     ----------
     gradients : array [shape=(T, N, 3, 3)] or [shape=(N, 3, 3)]
         T of each triangle, det T > 0.
-    start : array [shape=(N, 3), radians], optional
-        Rotation vectors of the frame before, to go on from; zeros if not given.
+    continuous : bool
+        The frames follow one another: each rotation vector is taken nearest to the one before
+        (`rig.mesh.rotations.unwrap`). False for single poses, and for training data, where one
+        pose must always give the same numbers.
 
     Returns
     -------
     s : array [shape=(T, 6 N) or (6 N,)]
         S - I of each triangle as xx, xy, xz, yy, yz, zz. Zero where nothing is stretched.
     r : array [shape=(T, 3 N) or (3 N,), radians]
-        Rotation vectors, unwrapped against the frame before.
+        Rotation vectors; |r_i| <= pi unless `continuous`.
 
     Notes
     -----
@@ -138,8 +141,23 @@ def pack(gradients: Any, *, start: Any = None) -> tuple[Floats, Floats]:
         rotation, stretch = polar(frame)
         s[i] = np.stack([stretch[..., a, b] - (a == b) for a, b in _UPPER], axis=-1).ravel()
         turns[i] = rotation_log(rotation)
-    r = unwrap_sequence(turns, start).reshape(len(frames), -1)
+    r = (unwrap_sequence(turns) if continuous else turns).reshape(len(frames), -1)
     return (s[0], r[0]) if single else (s, r)
+
+
+def pack_vertices(
+    rest: TriMesh, deformed: Any, *, continuous: bool = False
+) -> tuple[Floats, Floats]:
+    """Packed s and r of deformed meshes [shape=(T, V, 3)], a few frames at a time."""
+    points = np.asarray(deformed)
+    parts = [
+        pack(deformation_gradients(rest, points[i : i + _FRAMES_AT_ONCE]))
+        for i in range(0, len(points), _FRAMES_AT_ONCE)
+    ]
+    s, r = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    if continuous:
+        r = unwrap_sequence(r.reshape(len(r), -1, 3)).reshape(r.shape)
+    return s, r
 
 
 def unpack(s: Any, r: Any) -> Floats:
