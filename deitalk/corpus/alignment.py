@@ -160,9 +160,9 @@ def _decoder(width: int) -> Any:
     """The pocketsphinx decoder with the search width `BEAMS[width]`."""
     from pocketsphinx import Decoder
 
-    # Cepstral means of the whole recording, so that no result depends on what came before; the
-    # lattice's best path may give a phone fewer frames than it has states, which ends the search.
-    return Decoder(lm=None, loglevel="FATAL", cmn="batch", bestpath=False, **BEAMS[width])
+    # The best path of the lattice may give a phone fewer frames than it has states, which ends the
+    # second search: the Viterbi path serves.
+    return Decoder(lm=None, loglevel="FATAL", bestpath=False, **BEAMS[width])
 
 
 def _search(decoder: Any, pcm: bytes, words: list[str]) -> list[tuple[float, float, str, int]]:
@@ -182,7 +182,8 @@ def _search(decoder: Any, pcm: bytes, words: list[str]) -> list[tuple[float, flo
 
 
 def _decode(decoder: Any, pcm: bytes) -> None:
-    """Run the whole recording through the decoder."""
+    """Run the whole recording through the decoder, whatever it heard before."""
+    decoder.reinit_feat()  # forgets the noise it tracked
     decoder.start_utt()
     try:
         decoder.process_raw(pcm, full_utt=True)

@@ -1,7 +1,7 @@
 """The phone set of the corpus, and how other alphabets map onto it.
 
 The set is ARPABET with the reduced vowels and the flap that the engines distinguish (AX, IX, DX),
-the glottal stop (Q) and silence (SIL): 43 names. Phones are chosen for what the *face* does, so the
+the glottal stop (Q) and silence (SIL): 44 names. Phones are chosen for what the *face* does, so the
 tables map a foreign sound to the English phone with the nearest lips and jaw, then the nearest
 tongue: the front rounded vowels become rounded ones, a tapped r becomes DX (whose lips are free)
 and not R (whose lips protrude).
@@ -58,8 +58,8 @@ IPA_NOT_ENGLISH = {
 MANDARIN = {
     "ph": "P", "th": "T", "kh": "K", "ts": "T S", "tsh": "T S", "tɕh": "CH", "ts.": "CH",
     "ts.h": "CH", "s.": "SH", "i.": "IX", "o-": "AH", "ər": "ER", "iɛ": "Y EH", "iɑ": "Y AA",
-    "iɑu": "Y AW", "iou": "Y OW", "uɑ": "W AA", "ua": "W AA", "uai": "W AY", "uei": "W EY", "uə": "W AX",
-    "uo": "W AO", "yɛ": "W EH", "y": "UW", "onɡ": "UH NG",
+    "iɑu": "Y AW", "iou": "Y OW", "uɑ": "W AA", "ua": "W AA", "uai": "W AY", "uei": "W EY",
+    "uə": "W AX", "uo": "W AO", "yɛ": "W EH", "y": "UW", "onɡ": "UH NG",
 }  # fmt: skip
 
 # Names of the festival and flite American phone sets that differ from ours by more than case.

@@ -100,7 +100,7 @@ def _without_overlap(
 ) -> Iterable[tuple[float, float, str]]:
     """End every segment no later than its successor starts."""
     following = [start for start, _, _ in segments[1:]] + [float("inf")]
-    for (start, end, name), next_start in zip(segments, following, strict=True):
+    for (start, end, name), next_start in zip(segments, following, strict=False):
         yield start, min(end, next_start), name
 
 
