@@ -139,11 +139,11 @@ def test_unreal_json_has_keys_for_both_routes(tmp_path):
     data = json.loads((tmp_path / "c.unreal.json").read_text())
     assert data["schema"] == "deitalk.unreal/1"
     assert data["frame_rate"] == [30000, 1001] and data["n_frames"] == 3
-    assert len(data["raw"]) == 251 and len(data["board"]) == 171
+    assert len(data["raw"]) == 251 and len(data["board"]) == 162
     assert data["raw"]["CTRL_expressions_jawOpen"] == [0, 0.5, 1]
     assert data["raw"]["CTRL_expressions_noseWrinkleUpperL"] == 1
     assert data["board"]["CTRL_C_jaw"] == {"x": 0, "y": [0, 0.5, 1]}
     assert data["board"]["CTRL_L_brow_down"] == {"value": 0}
-    assert data["board"]["CTRL_neckCorrectivesMultiplyerU"] == {"value": 0.8}
+    assert "CTRL_neckCorrectivesMultiplyerU" not in data["board"]
     with pytest.raises(FormatError, match="no format has the suffix"):
         read_curves(tmp_path / "c.unreal.jsonx")

@@ -48,9 +48,14 @@ def write(path: Path, curves: RigCurves) -> None:
 
 
 def _by_control() -> dict[str, dict[str, str]]:
-    """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``."""
+    """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``.
+
+    Switches and multipliers are the animator's and are not keyed.
+    """
     controls: dict[str, dict[str, str]] = {}
     for c in default_controls().controls:
+        if c.role not in ("driver", "master"):
+            continue
         axis = c.axis.lower() if c.type == "Vector2D" else "value"
         controls.setdefault(c.ue_control, {})[axis] = c.name
     return {name: dict(sorted(channels.items())) for name, channels in controls.items()}

@@ -1,0 +1,1 @@
+"""The script that a user runs inside Unreal; nothing here is imported by the rest."""
