@@ -146,7 +146,7 @@ def test_bad_recordings_are_dropped_with_reasons(folder, tmp_path):
     assert [(done, total) for done, total, _ in told] == [(1, 3), (2, 3), (3, 3)]
     assert told[0][2] is None
     assert "does not fit the words" in told[1][2] or "minimum" in told[1][2]
-    assert "not readable audio" in told[2][2]
+    assert "not audio that can be read" in told[2][2]
     assert (first.engine, first.style, first.language) == ("recording", "neutral", "en")
     assert first.text == TEXT
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.corpus.utterance import SAMPLE_RATE
-from deitalk.errors import AudioError, ConfigError, DataError
+from deitalk.audio import load_audio
+from deitalk.errors import ConfigError, DataError
 
 LONGEST_SECONDS = 600
 """Recordings beyond this are refused: cut them into utterances first."""
@@ -80,12 +80,12 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
 
 
 def read_waveform(path: Path | str) -> np.ndarray:
-    """Audio file as 16 kHz mono.
+    """Audio file as 16 kHz mono, read as `deitalk.audio.load_audio` reads it for animation.
 
     Parameters
     ----------
     path : Path
-        Any format libsndfile reads: wav, flac, mp3, ogg, opus.
+        Any format that function reads.
 
     Returns
     -------
@@ -96,24 +96,7 @@ def read_waveform(path: Path | str) -> np.ndarray:
     AudioError
         If the file cannot be read, is empty or longer than `LONGEST_SECONDS`.
     """
-    import soundfile
-    import soxr
-
-    try:
-        with soundfile.SoundFile(path) as file:
-            if file.frames > LONGEST_SECONDS * file.samplerate:
-                raise AudioError(
-                    f"{path} lasts {file.frames / file.samplerate:.0f} s; at most "
-                    f"{LONGEST_SECONDS} s: cut it into utterances"
-                )
-            samples, rate = file.read(dtype="float32", always_2d=True), file.samplerate
-    except (soundfile.LibsndfileError, OSError) as error:
-        raise AudioError(f"{path} is not readable audio: {error}") from error
-    waveform = samples.mean(1)
-    if rate != SAMPLE_RATE and len(waveform):
-        waveform = soxr.resample(waveform, rate, SAMPLE_RATE)
-    if not len(waveform) or not np.all(np.isfinite(waveform)):
-        raise AudioError(f"{path} holds no sound; leave it out")
+    waveform = load_audio(Path(path), max_seconds=LONGEST_SECONDS).waveform
     return np.asarray(np.clip(waveform, -1, 1), np.float32)
 
 
