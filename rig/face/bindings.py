@@ -145,7 +145,6 @@ NOTHING: dict[str, str] = {
 ONLY_WITH: dict[str, str] = {
     "CTRL_L_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_L_nose.ty (rests at 1)",
     "CTRL_R_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_R_nose.ty (rests at 1)",
-    "CTRL_C_eye_parallelLook.ty": "makes two eyes that look different ways look the same way",
     **{
         f"CTRL_{side}_mouth_{name}.ty": "closes lips that are apart; at rest they touch already"
         for side in "LR"

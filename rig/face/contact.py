@@ -54,7 +54,7 @@ class Arch:
         """Displacement (T, n, 3) that brings `points` (at `ids`) in front of the teeth."""
         grow = np.maximum(self._least / self._ratio(points) - 1, 0)
         beyond = self._up * (points[..., 1] - self._edge_y)
-        grow = grow * smoothstep((beyond + 0.22) / 0.22) * (points[..., 2] > self._center_z)
+        grow = grow * smoothstep((beyond + 0.40) / 0.40) * (points[..., 2] > self._center_z)
         out = np.zeros_like(points)
         out[..., 0] = points[..., 0] * grow
         out[..., 2] = (points[..., 2] - self._center_z) * grow

@@ -181,23 +181,20 @@ class Head:
 
     def _clear_teeth(self, skin: Array, inputs: Inputs) -> None:
         upper, lower = self._arches["upper"], self._arches["lower"]
-        skin[:, upper.ids] += upper.push(skin[:, upper.ids])
+        skin[:, upper.ids] += upper.push(skin[:, upper.ids] - _teeth_shift(inputs, "upper"))
         in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
-        moved = in_jaw + lower.push(in_jaw)
+        moved = in_jaw + lower.push(in_jaw - _teeth_shift(inputs, "lower"))
         skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
 
     def _pose_mouth(self, vertices: Array, inputs: Inputs) -> None:
-        shift = {
-            jaw: np.stack([inputs[f"teeth.{jaw}_{axis}"] for axis in "xyz"], -1)[:, None] * 0.25
-            for jaw in ("upper", "lower")
-        }
-        vertices[:, self.slices["teeth_upper"]] += shift["upper"]
-        lower = vertices[:, self.slices["teeth_lower"]] + shift["lower"]
+        vertices[:, self.slices["teeth_upper"]] += _teeth_shift(inputs, "upper")
+        lower_shift = _teeth_shift(inputs, "lower")
+        lower = vertices[:, self.slices["teeth_lower"]] + lower_shift
         vertices[:, self.slices["teeth_lower"]] = self.jaw.ride(lower, inputs)
         tongue = self.jaw.ride(self._tongue.shape(inputs), inputs, self._tongue.jaw_share)
         edge = np.array([[[0, self.features.anatomy.mouth_y + teeth.LOWER_EDGE,
                            self._lip_z - teeth.LOWER_BACK]]])  # fmt: skip
-        edge = self.jaw.ride(np.repeat(edge, len(vertices), 0) + shift["lower"], inputs)
+        edge = self.jaw.ride(np.repeat(edge, len(vertices), 0) + lower_shift, inputs)
         skin = vertices[:, self.slices["skin"]]
         high, low = (skin[:, k, 1:] for k in self._rim_middle)
         vertices[:, self.slices["tongue"]] = self._tongue.settle(tongue, edge[:, 0, 1:], low, high)
@@ -243,6 +240,11 @@ class Head:
             vertices[:, self.slices[f"brow_{s}"]] += np.einsum("tvkc,vk->tvc", shift, ride.weight)
             lift = inputs[f"ear_{s}"][:, None, None] * np.array([0.06 * side, 0.32, -0.05])
             vertices[:, self.slices[f"ear_{s}"]] += lift
+
+
+def _teeth_shift(inputs: Inputs, jaw: str) -> Array:
+    """How far (T, 1, 3) the teeth of one jaw are moved by their own controls, cm."""
+    return 0.25 * np.stack([inputs[f"teeth.{jaw}_{axis}"] for axis in "xyz"], -1)[:, None]
 
 
 def _gaze_matrix(pitch_degrees: Array, yaw_degrees: Array) -> Array:

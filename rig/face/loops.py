@@ -46,7 +46,7 @@ def angles(count: int) -> Array:
 
 def lip_line(u: Array, place: Anatomy) -> tuple[Array, Array]:
     """Height and depth of the closed mouth's line at u in -1 (right corner) .. 1 (left)."""
-    y = place.mouth_y + 0.07 * np.sin(np.pi * np.abs(u)) - 0.04 * np.exp(-((u / 0.26) ** 2))
+    y = place.mouth_y + 0.07 * np.sin(np.pi * u**2) - 0.03 * np.exp(-((u / 0.3) ** 2))
     return y + 0.09 * np.abs(u) ** 3, 9.7 - 1.45 * u**2
 
 

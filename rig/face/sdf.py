@@ -65,7 +65,7 @@ def _with_face(d: Array, p: Array, i: Identity) -> Array:
     corner = (4.1 * w * jaw, -6.0 - 0.4 * drop, 0.6)
     d = blend(d, capsule(p, corner, (1.5 * jaw, -9.6 - drop, 6.0), 0.95, 1.4), 2.4)
     chin = (0, -9.75 - drop, 7.05 + i.chin_forward_cm)
-    d = blend(d, ellipsoid(p, chin, (1.75 * i.chin_width, 1.4, 1.7)), 1.4)
+    d = blend(d, ellipsoid(p, chin, (2.1 * i.chin_width, 1.3, 1.65)), 1.5)
     cheek = (3.85 * w, -2.6, 5.05)
     d = blend(d, ellipsoid(p, cheek, (2.2 * i.cheek, 2.0 * i.cheek, 2.1 * i.cheek)), 2.0)
     size = 0.62 + 0.14 * i.brow_ridge
@@ -96,7 +96,7 @@ def _with_neck(d: Array, p: Array, i: Identity) -> Array:
     return blend(d, sternal, 1.2)
 
 
-def project(directions: Array, identity: Identity, samples: int = 110) -> Array:
+def project(directions: Array, identity: Identity, samples: int = 60) -> Array:
     """Outermost point of the skin along each direction (n, 3) from `CENTER`.
 
     Steep downward rays are bent: their origin slides down the neck's axis and they turn

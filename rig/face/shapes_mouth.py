@@ -18,9 +18,10 @@ def _share(p: LipPoints, side: str) -> Array:
 
 
 def _corner_pull(p: LipPoints) -> Triple:
-    dy = 0.82 * p.corner + (-0.04 * p.upper - 0.10 * p.lower) * p.bell
+    pull = (0.55 * p.u**2 + 0.45 * p.u**3) * p.rings(r0=1, r2=1, r5=0.80)
+    dy = 0.80 * pull + (-0.04 * p.upper - 0.08 * p.lower) * p.bell
     thin = p.rings(m1=0.0, r0=0.0, r2=-0.10, r4=-0.06, r5=0.0) * p.bell
-    return 0.66 * p.corner, dy + thin * (p.upper - p.lower), -0.52 * p.corner - 0.16 * p.bell
+    return 0.66 * pull, dy + thin * (p.upper - p.lower), -0.50 * pull - 0.16 * p.bell
 
 
 def _sharp_corner_pull(p: LipPoints) -> Triple:
@@ -54,23 +55,24 @@ def _lower_lip_depress(p: LipPoints) -> Triple:
 def _funnel(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        open_ = 0.40 * p.bell**0.7 * p.rings(m1=1, r0=1, r2=0.95, r4=0.30, r5=0.12)
-        out = 0.46 + 0.44 * p.bell
-        flare = p.rings(m1=0.72, r0=0.94, r2=1.08, r3=0.95, r5=0.46)
+        open_ = (0.24 if side == "U" else 0.40) * p.bell**0.7
+        open_ = open_ * p.rings(m1=1, r0=1, r2=0.95, r4=0.35, r6=0.08)
+        out = (0.40 + 0.36 * p.bell) if side == "U" else (0.44 + 0.42 * p.bell)
+        flare = p.rings(m1=0.74, r0=0.96, r2=1.02, r3=0.96, r5=0.64, r6=0.46)
         return -0.72 * p.u * m, -s * open_ * m, out * flare * m
 
-    return Shape(f"funnel{side}", lips)
+    return Shape(f"funnel{side}", lips, reach=6)
 
 
 def _purse(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        slit = 0.07 * p.bell * p.rings(m1=1, r0=1, r2=-0.4, r3=-0.3, r5=0)
-        out = 0.52 + 0.62 * p.bell
-        curl = p.rings(m1=0.80, r0=0.98, r1=1.12, r2=1.10, r3=0.92, r5=0.36)
+        slit = 0.03 * p.bell * p.rings(m1=1, r0=1, r2=-0.8, r3=-0.6, r5=0)
+        out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
+        curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.60, r6=0.42)
         return -1.28 * p.u * m, -s * slit * m, out * curl * m
 
-    return Shape(f"purse{side}", lips)
+    return Shape(f"purse{side}", lips, reach=6)
 
 
 def _roll(side: str, *, is_in: bool) -> Shape:
@@ -182,12 +184,12 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
     Shape(
         "cornerPull", _corner_pull,
         ((3.9, -2.9, 0.10, 0.40, 0.20), (2.7, -4.6, 0.30, 0.34, 0.26), (4.3, -5.6, 0.42, 0.34, 0.22)),
-        ((NASOLABIAL, 0.17, 0.30),),
+        ((NASOLABIAL, 0.26, 0.32),),
     ),
     Shape(
         "sharpCornerPull", _sharp_corner_pull,
         ((3.9, -2.9, 0.06, 0.30, 0.14), (2.7, -4.6, 0.18, 0.34, 0.22), (4.2, -5.8, 0.30, 0.30, 0.12)),
-        ((NASOLABIAL[:4], 0.20, 0.26),),
+        ((NASOLABIAL[:4], 0.26, 0.30),),
     ),
     Shape("stretch", _stretch, ((4.1, -7.0, 0.36, -0.05, 0.0), (3.0, -9.6, 0.12, -0.14, 0.0))),
     Shape("dimple", _dimple, ((4.0, -6.9, 0.20, 0.04, 0.12),),

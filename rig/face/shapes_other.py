@@ -47,7 +47,7 @@ def neck_shapes(maker: ShapeMaker) -> dict[str, Array]:
         cords = _near_line(skin, (2.6 * side, -11.5, 2.6), (2.9 * side, -15.6, 2.0), 0.5)
         cords = cords + _near_line(skin, (1.3 * side, -11.8, 3.2), (1.5 * side, -15.6, 3.0), 0.45)
         shapes[f"mastoid_{suffix}"] = 0.42 * mastoid[:, None] * normals * keep
-        shapes[f"neckStretch_{suffix}"] = 0.34 * cords[:, None] * normals * keep
+        shapes[f"neckStretch_{suffix}"] = 0.45 * cords[:, None] * normals * keep
     front = np.where(z > 0, 1.0, 0.0)
     lump = front * np.exp(-((skin.vertices[:, 0] / 1.1) ** 2 + ((y - _LARYNX_Y) / 1.3) ** 2))
     lump_above = front * np.exp(

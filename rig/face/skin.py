@@ -267,7 +267,7 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Array, Array]:
         np.array([0.16, 0.035, 0.04]))  # fmt: skip
     mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.75, 0.45, 0.12, 0]), base * [0.75, 0.5, 0.5])
     is_nostril = (kind == NOSTRIL_L) | (kind == NOSTRIL_R)
-    mix(is_nostril * np.interp(ring, [-3, -1, 0, 1, 2], [1, 0.9, 0.4, 0.12, 0]), base * 0.18)
+    mix(is_nostril * np.interp(ring, [-3, -1, 0, 1, 2], [1, 1, 0.55, 0.15, 0]), base * 0.09)
     gloss = np.full(len(v), 0.25)
     gloss[is_mouth] = np.interp(ring[is_mouth], [-9, -2, 0, 3, 5], [0.1, 0.5, 0.5, 0.42, 0.25])
     gloss[is_nostril & (ring < 1)] = 0.0

@@ -9,7 +9,7 @@ GUM = np.array([0.66, 0.33, 0.33])
 UPPER_WIDTHS = np.array([0.76, 0.60, 0.66, 0.60, 0.58, 0.74])
 LOWER_WIDTHS = np.array([0.50, 0.54, 0.60, 0.60, 0.62, 0.76])
 UPPER_HEIGHTS = np.array([0.50, 0.44, 0.49, 0.40, 0.38, 0.34])
-LOWER_HEIGHTS = np.array([0.42, 0.42, 0.45, 0.40, 0.38, 0.34])
+LOWER_HEIGHTS = np.array([0.42, 0.42, 0.43, 0.42, 0.41, 0.40])
 UPPER_BACK, LOWER_BACK = 0.58, 0.80
 """How far the middle of the front teeth lies behind the lips' rim, cm."""
 UPPER_EDGE, LOWER_EDGE = -0.22, -0.27
@@ -43,13 +43,12 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
     centers = (np.cumsum(widths) - widths / 2) / widths.sum() * 0.93
     parts = []
     for s, width, height in zip(centers, widths, heights, strict=True):
-        tooth = _tooth(width * 0.97, height, 0.2 + 0.32 * s)
+        tooth = _tooth(width * 1.02, height, 0.2 + 0.32 * s)
         x, z = arch_point(s, lip_z, is_upper=is_upper)
         x2, z2 = arch_point(s + 0.02, lip_z, is_upper=is_upper)
         yaw = np.arctan2(-(z2 - z), x2 - x)
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-        lift = 0.0 if s < 0.55 or is_upper else 0.04
-        place = np.array([x, edge + up * (height + lift), z])
+        place = np.array([x, edge + up * height, z])
         shade = np.interp(z, [5.0, 8.0], [0.45, 1.0])
         tooth = Mesh(tooth.vertices @ turn.T + place, tooth.faces, tooth.colors * shade, tooth.gloss)
         parts += [tooth, mirrored(tooth)]
@@ -92,6 +91,7 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Array]:
     y = height[:, None] + half_height[:, None] * np.sin(turn) + groove * np.clip(s * 4, 0, 1)[:, None]
     z = np.broadcast_to((lip_z - TONGUE_BACK - TONGUE_LENGTH * s)[:, None], y.shape)
     vertices = np.stack([half_width[:, None] * np.cos(turn), y, z], -1).reshape(-1, 3)
-    mesh = painted(vertices, grid_faces(TONGUE_ROWS, TONGUE_COLUMNS), [0.74, 0.38, 0.38], 0.55)
+    mesh = painted(vertices, grid_faces(TONGUE_ROWS, TONGUE_COLUMNS)[:, ::-1],
+                   np.array([0.74, 0.38, 0.38]), 0.55)
     colors = _darkened(mesh.colors, vertices)
     return Mesh(vertices, mesh.faces, colors, mesh.gloss), np.repeat(s, TONGUE_COLUMNS)

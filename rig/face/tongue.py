@@ -49,7 +49,7 @@ class Tongue:
         dx, dy = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
         x = self._axis[:, 0] + dx + 0.85 * get["left"] * front**0.8 + 0.75 * get["tipLeft"] * tip
         lift = 0.95 * get["up"] * body + 0.80 * get["press"] * body + 1.15 * get["tipUp"] * tip
-        lift = lift + 0.75 * get["bend"] * (tip - 0.35 * body) + 0.30 * get["out"] * front
+        lift = lift + 0.75 * get["bend"] * (tip - 0.35 * body) + 0.75 * get["out"] * front**0.6
         y = self._axis[:, 1] + dy + lift + 0.42 * get["roll"] * self._across**2 * front
         reach = 2.5 * get["out"] * front**0.9 - 1.3 * get["in"] * front
         reach = reach - 0.22 * get["tipUp"] * tip - 0.30 * get["bend"] * tip
