@@ -1,5 +1,6 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -60,6 +61,7 @@ def animate(
     intensity_curve: str | Path | IntensityCurve | None = None,
     idle: bool = True,
     seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Performance:
     """Animate a face from speech.
 
@@ -79,6 +81,8 @@ def animate(
         Add blinks and small motions of the gaze.
     seed : int
         Of the blinks.
+    progress : callable
+        Told the share of the network's work that is done, 0 to 1.
 
     Returns
     -------
@@ -101,7 +105,9 @@ def animate(
     shown = expression_gate(activity)
     times = frame_times(recording.n_frames)
     weights = track.at(times)
-    neutral, emotional, saliency, heard = _read(network, recording, weights, activity)
+    neutral, emotional, saliency, heard = _read(
+        network, recording, weights, activity, progress
+    )
     clock.lap("network")
     predicted = heard * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
@@ -129,7 +135,11 @@ def animate(
 
 
 def _read(
-    network: "DEITalk", recording: Recording, weights: Floats, activity: Floats
+    network: "DEITalk",
+    recording: Recording,
+    weights: Floats,
+    activity: Floats,
+    progress: Callable[[float], None],
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Neutral and emotional reading [shape=(T, C)], saliency and intensity [shape=(T,)]."""
     import torch
@@ -137,7 +147,7 @@ def _read(
     n_frames = recording.n_frames
     device = next(network.parameters()).device
     waveform = normalise_level(recording.waveform, activity=activity)
-    analysis = network.analyse(torch.from_numpy(waveform).to(device), n_frames)
+    analysis = network.analyse(torch.from_numpy(waveform), n_frames, progress)
     plain = torch.zeros(n_frames, weights.shape[1], device=device)
     plain[:, 0] = 1
     neutral = network.decode(analysis, plain).cpu().numpy()

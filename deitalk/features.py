@@ -73,7 +73,7 @@ class MelSpectrogram(nn.Module):
         half = self.length // 2
         start = int(centres[0]) - half
         stop = int(centres[-1]) + self.length
-        piece = waveform[:, max(start, 0) : max(stop, 0)]
+        piece = waveform[:, max(start, 0) : max(stop, 0)].to(self.window.device)
         piece = F.pad(piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0)))
         index = (centres - half - start).unsqueeze(1) + torch.arange(self.length)
         frames = piece[:, index.to(piece.device)] * self.window  # (B, L, window)

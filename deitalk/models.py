@@ -1,6 +1,6 @@
 """DEITalk's network: the stages of §3, wired in the order of Fig. 2."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import torch
@@ -131,7 +131,12 @@ class DEITalk(nn.Module):
         return speech + dynamic_positions(frames, total, speech.shape[-1])
 
     @torch.no_grad()
-    def analyse(self, waveform: Tensor, n_frames: int) -> Analysis:
+    def analyse(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Analysis:
         """Describe a whole clip in bounded memory.
 
         Parameters
@@ -139,8 +144,10 @@ class DEITalk(nn.Module):
         waveform : Tensor [shape=(S,)]
             16 kHz, level-normalised.
         n_frames : int
+        progress : callable
+            Told the share of the frontend's work that is done, 0 to 1.
         """
-        speech = self.frontend.encode(waveform, n_frames)
+        speech = self.frontend.encode(waveform, n_frames, progress=progress)
         if not self.config.intensity:
             return Analysis(speech, None, None, None)
         module = self.intensity

@@ -1,5 +1,6 @@
 """Two ways from waveform to speech features at 30 Hz, behind one interface."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 from torch import Tensor
@@ -15,8 +16,13 @@ class Frontend(Protocol):
     def __call__(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, output_size); row i is time i / 30 s."""
 
-    def encode(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Map a whole clip (S,) to (n_frames, output_size) in bounded memory, no gradient."""
+    def encode(
+        self, waveform: Tensor, n_frames: int, *, progress: Callable[[float], None] = ...
+    ) -> Tensor:
+        """Map a whole clip (S,) to (n_frames, output_size) in bounded memory, no gradient.
+
+        `progress` is told the share that is done, 0 to 1.
+        """
 
 
 def build_frontend(config: MelConfig | Wav2VecConfig, pretrained: bool = True) -> Frontend:

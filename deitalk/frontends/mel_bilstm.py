@@ -5,13 +5,15 @@ they run once per spectrum and windows are gathered afterwards; and with ``recur
 the Time-BiLSTM runs along the clip instead of once per window (some ten times less work).
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.nn.utils.parametrizations import weight_norm
 
 from deitalk.config import MelConfig
-from deitalk.features import RIG_RATE, MelSpectrogram, nearest_spectra
+from deitalk.features import SAMPLE_RATE, MelSpectrogram, nearest_spectra
 
 SEGMENT_FRAMES = 240
 """Rig frames the Time-BiLSTM runs over at once on a clip (8 s)."""
@@ -173,8 +175,17 @@ class MelFrontend(nn.Module):
         return self._frames(waveform, 0, n_frames)
 
     @torch.no_grad()
-    def encode(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow."""
+    def encode(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        *,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Tensor:
+        """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow.
+
+        `progress` is told the share that is done, 0 to 1.
+        """
         rows = []
         for start in range(0, n_frames, SEGMENT_FRAMES):
             stop = min(start + SEGMENT_FRAMES, n_frames)
@@ -182,6 +193,7 @@ class MelFrontend(nn.Module):
             last = min(stop + CONTEXT_FRAMES, n_frames)
             segment = self._frames(waveform.unsqueeze(0), first, last)
             rows.append(segment[0, start - first : stop - first])
+            progress(stop / n_frames)
         return torch.cat(rows)
 
     def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
@@ -218,7 +230,7 @@ class MelFrontend(nn.Module):
         return attended.view(batch, frames, -1)
 
     def _samples(self, spectra: int) -> int:
-        return round(spectra * 16_000 / self.config.frame_rate)
+        return round(spectra * SAMPLE_RATE / self.config.frame_rate)
 
 
 def _normalise_weights(module: nn.Module) -> None:
@@ -230,5 +242,3 @@ def _normalise_weights(module: nn.Module) -> None:
             for name in [name for name, _ in child.named_parameters() if name.startswith("weight")]:
                 weight_norm(child, name)
 
-
-assert RIG_RATE == 30

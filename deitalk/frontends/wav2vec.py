@@ -4,7 +4,7 @@ Legend: B batch, S samples at 16 kHz, K wav2vec features (50 Hz), T rig frames (
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
@@ -186,6 +186,7 @@ class Wav2VecFrontend(nn.Module):
         n_frames: int,
         chunk_seconds: float = 24.0,
         overlap_seconds: float = 2.0,
+        progress: Callable[[float], None] = lambda share: None,
     ) -> Tensor:
         """Describe a whole clip in chunks of bounded memory; call it in eval mode.
 
@@ -203,6 +204,8 @@ class Wav2VecFrontend(nn.Module):
             T.
         chunk_seconds, overlap_seconds : float
             A chunk is at least two overlaps long.
+        progress : callable
+            Told the share that is done, 0 to 1.
 
         Returns
         -------
@@ -229,6 +232,7 @@ class Wav2VecFrontend(nn.Module):
             rows[kept:done].lerp_(new[kept - start : done - start], fade)
             rows[done:stop] = new[done - start :]
             done = stop
+            progress(done / n_frames)
         return rows
 
     def _offset(self, waveform: Tensor) -> Tensor | float:

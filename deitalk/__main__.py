@@ -1,0 +1,5 @@
+"""``python -m deitalk``."""
+
+from deitalk.cli import main
+
+main()

@@ -1,0 +1,108 @@
+"""How fast and how large: stages, real-time factor, memory. ``deitalk benchmark``.
+
+Every number is measured in one run on this machine; the share of the clip's duration (RTF) says
+more than milliseconds. Memory is measured in a process of its own, because a peak never falls.
+"""
+
+import json
+import platform
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TABLE_4_SECONDS = 5.1
+"""Length of the clip of SDFA's Table 4 (there: audio, feature and animation 5.3 s at 60 fps)."""
+TABLE_4_MILLISECONDS = {"audio": 553.92, "audio feature": 4201.33, "animation feature": 545.04}
+"""Published for SDFA on an i7-8700K; other machine, other output, so no ratio is printed."""
+
+
+def speechlike(seconds: float, seed: int = 0) -> NDArray[np.float32]:
+    """Noise with the spectrum and the rhythm of speech: syllables at 4 Hz, pauses."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds * 16_000)
+    times = np.arange(n) / 16_000
+    tone = np.sin(2 * np.pi * np.cumsum(120 + 20 * np.sin(2 * np.pi * 0.7 * times)) / 16_000)
+    noise = rng.standard_normal(n).astype(np.float32)
+    rhythm = np.maximum(np.sin(2 * np.pi * 4 * times), 0) * (np.sin(2 * np.pi * 0.23 * times) > -0.8)
+    mixed: NDArray[np.float32] = (0.1 * rhythm * (tone + 0.2 * noise)).astype(np.float32)
+    return mixed
+
+
+def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str, Any]:
+    """Stages of animating one clip, the best of several runs, after imports and loading.
+
+    Returns
+    -------
+    dict
+        Seconds of every stage, their sum, and RTF (sum over the clip's seconds); wall and CPU.
+    """
+    import torch
+
+    from deitalk.animate import animate
+    from deitalk.audio import Recording
+    from deitalk.checkpoint import load_model
+
+    torch.set_num_threads(threads)
+    network = load_model(model)
+    recording = Recording(speechlike(seconds), "speechlike noise", 16_000, 1, 0.0, ())
+    animate(recording, "happy", model=network)
+    runs = []
+    for _ in range(repeats):
+        wall, cpu = time.perf_counter(), time.process_time()
+        performance = animate(recording, "happy", model=network)
+        runs.append(
+            {
+                "wall_seconds": time.perf_counter() - wall,
+                "cpu_seconds": time.process_time() - cpu,
+                "stages": performance.timings,
+            }
+        )
+    best = min(runs, key=lambda run: run["cpu_seconds"])
+    return {
+        "clip_seconds": seconds,
+        "threads": threads,
+        **best,
+        "rtf_cpu": best["cpu_seconds"] / seconds,
+        "rtf_wall": best["wall_seconds"] / seconds,
+    }
+
+
+def peak_memory(model: str, seconds: float) -> dict[str, float]:
+    """Peak memory of a process that animates one long clip, in MB, and its seconds."""
+    script = (
+        "import json, resource, sys, time\n"
+        "from deitalk.benchmark import speechlike\n"
+        "from deitalk.animate import animate\n"
+        "from deitalk.audio import Recording\n"
+        "from deitalk.checkpoint import load_model\n"
+        "network = load_model(sys.argv[1])\n"
+        "recording = Recording(speechlike(float(sys.argv[2])), 'noise', 16000, 1, 0.0, ())\n"
+        "began = time.perf_counter()\n"
+        "animate(recording, 'happy', model=network)\n"
+        "print(json.dumps({'megabytes': resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,"
+        " 'wall_seconds': time.perf_counter() - began}))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, model, str(seconds)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    result: dict[str, float] = json.loads(done.stdout)
+    return {"clip_seconds": seconds, **result}
+
+
+def machine() -> dict[str, str]:
+    """What this was measured on."""
+    import torch
+
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "processor": platform.processor() or platform.machine(),
+        "system": platform.system(),
+    }

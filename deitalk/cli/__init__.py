@@ -1,0 +1,68 @@
+"""The command line: one thin function per verb; heavy imports happen inside them."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from deitalk import __version__
+from deitalk.cli.animate import animate
+from deitalk.cli.benchmark import benchmark
+from deitalk.cli.controls import controls
+from deitalk.cli.corpus import app as corpus_app
+from deitalk.cli.evaluate import evaluate
+from deitalk.cli.model import app as model_app
+from deitalk.cli.retarget import retarget
+from deitalk.cli.train import train
+from deitalk.errors import DeitalkError
+from rig.errors import RigError
+
+app = typer.Typer(
+    name="deitalk",
+    help="Speech in, an acted MetaHuman face out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(animate)
+app.command()(controls)
+app.command()(retarget)
+app.command()(train)
+app.command()(evaluate)
+app.command()(benchmark)
+app.add_typer(corpus_app, name="corpus")
+app.add_typer(model_app, name="model")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Speech in, an acted MetaHuman face out."""
+
+
+def main() -> None:
+    """Run a command; what a user can mend is one line on stderr and exit code 1."""
+    try:
+        app()
+    except (DeitalkError, RigError) as error:
+        _fail(str(error))
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of a pipe has left; nothing to say
+        sys.exit(1)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
+
+
+def _fail(message: str) -> None:
+    typer.secho(f"deitalk: {message}", fg="red", err=True)
+    sys.exit(1)

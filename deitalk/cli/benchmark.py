@@ -1,0 +1,60 @@
+"""`deitalk benchmark`: stages, real-time factor, memory."""
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from deitalk.cli.words import bar
+
+
+def benchmark(
+    model: Annotated[str, typer.Option(help="default, compact, or a model folder.")] = "default",
+    seconds: Annotated[float, typer.Option(min=0.1, help="Length of the clip.")] = 30.0,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 1,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs; the best counts.")] = 3,
+    memory: Annotated[
+        bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Measure speed and memory on this machine."""
+    from deitalk import benchmark as measures
+
+    lengths = (60.0, 600.0, 3600.0) if memory else ()
+    result: dict[str, Any] = {"model": model}
+    with bar("measuring") as progress:
+        total = 2 + len(lengths)
+        result["machine"] = measures.machine()
+        result["clip"] = measures.measure(model, seconds, threads, repeats)
+        progress(1 / total)
+        result["table_4_clip"] = measures.measure(
+            model, measures.TABLE_4_SECONDS, threads, repeats
+        )
+        progress(2 / total)
+        result["memory"] = []
+        for i, length in enumerate(lengths):
+            result["memory"].append(measures.peak_memory(model, length))
+            progress((3 + i) / total)
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for name in ("clip", "table_4_clip"):
+        _print_clip(result[name])
+    typer.echo(
+        "SDFA Table 4 prints for its 5.1 s clip, on an i7-8700K, milliseconds: "
+        + ", ".join(f"{k} {v:g}" for k, v in measures.TABLE_4_MILLISECONDS.items())
+    )
+    for row in result["memory"]:
+        typer.echo(
+            f"{row['clip_seconds']:g} s of audio: peak {row['megabytes']:.0f} MB, "
+            f"{row['wall_seconds']:.1f} s"
+        )
+
+
+def _print_clip(clip: dict[str, Any]) -> None:
+    stages = ", ".join(f"{name} {1000 * lap:.0f}" for name, lap in clip["stages"].items())
+    typer.echo(
+        f"{clip['clip_seconds']:g} s clip, {clip['threads']} thread(s): "
+        f"RTF {clip['rtf_cpu']:.4f} CPU, {clip['rtf_wall']:.4f} wall; stages in ms: {stages}"
+    )

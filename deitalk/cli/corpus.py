@@ -1,0 +1,71 @@
+"""`deitalk corpus`: make a dataset of labelled speech and acted faces."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import bar, words
+from deitalk.errors import DataError
+
+app = typer.Typer(help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Make a dataset of labelled speech and acted faces."""
+
+
+@app.command()
+def build(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder; resumed if begun.")],
+    hours: Annotated[float, typer.Option(min=0, help="Hours of synthetic speech.")] = 1.0,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder of real speech with transcripts (LibriSpeech layout, tables, "
+                     "or clips.csv); may be given several times."),
+    ] = None,
+    alignments: Annotated[
+        Path | None, typer.Option(help="Folder that keeps phone times between builds.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of voices, words, prosody and emotions.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+) -> None:
+    """Synthesise speech, align recordings, act both, and write a dataset folder.
+
+    Examples
+    --------
+    deitalk corpus build --hours 1 -o corpus/
+
+    deitalk corpus build --hours 4 --recordings LibriSpeech/dev-clean -o corpus/
+    """
+    from deitalk.corpus import build as building
+    from deitalk.corpus.engines import available_engines
+    from deitalk.corpus.recordings import recordings as list_recordings
+
+    engines = []
+    for name, reason in available_engines().items():
+        if reason is None:
+            engines.append(name)
+        elif hours > 0:
+            words().print(f"without {name}: {reason}")
+    found = [recording for folder in recordings or () for recording in list_recordings(folder)]
+    if not found and (hours <= 0 or not engines):
+        raise DataError(
+            "nothing to build from: no speech engine is installed and no recordings are given; "
+            "install espeak-ng (apt-get install espeak-ng) or name --recordings"
+        )
+    shards = building.recorded_shards(found, seed, alignments)
+    if hours > 0:
+        shards += building.synthetic_shards(hours, seed, engines)
+    done = 0
+    with bar("building") as progress:
+
+        def advance(seconds: float) -> None:
+            nonlocal done
+            done += 1
+            progress(done / len(shards))
+
+        frame = building.build(out, shards, workers=workers, progress=advance)
+    counts = frame.groupby("split").size().to_dict()
+    words().print(f"{out}: {len(frame)} clips ({', '.join(f'{v} {k}' for k, v in counts.items())})")

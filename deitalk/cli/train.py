@@ -1,0 +1,49 @@
+"""`deitalk train`: fit a model to a dataset folder."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import bar, words
+
+
+def train(
+    config: Annotated[Path, typer.Argument(help="YAML configuration, such as configs/mel.yaml.")],
+    data: Annotated[Path, typer.Option(help="Dataset folder.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run folder.")] = False,
+    start_from: Annotated[
+        str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
+    ] = None,
+) -> None:
+    """Train a model; the best weights by development score are in OUT/best.
+
+    Examples
+    --------
+    deitalk train configs/mel.yaml --data corpus/ -o runs/mel
+
+    deitalk train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
+    """
+    from deitalk.config import load_config
+
+    settings = load_config(config, overrides or ())
+    with words().status("loading"):
+        from deitalk.checkpoint import model_folder
+        from deitalk.train import train as fit
+
+        start = None if start_from is None else model_folder(start_from)
+    with bar("training") as progress:
+        best = fit(
+            settings,
+            data,
+            out,
+            resume=resume,
+            start_from=start,
+            progress=lambda step, total, values: progress(step / total),
+        )
+    scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
+    words().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
