@@ -15,8 +15,10 @@ from rig.formats import (
     curves_npz,
     emoface_txt,
     livelink_csv,
+    rhubarb,
     rigmapper_csv,
     unreal_json,
+    viseme_json,
 )
 from rig.raw import RAW_ID
 
@@ -138,6 +140,37 @@ FORMATS: tuple[Format, ...] = (
         "raw curves and board keys for the script inside Unreal",
         write=unreal_json.write,
         control_set=DEFAULT_ID,
+    ),
+    Format(
+        "visemes",
+        (".visemes.json",),
+        "weights of the 15 Oculus visemes",
+        write=viseme_json.write,
+        control_set=DEFAULT_ID,
+    ),
+    Format(
+        "rhubarb-json",
+        (".rhubarb.json",),
+        "Rhubarb mouth cues A to H and X",
+        rhubarb.read_json_cues,
+        rhubarb.write_json,
+        DEFAULT_ID,
+    ),
+    Format(
+        "rhubarb-tsv",
+        (".tsv",),
+        "Rhubarb mouth cues, tab separated",
+        rhubarb.read_tsv,
+        rhubarb.write_tsv,
+        DEFAULT_ID,
+    ),
+    Format(
+        "rhubarb-xml",
+        (".xml",),
+        "Rhubarb mouth cues, XML",
+        rhubarb.read_xml,
+        rhubarb.write_xml,
+        DEFAULT_ID,
     ),
 )
 
