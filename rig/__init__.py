@@ -1,9 +1,12 @@
 """What a face is: controls, curves, formats, meshes. No torch, no audio, no HTTP."""
 
-from rig.controls import Control, ControlSet, default_controls
-from rig.curves import EMOTIONS, RigCurves, concatenate, frames_to_time, rest_curves
-from rig.edit import ClampReport, clamp, gain, smooth
-from rig.formats import WriteReport, read_curves, write_curves
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.controls import Control, ControlSet, default_controls
+    from rig.curves import EMOTIONS, RigCurves, concatenate, frames_to_time, rest_curves
+    from rig.edit import ClampReport, clamp, gain, smooth
+    from rig.formats import WriteReport, read_curves, write_curves
 
 __all__ = [
     "EMOTIONS",
@@ -22,3 +25,20 @@ __all__ = [
     "smooth",
     "write_curves",
 ]
+
+_HOMES = {
+    "controls": ("Control", "ControlSet", "default_controls"),
+    "curves": ("EMOTIONS", "RigCurves", "concatenate", "frames_to_time", "rest_curves"),
+    "edit": ("ClampReport", "clamp", "gain", "smooth"),
+    "formats": ("WriteReport", "read_curves", "write_curves"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use: a command line starts without pandas and scipy."""
+    for home, names in _HOMES.items():
+        if name in names:
+            from importlib import import_module
+
+            return getattr(import_module(f"rig.{home}"), name)
+    raise AttributeError(f"module 'rig' has no attribute {name!r}")

@@ -4,22 +4,27 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from time import monotonic
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.console import Console
 
 PATIENCE_SECONDS = 1.0
 
 
 @cache
-def words() -> Console:
+def words() -> "Console":
     """The console of stderr."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[float], None]]:
     """Yield a function that is told the share done, 0 to 1; the bar shows up after a second."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     began = monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=words(), transient=True) as progress:
