@@ -193,7 +193,9 @@ CASES = [(f"CTRL_L_{stem}", *rest) for stem, rest in SIDED.items()] + [
 
 
 @pytest.mark.parametrize(("name", "landmark", "axis", "plus", "minus"), CASES)
-def test_control_moves_its_landmark_the_right_way(head, landmarks, name, landmark, axis, plus, minus):
+def test_control_moves_its_landmark_the_right_way(
+    head, landmarks, name, landmark, axis, plus, minus
+):
     base = {k: v for k, v in OPEN.items() if not name.startswith("CTRL_C_jaw")}
     at = landmarks[landmark]
     end = 0.5 if "swallow" in name else 1.0

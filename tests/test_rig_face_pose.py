@@ -64,7 +64,9 @@ def test_lips_never_pass_through_each_other(head):
     assert gaps[..., 1].max() < 1e-3
 
 
-@pytest.mark.parametrize("number", [0, pytest.param(3, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number", [0, pytest.param(3, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)]
+)
 def test_no_lid_enters_its_eyeball(number):
     head = build_head(number)
     skin = skin_of(head, head.pose(np.concatenate([SHEET, random_values(60, 3)])))
@@ -130,7 +132,9 @@ def test_no_tooth_pokes_through_skin_or_lips(head):
 def test_front_teeth_stay_inside_for_the_mouth_sheet(head):
     faces = outer_surface(head)
     for pose in head.pose(SHEET[1:9]):
-        points = np.concatenate([pose[head.slices[k]][::97] for k in ("teeth_upper", "teeth_lower")])
+        points = np.concatenate(
+            [pose[head.slices[k]][::97] for k in ("teeth_upper", "teeth_lower")]
+        )
         points = points[points[:, 2] > 7.5].astype(float)
         assert winding_number(points, skin_of(head, pose).astype(float), faces).min() > 0.5
 

@@ -48,7 +48,9 @@ _SIDED: dict[str, tuple[tuple[Effect, ...], tuple[Effect, ...]]] = {
     "mouth_pressU.ty": ((("pressU_", 1), ("seal.upper_", 1)), ()),
     "mouth_pressD.ty": ((("pressD_", 1), ("seal.lower_", 1)), ()),
     "mouth_lipsPressU.ty": (
-        (("pressU_", 0.8), ("pressD_", 0.8), ("seal.upper_", 1), ("seal.lower_", 1)), ()),
+        (("pressU_", 0.8), ("pressD_", 0.8), ("seal.upper_", 1), ("seal.lower_", 1)),
+        (),
+    ),
     "mouth_purseU.ty": ((("purseU_", 1),), ()),
     "mouth_purseD.ty": ((("purseD_", 1),), ()),
     "mouth_towardsU.ty": ((("towardsU_", 1),), ()),

@@ -80,5 +80,10 @@ def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Index, Arra
     top = root + [0, 0.075, 0.015]
     rows = np.stack([root - [0, 0.01, 0], mid, tip, top], 1)
     faces = grid_faces(len(upper), 4)
-    mesh = painted(rows.reshape(-1, 3), faces[:, ::-1] if side > 0 else faces, np.array(identity.hair) * 0.5, 0.1)
+    mesh = painted(
+        rows.reshape(-1, 3),
+        faces[:, ::-1] if side > 0 else faces,
+        np.array(identity.hair) * 0.5,
+        0.1,
+    )
     return mesh, np.repeat(upper, 4), np.repeat(along, 4)

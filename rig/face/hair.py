@@ -32,7 +32,7 @@ def hair(identity: Identity) -> Mesh:
     thick = _thickness(rise[:, None], turn[None], elevation, identity)
     shell = on_skin + thick[..., None] * direction
     hem = on_skin[0] - 0.25 * direction[0]
-    rows = [hem[None], *_hanging(shell, turn, identity), shell]
+    rows = [hem[None], *_hanging(shell, hem, turn, identity), shell]
     vertices = np.concatenate(rows)
     faces = grid_faces(len(vertices), _COLUMNS)[:, ::-1]
     flat = vertices.reshape(-1, 3)
@@ -57,7 +57,9 @@ def _thickness(rise: Array, turn: Array, elevation: Array, identity: Identity) -
     """Height of the hair over the skin, cm: quick at the edge, full at the crown."""
     volume = identity.hair_volume_cm
     base = 0.12 + volume * smoothstep(rise * 3.2) * (0.75 + 0.35 * np.sin(elevation))
-    quiff = 0.55 * volume * np.exp(-((rise - 0.28) / 0.22) ** 2) * np.maximum(np.cos(turn), 0) ** 2
+    quiff = (
+        0.55 * volume * np.exp(-(((rise - 0.28) / 0.22) ** 2)) * np.maximum(np.cos(turn), 0) ** 2
+    )
     parting = identity.hair_parting
     if parting:
         side = np.sign(parting) * np.sin(turn) * np.cos(elevation)
@@ -69,7 +71,7 @@ def _thickness(rise: Array, turn: Array, elevation: Array, identity: Identity) -
     return np.asarray(base + quiff + locks * (1 - smoothstep((rise - 0.75) * 4)))
 
 
-def _hanging(shell: Array, turn: Array, identity: Identity) -> list[Array]:
+def _hanging(shell: Array, hem: Array, turn: Array, identity: Identity) -> list[Array]:
     """Rows of hair below the edge at the sides and the back (nothing for short hair)."""
     if not identity.hair_length_cm:
         return []
@@ -77,6 +79,7 @@ def _hanging(shell: Array, turn: Array, identity: Identity) -> list[Array]:
     reach = identity.hair_length_cm * smoothstep((around - np.radians(52)) / np.radians(14))
     floor = _AXIS[1] - 4.6 - reach
     rows = []
+    hangs = (reach > 0)[:, None]
     start = shell[2]
     drop = np.minimum(floor - start[:, 1], 0) * (reach > 0)
     outward = np.stack([np.sin(turn), 0 * turn, np.cos(turn)], -1)
@@ -84,8 +87,8 @@ def _hanging(shell: Array, turn: Array, identity: Identity) -> list[Array]:
         row = start + k * drop[:, None] * [0, 1, 0]
         swell = 0.9 * np.sin(np.pi * k) + 0.35 * k
         row = row + (swell * reach / identity.hair_length_cm)[:, None] * outward
-        rows.append(row)
-    inner = rows[0] - 0.6 * (reach > 0)[:, None] * outward
+        rows.append(np.where(hangs, row, shell[0]))
+    inner = np.where(hangs, rows[0] - 0.6 * outward, hem)
     return [np.stack([inner, *rows])]
 
 
@@ -108,7 +111,9 @@ def brow(identity: Identity, mirror: int = 1) -> tuple[Mesh, Index]:
     grid = np.stack(vertices)
     flat = grid.reshape(-1, 3) * [mirror, 1, 1]
     faces = grid_faces(around, columns, closed=False)
-    mesh = painted(flat, faces if mirror > 0 else faces[:, ::-1], np.array(identity.hair) * 0.8, 0.05)
+    mesh = painted(
+        flat, faces if mirror > 0 else faces[:, ::-1], np.array(identity.hair) * 0.8, 0.05
+    )
     place = np.tile(s, around)
     blend = np.clip(np.minimum(place * 7 + 0.35, 1), 0, 1)[:, None]
     colors = mesh.colors * blend + np.array(identity.skin) * 0.8 * (1 - blend)

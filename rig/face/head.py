@@ -95,8 +95,10 @@ class Head:
         self._eye_rest = eye.vertices
         parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss)}
         for name, side in (("eye_L", 1), ("eye_R", -1)):
-            turned = eye.vertices @ _gaze_matrix(
-                np.array([0.0]), np.array([-side * CONVERGENCE_DEGREES]))[0].T
+            turned = (
+                eye.vertices
+                @ _gaze_matrix(np.array([0.0]), np.array([-side * CONVERGENCE_DEGREES]))[0].T
+            )
             parts[name] = Mesh(turned + place.eye * [side, 1, 1], eye.faces, eye.colors, eye.gloss)
         self._lash_root, self._lash_along = {}, {}
         for s, kind in (("L", EYE_L), ("R", EYE_R)):
@@ -164,7 +166,8 @@ class Head:
     def _pose(self, frames: Array) -> NDArray[np.float32]:
         inputs = bindings()(frames)
         inputs["larynxUp"] = inputs["larynxUp"] + np.interp(
-            inputs["swallow"], [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0.4, 1, 1, 0.4, 0])
+            inputs["swallow"], [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0.4, 1, 1, 0.4, 0]
+        )
         vertices = np.repeat(self.mesh.vertices[None], len(frames), 0)
         skin = vertices[:, self.slices["skin"]]
         weights = np.stack([inputs[name] for name in self._names], 1).astype(np.float32)

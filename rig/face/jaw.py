@@ -33,7 +33,9 @@ class Jaw:
         chin = filler & (np.hypot(v[:, 0], v[:, 1] - chin_y) < 1.7) & (v[:, 2] > 4.8)
         x, y, z = np.abs(v[:, 0]), v[:, 1], v[:, 2]
         skull = maker.still | (skin.kind >= EYE_L)
-        skull |= filler & (((y > -5.3) & (x < 3.2) & (z > 4)) | (y > -2.6) | ((y < -10) & (z < 2.6)))
+        skull |= filler & (
+            ((y > -5.3) & (x < 3.2) & (z > 4)) | (y > -2.6) | ((y < -10) & (z < 2.6))
+        )
         t = maker.lip_points(lips)
         skull &= ~chin & ~lips
         fixed = chin | skull | lips

@@ -88,7 +88,9 @@ def _lid_shares(inputs: Inputs, name: str) -> tuple[Array, Array]:
     get = {k: inputs[f"lid.{k}_{name}"] for k in ("close", "upper", "lower", "lookDown", "lookUp")}
     blink = np.clip(get["close"], 0, 1)
     open_ = 1 - blink
-    upper = blink + open_ * (0.85 * np.clip(get["upper"], 0, 1) + 0.42 * np.clip(get["lookDown"], 0, 1))
+    upper = blink + open_ * (
+        0.85 * np.clip(get["upper"], 0, 1) + 0.42 * np.clip(get["lookDown"], 0, 1)
+    )
     lower = open_ * np.clip(get["lower"], 0, 1) * 0.8 + blink * _MEET
     return upper[:, None], lower[:, None]
 

@@ -29,7 +29,7 @@ def side_shapes(maker: ShapeMaker) -> dict[str, Array]:
 
 def _near_line(skin: Skin, a: tuple[float, ...], b: tuple[float, ...], width: float) -> Array:
     """1 on the segment a-b (left half, mirrored), falling to 0 over `width` cm."""
-    p = skin.vertices * [1, 1, 1]
+    p = skin.vertices
     start, axis = np.array(a), np.array(b) - np.array(a)
     h = np.clip(((p - start) @ axis) / (axis @ axis), 0, 1)
     distance = np.linalg.norm(p - start - h[:, None] * axis, axis=1)
@@ -44,8 +44,9 @@ def neck_shapes(maker: ShapeMaker) -> dict[str, Array]:
     shapes = {}
     for suffix, side in (("L", 1), ("R", -1)):
         mastoid = _near_line(skin, (4.9 * side, -7.5, -2.0), (1.3 * side, -15.6, 2.0), 0.8)
-        cords = _near_line(skin, (2.6 * side, -11.5, 2.6), (2.9 * side, -15.6, 2.0), 0.5)
-        cords = cords + _near_line(skin, (1.3 * side, -11.8, 3.2), (1.5 * side, -15.6, 3.0), 0.45)
+        x = skin.vertices[:, 0] * side
+        cords = np.exp(-(((x - 1.4) / 0.45) ** 2)) + np.exp(-(((x - 3.0) / 0.5) ** 2))
+        cords = cords * (z > -1) * smoothstep((-11.3 - y) / 1.2)
         shapes[f"mastoid_{suffix}"] = 0.42 * mastoid[:, None] * normals * keep
         shapes[f"neckStretch_{suffix}"] = 0.45 * cords[:, None] * normals * keep
     front = np.where(z > 0, 1.0, 0.0)

@@ -50,7 +50,9 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
         place = np.array([x, edge + up * height, z])
         shade = np.interp(z, [5.0, 8.0], [0.45, 1.0])
-        tooth = Mesh(tooth.vertices @ turn.T + place, tooth.faces, tooth.colors * shade, tooth.gloss)
+        tooth = Mesh(
+            tooth.vertices @ turn.T + place, tooth.faces, tooth.colors * shade, tooth.gloss
+        )
         parts += [tooth, mirrored(tooth)]
     parts.append(_gum(edge + up * 0.98, lip_z, is_upper=is_upper))
     return join(parts)
@@ -88,10 +90,18 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Array]:
     half_height = 0.02 + 0.30 * tip + 0.34 * s
     height = mouth_y - 0.86 + 0.42 * np.sin(np.pi * np.clip(s * 1.05, 0, 1)) - 0.5 * s**2
     groove = -0.10 * np.exp(-((np.cos(turn) / 0.22) ** 2)) * (np.sin(turn) > 0)
-    y = height[:, None] + half_height[:, None] * np.sin(turn) + groove * np.clip(s * 4, 0, 1)[:, None]
+    y = (
+        height[:, None]
+        + half_height[:, None] * np.sin(turn)
+        + groove * np.clip(s * 4, 0, 1)[:, None]
+    )
     z = np.broadcast_to((lip_z - TONGUE_BACK - TONGUE_LENGTH * s)[:, None], y.shape)
     vertices = np.stack([half_width[:, None] * np.cos(turn), y, z], -1).reshape(-1, 3)
-    mesh = painted(vertices, grid_faces(TONGUE_ROWS, TONGUE_COLUMNS)[:, ::-1],
-                   np.array([0.74, 0.38, 0.38]), 0.55)
+    mesh = painted(
+        vertices,
+        grid_faces(TONGUE_ROWS, TONGUE_COLUMNS)[:, ::-1],
+        np.array([0.74, 0.38, 0.38]),
+        0.55,
+    )
     colors = _darkened(mesh.colors, vertices)
     return Mesh(vertices, mesh.faces, colors, mesh.gloss), np.repeat(s, TONGUE_COLUMNS)

@@ -97,9 +97,7 @@ def _midline(rows: Array, features: list[tuple[int, Array]]) -> Array:
     chosen: list[Array] = []
     for point, radius in zip(ring, gap * ((distance > 0.6 * gap) & ~_in_a_feature(ring, features)),
                              strict=True):  # fmt: skip
-        is_free = radius > 0 and (
-            not chosen or np.linalg.norm(point - chosen[-1]) > radius
-        )
+        is_free = radius > 0 and (not chosen or np.linalg.norm(point - chosen[-1]) > radius)
         if is_free and (len(chosen) < 3 or np.linalg.norm(point - chosen[0]) > 0.6 * radius):
             chosen.append(point)
     return np.array(chosen)
@@ -277,5 +275,7 @@ def directions_for(identity: Identity) -> Array:
     shift[:n_rows] = rows - topology.directions[:n_rows]
     free = ~fixed
     matrix = laplacian.tocsr()
-    shift[free] = splu(matrix[free][:, free].tocsc()).solve(-(matrix[free][:, fixed] @ shift[fixed]))
+    shift[free] = splu(matrix[free][:, free].tocsc()).solve(
+        -(matrix[free][:, fixed] @ shift[fixed])
+    )
     return unit(topology.directions + shift)

@@ -21,9 +21,7 @@ BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
 GAMMA = 2.2
 
 
-def shade(
-    albedo: Array, normals: Array, to_eye: Array, gloss: Array, is_front: Array
-) -> Array:
+def shade(albedo: Array, normals: Array, to_eye: Array, gloss: Array, is_front: Array) -> Array:
     """Colour (n, 3) sRGB of surface points from their sRGB albedo, normal, view and gloss.
 
     Where `is_front` is false the inside of a surface is seen; it gets little light.

@@ -14,9 +14,7 @@ from rig.face.render.shading import background, shade
 class SoftwareRenderer:
     """Draws one mesh's poses; `supersample` squared samples a pixel."""
 
-    def __init__(
-        self, mesh: Mesh, size: tuple[int, int], view: View, supersample: int = 2
-    ) -> None:
+    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View, supersample: int = 2) -> None:
         self.mesh, self.size, self.view, self.supersample = mesh, size, view, supersample
 
     def draw(self, vertices: Array, normals: Array) -> Array:

@@ -1,0 +1,83 @@
+"""`deitalk face`: the embedded head in pictures."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import words
+from deitalk.errors import DeitalkError
+
+app = typer.Typer(help="The embedded head: contact sheets and who it can be.", no_args_is_help=True)
+
+
+@app.command()
+def sheet(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="mouth, mouth-side, emotions, views, or a region: brow, eye, nose, "
+            "cheek, lips, jaw, tongue, teeth, neck, ear."
+        ),
+    ] = "mouth",
+    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")] = Path(
+        "sheet.png"
+    ),
+    identity: Annotated[
+        str, typer.Option(help="Number or name; see `deitalk face identities`.")
+    ] = "0",
+    columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row; 0 chooses.")] = 4,
+    tile: Annotated[int, typer.Option(min=64, max=2048, help="Height of a tile, pixels.")] = 340,
+    backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Draw a contact sheet of the head.
+
+    Examples
+    --------
+    deitalk face sheet mouth -o mouth.png
+
+    deitalk face sheet emotions --identity Dana --columns 5 -o dana.png
+    """
+    from rig.face import build_head
+    from rig.face.render.png import write_png
+    from rig.face.sheet import draw_sheet, sheet_tiles
+
+    if out.suffix.lower() != ".png":
+        raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
+    if out.exists() and not force:
+        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    tiles = sheet_tiles(name)
+    head = build_head(int(identity) if identity.lstrip("-").isdigit() else identity)
+    picture = draw_sheet(
+        head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
+        backend=backend,  # type: ignore[arg-type]
+    )  # fmt: skip
+    write_png(out, picture)
+    words().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
+
+
+@app.command()
+def identities(
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Also draw everyone into this PNG file.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """List the heads that can be built, and draw them.
+
+    Examples
+    --------
+    deitalk face identities -o people.png
+    """
+    from rig.face import IDENTITIES
+    from rig.face.render.png import write_png
+    from rig.face.sheet import draw_people
+
+    for number, person in enumerate(IDENTITIES):
+        typer.echo(f"{number}\t{person.name}")
+    if out is not None:
+        if out.exists() and not force:
+            raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+        write_png(out, draw_people())
+        words().print(f"{out}: {len(IDENTITIES)} heads")
