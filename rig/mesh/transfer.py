@@ -37,6 +37,8 @@ _ON_SKIN = 0.05
 """A loose part this near the skin (brow, lash) moves with it; one further in (eye) is rigid."""
 _NEAR_PART = 0.1
 """A loose part this near a loose part of the source (eye to eye) takes its motion."""
+_RIGID = 0.1
+"""A part that departs this far, of its motion, from the best rigid one bends: a tongue."""
 _REGION = 0.3
 _FITS = 300
 _SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
@@ -185,29 +187,40 @@ def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats
 def _settle_parts(registration: Registration, mapped: Floats, result: Floats) -> Floats:
     """Make loose parts of the target (eyes, teeth) move as one piece.
 
-    A part on the skin (brow, lash) keeps what it has; a part near a loose part of the source takes
-    its rigid motion; any other stays still: an eyeball must not follow the lids.
+    A part nearest to a loose part of the source takes its motion, rigid if that is; a part on the
+    skin (brow, lash) keeps what it has; any other stays still: an eyeball must not follow the lids.
     """
     labels = components(registration.target)
     if labels.max() == 0:
         return result
     skin, inner = _searches(registration)
+    source_labels = components(registration.source)
     for label in range(1, int(labels.max()) + 1):
         part = np.flatnonzero(labels == label)
         rest = registration.target.vertices[part]
-        if np.median(skin.query(rest).distances) < _ON_SKIN * registration.eyes:
+        to_skin = np.median(skin.query(rest).distances)
+        points = None if inner is None else inner.query(rest)
+        to_inner = np.inf if points is None else np.median(points.distances)
+        if to_skin < min(to_inner, _ON_SKIN * registration.eyes):
             continue
         result[:, part] = 0.0
-        if inner is None:
+        if inner is None or points is None or to_inner > _NEAR_PART * registration.eyes:
             continue
-        points = inner.query(rest)
-        if np.median(points.distances) > _NEAR_PART * registration.eyes:
-            continue
+        # Upper and lower teeth touch: only the part that most points lie on may lead.
+        owners = source_labels[inner.mesh.faces[:, 0]]
+        leader = inner.mesh.faces[owners == np.bincount(owners[points.triangles]).argmax()]
+        points = ClosestPoints(TriMesh(registration.placed, leader)).query(rest)
         for k, delta in enumerate(mapped):
-            moved = rest + points.interpolate(inner.mesh.faces, delta)
-            turn, shift = rigid_motion(rest, moved)
-            result[k, part] = rest @ turn.T + shift - rest
+            result[k, part] = _as_one_piece(rest, points.interpolate(leader, delta))
     return result
+
+
+def _as_one_piece(rest: Floats, delta: Floats) -> Floats:
+    """The rigid motion nearest to a displacement; itself where it plainly bends."""
+    turn, shift = rigid_motion(rest, rest + delta)
+    rigid = rest @ turn.T + shift - rest
+    misfit = np.linalg.norm(delta - rigid, axis=1).max()
+    return rigid if misfit < _RIGID * np.linalg.norm(delta, axis=1).max() else delta
 
 
 def _searches(registration: Registration) -> tuple[ClosestPoints, ClosestPoints | None]:
