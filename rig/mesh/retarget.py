@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from rig.mesh.bake import BakedRig
 from rig.mesh.head import SourceHead, source_head
 from rig.mesh.lips import LipPairs, lip_pairs, repair_lips
 from rig.mesh.register import POOR_MATCH, Registration, register
+from rig.mesh.shapes import ShapeSet
 from rig.mesh.transfer import transfer_displacements, transfer_gradients
 from rig.mesh.trimesh import TriMesh
 
@@ -75,20 +76,64 @@ def shapes_for(
         If landmarks are missing or the lips cannot be told apart.
     """
     source = source_head() if source is None else source
-    registration = register(source.mesh, source.landmarks, mesh, landmarks)
-    source_pairs = lip_pairs(source.mesh, source.landmarks, registration.source_labels)
-    target_pairs = lip_pairs(mesh, landmarks, registration.target_labels)
-    deltas = source.rig.shapes.deltas.astype(np.float64)
+    shapes = replace(source.rig.shapes, landmarks=source.landmarks)
+    carried = carry_shapes(shapes, mesh, landmarks, method=method)
+    return Retargeted(
+        source.rig.on(mesh, carried.shapes.deltas).moving(),
+        carried.registration,
+        carried.source_pairs,
+        carried.target_pairs,
+        _warnings(carried.registration, carried.target_pairs),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """Shapes of one head on another.
+
+    Parameters
+    ----------
+    shapes : ShapeSet
+        The source's names over the target's mesh.
+    registration : Registration
+    source_pairs, target_pairs : LipPairs
+    """
+
+    shapes: ShapeSet
+    registration: Registration
+    source_pairs: LipPairs
+    target_pairs: LipPairs
+
+
+def carry_shapes(
+    source: ShapeSet,
+    target: TriMesh,
+    landmarks: Mapping[str, int],
+    *,
+    method: Method = "displacements",
+) -> Carried:
+    """Carry the shapes of any head with landmarks to another; lips meet as they do on the source.
+
+    Parameters
+    ----------
+    source : ShapeSet
+        With its landmarks.
+    target : TriMesh
+        A neutral face with its mouth closed.
+    landmarks : mapping of str to int
+        Of the target.
+    method : str
+        "displacements" or "gradients".
+    """
+    registration = register(source.neutral, source.landmarks, target, landmarks)
+    source_pairs = lip_pairs(source.neutral, source.landmarks, registration.source_labels)
+    target_pairs = lip_pairs(target, landmarks, registration.target_labels)
+    deltas = source.deltas.astype(np.float64)
     transfer = transfer_gradients if method == "gradients" else transfer_displacements
     moved = transfer(registration, deltas)
     moved = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
-    return Retargeted(
-        source.rig.on(mesh, moved).moving(),
-        registration,
-        source_pairs,
-        target_pairs,
-        _warnings(registration, target_pairs),
-    )
+    shapes = ShapeSet(target, source.names, moved.astype(np.float32), landmarks)
+    return Carried(shapes, registration, source_pairs, target_pairs)
 
 
 def sequence_for(registration: Registration, vertices: Any) -> Floats:
