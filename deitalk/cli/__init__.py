@@ -12,6 +12,7 @@ from deitalk.cli.controls import controls
 from deitalk.cli.corpus import app as corpus_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.model import app as model_app
+from deitalk.cli.plot import plot
 from deitalk.cli.retarget import retarget
 from deitalk.cli.train import train
 from deitalk.errors import DeitalkError
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 app.command()(animate)
 app.command()(controls)
+app.command()(plot)
 app.command()(retarget)
 app.command()(train)
 app.command()(evaluate)

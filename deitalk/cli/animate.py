@@ -41,6 +41,9 @@ def animate(
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
     seed: Annotated[int, typer.Option(help="Of the blinks.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    threads: Annotated[
+        int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
+    ] = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
 ) -> None:
@@ -56,9 +59,12 @@ def animate(
 
     check_target(out, force=force)
     with words().status("loading the network"):
+        import torch
+
         from deitalk.animate import animate as perform
         from deitalk.checkpoint import describe_model, load_model
 
+        torch.set_num_threads(threads)
         network = load_model(model, device=device)
     with bar("animating") as progress:
         performance = perform(

@@ -1,0 +1,65 @@
+# Self-describing: `make help`.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+AUDIO ?= deitalk/samples/promise.flac
+EMOTION ?= happy
+TAKE ?= take
+SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
+
+.DEFAULT_GOAL := help
+.PHONY: help setup setup-dev demo test test-slow check lint type format train-tiny figure sample clean
+
+help:  ## Show this help
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
+
+$(BIN)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(BIN)/.installed-dev: $(BIN)/.installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@
+
+setup: $(BIN)/.installed  ## Make .venv with the package in it
+
+setup-dev: $(BIN)/.installed-dev  ## The same with everything tests and checks need
+
+demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folder
+	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
+	@echo "Look into $(TAKE)/: curves.csv (185 controls), intensity.csv (edit it), take.json"
+
+test: setup-dev  ## Run the tests
+	$(BIN)/python -m pytest
+
+test-slow: setup-dev  ## Run the slow tests too
+	$(BIN)/python -m pytest -m "slow or not slow"
+
+check: lint type test  ## Everything a change must pass
+
+lint: setup-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+type: setup-dev
+	$(BIN)/mypy rig deitalk
+
+format: setup-dev  ## Format the code
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+train-tiny: setup  ## Corpus of two minutes and a training of six steps, end to end
+	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
+	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
+
+figure: setup-dev  ## Draw docs/curves.png, the README's picture
+	$(BIN)/deitalk plot deitalk/samples/promise.flac --emotion happy -o docs/curves.png --force
+
+sample:  ## Synthesise the bundled sample (needs flite)
+	flite -voice slt -t "$(SAMPLE_TEXT)" -o deitalk/samples/promise.wav
+	$(PYTHON) -c "import soundfile as s; p='deitalk/samples/promise'; s.write(p+'.flac', *s.read(p+'.wav'))"
+	rm deitalk/samples/promise.wav
+
+clean:  ## Remove what the other targets made
+	rm -rf $(VENV) take runs corpus .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,118 @@
+"""`deitalk convert`: curves from any format to any other."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import words
+from deitalk.errors import DeitalkError
+
+
+def convert(
+    source: Annotated[
+        Path | None, typer.Argument(help="Take folder, or a file of curves of any format.")
+    ] = None,
+    target: Annotated[Path | None, typer.Argument(help="File to write; its suffix tells.")] = None,
+    to: Annotated[str | None, typer.Option("--format", "--to", help="Format to write.")] = None,
+    from_: Annotated[str | None, typer.Option("--from", help="Format to read.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Rate to write, Hz: 24 25 29.97 30 50 60 …")
+    ] = None,
+    source_fps: Annotated[
+        float | None, typer.Option(help="Rate of the source, Hz, where it does not say.")
+    ] = None,
+    start: Annotated[float, typer.Option(help="First second to take.")] = 0.0,
+    end: Annotated[float | None, typer.Option(help="Second to stop before.")] = None,
+    gain: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=FACTOR of a control or region, around rest: brow=0.5. Repeatable."),
+    ] = None,
+    offset: Annotated[
+        list[str] | None, typer.Option(help="NAME=VALUE added to a control or region. Repeatable.")
+    ] = None,
+    smooth: Annotated[
+        float, typer.Option(help="Smoothing, seconds (0.02 to 0.05 takes jitter away).")
+    ] = 0.0,
+    mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
+    list_formats: Annotated[
+        bool, typer.Option("--list-formats", help="Print the formats and leave.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+) -> None:
+    """Convert curves between formats, rates and rigs.
+
+    Examples
+    --------
+    deitalk convert take/ speech.unreal.json
+
+    deitalk convert take/curves.json Slate_1_anna.csv --to livelink --fps 60
+
+    deitalk convert MySlate_1_iPhone.csv curves.csv --gain brow=1.5 --smooth 0.03
+    """
+    from rig import gain as scale
+    from rig import read_curves, write_curves
+    from rig import smooth as low_pass
+    from rig.mapping import DEFAULT_ID
+    from rig.mapping import convert as to_set
+
+    if list_formats:
+        _print_formats()
+        return
+    if source is None or target is None:
+        raise typer.BadParameter("give a source and a target (or --list-formats)")
+    if target.exists() and not force:
+        raise DeitalkError(f"{target} exists; add --force to replace it, or name another file")
+    path = _curves_of(source)
+    curves = read_curves(path, format=from_, fps=source_fps, control_set=None)
+    if start or end is not None:
+        curves = curves.slice_seconds(start, end)
+    if gain or offset or mirror or smooth:
+        curves = to_set(curves, DEFAULT_ID)
+        curves = scale(curves, _pairs(gain, "--gain"), _pairs(offset, "--offset"))
+        curves = curves.mirror() if mirror else curves
+        curves = low_pass(curves, smooth)
+    report = write_curves(target, curves, format=to, fps=fps)
+    notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
+    notes += [str(report.clipped)] if report.clipped else []
+    notes += [report.note] if report.note else []
+    if as_json:
+        summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
+        typer.echo(json.dumps({"out": str(target), **summary, "notes": notes}))
+        return
+    for note in notes:
+        words().print(f"note: {note}", style="yellow")
+    words().print(f"{target}: {report.format}, {report.n_frames} frames at {report.fps:g} fps")
+
+
+def _curves_of(source: Path) -> Path:
+    """Return the file of curves of a take, or the file itself."""
+    if not source.is_dir():
+        return source
+    for name in ("curves.json", "curves.npz", "curves.csv"):
+        if (source / name).is_file():
+            return source / name
+    raise DeitalkError(f"{source} is a folder without curves.json or curves.csv; give a file")
+
+
+def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
+    pairs = {}
+    for text in texts or []:
+        name, equals, number = text.partition("=")
+        try:
+            pairs[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise DeitalkError(f"{option} {text!r} must be NAME=NUMBER, such as brow=0.5")
+    return pairs
+
+
+def _print_formats() -> None:
+    from rig.formats.table import FORMATS
+
+    for known in FORMATS:
+        ways = f"{'read' if known.read else ''} {'write' if known.write else ''}".strip()
+        typer.echo(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")

@@ -1,0 +1,227 @@
+"""`deitalk livelink`: send a face live, receive one, replay a take."""
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deitalk.cli.convert import _curves_of
+from deitalk.cli.words import words
+from deitalk.errors import DeitalkError, MissingError
+
+if TYPE_CHECKING:
+    from rig import RigCurves
+
+app = typer.Typer(help="Send a face live over UDP, receive one, replay a take.")
+
+Host = Annotated[str, typer.Option(help="Where to send.")]
+Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
+ProtocolName = Annotated[str, typer.Option(help="livelink, json or vmc.")]
+Subject = Annotated[str, typer.Option(help="Name that Unreal lists.")]
+Fps = Annotated[float | None, typer.Option(help="Rate to send, Hz; the source's by default.")]
+Loop = Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")]
+StartSignal = Annotated[
+    str | None,
+    typer.Option(help="HOST:PORT that gets the OSC message /deitalk/start with the first frame."),
+]
+
+
+@app.command()
+def send(
+    source: Annotated[Path, typer.Argument(help="Take folder, file of curves, or a recording.")],
+    emotion: Annotated[
+        str, typer.Option("--emotion", "-e", help="Emotion, if the source is a recording.")
+    ] = "neutral",
+    intensity: Annotated[float, typer.Option(help="Factor on the intensity, 0 to 4.")] = 1.0,
+    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    protocol: ProtocolName = "livelink",
+    subject: Subject = "deitalk",
+    fps: Fps = None,
+    loop: Loop = False,
+    play: Annotated[bool, typer.Option("--play", help="Play the audio too.")] = False,
+    start_signal: StartSignal = None,
+) -> None:
+    """Send a take, a file of curves, or a recording acted on the spot.
+
+    The face rests at the end and on Ctrl-C.
+
+    Examples
+    --------
+    deitalk livelink send take/ --subject anna --play
+
+    deitalk livelink send speech.wav --emotion happy --host 192.168.0.12
+
+    deitalk livelink send take/curves.json --protocol json --loop
+    """
+    curves, audio = _source(source, emotion, intensity, model)
+    started = [_player(audio)] if play else []
+    if start_signal:
+        started.append(_signal(start_signal))
+    _send(curves, protocol, host, port, subject, fps, loop, started)
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="Live Link Face CSV, or any file of curves.")],
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    protocol: ProtocolName = "livelink",
+    subject: Subject = "deitalk",
+    fps: Fps = None,
+    loop: Loop = False,
+) -> None:
+    """Send a recorded file as if the phone did, to see that Unreal listens.
+
+    Examples
+    --------
+    deitalk livelink replay MySlate_1_iPhone.csv --loop
+    """
+    from rig import read_curves
+
+    _send(
+        read_curves(_curves_of(file), control_set=None),
+        protocol,
+        host,
+        port,
+        subject,
+        fps,
+        loop,
+        [],
+    )
+
+
+@app.command()
+def receive(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Live Link Face CSV to write.")],
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; 0.0.0.0 is the whole network.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="UDP port.")] = 11111,
+    subject: Annotated[
+        str | None, typer.Option(help="Whose packets to take; the first one's by default.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="Longest time; else until Ctrl-C.")] = None,
+    idle: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds without a packet.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+) -> None:
+    """Record Live Link Face packets, from a phone or from `send`, into a CSV.
+
+    Examples
+    --------
+    deitalk livelink receive -o Take_1_iPhone.csv --host 0.0.0.0
+    """
+    from rig.files import atomic_write
+    from rig.formats.livelink_csv import write_take
+    from rig.livelink import Receiver
+
+    if out.exists() and not force:
+        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    with Receiver(host, port) as receiver:
+        words().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
+        recording = receiver.record(subject=subject, seconds=seconds, idle_seconds=idle)
+    take = recording.to_take()
+    with atomic_write(out) as beside:
+        write_take(beside, take)
+    words().print(
+        f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
+        f"{recording.n_late} late, {recording.n_garbage} datagrams of garbage"
+    )
+
+
+def _send(
+    curves: "RigCurves",
+    protocol: str,
+    host: str,
+    port: int | None,
+    subject: str,
+    fps: float | None,
+    loop: bool,
+    started: list[Callable[[], None]],
+) -> None:
+    from datetime import datetime
+
+    from rig.livelink import PROTOCOLS, make_protocol
+    from rig.livelink import send as transmit
+
+    if fps is not None:
+        curves = curves.resample(fps)
+    chosen = make_protocol(protocol, subject, curves.names)
+    port = PROTOCOLS[protocol].port if port is None else port
+    midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
+    since = (datetime.now().astimezone() - midnight).total_seconds()
+    words().print(f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops")
+    report = transmit(
+        curves,
+        chosen,
+        (host, port),
+        loop=loop,
+        first_frame=int(since * curves.fps),
+        on_start=lambda: [start() for start in started] and None,
+    )
+    words().print(
+        f"{report.n_sent} frames in {report.seconds:.2f} s, {report.n_skipped} skipped, "
+        f"at most {1000 * report.worst_lateness:.1f} ms late"
+    )
+
+
+def _source(
+    source: Path, emotion: str, intensity: float, model: str
+) -> "tuple[RigCurves, Path | None]":
+    """Return curves to send, and the audio that belongs to them."""
+    from rig import read_curves
+    from rig.errors import FormatError
+    from rig.formats.table import find_format
+
+    if not source.exists():
+        raise DeitalkError(f"{source} does not exist; give a take, a file of curves or a recording")
+    if source.is_dir():
+        audio = source / "audio.wav"
+        path = _curves_of(source)
+        return read_curves(path, control_set=None), audio if audio.is_file() else None
+    try:
+        find_format(source, readable=True)
+    except FormatError:
+        from deitalk.animate import animate
+
+        words().print(f"acting {source.name}")
+        performance = animate(source, emotion, model=model, intensity=intensity)
+        return performance.curves, source
+    return read_curves(source, control_set=None), None
+
+
+def _player(audio: Path | None) -> Callable[[], None]:
+    """Return what starts the sound without waiting for its end."""
+    if audio is None:
+        raise DeitalkError("there is no audio to play: send a take folder or a recording")
+    try:
+        import sounddevice
+    except (ImportError, OSError) as error:
+        raise MissingError(
+            f"playing audio needs the package sounddevice and PortAudio ({error}); "
+            "pip install sounddevice, or leave --play out"
+        ) from error
+    from deitalk.audio import load_audio
+
+    recording = load_audio(audio)
+    return lambda: sounddevice.play(recording.waveform, 16_000)
+
+
+def _signal(address: str) -> Callable[[], None]:
+    """Return what tells another program that the first frame goes out."""
+    from rig.livelink import osc
+
+    host, colon, port = address.rpartition(":")
+    if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
+        raise DeitalkError(f"--start-signal {address!r} must be HOST:PORT, such as 127.0.0.1:8000")
+
+    def tell() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.sendto(osc.message("/deitalk/start"), (host, int(port)))
+
+    return tell

@@ -1,0 +1,39 @@
+"""`deitalk validate`: would the importers take this file, and what would Unreal make of it?"""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def validate(
+    path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings fail too.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Check a file or a take as the programs that import it would; exit code 1 on errors.
+
+    Cell counts, time codes, ranges, NaN, dead curves, jumps, open mouths at the end, and what
+    Unreal will do with it.
+
+    Examples
+    --------
+    deitalk validate take/
+
+    deitalk validate MySlate_1_iPhone.csv --json
+    """
+    from rig.validate import validate as check
+
+    validation = check(path)
+    if as_json:
+        rows = [
+            {"level": f.level, "path": str(f.path), "text": f.text} for f in validation.findings
+        ]
+        typer.echo(json.dumps({"ok": validation.ok, "findings": rows}, indent=1))
+    else:
+        for finding in validation.findings:
+            typer.echo(f"{finding.level:8} {finding.path.name}: {finding.text}")
+    is_warned = strict and any(f.level == "warning" for f in validation.findings)
+    if not validation.ok or is_warned:
+        raise typer.Exit(1)
