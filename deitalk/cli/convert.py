@@ -55,7 +55,7 @@ def convert(
     from rig import gain as scale
     from rig import read_curves, write_curves
     from rig import smooth as low_pass
-    from rig.mapping import DEFAULT_ID
+    from rig.controls import DEFAULT_ID
     from rig.mapping import convert as to_set
 
     if list_formats:

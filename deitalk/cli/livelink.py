@@ -156,13 +156,18 @@ def _send(
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     since = (datetime.now().astimezone() - midnight).total_seconds()
     words().print(f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops")
+
+    def start() -> None:
+        for action in started:
+            action()
+
     report = transmit(
         curves,
         chosen,
         (host, port),
         loop=loop,
         first_frame=int(since * curves.fps),
-        on_start=lambda: [start() for start in started] and None,
+        on_start=start,
     )
     words().print(
         f"{report.n_sent} frames in {report.seconds:.2f} s, {report.n_skipped} skipped, "
@@ -200,7 +205,7 @@ def _player(audio: Path | None) -> Callable[[], None]:
     if audio is None:
         raise DeitalkError("there is no audio to play: send a take folder or a recording")
     try:
-        import sounddevice
+        import sounddevice  # type: ignore[import-untyped]
     except (ImportError, OSError) as error:
         raise MissingError(
             f"playing audio needs the package sounddevice and PortAudio ({error}); "

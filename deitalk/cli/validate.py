@@ -1,4 +1,4 @@
-"""`deitalk validate`: would the importers take this file, and what would Unreal make of it?"""
+"""`deitalk validate`: whether importers take a file, and what Unreal makes of it."""
 
 import json
 from pathlib import Path

@@ -1,0 +1,193 @@
+import json
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from deitalk.cli import convert as convert_module
+from deitalk.cli import livelink as livelink_module
+from deitalk.cli import validate as validate_module
+from deitalk.errors import DeitalkError, MissingError
+from rig import RigCurves, default_controls, read_curves, write_curves
+from rig.errors import RigError
+from rig.formats.livelink_csv import read_take
+from rig.livelink import Receiver, osc
+
+BOARD = default_controls()
+app = typer.Typer()
+app.command("convert")(getattr(convert_module, "convert", convert_module))
+app.command("validate")(getattr(validate_module, "validate", validate_module))
+app.add_typer(livelink_module.app, name="livelink")
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def curves_file(tmp_path):
+    values = np.tile(BOARD.rest, (30, 1))
+    values[:, BOARD.index("CTRL_C_jaw.ty")] = 0.5 * np.sin(np.linspace(0, np.pi, 30))
+    values[:, BOARD.index("CTRL_L_brow_raiseIn.ty")] = 0.25
+    path = tmp_path / "curves.json"
+    write_curves(path, RigCurves(values, BOARD.names, intensity=np.ones(30)))
+    return path
+
+
+def test_curves_become_a_live_link_take_at_60_fps(curves_file, tmp_path):
+    out = tmp_path / "S_1_anna.csv"
+    result = run("convert", curves_file, out, "--to", "livelink", "--fps", "60")
+    assert result.exit_code == 0, result.output
+    assert "lossy preview" in result.stderr and "the intensity track does not fit" in result.stderr
+    assert result.stdout == ""
+    assert read_take(out).fps == 60 and len(read_take(out).ticks) == 60
+
+
+def test_take_folder_gain_mirror_and_range(curves_file, tmp_path):
+    out = tmp_path / "out.npz"
+    result = run(
+        "convert",
+        tmp_path,
+        out,
+        "--gain",
+        "brow=2",
+        "--offset",
+        "CTRL_C_jaw.ty=0.1",
+        "--mirror",
+        "--start",
+        "0.2",
+        "--end",
+        "0.7",
+        "--json",
+    )
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout) == {
+        "out": str(out),
+        "format": "npz",
+        "frames": 15,
+        "fps": 30.0,
+        "notes": [],
+    }
+    curves = read_curves(out)
+    assert curves["CTRL_R_brow_raiseIn.ty"] == pytest.approx(0.5)
+    source = read_curves(curves_file)["CTRL_C_jaw.ty"][6:21]
+    assert curves["CTRL_C_jaw.ty"] == pytest.approx(source + 0.1, abs=1e-6)
+
+
+def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
+    (tmp_path / "out.csv").write_text("mine")
+    result = run("convert", curves_file, tmp_path / "out.csv")
+    assert isinstance(result.exception, DeitalkError) and "--force" in str(result.exception)
+    assert (tmp_path / "out.csv").read_text() == "mine"
+    assert run("convert", curves_file, tmp_path / "out.csv", "--force").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["absent.csv", "out.csv"], "does not exist"),
+        (["{curves}", "out.abc"], "no format has the suffix"),
+        (["{curves}", "out.csv", "--to", "abc"], "unknown format 'abc'"),
+        (["{curves}", "out.csv", "--gain", "brow"], "--gain 'brow' must be NAME=NUMBER"),
+        (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
+        (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
+        (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be above 0"),
+        (["{curves}", "out.csv", "--start", "9"], "no frames"),
+    ],
+)
+def test_mistakes_are_one_line(curves_file, tmp_path, arguments, message, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("convert", *[a.format(curves=curves_file) for a in arguments])
+    assert isinstance(result.exception, (DeitalkError, RigError))
+    assert message in str(result.exception) and "\n" not in str(result.exception)
+
+
+def test_formats_are_listed_and_a_lone_source_is_a_usage_error(curves_file):
+    assert "rigmapper" in run("convert", "--list-formats").stdout
+    assert run("convert", curves_file).exit_code == 2
+
+
+def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
+    good = run("validate", curves_file)
+    assert good.exit_code == 0 and "30 frames at 30 fps" in good.stdout
+    (tmp_path / "bad.csv").write_text("frame,time\n0,0\n")
+    bad = run("validate", tmp_path / "bad.csv", "--json")
+    assert bad.exit_code == 1
+    report = json.loads(bad.stdout)
+    assert report["ok"] is False and report["findings"][0]["level"] == "error"
+
+
+def test_what_is_sent_is_received(curves_file, tmp_path):
+    """The commands against each other over the loopback."""
+    with Receiver(port=0) as probe:
+        port = probe.port
+    out = tmp_path / "T_1_anna.csv"
+    results = []
+    listener = threading.Thread(
+        target=lambda: results.append(
+            run("livelink", "receive", "-o", out, "--port", port, "--seconds", 15, "--idle", 0.5)
+        )
+    )
+    listener.start()
+    while (
+        not results
+        and run(
+            "livelink", "send", curves_file, "--port", port, "--subject", "anna", "--fps", 60
+        ).exit_code
+        == 0
+    ):
+        if not listener.is_alive() or out.exists():
+            break
+        listener.join(0.9)
+    listener.join()
+    assert results[0].exit_code == 0, results[0].output
+    assert "frames of 'anna'" in results[0].stderr
+    take = read_take(out)
+    jaw = take.values[:, take.names.index("JawOpen")]
+    assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
+
+
+@pytest.mark.parametrize("protocol", ["json", "vmc"])
+def test_other_protocols_send(curves_file, protocol):
+    result = run("livelink", "replay", curves_file, "--protocol", protocol, "--port", 9)
+    assert result.exit_code == 0 and "30 frames in" in result.stderr
+
+
+def test_start_signal_arrives_as_osc(curves_file):
+    with Receiver(port=0) as probe:
+        signal = f"127.0.0.1:{probe.port}"
+        result = run("livelink", "send", curves_file, "--port", 9, "--start-signal", signal)
+        assert result.exit_code == 0, result.output
+        assert osc.parse(probe._socket.recv(100)) == [("/deitalk/start", ())]
+
+
+def test_live_mistakes_are_one_line(curves_file, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    (tmp_path / "audio.wav").write_bytes(b"")
+    cases = [
+        (["send", tmp_path / "absent.wav"], "does not exist"),
+        (["send", curves_file, "--play"], "no audio to play"),
+        (["send", curves_file, "--protocol", "tcp"], "unknown protocol 'tcp'"),
+        (["send", curves_file, "--start-signal", "here"], "must be HOST:PORT"),
+        (["receive", "-o", curves_file], "exists; add --force"),
+        (["receive", "-o", tmp_path / "x.csv", "--port", 0, "--seconds", 0.1], "no packet"),
+    ]
+    for arguments, message in cases:
+        result = run("livelink", *arguments)
+        assert isinstance(result.exception, (DeitalkError, RigError)), result.output
+        assert message in str(result.exception)
+    result = run("livelink", "send", tmp_path, "--play")
+    assert isinstance(result.exception, MissingError) and "pip install" in str(result.exception)
+
+
+def test_modules_import_neither_torch_nor_librosa():
+    code = (
+        "import sys, deitalk.cli.convert, deitalk.cli.livelink, deitalk.cli.validate;"
+        "print([m for m in ('torch', 'librosa', 'scipy', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "torch" not in done.stdout and "librosa" not in done.stdout
