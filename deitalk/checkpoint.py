@@ -167,4 +167,8 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         raise CheckpointError(
             f"{path}: weights do not fit {folder / 'config.yaml'}; both must be of one model"
         ) from None
-    return model.to(device).eval()
+    try:
+        return model.to(device).eval()
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise CheckpointError(f"device {device!r}: {reason}; use --device cpu") from None

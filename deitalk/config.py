@@ -43,6 +43,9 @@ class MelConfig(Section):
         "window", description="Time-BiLSTM once per window (the paper) or along the clip"
     )
     weight_norm: bool = Field(True, description="weight normalisation on every weight (§4.4)")
+    centre: bool = Field(
+        False, description="add the window's own centre to what it attends to, and normalise"
+    )
     dropout: float = Field(0.0, ge=0, lt=1)
 
 

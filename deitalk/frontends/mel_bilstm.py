@@ -167,6 +167,10 @@ class MelFrontend(nn.Module):
         self.attention = TemporalAttention(
             self.output_size, config.attention_size, config.query_frames
         )
+        # Deviation: attention alone must first learn to be sharp before a closure of two frames
+        # survives it; with the centre added it need not. The norm puts features on the scale of
+        # the positional encoding that is added to them.
+        self.normalise = nn.LayerNorm(self.output_size) if config.centre else None
         if config.weight_norm:
             _normalise_weights(self)
 
@@ -209,7 +213,9 @@ class MelFrontend(nn.Module):
         batch = spectral.shape[0]
         memory, _ = self.recurrent(spectral.reshape(batch, -1, self.recurrent.input_size))
         window = config.window_frames // config.time_stack
-        return self.attention.along(memory, (centres - begin).to(memory.device), window)
+        places = (centres - begin).to(memory.device)
+        attended = self.attention.along(memory, places, window)
+        return self._centred(attended, memory[:, places])
 
     def _frames_by_window(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """As printed: for every rig frame a window of spectra, a Time-BiLSTM, an attention."""
@@ -227,7 +233,14 @@ class MelFrontend(nn.Module):
         middle = half - config.query_frames // 2
         query = memory[:, middle : middle + config.query_frames]
         attended, _ = self.attention.windows(memory, query)
+        attended = self._centred(attended, memory[:, half])
         return attended.view(batch, frames, -1)
+
+    def _centred(self, attended: Tensor, centre: Tensor) -> Tensor:
+        if self.normalise is None:
+            return attended
+        out: Tensor = self.normalise(attended + centre)
+        return out
 
     def _samples(self, spectra: int) -> int:
         return round(spectra * SAMPLE_RATE / self.config.frame_rate)
