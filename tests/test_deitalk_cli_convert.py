@@ -1,7 +1,7 @@
 import json
+import re
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -123,29 +123,15 @@ def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
 
 def test_what_is_sent_is_received(curves_file, tmp_path):
     """The commands against each other over the loopback."""
-    with Receiver(port=0) as probe:
-        port = probe.port
     out = tmp_path / "T_1_anna.csv"
-    results = []
-    listener = threading.Thread(
-        target=lambda: results.append(
-            run("livelink", "receive", "-o", out, "--port", port, "--seconds", 15, "--idle", 0.5)
-        )
-    )
-    listener.start()
-    while (
-        not results
-        and run(
-            "livelink", "send", curves_file, "--port", port, "--subject", "anna", "--fps", 60
-        ).exit_code
-        == 0
-    ):
-        if not listener.is_alive() or out.exists():
-            break
-        listener.join(0.9)
-    listener.join()
-    assert results[0].exit_code == 0, results[0].output
-    assert "frames of 'anna'" in results[0].stderr
+    command = [sys.executable, "-c", "from deitalk.cli.livelink import app; app()", "receive"]
+    options = ["-o", str(out), "--port", "0", "--seconds", "15", "--idle", "0.5"]
+    with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as receiver:
+        port = re.search(r"listening on 127.0.0.1:(\d+)", receiver.stderr.readline())[1]
+        arguments = ("--port", port, "--subject", "anna", "--fps", 60)
+        assert run("livelink", "send", curves_file, *arguments).exit_code == 0
+        words = receiver.stderr.read()
+    assert receiver.returncode == 0 and "frames of 'anna', 0 lost" in words.replace("\n", " ")
     take = read_take(out)
     jaw = take.values[:, take.names.index("JawOpen")]
     assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
