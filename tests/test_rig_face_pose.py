@@ -144,7 +144,7 @@ def test_jaw_is_a_rotation(head):
     before = head.mesh.vertices[part]
     after = head.pose(pose_values({"CTRL_C_jaw.ty": 1}))[part].astype(float)
     a, b = before - before.mean(0), after - after.mean(0)
-    u, s, vt = np.linalg.svd(a.T @ b)
+    u, _, vt = np.linalg.svd(a.T @ b)
     rotation = u @ vt
     assert np.abs(a @ rotation - b).max() < 1e-4  # rigid
     angle = np.degrees(np.arccos((np.trace(rotation) - 1) / 2))

@@ -138,9 +138,9 @@ NOTHING: dict[str, str] = {
     "CTRL_convergenceSwitch.ty": "chooses how Unreal aims the eyes; no shape of its own",
     "CTRL_eyesAimFollowHead.ty": "moves a handle of the board, not the face",
     "CTRL_faceGUIfollowHead.ty": "moves the board itself, not the face",
-    "CTRL_neckCorrectivesMultiplyerU.ty": "scales neck corrections for head turns, which a take has not",
-    "CTRL_neckCorrectivesMultiplyerM.ty": "scales neck corrections for head turns, which a take has not",
-    "CTRL_neckCorrectivesMultiplyerD.ty": "scales neck corrections for head turns, which a take has not",
+    "CTRL_neckCorrectivesMultiplyerU.ty": "corrects the neck in head turns; a take has none",
+    "CTRL_neckCorrectivesMultiplyerM.ty": "corrects the neck in head turns; a take has none",
+    "CTRL_neckCorrectivesMultiplyerD.ty": "corrects the neck in head turns; a take has none",
 }
 """Controls that move nothing on this head, and why."""
 

@@ -51,7 +51,7 @@ def _ear_center(identity: Identity) -> Array:
     """Just outside the side of the head, level with the nose."""
     direction = np.array([[1.0, -0.14, -0.22]])
     on_skin = project(direction / np.linalg.norm(direction), identity)[0]
-    return on_skin + np.array([0.72, 0.0, -0.25])
+    return np.asarray(on_skin + np.array([0.72, 0.0, -0.25]))
 
 
 def _shaded(colors: Array) -> Array:

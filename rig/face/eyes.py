@@ -76,8 +76,8 @@ def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Index, Arra
     out = np.stack([0.45 * side * (along - 0.4), 0.18 + 0 * along, np.full(len(upper), 0.9)], -1)
     root = skin.vertices[upper]
     mid = root + length[:, None] * (0.55 * out)
-    tip = root + length[:, None] * (out + [0, 0.34, -0.10])
-    top = root + [0, 0.075, 0.015]
+    tip = root + length[:, None] * (out + np.array([0, 0.34, -0.10]))
+    top = root + np.array([0, 0.075, 0.015])
     rows = np.stack([root - [0, 0.01, 0], mid, tip, top], 1)
     faces = grid_faces(len(upper), 4)
     mesh = painted(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rig.face.identity import Identity
-from rig.face.mesh import Array, Index, Mesh, grid_faces, painted, smoothstep, unit
+from rig.face.mesh import Array, Mesh, grid_faces, join, painted, smoothstep, unit
 from rig.face.sdf import project
 
 _COLUMNS, _ROWS = 112, 18
@@ -38,7 +38,18 @@ def hair(identity: Identity) -> Mesh:
     flat = vertices.reshape(-1, 3)
     strand = 1 + 0.13 * np.sin(turn * 28) * np.sin(turn * 11 + 1.0)
     colors = np.array(identity.hair) * np.tile(strand, len(vertices))[:, None]
-    return Mesh(flat, faces[:, ::-1], np.clip(colors, 0, 1), np.full(len(flat), 0.35))
+    shell_mesh = Mesh(flat, faces[:, ::-1], np.clip(colors, 0, 1), np.full(len(flat), 0.35))
+    return join([shell_mesh, _lining(shell_mesh)]) if identity.hair_length_cm else shell_mesh
+
+
+def _lining(shell: Mesh) -> Mesh:
+    """The inside of hanging hair: the shell's lowest rows turned inside out, darker."""
+    rows = 12
+    count = rows * _COLUMNS
+    faces = shell.faces[(shell.faces < count).all(1)][:, ::-1]
+    return Mesh(
+        shell.vertices[:count], faces, shell.colors[:count] * 0.45, shell.gloss[:count] * 0.2
+    )
 
 
 def _cast(direction: Array, identity: Identity) -> Array:
@@ -92,7 +103,7 @@ def _hanging(shell: Array, hem: Array, turn: Array, identity: Identity) -> list[
     return [np.stack([inner, *rows])]
 
 
-def brow(identity: Identity, mirror: int = 1) -> tuple[Mesh, Index]:
+def brow(identity: Identity, mirror: int = 1) -> tuple[Mesh, Array]:
     """One eyebrow lying on the skin, and each vertex's place along it (0 inner, 1 outer)."""
     columns, around = 22, 8
     s = np.linspace(0, 1, columns)

@@ -20,7 +20,7 @@ from rig.face.shapes_face import FACE_SHAPES
 from rig.face.shapes_mouth import MOUTH_SHAPES
 from rig.face.shapes_other import neck_shapes, side_shapes
 from rig.face.skin import Skin, build_skin, paint_skin
-from rig.face.store import load_or_build
+from rig.face.store import Arrays, load_or_build
 from rig.face.tongue import Tongue
 from rig.face.topology import EYE_L, EYE_R, FILLER, MOUTH
 
@@ -131,7 +131,7 @@ class Head:
         skin = self.features
         ids = np.flatnonzero((skin.kind == FILLER) | (skin.ring >= 3))
         distance, near = cKDTree(skin.vertices[ids]).query(vertices, k=count)
-        weight = 1 / (distance + 0.05)
+        weight = 1 / (np.asarray(distance) + 0.05)
         return _Follow(ids[near], weight / weight.sum(1, keepdims=True))
 
     def pose(self, values: ArrayLike) -> NDArray[np.float32]:
@@ -259,7 +259,7 @@ def _gaze_matrix(pitch_degrees: Array, yaw_degrees: Array) -> Array:
     return np.asarray(turn.reshape(-1, 3, 3) @ tilt.reshape(-1, 3, 3))
 
 
-def _build(identity: Identity) -> dict[str, Array]:
+def _build(identity: Identity) -> Arrays:
     """Neutral skin and every linear shape of one identity, as plain arrays."""
     skin = build_skin(identity)
     maker = ShapeMaker(skin)

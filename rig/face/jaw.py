@@ -47,7 +47,7 @@ class Jaw:
         fixed, value = fixed | bag, np.where(bag, 0.35, value)
         spread = maker.plate.spread(fixed, value[:, None])[:, 0]
         spread = 0.5 * (spread + spread[skin.mirror])
-        return np.clip(spread, 0, 1)
+        return np.asarray(np.clip(spread, 0, 1))
 
     def pose(self, skin: Array, inputs: Inputs) -> None:
         """Open the jaw in place on skin vertices (T, V, 3)."""
@@ -57,7 +57,7 @@ class Jaw:
     def ride(self, points: Array, inputs: Inputs, share: Array | float = 1.0) -> Array:
         """Points (T, n, 3) taken along by the jaw, each by its share of angle and slide."""
         angle, slide = self._motion(inputs)
-        return _turned(points, angle * share) + slide * np.asarray(share)[..., None]
+        return np.asarray(_turned(points, angle * share) + slide * np.asarray(share)[..., None])
 
     def undo(self, points: Array, inputs: Inputs) -> Array:
         """Points (T, n, 3) of the world as the jaw sees them (the inverse of a full `ride`)."""
@@ -79,4 +79,4 @@ def _turned(points: Array, angle: Array) -> Array:
     q = points - HINGE
     cos, sin = np.cos(angle), np.sin(angle)
     y, z = cos * q[..., 1] - sin * q[..., 2], sin * q[..., 1] + cos * q[..., 2]
-    return np.stack(np.broadcast_arrays(q[..., 0], y, z), -1) + HINGE
+    return np.asarray(np.stack(np.broadcast_arrays(q[..., 0], y, z), -1) + HINGE)

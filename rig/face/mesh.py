@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -35,10 +35,12 @@ def join(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def painted(vertices: Array, faces: Index, color: Array, gloss: float = 0.2) -> Mesh:
+def painted(vertices: Array, faces: Index, color: ArrayLike, gloss: float = 0.2) -> Mesh:
     """Build a mesh of one colour, or of one colour a vertex."""
     n = len(vertices)
-    return Mesh(vertices, faces, np.broadcast_to(color, (n, 3)).copy(), np.full(n, gloss))
+    return Mesh(
+        vertices, faces, np.broadcast_to(np.asarray(color, float), (n, 3)).copy(), np.full(n, gloss)
+    )
 
 
 def mirrored(mesh: Mesh) -> Mesh:
@@ -86,12 +88,12 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
         ],
         -1,
     )  # fmt: skip
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
 
 
 def unit(vectors: Array) -> Array:
     """Vectors divided by their lengths along the last axis."""
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def smoothstep(x: Array | float) -> Array:

@@ -6,7 +6,6 @@ from rig import default_controls
 from rig.errors import RigError
 from rig.face.mesh import Array
 
-
 MOUTH_POSES: dict[str, dict[str, float]] = {
     "rest": {},
     "AA (father)": {"CTRL_C_jaw.ty": 0.62, "*mouth_lowerLipDepress.ty": 0.25,
@@ -19,7 +18,7 @@ MOUTH_POSES: dict[str, dict[str, float]] = {
     "F V": {"CTRL_C_jaw.ty": 0.10, "*mouth_lipBiteD.ty": 0.8, "*mouth_upperLipRaise.ty": 0.45},
     "OW (go)": {"CTRL_C_jaw.ty": 0.30, "*mouth_funnelU.ty": 0.75, "*mouth_funnelD.ty": 0.75,
                 "*mouth_purseU.ty": 0.35, "*mouth_purseD.ty": 0.35},
-    "UW (you)": {"CTRL_C_jaw.ty": 0.06, "*mouth_purseU.ty": 1, "*mouth_purseD.ty": 1,
+    "UW (you)": {"CTRL_C_jaw.ty": 0.03, "*mouth_purseU.ty": 1, "*mouth_purseD.ty": 1,
                  "*mouth_funnelU.ty": 0.12, "*mouth_funnelD.ty": 0.12},
     "SH CH": {"CTRL_C_jaw.ty": 0.06, "*mouth_funnelU.ty": 0.75, "*mouth_funnelD.ty": 0.75,
               "*mouth_upperLipRaise.ty": 0.15, "*mouth_lowerLipDepress.ty": 0.3},

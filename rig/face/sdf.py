@@ -114,4 +114,4 @@ def project(directions: Array, identity: Identity, samples: int = 60) -> Array:
         middle = 0.5 * (low + high)
         is_inside = head_distance(origin + middle[:, None] * ray, identity) < 0
         low, high = np.where(is_inside, middle, low), np.where(is_inside, high, middle)
-    return origin + (0.5 * (low + high))[:, None] * ray
+    return np.asarray(origin + (0.5 * (low + high))[:, None] * ray)

@@ -174,52 +174,109 @@ def _corner_sharp(side: str) -> Shape:
 PAIRED = tuple(
     make(side)
     for make in (
-        _funnel, _purse, _bite, _press, _tighten, _towards_other, _towards_teeth, _push, _thick,
-        _thick_inward, _corner_sharp,
+        _funnel,
+        _purse,
+        _bite,
+        _press,
+        _tighten,
+        _towards_other,
+        _towards_teeth,
+        _push,
+        _thick,
+        _thick_inward,
+        _corner_sharp,
     )
     for side in "UD"
-)  # fmt: skip
+)
 
 MOUTH_SHAPES: tuple[Shape, ...] = (
     Shape(
-        "cornerPull", _corner_pull,
-        ((3.9, -2.9, 0.10, 0.40, 0.20), (2.7, -4.6, 0.30, 0.34, 0.26), (4.3, -5.6, 0.42, 0.34, 0.22)),
+        "cornerPull",
+        _corner_pull,
+        (
+            (3.9, -2.9, 0.10, 0.40, 0.20),
+            (2.7, -4.6, 0.30, 0.34, 0.26),
+            (4.3, -5.6, 0.42, 0.34, 0.22),
+        ),
         ((NASOLABIAL, 0.26, 0.32),),
     ),
     Shape(
-        "sharpCornerPull", _sharp_corner_pull,
-        ((3.9, -2.9, 0.06, 0.30, 0.14), (2.7, -4.6, 0.18, 0.34, 0.22), (4.2, -5.8, 0.30, 0.30, 0.12)),
+        "sharpCornerPull",
+        _sharp_corner_pull,
+        (
+            (3.9, -2.9, 0.06, 0.30, 0.14),
+            (2.7, -4.6, 0.18, 0.34, 0.22),
+            (4.2, -5.8, 0.30, 0.30, 0.12),
+        ),
         ((NASOLABIAL[:4], 0.26, 0.30),),
     ),
     Shape("stretch", _stretch, ((4.1, -7.0, 0.36, -0.05, 0.0), (3.0, -9.6, 0.12, -0.14, 0.0))),
-    Shape("dimple", _dimple, ((4.0, -6.9, 0.20, 0.04, 0.12),),
-          ((((3.25, -6.3), (3.42, -7.0), (3.3, -7.8)), 0.20, 0.24),)),
-    Shape("cornerDepress", _corner_depress, ((1.7, -9.7, 0.04, -0.06, 0.10),
-                                             (4.2, -6.0, 0.0, -0.16, -0.02)),
-          ((((2.6, -8.9), (3.1, -8.2), (3.05, -7.4)), 0.10, 0.24),)),
-    Shape("upperLipRaise", _upper_lip_raise,
-          ((1.25, -4.4, 0.05, 0.14, 0.0), (2.3, -4.9, 0.08, 0.32, 0.16)), ((NASOLABIAL[:3], 0.10, 0.28),)),
+    Shape(
+        "dimple",
+        _dimple,
+        ((4.0, -6.9, 0.20, 0.04, 0.12),),
+        ((((3.25, -6.3), (3.42, -7.0), (3.3, -7.8)), 0.20, 0.24),),
+    ),
+    Shape(
+        "cornerDepress",
+        _corner_depress,
+        ((1.7, -9.7, 0.04, -0.06, 0.10), (4.2, -6.0, 0.0, -0.16, -0.02)),
+        ((((2.6, -8.9), (3.1, -8.2), (3.05, -7.4)), 0.10, 0.24),),
+    ),
+    Shape(
+        "upperLipRaise",
+        _upper_lip_raise,
+        ((1.25, -4.4, 0.05, 0.14, 0.0), (2.3, -4.9, 0.08, 0.32, 0.16)),
+        ((NASOLABIAL[:3], 0.10, 0.28),),
+    ),
     Shape("lowerLipDepress", _lower_lip_depress, ((0, -10.1, 0, -0.06, 0),)),
     *PAIRED,
     *(_roll(side, is_in=is_in) for side in "UD" for is_in in (True, False)),
     Shape("cornerUp", lambda p: (0.0 * p.u, 0.52 * p.corner, 0.0 * p.u)),
     Shape("cornerWide", lambda p: (0.45 * p.corner, 0.0 * p.u, -0.22 * p.corner)),
-    Shape("mouthUp", lambda p: (0.0 * p.u, 0.42 + 0 * p.u, 0.06 * p.bell),
-          ((0, -9.9, 0, 0.34, 0.06),), is_split=False),
-    Shape("mouthDown", lambda p: (0.0 * p.u, -0.42 + 0 * p.u, 0.0 * p.u),
-          ((0, -9.9, 0, -0.16, 0.04),), is_split=False),
+    Shape(
+        "mouthUp",
+        lambda p: (0.0 * p.u, 0.42 + 0 * p.u, 0.06 * p.bell),
+        ((0, -9.9, 0, 0.34, 0.06),),
+        is_split=False,
+    ),
+    Shape(
+        "mouthDown",
+        lambda p: (0.0 * p.u, -0.42 + 0 * p.u, 0.0 * p.u),
+        ((0, -9.9, 0, -0.16, 0.04),),
+        is_split=False,
+    ),
     Shape("chinRaiseU", lambda p: (0.0 * p.u, 0.20 * p.bell * p.upper, 0.08 * p.bell * p.upper)),
-    Shape("chinRaiseD", lambda p: (0.0 * p.u, (0.10 + 0.24 * p.bell) * p.lower, 0.24 * p.bell * p.lower),
-          ((0, -9.9, 0, 0.46, 0.06), (1.2, -9.8, 0, 0.38, 0.04)),
-          ((((2.4, -9.1), (1.2, -8.75), (0, -8.7)), -0.10, 0.26),)),
-    Shape("chinCompress", None, ((0, -9.9, 0, 0.22, 0.10), (0.9, -10.2, 0.05, 0.16, 0.08)),
-          ((((1.6, -9.6), (0.8, -9.35), (0, -9.3)), -0.08, 0.22),)),
-    Shape("cheekBlow", lambda p: (0.05 * p.u, 0.0 * p.u, 0.05 * p.bell),
-          ((4.6, -5.9, 1.0, 0.0, 0.55), (3.7, -7.6, 0.55, -0.05, 0.5), (5.2, -7.0, 0.75, 0, 0.2))),
-    Shape("cheekSuck", lambda p: (-0.08 * p.u, 0.0 * p.u, 0.0 * p.u),
-          ((4.6, -5.9, -0.55, 0.0, -0.40), (5.2, -7.0, -0.40, 0, -0.15))),
-    Shape("lipsBlow", lambda p: (-0.05 * p.u, 0.10 * p.bell * (p.upper - p.lower) * p.rings(r0=0, r3=1, r5=1),
-                                 0.34 * p.bell**0.6 * p.rings(m1=0.8, r0=0.8, r3=1.0, r5=0.9)),
-          ((1.6, -5.9, 0.03, 0.02, 0.30), (1.8, -9.0, 0.03, -0.02, 0.22))),
-)  # fmt: skip
+    Shape(
+        "chinRaiseD",
+        lambda p: (0.0 * p.u, (0.10 + 0.24 * p.bell) * p.lower, 0.24 * p.bell * p.lower),
+        ((0, -9.9, 0, 0.46, 0.06), (1.2, -9.8, 0, 0.38, 0.04)),
+        ((((2.4, -9.1), (1.2, -8.75), (0, -8.7)), -0.10, 0.26),),
+    ),
+    Shape(
+        "chinCompress",
+        None,
+        ((0, -9.9, 0, 0.22, 0.10), (0.9, -10.2, 0.05, 0.16, 0.08)),
+        ((((1.6, -9.6), (0.8, -9.35), (0, -9.3)), -0.08, 0.22),),
+    ),
+    Shape(
+        "cheekBlow",
+        lambda p: (0.05 * p.u, 0.0 * p.u, 0.05 * p.bell),
+        ((4.6, -5.9, 1.0, 0.0, 0.55), (3.7, -7.6, 0.55, -0.05, 0.5), (5.2, -7.0, 0.75, 0, 0.2)),
+    ),
+    Shape(
+        "cheekSuck",
+        lambda p: (-0.08 * p.u, 0.0 * p.u, 0.0 * p.u),
+        ((4.6, -5.9, -0.55, 0.0, -0.40), (5.2, -7.0, -0.40, 0, -0.15)),
+    ),
+    Shape(
+        "lipsBlow",
+        lambda p: (
+            -0.05 * p.u,
+            0.10 * p.bell * (p.upper - p.lower) * p.rings(r0=0, r3=1, r5=1),
+            0.34 * p.bell**0.6 * p.rings(m1=0.8, r0=0.8, r3=1.0, r5=0.9),
+        ),
+        ((1.6, -5.9, 0.03, 0.02, 0.30), (1.8, -9.0, 0.03, -0.02, 0.22)),
+    ),
+)
 """Every lip shape that is symmetric; sideways ones are in `shapes_side`."""

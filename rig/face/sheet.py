@@ -97,11 +97,15 @@ def draw_sheet(
     Parameters
     ----------
     head : Head
+        Who is drawn.
     tiles : sequence of Tile
+        What is drawn, in order.
     columns : int, optional
+        Tiles in a row.
     size : (int, int), optional
         Width and height of a tile, pixels.
     backend : {'auto', 'opengl', 'software'}, optional
+        What draws.
 
     Returns
     -------

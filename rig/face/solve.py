@@ -9,8 +9,9 @@ from rig.face.skin import Skin
 
 
 class ThinPlate:
-    """Solves the biharmonic equation on the skin; it follows the surface, so it sees the slit
-    between the lips, which a distance in space does not.
+    """Solves the biharmonic equation on the skin.
+
+    It follows the surface, so it sees the slit between the lips, which a distance does not.
 
     Factorisations are kept, one for each set of fixed vertices.
     """

@@ -8,14 +8,15 @@ from collections.abc import Callable
 from dataclasses import astuple
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.face.identity import Identity
-from rig.face.mesh import Array
 from rig.files import atomic_write
 
-Arrays = dict[str, Array]
+Arrays = dict[str, NDArray[Any]]
 
 
 def cache_folder() -> Path:

@@ -17,7 +17,7 @@ UPPER_EDGE, LOWER_EDGE = -0.22, -0.27
 
 
 def arch_point(s: Array, lip_z: float, *, is_upper: bool) -> tuple[Array, Array]:
-    """x and z of the dental arch at s in -1..1 (0 between the front teeth)."""
+    """Find x and z of the dental arch at s in -1..1 (0 between the front teeth)."""
     width, depth = (2.06, 4.2) if is_upper else (1.94, 4.1)
     front = lip_z - (UPPER_BACK if is_upper else LOWER_BACK)
     return width * np.sin(s * 1.35), front - depth * (1 - np.cos(s * 1.35))

@@ -187,7 +187,7 @@ def _strips(start: int, count: int, n_loops: int, flipped: bool) -> Index:
 def _mirror_of(points: Array) -> Index:
     """Index of the mirror image of every point."""
     distance, index = cKDTree(points).query(points * [-1, 1, 1])
-    assert distance.max() < 1e-6, "the skin's points are not mirror-symmetric"
+    assert np.max(distance) < 1e-6, "the skin's points are not mirror-symmetric"
     return np.asarray(index, np.int64)
 
 

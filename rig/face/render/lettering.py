@@ -1,6 +1,7 @@
 """Capital letters drawn as strokes, so that pictures can be labelled without a font file."""
 
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ def _glyph(character: str, height: int) -> Array:
             [[int(a), int(b)] for a, b in zip(stroke[::2], stroke[1::2], strict=True)]
         )
         places = points * [unit, unit] + 1
-        for (ax, ay), (bx, by) in zip(places[:-1], places[1:], strict=True):
+        for (ax, ay), (bx, by) in pairwise(places):
             dx, dy = bx - ax, by - ay
             h = np.clip(((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-9), 0, 1)
             distance = np.hypot(x - ax - h * dx, y - ay - h * dy)

@@ -1,5 +1,6 @@
 """The same picture by OpenGL 3.3 without a window (moderngl over EGL); moderngl is optional."""
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,8 @@ import numpy as np
 from rig.errors import RigError
 from rig.face.mesh import Array, Mesh
 from rig.face.render.camera import View
-from rig.face.render.shading import background, glsl
+from rig.face.render.lettering import Picture
+from rig.face.render.shading import glsl, glsl_background
 
 
 class OpenGLRenderer:
@@ -39,10 +41,12 @@ class OpenGLRenderer:
             context.depth_renderbuffer(size, samples=4),
         )
         self._one = context.framebuffer([context.renderbuffer(size, 4)])
-        self._sky = np.broadcast_to(background(size[1]), (size[1], size[0], 3))
+        sky_vertex, sky_fragment = glsl_background()
+        sky = context.program(vertex_shader=sky_vertex, fragment_shader=sky_fragment)
+        self._sky = context.vertex_array(sky, [])
 
-    def draw(self, vertices: Array, normals: Array) -> Array:
-        """Picture (height, width, 3) in 0..1 of the mesh with these vertices and normals."""
+    def draw(self, vertices: Array, normals: Array) -> Picture:
+        """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
         width, height = self.size
         self._points.write(np.hstack([vertices, normals]).astype("f4").tobytes())
         matrix = self.view.matrix(width / height)
@@ -51,12 +55,14 @@ class OpenGLRenderer:
         context = self._context
         self._many.use()
         context.enable(context.DEPTH_TEST)
-        self._many.clear(0.0, 0.0, 0.0, 0.0)
+        self._many.clear(0.0, 0.0, 0.0, 1.0)
+        self._sky.render(vertices=3)
+        context.enable(context.CULL_FACE)
         self._array.render()
+        context.disable(context.CULL_FACE)
         context.copy_framebuffer(self._one, self._many)
-        raw = np.frombuffer(self._one.read(components=4), np.uint8).reshape(height, width, 4)
-        pixels = raw[::-1].astype(np.float64) / 255
-        return np.asarray(pixels[..., :3] + (1 - pixels[..., 3:]) * self._sky)
+        raw = np.frombuffer(self._one.read(components=3, alignment=1), np.uint8)
+        return np.ascontiguousarray(raw.reshape(height, width, 3)[::-1])
 
     def close(self) -> None:
         """Free the context."""
@@ -65,14 +71,14 @@ class OpenGLRenderer:
 
 def _context() -> Any:
     try:
-        import moderngl
+        moderngl: Any = import_module("moderngl")
     except ImportError as error:
         raise RigError(
             "OpenGL pictures need moderngl, which is not installed; "
             "pip install 'deitalk[preview]', or use backend='software'"
         ) from error
     try:
-        return moderngl.create_standalone_context(backend="egl")
+        return moderngl.create_context(standalone=True, backend="egl")
     except Exception as error:  # moderngl raises bare Exception when EGL or a driver is missing
         raise RigError(
             f"no OpenGL context could be made ({error}); install Mesa's EGL "

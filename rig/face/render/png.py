@@ -21,7 +21,7 @@ def png_bytes(picture: Picture) -> bytes:
     """
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise RigError(
-            f"a picture has shape {picture.shape} and type {picture.dtype}; PNG needs (h, w, 3) uint8"
+            f"picture of shape {picture.shape} and type {picture.dtype}; PNG needs (h, w, 3) uint8"
         )
     height, width = picture.shape[:2]
     rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)

@@ -2,21 +2,19 @@
 
 from typing import Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rig.errors import RigError
 from rig.face.mesh import Array, Mesh, vertex_normals
 from rig.face.render.camera import View
+from rig.face.render.lettering import Picture
 from rig.face.render.opengl import OpenGLRenderer
 from rig.face.render.software import SoftwareRenderer
 
 Backend = Literal["auto", "opengl", "software"]
-Picture = NDArray[np.uint8]
+__all__ = ["Backend", "Picture", "Renderer", "make_renderer"]
 
 
 class _Drawer(Protocol):
-    def draw(self, vertices: Array, normals: Array) -> Array: ...
+    def draw(self, vertices: Array, normals: Array) -> Picture: ...
 
     def close(self) -> None: ...
 
@@ -33,10 +31,14 @@ class Renderer:
     def __init__(self, mesh: Mesh, drawer: _Drawer, backend: str) -> None:
         self._mesh, self._drawer, self.backend = mesh, drawer, backend
 
-    def render(self, vertices: Array) -> Picture:
-        """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3)."""
-        picture = self._drawer.draw(vertices, vertex_normals(vertices, self._mesh.faces))
-        return (picture * 255 + 0.5).astype(np.uint8)
+    def render(self, vertices: Array, normals: Array | None = None) -> Picture:
+        """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3).
+
+        `normals` (V, 3) may be given where several views share them.
+        """
+        if normals is None:
+            normals = vertex_normals(vertices, self._mesh.faces)
+        return self._drawer.draw(vertices, normals)
 
     def close(self) -> None:
         """Free what the backend holds."""

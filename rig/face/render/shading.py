@@ -1,7 +1,7 @@
 """Light and material, the same in numpy and in GLSL.
 
 Linear light, wrapped diffuse (red wraps further, as in skin), Blinn-Phong highlights, a sky and
-ground ambient, and a gentle shoulder before sRGB.
+ground ambient, and a gentle shoulder. sRGB is taken as a square, which is cheap and near enough.
 """
 
 import numpy as np
@@ -18,17 +18,11 @@ LIGHTS = (
 WRAP = (0.38, 0.22, 0.16)
 SKY, GROUND = (0.22, 0.24, 0.27), (0.10, 0.085, 0.08)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
-GAMMA = 2.2
 
 
-def shade(albedo: Array, normals: Array, to_eye: Array, gloss: Array, is_front: Array) -> Array:
-    """Colour (n, 3) sRGB of surface points from their sRGB albedo, normal, view and gloss.
-
-    Where `is_front` is false the inside of a surface is seen; it gets little light.
-    """
-    facing = np.where(is_front, 1.0, -1.0)[:, None]
-    albedo, gloss = albedo * np.where(is_front, 1.0, 0.3)[:, None], gloss * is_front
-    n = unit(normals + 1e-12) * facing
+def shade(albedo: Array, normals: Array, to_eye: Array, gloss: Array) -> Array:
+    """Colour (n, 3) sRGB of surface points from their sRGB albedo, normal, view and gloss."""
+    n = unit(normals + 1e-12)
     wrap = np.array(WRAP)
     up = 0.5 + 0.5 * n[:, 1:2]
     diffuse = np.array(GROUND) + (np.array(SKY) - np.array(GROUND)) * up
@@ -38,12 +32,13 @@ def shade(albedo: Array, normals: Array, to_eye: Array, gloss: Array, is_front: 
     for direction, color in LIGHTS:
         d = unit(np.array(direction))
         cosine = (n @ d)[:, None]
-        diffuse = diffuse + np.array(color) * np.clip((cosine + wrap) / (1 + wrap), 0, 1) ** 1.25
+        lit = np.clip((cosine + wrap) / (1 + wrap), 0, 1)
+        diffuse = diffuse + np.array(color) * lit * (0.72 + 0.28 * lit)
         half = unit(d + to_eye)
         shine = np.clip((n * half).sum(1), 0, 1) ** power * strength * (cosine[:, 0] > 0)
         highlight += shine[:, None] * np.array(color)
-    linear = albedo**GAMMA * diffuse + highlight
-    return np.asarray((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1) ** (1 / GAMMA))
+    linear = albedo**2 * diffuse + highlight
+    return np.asarray(np.sqrt((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1)))
 
 
 def background(height: int) -> Array:
@@ -59,29 +54,50 @@ def _vec(values: tuple[float, ...]) -> str:
 def glsl() -> tuple[str, str]:
     """Vertex and fragment shader of the same light."""
     lamps = "".join(
-        f"  lamp({_vec(tuple(unit(np.array(d))))}, {_vec(c)}, n, v, paint.a, diffuse, shine);\n"
+        f"  lamp({_vec(tuple(unit(np.array(d))))}, {_vec(c)}, n, v, paint_.a, diffuse, shine);\n"
         for d, c in LIGHTS
     )
     vertex = """#version 330
 in vec3 position; in vec3 normal; in vec4 paint;
-uniform mat4 view; centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_;
-void main() { n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1); }
+uniform mat4 view;
+centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_;
+void main() {
+  n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1);
+}
 """
     fragment = f"""#version 330
-centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; uniform vec3 eye; out vec4 color_;
+centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_;
+uniform vec3 eye; out vec4 color_;
 void lamp(vec3 d, vec3 c, vec3 n, vec3 v, float g, inout vec3 diffuse, inout vec3 shine) {{
   float k = dot(n, d); vec3 w = {_vec(WRAP)};
-  diffuse += c * pow(clamp((k + w) / (1 + w), 0, 1), vec3(1.25));
+  vec3 lit = clamp((k + w) / (1 + w), 0, 1);
+  diffuse += c * lit * (0.72 + 0.28 * lit);
   if (k > 0) shine += c * pow(clamp(dot(n, normalize(d + v)), 0, 1), 10 + 240 * g * g)
     * (0.16 * min(g, 0.28) + 0.50 * pow(g, 2.5));
 }}
 void main() {{
   vec3 v = normalize(eye - p_), n = normalize(n_);
-  vec4 paint = paint_;
-  if (!gl_FrontFacing) {{ n = -n; paint *= vec4(0.3, 0.3, 0.3, 0); }}
   vec3 diffuse = mix({_vec(GROUND)}, {_vec(SKY)}, 0.5 + 0.5 * n.y), shine = vec3(0);
-{lamps}  vec3 linear = pow(paint.rgb, vec3({GAMMA})) * diffuse + shine;
-  color_ = vec4(pow(clamp(linear * 1.12 / (1 + 0.12 * linear), 0, 1), vec3(1 / {GAMMA})), 1);
+{lamps}  vec3 linear = paint_.rgb * paint_.rgb * diffuse + shine;
+  color_ = vec4(sqrt(clamp(linear * 1.12 / (1 + 0.12 * linear), 0, 1)), 1);
+}}
+"""
+    return vertex, fragment
+
+
+def glsl_background() -> tuple[str, str]:
+    """Vertex and fragment shader of the backdrop, for one triangle that covers the screen."""
+    vertex = """#version 330
+out float top;
+void main() {
+  vec2 p = vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1);
+  top = 0.5 * p.y + 0.5; gl_Position = vec4(p, 0.9999, 1);
+}
+"""
+    fragment = f"""#version 330
+in float top; out vec4 color_;
+void main() {{
+  color_ = vec4(mix({_vec(BACKGROUND_BOTTOM)}, {_vec(BACKGROUND_TOP)}, top), 1);
 }}
 """
     return vertex, fragment

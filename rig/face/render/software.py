@@ -8,6 +8,7 @@ import numpy as np
 
 from rig.face.mesh import Array, Index, Mask, Mesh
 from rig.face.render.camera import View
+from rig.face.render.lettering import Picture
 from rig.face.render.shading import background, shade
 
 
@@ -17,14 +18,15 @@ class SoftwareRenderer:
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View, supersample: int = 2) -> None:
         self.mesh, self.size, self.view, self.supersample = mesh, size, view, supersample
 
-    def draw(self, vertices: Array, normals: Array) -> Array:
-        """Picture (height, width, 3) in 0..1 of the mesh with these vertices and normals."""
+    def draw(self, vertices: Array, normals: Array) -> Picture:
+        """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
         width, height = (n * self.supersample for n in self.size)
         clip = np.c_[vertices, np.ones(len(vertices))] @ self.view.matrix(width / height).T
         screen = clip[:, :3] / clip[:, 3:]
         xy = (screen[:, :2] * [0.5, -0.5] + 0.5) * [width, height]
-        pixel, face, bary = _visible(xy, screen[:, 2], self.mesh.faces, width, height)
-        corners = self.mesh.faces[face]
+        faces = self.mesh.faces[_is_front(xy, self.mesh.faces)]
+        pixel, face, bary = _visible(xy, screen[:, 2], faces, width, height)
+        corners = faces[face]
 
         def across(values: Array) -> Array:
             return np.asarray(np.einsum("fk,fkc->fc", bary, values[corners]))
@@ -34,11 +36,10 @@ class SoftwareRenderer:
         to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
         paint = across(np.c_[self.mesh.colors, self.mesh.gloss])
         picture = np.broadcast_to(background(height), (height, width, 3)).copy()
-        picture.reshape(-1, 3)[pixel] = shade(
-            paint[:, :3], across(normals), to_eye, paint[:, 3], _is_front(xy, self.mesh.faces)[face]
-        )
+        picture.reshape(-1, 3)[pixel] = shade(paint[:, :3], across(normals), to_eye, paint[:, 3])
         k = self.supersample
-        return np.asarray(picture.reshape(height // k, k, width // k, k, 3).mean((1, 3)))
+        mean = picture.reshape(height // k, k, width // k, k, 3).mean((1, 3))
+        return np.asarray(mean * 255 + 0.5, np.uint8)
 
     def close(self) -> None:
         """Nothing to free."""
