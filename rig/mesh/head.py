@@ -68,16 +68,18 @@ def head_landmarks(head: Head) -> dict[str, int]:
     """
     skin = head.features
     rim, red = skin.loop(MOUTH, 0), skin.loop(MOUTH, 3)
-    quarter, sixth = len(rim) // 4, len(rim) // 6
+    quarter = len(rim) // 4
+    share = skin.vertices[rim[:quarter], 0] / skin.vertices[rim[0], 0]
+    half = int(np.argmin(np.abs(share - 0.5)))
     found = {
         "mouth_corner_left": rim[0],
         "mouth_corner_right": rim[2 * quarter],
         "upper_rim": rim[quarter],
         "lower_rim": rim[3 * quarter],
-        "upper_rim_left": rim[sixth],
-        "upper_rim_right": rim[2 * quarter - sixth],
-        "lower_rim_left": rim[-sixth],
-        "lower_rim_right": rim[2 * quarter + sixth],
+        "upper_rim_left": rim[half],
+        "upper_rim_right": rim[2 * quarter - half],
+        "lower_rim_left": rim[-half],
+        "lower_rim_right": rim[2 * quarter + half],
         "upper_lip_top": red[quarter],
         "lower_lip_bottom": red[3 * quarter],
     }

@@ -39,6 +39,7 @@ _NEAR_PART = 0.1
 """A loose part this near a loose part of the source (eye to eye) takes its motion."""
 _RIGID = 0.1
 """A part that departs this far, of its motion, from the best rigid one bends: a tongue."""
+_SOFTENING = 2
 _REGION = 0.3
 _FITS = 300
 _SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
@@ -66,7 +67,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
     faces = registration.source.faces[registration.skin_faces]
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
     trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
-    result = _fill(registration.target, result, trusted)
+    result = _soften(registration.target, _fill(registration.target, result, trusted))
     return _settle_parts(registration, mapped, result)
 
 
@@ -181,6 +182,20 @@ def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats
     coupling = laplacian[open_]
     for delta in result:
         delta[open_] = factors.solve(-(coupling @ delta))
+    return result
+
+
+def _soften(target: TriMesh, deltas: Floats) -> Floats:
+    """Take the registration's ripples out: vertices go half way to their neighbours' mean."""
+    links = adjacency(target)
+    degree = np.asarray(links.sum(axis=1)).ravel()
+    halves = diags_array(np.where(degree > 0, 0.5 / np.maximum(degree, 1.0), 0.0)) @ links
+    own = np.where(degree > 0, 0.5, 1.0)[:, None]
+    result = np.empty_like(deltas)
+    for k, delta in enumerate(deltas):
+        for _ in range(_SOFTENING):
+            delta = own * delta + halves @ delta
+        result[k] = delta
     return result
 
 
