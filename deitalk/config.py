@@ -80,6 +80,9 @@ class ModelConfig(Section):
     classifier_size: Positive = 64
     decoder_channels: Positive = 512
     decoder_dilations: tuple[Positive, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    decoder_residual: bool = Field(
+        False, description="carry every layer's input past it; not in the paper"
+    )
     kernel_size: Positive = 3
     dropout: float = Field(0.0, ge=0, lt=1)
 

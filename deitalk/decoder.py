@@ -25,6 +25,8 @@ class RigDecoder(nn.Module):
     rest : Tensor [shape=(C,)]
         Curves of the face at rest; the last layer starts there.
     dropout : float
+    residual : bool
+        Add a layer's input to its output, the first excepted (not in the paper).
     """
 
     def __init__(
@@ -39,8 +41,10 @@ class RigDecoder(nn.Module):
         n_emotions: int,
         rest: Tensor,
         dropout: float = 0.0,
+        residual: bool = False,
     ) -> None:
         super().__init__()
+        self.residual = residual
         self.margin = receptive_margin(dilations, kernel_size)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
         extra = style_size + guidance_size
@@ -75,7 +79,8 @@ class RigDecoder(nn.Module):
         extra = style if guidance is None else torch.cat((style, guidance), dim=-1)
         extra = extra.transpose(1, 2)  # (B, style + E, T)
         x = speech.transpose(1, 2)  # (B, D, T)
-        for layer in self.layers:
-            x = layer(torch.cat((x, extra), dim=1))
+        for i, layer in enumerate(self.layers):
+            out = layer(torch.cat((x, extra), dim=1))
+            x = (x + out) / 2**0.5 if self.residual and i else out
         curves: Tensor = self.output(x.transpose(1, 2))
         return curves

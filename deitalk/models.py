@@ -86,6 +86,7 @@ class DEITalk(nn.Module):
             n_emotions=n_emotions,
             rest=torch.tensor(self.controls.rest),
             dropout=config.dropout,
+            residual=config.decoder_residual,
         )
 
     def forward(

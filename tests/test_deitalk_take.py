@@ -1,0 +1,88 @@
+"""The take folder: complete, readable, never half there."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import soundfile
+from test_deitalk_animate import network, recording
+
+from deitalk import animate
+from deitalk.take import FILES, TakeError, write_take
+from rig import read_curves
+
+__all__ = ["network"]
+
+
+@pytest.fixture(scope="module")
+def performance(network):  # noqa: F811
+    return animate(recording(2.5), "happy", model=network)
+
+
+def write(folder, performance, **options):
+    settings = {"emotion": "happy"}
+    return write_take(folder, performance, settings=settings, model={"name": "test"}, **options)
+
+
+def test_every_file_is_there_and_described(tmp_path, performance):
+    take = write(tmp_path / "take", performance)
+    about = json.loads((take / "take.json").read_text())
+    assert {path.name for path in take.iterdir()} == set(about["files"]) == set(FILES)
+    assert about["frames"] == 75
+    assert about["control_set"] == "metahuman-185@mh4"
+    assert about["settings"] == {"emotion": "happy"}
+
+
+def test_files_agree_with_each_other(tmp_path, performance):
+    take = write(tmp_path / "take", performance)
+    from_csv, from_json = read_curves(take / "curves.csv"), read_curves(take / "curves.json")
+    np.testing.assert_allclose(from_csv.values, performance.curves.values, atol=1e-5)
+    np.testing.assert_allclose(from_json.values, from_csv.values, atol=1e-5)
+    np.testing.assert_allclose(from_json.intensity, performance.curves.intensity, atol=1e-5)
+    table = pd.read_csv(take / "intensity.csv")
+    np.testing.assert_allclose(table["time"], np.arange(75) / 30, atol=1e-6)
+    np.testing.assert_allclose(table["predicted"], performance.predicted, atol=1e-5)
+    sound, rate = soundfile.read(take / "audio.wav")
+    assert rate == 16_000
+    assert len(sound) == len(performance.recording.waveform)
+
+
+def test_another_rate_keeps_the_duration(tmp_path, performance):
+    take = write(tmp_path / "take", performance, fps=60)
+    assert read_curves(take / "curves.csv").fps == 60
+    assert len(read_curves(take / "curves.csv")) == pytest.approx(150, abs=1)
+
+
+def test_an_existing_take_is_replaced_only_by_force(tmp_path, performance):
+    take = write(tmp_path / "take", performance)
+    (take / "mine.txt").write_text("notes")
+    with pytest.raises(TakeError, match="--force"):
+        write(take, performance)
+    assert (take / "mine.txt").exists()
+    write(take, performance, force=True)
+    assert not (take / "mine.txt").exists()
+
+
+def test_a_folder_of_something_else_is_never_replaced(tmp_path, performance):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos/a.jpg").write_bytes(b"x")
+    with pytest.raises(TakeError, match="something else"):
+        write(tmp_path / "photos", performance, force=True)
+    assert (tmp_path / "photos/a.jpg").exists()
+
+
+def test_a_full_disk_leaves_nothing_behind(tmp_path, performance, monkeypatch):
+    def full(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("deitalk.take.write_wav", full)
+    with pytest.raises(TakeError, match="No space left on device"):
+        write(tmp_path / "take", performance)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_parent_is_one_line(tmp_path, performance):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(TakeError, match="cannot write"):
+        write(tmp_path / "file" / "take", performance)
