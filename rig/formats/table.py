@@ -59,6 +59,24 @@ class Format:
     begins: tuple[str, ...] = ()
 
 
+def _write_glb(path: Path, curves: RigCurves) -> None:
+    from rig.formats import glb  # the head is built for files that show it
+
+    glb.write(path, curves)
+
+
+def _write_usd(path: Path, curves: RigCurves) -> None:
+    from rig.formats import usd
+
+    usd.write(path, curves)
+
+
+def _read_usd(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
+    from rig.formats import usd
+
+    return usd.read(path, controls, fps)
+
+
 FORMATS: tuple[Format, ...] = (
     Format(
         "csv",
@@ -170,6 +188,21 @@ FORMATS: tuple[Format, ...] = (
         "Rhubarb mouth cues, XML",
         rhubarb.read_xml,
         rhubarb.write_xml,
+        DEFAULT_ID,
+    ),
+    Format(
+        "glb",
+        (".glb",),
+        "our head with morph targets and their animation",
+        write=_write_glb,
+        control_set=DEFAULT_ID,
+    ),
+    Format(
+        "usd",
+        (".usd", ".usda", ".usdc"),
+        "our head as UsdSkel blend shapes, raw curves as custom:mh_curveValues (extra usd)",
+        _read_usd,
+        _write_usd,
         DEFAULT_ID,
     ),
 )

@@ -1,0 +1,145 @@
+"""USD: our head as UsdSkel blend shapes, and the raw curves as Audio2Face's exporters wrote them.
+
+Needs the package usd-core. The animation prim carries ``custom:mh_curveNames`` and
+``custom:mh_curveValues``, which Omniverse's connector reads into an AnimSequence; `read` takes the
+curves from there. Unreal's own importer reads the blend shapes only.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.controls import ControlSet
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.formats.morph_head import METRES_PER_CM, morph_head
+from rig.formats.wide_csv import check_size
+from rig.raw import RAW_ID, board_to_raw, raw_controls
+
+NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
+STILL_CM = 1e-3
+MAX_FRAMES = 10_000_000
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write a SkelRoot with mesh, blend shapes and animation; cm, y up, a time code per frame."""
+    pxr = _pxr()
+    stage = pxr.Usd.Stage.CreateInMemory()
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_CM)
+    stage.SetTimeCodesPerSecond(curves.fps)
+    stage.SetFramesPerSecond(curves.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(curves) - 1)
+    root = pxr.UsdSkel.Root.Define(stage, "/head")
+    stage.SetDefaultPrim(root.GetPrim())
+    skeleton = _skeleton(pxr, stage)
+    mesh, shapes = _mesh(pxr, stage, skeleton)
+    animation = pxr.UsdSkel.Animation.Define(stage, "/head/animation")
+    animation.CreateBlendShapesAttr(shapes)
+    pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets(
+        [animation.GetPath()]
+    )
+    pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim()).CreateBlendShapesAttr(shapes)
+    weights = animation.CreateBlendShapeWeightsAttr()
+    _samples(pxr, weights, morph_head()[0].weights(curves))
+    raw = board_to_raw(curves)
+    types = pxr.Sdf.ValueTypeNames
+    animation.GetPrim().CreateAttribute(NAMES, types.TokenArray).Set(list(raw.names))
+    _samples(pxr, animation.GetPrim().CreateAttribute(VALUES, types.FloatArray), raw.values)
+    if not stage.GetRootLayer().Export(str(path)):
+        raise OSError(f"usd-core could not write {path.name}")
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read the raw curves of the first prim that has them.
+
+    Raises
+    ------
+    FormatError
+        If the file is no USD, or no prim carries the two attributes.
+    """
+    check_size(path)
+    pxr = _pxr()
+    try:
+        stage = pxr.Usd.Stage.Open(str(path))
+    except pxr.Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise FormatError(f"{path} is no USD file: {reason}") from None
+    for prim in stage.Traverse():
+        names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
+        if names and values:
+            return _curves(path, stage, names, values, fps)
+    raise FormatError(f"{path} has no prim with {NAMES} and {VALUES}")
+
+
+def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) -> RigCurves:
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    rate = stage.GetTimeCodesPerSecond()
+    n_frames = int(end - start) + 1 if np.isfinite(end - start) else 0
+    if not 0 < n_frames <= MAX_FRAMES:
+        raise FormatError(f"{path} runs from time code {start:g} to {end:g}; that is no clip")
+    rows = [np.asarray(values.Get(start + i) or (), np.float32) for i in range(n_frames)]
+    found = raw_controls().resolve([str(name) for name in names.Get() or ()])
+    if any(len(row) != len(found) for row in rows):
+        raise FormatError(f"{path}: a frame has not one value for each of {len(found)} curves")
+    curves = RigCurves(np.stack(rows), found, fps or rate, control_set=RAW_ID)
+    return curves.reorder(raw_controls())
+
+
+def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
+    """Define the mesh with a blend shape prim per morph target; return it and their names."""
+    rig, colours = morph_head()
+    neutral = rig.shapes.neutral
+    mesh = pxr.UsdGeom.Mesh.Define(stage, "/head/face")
+    vectors, integers = pxr.Vt.Vec3fArray.FromNumpy, pxr.Vt.IntArray.FromNumpy
+    mesh.CreatePointsAttr(vectors(neutral.vertices.astype(np.float32)))
+    mesh.CreateFaceVertexCountsAttr(integers(np.full(len(neutral.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(integers(neutral.faces.astype(np.int32).ravel()))
+    mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    display = mesh.CreateDisplayColorPrimvar(pxr.UsdGeom.Tokens.vertex)
+    display.Set(vectors(colours.astype(np.float32)))
+    binding = pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    joints = np.zeros(len(neutral.vertices), np.int32)
+    binding.CreateJointIndicesPrimvar(False, 1).Set(integers(joints))
+    ones = pxr.Vt.FloatArray.FromNumpy(np.ones(len(joints), np.float32))
+    binding.CreateJointWeightsPrimvar(False, 1).Set(ones)
+    shapes, targets = [], []
+    for name, delta in zip(rig.shapes.names, rig.shapes.deltas, strict=True):
+        token = pxr.Tf.MakeValidIdentifier(name)
+        shape = pxr.UsdSkel.BlendShape.Define(stage, f"/head/face/{token}")
+        moving = np.flatnonzero(np.linalg.norm(delta, axis=1) > STILL_CM).astype(np.int32)
+        shape.CreateOffsetsAttr(vectors(np.ascontiguousarray(delta[moving], np.float32)))
+        shape.CreatePointIndicesAttr(integers(moving))
+        shapes.append(token)
+        targets.append(shape.GetPath())
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+    return mesh, shapes
+
+
+def _skeleton(pxr: Any, stage: Any) -> Any:
+    """Define one joint that never moves: UsdSkel wants a skeleton to bind an animation to."""
+    skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/head/skeleton")
+    still = [pxr.Gf.Matrix4d(1)]
+    skeleton.CreateJointsAttr(["head"])
+    skeleton.CreateBindTransformsAttr(still)
+    skeleton.CreateRestTransformsAttr(still)
+    return skeleton
+
+
+def _samples(pxr: Any, attribute: Any, rows: np.ndarray[Any, Any]) -> None:
+    for i, row in enumerate(np.ascontiguousarray(rows, np.float32)):
+        attribute.Set(pxr.Vt.FloatArray.FromNumpy(row), i)
+
+
+def _pxr() -> Any:
+    try:
+        import pxr  # type: ignore[import-untyped]
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+    except ImportError as error:
+        raise FormatError("USD needs the package usd-core: pip install deitalk[usd]") from error
+    assert all((Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt))
+    return pxr
