@@ -1,5 +1,6 @@
 """The same picture by OpenGL 3.3 without a window (moderngl over EGL); moderngl is optional."""
 
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -65,11 +66,14 @@ class OpenGLRenderer:
         return np.ascontiguousarray(raw.reshape(height, width, 3)[::-1])
 
     def close(self) -> None:
-        """Free the context."""
-        self._context.release()
+        """Free this renderer's buffers; the context stays for the next one."""
+        for thing in (self._array, self._points, self._many, self._one, self._sky, self._program):
+            thing.release()
 
 
+@lru_cache(maxsize=1)
 def _context() -> Any:
+    """The process's one OpenGL context; several would each have to be made current."""
     try:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:

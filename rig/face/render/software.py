@@ -62,7 +62,7 @@ def _visible(
     extent = (np.ceil(corner.max(1)) - low).max(1)
     low_in, high_in = corner.max(1), corner.min(1)
     on_screen = (low_in > 0).all(1) & (high_in < [width, height]).all(1)
-    found = []
+    found = [_fragments(corner, low, np.zeros(0, np.int64), 1, width, height)]
     smallest = 0.0
     for box in (2, 4, 6, 9, 14, 24, 48, 96, 192, 384, 10_000):
         group = np.flatnonzero(on_screen & (extent <= box) & (extent > smallest))

@@ -1,0 +1,130 @@
+"""What a preview shows: curves, the recording they belong to, and the neutral reading if known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.errors import DeitalkError
+from rig import RigCurves, default_controls, read_curves
+
+MAX_SECONDS = 1800.0
+MAX_AUDIO_BYTES = 500_000_000
+TOLERANCE_SECONDS = 0.1
+"""Curves and recording may differ in length by this much (a frame or two of rounding)."""
+
+
+class PreviewError(DeitalkError):
+    """Something that cannot be shown as asked."""
+
+
+@dataclass(frozen=True)
+class PreviewSource:
+    """One performance, ready to be drawn.
+
+    Attributes
+    ----------
+    title : str
+    curves : RigCurves
+        All 185 controls, with emotion and intensity if they are known.
+    samples : ndarray [shape=(S,)], float32
+        The recording, mono, -1..1; empty without one.
+    sample_rate : int
+        Hz; 0 without a recording.
+    neutral : ndarray [shape=(T, 185)] or None
+        The neutral reading of the same speech.
+    """
+
+    title: str
+    curves: RigCurves
+    samples: NDArray[np.float32]
+    sample_rate: int
+    neutral: NDArray[np.float32] | None = None
+
+    @property
+    def audio_seconds(self) -> float:
+        """Length of the recording; 0 without one."""
+        return len(self.samples) / self.sample_rate if self.sample_rate else 0.0
+
+
+def load_source(source: Path | str, audio: Path | str | None = None) -> PreviewSource:
+    """Read a take folder, or a file of curves with its recording.
+
+    Parameters
+    ----------
+    source : Path or str
+        Folder written by ``deitalk animate``, or a curve file of any known format.
+    audio : Path or str, optional
+        The recording; a take folder brings its own.
+
+    Raises
+    ------
+    PreviewError
+        If something is missing, the recording is longer than the curves, or either is too long.
+    """
+    source = Path(source)
+    if not source.exists():
+        raise PreviewError(f"{source} is not there; name a take folder or a file of curves")
+    if source.is_dir():
+        return _load_take(source, audio)
+    curves = _on_the_board(read_curves(source))
+    samples, rate = (np.zeros(0, np.float32), 0) if audio is None else _read_audio(Path(audio))
+    return _checked(PreviewSource(source.stem, curves, samples, rate))
+
+
+def _load_take(folder: Path, audio: Path | str | None) -> PreviewSource:
+    path = folder / "curves.json"
+    if not path.is_file():
+        raise PreviewError(f"{folder} has no curves.json; name a folder that deitalk animate wrote")
+    curves = _on_the_board(read_curves(path))
+    recording = Path(audio) if audio is not None else folder / "audio.wav"
+    samples, rate = _read_audio(recording)
+    neutral = None
+    if (folder / "neutral.npz").is_file():
+        neutral = _on_the_board(read_curves(folder / "neutral.npz")).values
+        if neutral.shape != curves.values.shape:
+            raise PreviewError(
+                f"neutral.npz has {len(neutral)} frames and curves.json {len(curves)}; "
+                "write the take again"
+            )
+    return _checked(PreviewSource(folder.name, curves, samples, rate, neutral))
+
+
+def _on_the_board(curves: RigCurves) -> RigCurves:
+    """The curves with all 185 controls in the board's order."""
+    names = default_controls().names
+    return curves if curves.names == names else curves.select(names)
+
+
+def _read_audio(path: Path) -> tuple[NDArray[np.float32], int]:
+    import soundfile
+
+    if not path.is_file():
+        raise PreviewError(f"recording {path} is not there; give it with --audio")
+    if path.stat().st_size > MAX_AUDIO_BYTES:
+        raise PreviewError(f"recording {path} is over {MAX_AUDIO_BYTES / 1e6:.0f} MB; cut it first")
+    try:
+        samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
+    except (soundfile.LibsndfileError, RuntimeError) as error:
+        raise PreviewError(
+            f"recording {path} cannot be read ({error}); use a WAV or FLAC"
+        ) from None
+    return samples.mean(1), int(rate)
+
+
+def _checked(source: PreviewSource) -> PreviewSource:
+    seconds = source.curves.duration
+    if len(source.curves) == 0:
+        raise PreviewError(f"{source.title} has no frames; there is nothing to show")
+    if max(seconds, source.audio_seconds) > MAX_SECONDS:
+        raise PreviewError(
+            f"{source.title} lasts {max(seconds, source.audio_seconds):.0f} s; "
+            f"a preview shows at most {MAX_SECONDS:.0f} s, cut it first"
+        )
+    if source.audio_seconds > seconds + TOLERANCE_SECONDS:
+        raise PreviewError(
+            f"recording lasts {source.audio_seconds:.2f} s but the curves end at {seconds:.2f} s; "
+            "cut the recording, or animate all of it"
+        )
+    return source

@@ -1,0 +1,204 @@
+"""The review video: two views of the face over the sound and the curves, with the recording."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.errors import MissingError
+from deitalk.preview.panel import Panel, label
+from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from rig.curves import EMOTIONS
+from rig.face import build_head
+from rig.face.identity import Identity
+from rig.face.mesh import vertex_normals
+from rig.face.render import VIEWS, Renderer, make_renderer
+from rig.face.render.lettering import Picture
+from rig.face.render.renderer import Backend
+from rig.files import atomic_write
+
+WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
+FACE_WIDTH = 540
+BATCH = 32
+Progress = Callable[[float], None]
+
+
+def render_video(
+    source: Path | str | PreviewSource,
+    out: Path | str,
+    *,
+    audio: Path | str | None = None,
+    identity: int | str | Identity = 0,
+    second_view: str = "mouth",
+    backend: Backend = "auto",
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Render a take as an MP4 with its recording.
+
+    Frame i of the video shows the curves at i/fps and the sound starts with frame 0, so that
+    picture and sound agree exactly. Curves that last longer than the recording go on in silence.
+
+    Parameters
+    ----------
+    source : Path, str or PreviewSource
+        Take folder, or a file of curves.
+    out : Path or str
+        The ``.mp4`` to write.
+    audio : Path or str, optional
+        Recording, where the source brings none. Without one the video is silent.
+    identity : int, str or Identity, optional
+        Whose head.
+    second_view : str, optional
+        Name of the right-hand camera, one of `rig.face.render.VIEWS`.
+    backend : {'auto', 'opengl', 'software'}, optional
+        What draws.
+    force : bool, optional
+        Replace an existing file.
+    progress : callable, optional
+        Called with the share done, 0 to 1.
+
+    Raises
+    ------
+    PreviewError
+        If the source cannot be shown or the target cannot be written.
+    MissingError
+        If ffmpeg is not installed.
+    """
+    out = Path(out)
+    _check_target(out, force)
+    if second_view not in VIEWS:
+        raise PreviewError(f"view {second_view!r} is unknown; use one of {', '.join(VIEWS)}")
+    ffmpeg = find_ffmpeg()
+    shown = source if isinstance(source, PreviewSource) else load_source(source, audio)
+    frames = draw_frames(shown, identity=identity, second_view=second_view, backend=backend)
+    with atomic_write(out) as beside:
+        _encode(ffmpeg, frames, shown, beside, progress)
+    return out
+
+
+def find_ffmpeg() -> str:
+    """Path of the ffmpeg program.
+
+    Raises
+    ------
+    MissingError
+        If there is none.
+    """
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise MissingError(
+            "a video needs ffmpeg, which is not installed; apt install ffmpeg, brew install "
+            "ffmpeg, or winget install ffmpeg"
+        )
+    return program
+
+
+def _check_target(out: Path, force: bool) -> None:
+    if out.suffix.lower() != ".mp4":
+        raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a video is a .mp4 file")
+    if out.exists() and not force:
+        raise PreviewError(f"{out} exists; add --force to replace it, or name another file")
+    if not out.parent.is_dir():
+        raise PreviewError(f"folder {out.parent} is not there; make it first")
+
+
+def draw_frames(
+    source: PreviewSource,
+    *,
+    identity: int | str | Identity = 0,
+    second_view: str = "mouth",
+    backend: Backend = "auto",
+) -> Iterator[Picture]:
+    """Pictures (720, 960, 3) of every frame, in order."""
+    head = build_head(identity)
+    sizes = {"face": (FACE_WIDTH, FACE_HEIGHT), second_view: (WIDTH - FACE_WIDTH, FACE_HEIGHT)}
+    views: list[Renderer] = [
+        make_renderer(head.mesh, size=size, view=VIEWS[name], backend=backend)
+        for name, size in sizes.items()
+    ]
+    panel = Panel(source, (WIDTH, PANEL_HEIGHT))
+    values = source.curves.values
+    try:
+        for start in range(0, len(values), BATCH):
+            poses = head.pose(values[start : start + BATCH])
+            for k, pose in enumerate(poses):
+                normals = vertex_normals(pose, head.mesh.faces)
+                faces = np.hstack([view.render(pose, normals) for view in views])
+                faces = _captioned(faces, source, panel, start + k)
+                yield np.vstack([faces, panel.at(start + k)])
+    finally:
+        for view in views:
+            view.close()
+
+
+def _captioned(picture: Picture, source: PreviewSource, panel: Panel, frame: int) -> Picture:
+    """Title, time code, emotion and intensity over the faces."""
+    picture = label(picture, source.title[:40], (14, 14))
+    picture = label(picture, panel.time_code(frame), (14, FACE_HEIGHT - 24))
+    curves = source.curves
+    words = []
+    if curves.emotion is not None:
+        strongest = int(curves.emotion[frame].argmax())
+        words.append(f"{EMOTIONS[strongest]} {curves.emotion[frame, strongest]:.0%}")
+    if curves.intensity is not None:
+        words.append(f"intensity {curves.intensity[frame]:.2f}")
+    return label(picture, "  ".join(words), (FACE_WIDTH + 14, 14)) if words else picture
+
+
+def _encode(
+    ffmpeg: str,
+    frames: Iterator[Picture],
+    source: PreviewSource,
+    out: Path,
+    progress: Progress | None,
+) -> None:
+    size = f"{WIDTH}x{FACE_HEIGHT + PANEL_HEIGHT}"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [ffmpeg, "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size,
+                   "-r", f"{source.curves.fps:.6f}", "-i", "pipe:0"]  # fmt: skip
+        if source.sample_rate:
+            command += ["-i", str(_write_sound(source, Path(folder)))]
+            command += ["-c:a", "aac", "-b:a", "160k"]
+        command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p",
+                    "-threads", "2", "-movflags", "+faststart", str(out)]  # fmt: skip
+        log = Path(folder) / "ffmpeg.log"
+        with log.open("wb") as errors:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
+            try:
+                _feed(process, frames, len(source.curves), progress)
+            finally:
+                if process.stdin is not None and not process.stdin.closed:
+                    process.stdin.close()
+                code = process.wait()
+        if code:
+            lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
+            raise PreviewError(f"ffmpeg failed: {lines[-1]}")
+
+
+def _feed(
+    process: "subprocess.Popen[bytes]",
+    frames: Iterator[Picture],
+    total: int,
+    progress: Progress | None,
+) -> None:
+    assert process.stdin is not None
+    try:
+        for done, frame in enumerate(frames, 1):
+            process.stdin.write(frame.tobytes())
+            if progress is not None:
+                progress(done / total)
+        process.stdin.close()
+    except BrokenPipeError:
+        pass  # ffmpeg has given up; its message is read after it ends
+
+
+def _write_sound(source: PreviewSource, folder: Path) -> Path:
+    import soundfile
+
+    path = folder / "sound.wav"
+    soundfile.write(path, source.samples, source.sample_rate, subtype="PCM_16")
+    return path
