@@ -13,6 +13,7 @@ import csv
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ DIPHTHONGS = {
     "EY": ("EH", "IY", 0.5),
     "OW": ("OW", "UW", 0.55),
 }
-"""Two targets, and the share of the time that belongs to the first."""
+"""Two targets, and the share of the time that belongs to the first; OW has a row of its own."""
 
 ONSET_RATE = np.array([14, 38, 34, 34, 11, 11, 12, 18, 16, 30, 26, 28, 26.0])
 """Fall of dominance before a phone, 1/s: rounding begins 200 ms early, closures 30 ms."""
@@ -43,10 +44,18 @@ CONTACT_RAMP_SECONDS = 0.045
 """Lips take this long to come together and to part."""
 CONTACT_MINIMUM_SECONDS = 0.075
 """A contact is held at least this long: two frames of video see it."""
+CONTACT_JAW = 0.2
+"""The jaw is no wider than this where lips or teeth look shut (0.9 and more)."""
+RIVAL_RAMP_SECONDS = 0.015
+"""Between /m/ and /f/ the lower lip goes straight from one contact to the other."""
+RIVAL_SECONDS = 0.09
+"""Contacts of different kinds this near each other make room for each other."""
 REACH_SECONDS = 0.45
 """Dominance is neglected farther away than this."""
 
 Floats = NDArray[np.float64]
+Segment = tuple[float, float, str, float]
+"""Start and end in seconds, phone, factor on its jaw."""
 
 
 @cache
@@ -95,8 +104,10 @@ def articulate(
     Parameters
     ----------
     phones : sequence of Phone
-        In time order.
+        In time order; they cover the clip, silence included (what lies 0.45 s beyond the last
+        phone is at rest).
     n_frames : int
+        Frames N to give.
     fps : float
         Frame i is at i / fps seconds.
     stress : ndarray [shape=(P,)] or None
@@ -107,9 +118,20 @@ def articulate(
     ndarray [shape=(N, K), range 0 to 1]
     """
     times = np.arange(n_frames) / fps
+    segments = _segments(phones, stress)
+    channels = _blend(segments, times)
+    for contact in _contacts(segments):
+        _hold(channels, times, contact)
+    shut = np.minimum(channels[:, [TOGETHER, BITE]].max(axis=1) / 0.9, 1) ** 2
+    channels[:, JAW] -= shut * np.maximum(channels[:, JAW] - CONTACT_JAW, 0)
+    return np.clip(channels, 0, 1)
+
+
+def _blend(segments: Sequence[Segment], times: Floats) -> Floats:
+    """Dominance-weighted mean of the targets [shape=(N, K)]."""
+    n_frames = len(times)
     weighted = np.zeros((n_frames, len(CHANNELS)))
     weight = np.full((n_frames, len(CHANNELS)), 1e-6)
-    segments = _segments(phones, stress)
     for start, end, name, factor in segments:
         first, last = np.searchsorted(times, (start - REACH_SECONDS, end + REACH_SECONDS))
         if first >= last or end <= start:
@@ -124,16 +146,11 @@ def articulate(
         target[JAW] *= factor
         weighted[first:last] += strength * target
         weight[first:last] += strength
-    channels = weighted / weight
-    for start, end, name, _ in segments:
-        if name in BILABIALS or name in LABIODENTALS:
-            _contact(channels, times, start, end, name)
-    return np.clip(channels, 0, 1)
+    mean: Floats = weighted / weight
+    return mean
 
 
-def _segments(
-    phones: Sequence[Phone], stress: Floats | None
-) -> list[tuple[float, float, str, float]]:
+def _segments(phones: Sequence[Phone], stress: Floats | None) -> list[Segment]:
     """Diphthongs become two targets; unknown names become a schwa."""
     out = []
     for i, phone in enumerate(phones):
@@ -162,18 +179,52 @@ def _plateau(start: float, end: float, name: str) -> tuple[float, float]:
     return start + 0.25 * length, end - 0.25 * length
 
 
-def _contact(channels: Floats, times: Floats, start: float, end: float, name: str) -> None:
-    """Lips meet (P B M), or the lower lip meets the teeth (F V); nothing works against it."""
-    if name == "P":
-        end -= 0.25 * (end - start)  # the burst is already open
-    missing = max(CONTACT_MINIMUM_SECONDS - (end - start), 0) / 2
-    start, end, ramp = start - missing, end + missing, CONTACT_RAMP_SECONDS
-    grip = np.clip(np.minimum(times - (start - ramp), end + ramp - times) / ramp, 0, 1)
+class Contact(NamedTuple):
+    """Lips that meet (P B M), or the lower lip at the teeth (F V): seconds."""
+
+    start: float
+    end: float
+    ramp_in: float
+    ramp_out: float
+    bilabial: bool
+
+
+def _contacts(segments: Sequence[Segment]) -> list[Contact]:
+    """Every contact, long enough to be seen; bilabials last, for they win."""
+    held = [s for s in segments if s[2] in BILABIALS or s[2] in LABIODENTALS]
+    contacts = []
+    for i, (start, end, name, _) in enumerate(held):
+        before = i > 0 and _rivals(held[i - 1], held[i])
+        after = i + 1 < len(held) and _rivals(held[i], held[i + 1])
+        if name == "P":
+            end -= 0.25 * (end - start)  # the burst is already open
+        missing = max(CONTACT_MINIMUM_SECONDS - (end - start), 0)
+        share = 0.5 + 0.5 * (after - before)  # grow away from a rival
+        begin, finish = start - share * missing, end + (1 - share) * missing
+        contacts.append(Contact(begin, finish, _ramp(before), _ramp(after), name in BILABIALS))
+    return sorted(contacts, key=lambda contact: contact.bilabial)
+
+
+def _ramp(is_rival: bool) -> float:
+    """Seconds from one contact to another, or to and from open lips."""
+    return RIVAL_RAMP_SECONDS if is_rival else CONTACT_RAMP_SECONDS
+
+
+def _rivals(first: Segment, second: Segment) -> bool:
+    """Whether two neighbouring contacts are of different kinds and hardly apart."""
+    differ = (first[2] in BILABIALS) != (second[2] in BILABIALS)
+    return differ and second[0] - first[1] < RIVAL_SECONDS
+
+
+def _hold(channels: Floats, times: Floats, contact: Contact) -> None:
+    """Write one contact over the mean; nothing works against it."""
+    rise = (times - contact.start) / contact.ramp_in + 1
+    fall = (contact.end - times) / contact.ramp_out + 1
+    grip = np.clip(np.minimum(rise, fall), 0, 1)
     grip = grip * grip * (3 - 2 * grip)
-    own, other = (TOGETHER, BITE) if name in BILABIALS else (BITE, TOGETHER)
+    own, other = (TOGETHER, BITE) if contact.bilabial else (BITE, TOGETHER)
     channels[:, own] = np.maximum(channels[:, own], grip)
     channels[:, other] *= 1 - grip
-    channels[:, JAW] += grip * (np.minimum(channels[:, JAW], 0.2) - channels[:, JAW])
-    if name in BILABIALS:
+    if contact.bilabial:
         channels[:, UPPER] *= 1 - grip
         channels[:, LOWER] *= 1 - grip
