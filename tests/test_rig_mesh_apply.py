@@ -193,6 +193,12 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
     on_ours = np.median(np.abs(made.source_pairs.gaps(ours)), axis=1) / made.source_pairs.width
     assert gaps[1] == pytest.approx(on_ours[1], rel=0.35) and gaps[1] > 0.08
     assert gaps[2] < gaps[0] + 0.01 and gaps[3] < gaps[0] + 0.01  # 0.5 mm of a 5 cm mouth
+    # Our eye opens 11 mm and theirs 9: the blink closes theirs and does not run past.
+    blink = made.rig.shapes.delta("CTRL_L_eye_blink.ty")
+    upper, lower = landmarks["eye_upper_left"], landmarks["eye_lower_left"]
+    opening = mesh.vertices[upper] - mesh.vertices[lower]
+    left = (opening + blink[upper] - blink[lower]) @ opening / (opening @ opening)
+    assert abs(left) < 0.1
     write_obj(tmp_path / "ict.obj", mesh)
     (tmp_path / "marks.json").write_text(json.dumps(landmarks))
     report = retarget_curves(

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.errors import FormatError, MeshError
 from rig.mesh.closest import ClosestPoints, closest_barycentric
+from rig.mesh.eyelids import fit_lids
 from rig.mesh.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
 from rig.mesh.lips import lip_pairs
 from rig.mesh.reconstruct import rigid_motion
@@ -198,6 +199,30 @@ def test_the_head_onto_itself_keeps_eyes_and_teeth_whole(head):
 def bends(rest, delta):
     rotation, shift = rigid_motion(rest, rest + delta)
     return bool(np.abs(rest @ rotation.T + shift - rest - delta).max() > 0.01)
+
+
+def test_lids_travel_as_far_as_the_eye_opens(head):
+    """Landmarks that say the eye opens half as far: the blink across the slit halves, no more."""
+    registration = register(head.mesh, head.landmarks, head.mesh, head.landmarks)
+    blink = subset(head, "CTRL_L_eye_blink.ty", "CTRL_C_jaw.ty")
+    at = head.mesh.vertices
+    upper, lower = head.landmarks["eye_upper_left"], head.landmarks["eye_lower_left"]
+    middle = 0.5 * (at[upper] + at[lower])
+    half = int(np.argmin(np.linalg.norm(at - (0.5 * at[upper] + 0.5 * middle), axis=1)))
+    same = fit_lids(registration, head.landmarks, head.landmarks, blink)
+    np.testing.assert_allclose(same, blink, atol=0.02)
+    marks = head.landmarks | {"eye_upper_left": half}
+    fitted = fit_lids(registration, head.landmarks, marks, blink)
+    slit = at[half] - at[lower]
+    ratio = np.linalg.norm(slit) / np.linalg.norm(at[upper] - at[lower])
+    across = slit / np.linalg.norm(slit)
+    near = np.linalg.norm(at - middle, axis=1) < 0.3 * np.linalg.norm(
+        at[head.landmarks["eye_outer_left"]] - at[head.landmarks["eye_inner_left"]]
+    )
+    near &= components(head.mesh) == 0
+    before, after = blink[0, near] @ across, fitted[0, near] @ across
+    assert after.sum() / before.sum() == pytest.approx(ratio, abs=0.12)
+    np.testing.assert_allclose(fitted[1, head.landmarks["chin"]], blink[1, head.landmarks["chin"]])
 
 
 def test_lips_that_share_a_landmark_are_refused(head):

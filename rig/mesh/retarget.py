@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.mesh.bake import BakedRig
+from rig.mesh.eyelids import fit_lids
 from rig.mesh.head import SourceHead, source_head
 from rig.mesh.lips import LipPairs, lip_pairs, repair_lips
 from rig.mesh.register import POOR_MATCH, Registration, register
@@ -131,6 +132,7 @@ def carry_shapes(
     deltas = source.deltas.astype(np.float64)
     transfer = transfer_gradients if method == "gradients" else transfer_displacements
     moved = transfer(registration, deltas)
+    moved = fit_lids(registration, source.landmarks, landmarks, moved)
     moved = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
     shapes = ShapeSet(target, source.names, moved.astype(np.float32), landmarks)
     return Carried(shapes, registration, source_pairs, target_pairs)

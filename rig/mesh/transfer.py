@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
@@ -24,6 +24,7 @@ from rig.mesh.trimesh import (
     TriMesh,
     adjacency,
     components,
+    edges,
     triangle_normals,
     without_degenerate,
 )
@@ -39,6 +40,7 @@ _NEAR_PART = 0.1
 """A loose part this near a loose part of the source (eye to eye) takes its motion."""
 _RIGID = 0.1
 """A part that departs this far, of its motion, from the best rigid one bends: a tongue."""
+_RIPPLE = 0.015
 _SOFTENING = 2
 _REGION = 0.3
 _FITS = 300
@@ -67,7 +69,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
     faces = registration.source.faces[registration.skin_faces]
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
     trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
-    result = _soften(registration.target, _fill(registration.target, result, trusted))
+    result = _soften(registration, _fill(registration.target, result, trusted))
     return _settle_parts(registration, mapped, result)
 
 
@@ -185,17 +187,23 @@ def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats
     return result
 
 
-def _soften(target: TriMesh, deltas: Floats) -> Floats:
-    """Take the registration's ripples out: vertices go half way to their neighbours' mean."""
-    links = adjacency(target)
-    degree = np.asarray(links.sum(axis=1)).ravel()
-    halves = diags_array(np.where(degree > 0, 0.5 / np.maximum(degree, 1.0), 0.0)) @ links
-    own = np.where(degree > 0, 0.5, 1.0)[:, None]
-    result = np.empty_like(deltas)
-    for k, delta in enumerate(deltas):
-        for _ in range(_SOFTENING):
-            delta = own * delta + halves @ delta
-        result[k] = delta
+def _soften(registration: Registration, deltas: Floats) -> Floats:
+    """Take the registration's ripples out: mix vertices with neighbours a millimetre or two off.
+
+    A coarse mesh, whose edges are longer than the ripples, is left as it is.
+    """
+    target = registration.target
+    ends = edges(target.faces)
+    lengths = np.linalg.norm(np.subtract(*(target.vertices[ends[:, k]] for k in (0, 1))), axis=1)
+    near = np.exp(-((lengths / (_RIPPLE * registration.eyes)) ** 2))
+    count = len(target.vertices)
+    one_way = csr_array(coo_array((near, (ends[:, 0], ends[:, 1])), shape=(count, count)))
+    links = one_way.maximum(one_way.T)
+    total = 1.0 + np.asarray(links.sum(axis=1)).ravel()
+    mix = diags_array(1.0 / total) @ (links + diags_array(np.ones(count)))
+    result = deltas
+    for _ in range(_SOFTENING):
+        result = np.stack([mix @ delta for delta in result])
     return result
 
 
