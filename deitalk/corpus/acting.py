@@ -45,8 +45,14 @@ LOUDNESS_GAIN = 0.45
 """A livelier moment opens more in every style: (1 + this * (e - usual))."""
 USUAL_INTENSITY = 0.575
 """Intensity of a speaker's average moment."""
+FAINT_INTENSITY = 0.1
+"""Below this the face is on its way to rest, not in a quiet moment."""
+FALL_MINIMUM_SECONDS = 0.08
+"""A face that speaks until the clip's end relaxes over this time."""
 
 _OPENING = ("upperLipRaise", "lowerLipDepress", "CTRL_C_jaw.ty", "funnel")
+_CORNERS = ("cornerPull", "sharpCornerPull", "dimple")
+_CONJUGATE = ("eye.tx", "eye.ty", "eye_pupil.ty")
 _SPREADING = ("cornerPull", "stretch", "dimple", "sharpCornerPull")
 
 
@@ -56,9 +62,8 @@ def _rows(name: str) -> list[dict[str, str]]:
 
 
 def _sides(pattern: str) -> tuple[str, ...]:
-    return (
-        tuple(pattern.replace("*", side) for side in "LR") if "*" in pattern else (pattern,)
-    )
+    """Names of a pair of controls, left first, or of one in the middle."""
+    return tuple(pattern.replace("*", side) for side in "LR") if "*" in pattern else (pattern,)
 
 
 @cache
@@ -81,11 +86,20 @@ def style_poses(controls: ControlSet) -> Floats:
         for name in _sides(row["control"]):
             for i, emotion in enumerate(EMOTIONS):
                 poses[i, controls.index(name)] = float(row.get(emotion) or 0)
-    # A smile is never even: the left corner pulls a little more.
-    for base in ("cornerPull", "sharpCornerPull", "dimple"):
-        poses[:, controls.index(f"CTRL_L_mouth_{base}.ty")] *= 1.06
-        poses[:, controls.index(f"CTRL_R_mouth_{base}.ty")] *= 0.94
-    return poses
+    return poses * (1 + _lean(controls))
+
+
+def _lean(controls: ControlSet) -> Floats:
+    """Share by which the left side does more, and the right side less [shape=(C,)].
+
+    A smile is never even, nor is a frown; but both eyes look at one point.
+    """
+    lean = np.zeros(len(controls.names))
+    for side, sign in (("CTRL_L_", 1), ("CTRL_R_", -1)):
+        for i, name in enumerate(controls.names):
+            if name.startswith(side) and name[len(side) :] not in _CONJUGATE:
+                lean[i] = sign * (0.06 if any(base in name for base in _CORNERS) else 0.02)
+    return lean
 
 
 def _columns(controls: ControlSet, words: tuple[str, ...]) -> NDArray[np.intp]:
@@ -106,7 +120,9 @@ def act(
     intensity : ndarray [shape=(N,), range 0 to 1]
         e(t); 0 is the face at rest.
     fps : float
+        Frames per second.
     controls : ControlSet
+        The rig whose controls the tables name.
 
     Returns
     -------
@@ -130,15 +146,13 @@ def _gained(channels: Floats, weights: Floats, intensity: Floats) -> Floats:
     """Range of the mouth by emotion and liveliness; contacts stay contacts."""
     gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
     gains = 1 + (gains - 1) * intensity[:, None]
-    speaking = intensity > 0
-    lively = 1 + LOUDNESS_GAIN * np.where(speaking, intensity - USUAL_INTENSITY, 0)
+    present = np.clip(intensity / FAINT_INTENSITY, 0, 1)  # at 0 articulation is plain
+    lively = 1 + LOUDNESS_GAIN * present * (intensity - USUAL_INTENSITY)
     moved = channels.copy()
-    moved[:, JAW] *= gains[:, 0] * lively
+    contact = np.maximum(moved[:, TOGETHER], moved[:, BITE])
+    moved[:, JAW] *= 1 + (gains[:, 0] * lively - 1) * (1 - contact)
     moved[:, [UPPER, LOWER, STRETCH]] *= (gains[:, 1] * lively)[:, None]
     moved[:, [FUNNEL, PURSE]] *= gains[:, [2]]
-    contact = np.maximum(moved[:, TOGETHER], moved[:, BITE])
-    excess = np.maximum(moved[:, JAW] - 0.2, 0)
-    moved[:, JAW] -= contact * excess
     return np.clip(moved, 0, 1.6)
 
 
@@ -153,9 +167,7 @@ def _stickiness(together: Floats, fps: float, seconds: float = 0.06) -> Floats:
     return memory - together
 
 
-def intensity_envelope(
-    z: Floats, speech: tuple[float, float] | None, fps: float
-) -> Floats:
+def intensity_envelope(z: Floats, speech: tuple[float, float] | None, fps: float) -> Floats:
     """Intensity of every frame from prosody in standard deviations.
 
     Parameters
@@ -165,21 +177,25 @@ def intensity_envelope(
     speech : (float, float) or None
         Seconds at which the speech begins and ends; None for silence.
     fps : float
+        Frames per second.
 
     Returns
     -------
     ndarray [shape=(N,), range 0 to 1]
-        About 0.575 at an average moment. It rises from rest over 0.35 s before the speech and
-        falls back over at most 0.8 s after it, reaching 0 by the last frame.
+        About 0.575 at an average moment. It rises from rest over 0.35 s, of which 0.2 s are
+        before the speech if there is room, and falls back over at most 0.8 s after it: 0 at the
+        first and at the last frame.
     """
     times = np.arange(len(z)) / fps
-    if speech is None:
+    if speech is None or not len(z):
         return np.zeros(len(z))
     begin, end = speech
-    attack = min(0.35, max(begin, 1e-3) + 0.15)
-    decay = min(0.8, max(times[-1] - end, 1 / fps))
+    attack = min(0.35, begin + 0.15)
+    rest = min(max(times[-1], 0.0), end + 0.8)
+    decay = max(rest - end, FALL_MINIMUM_SECONDS)
     rise = np.clip((times - (begin + 0.15 - attack)) / attack, 0, 1)
-    fall = np.clip(1 - (times - end) / decay, 0, 1)
+    fall = np.clip((rest - times) / decay, 0, 1)
     ramp = np.minimum(rise, fall)
     ramp = ramp * ramp * (3 - 2 * ramp)
-    return ramp * (0.15 + 0.85 / (1 + np.exp(-1.3 * z)))
+    envelope: Floats = ramp * (0.15 + 0.85 / (1 + np.exp(-1.3 * z)))
+    return envelope
