@@ -20,7 +20,7 @@ def test_list_of_formats_is_what_the_command_prints():
     assert printed in (DOCS / "formats.md").read_text()
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("unreal*.md")) + [DOCS / "formats.md"])
+@pytest.mark.parametrize("page", [*sorted(DOCS.glob("unreal*.md")), DOCS / "formats.md"])
 def test_links_and_paths_exist(page):
     text = page.read_text()
     for link in re.findall(r"\]\(([^)#]+)\)", text):
