@@ -135,8 +135,10 @@ class DeformationSolver:
 
         def gradients() -> Iterator[Floats]:
             for stretch, turn in zip(s2, r2, strict=True):
-                rows = np.asarray(stretch.reshape(-1, 6)[self._solved].T, dtype=np.float64)
-                turns = np.asarray(turn.reshape(-1, 3)[self._solved].T, dtype=np.float64)
+                rows = np.ascontiguousarray(stretch.reshape(-1, 6).T, dtype=np.float64)
+                turns = np.ascontiguousarray(turn.reshape(-1, 3).T, dtype=np.float64)
+                if self.parts:
+                    rows, turns = rows[:, self._solved], turns[:, self._solved]
                 yield gradient_entries(rows, turns)
 
         solved = self._run(gradients(), len(s2), pin_positions)
