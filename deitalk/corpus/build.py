@@ -7,15 +7,18 @@ on where it stopped, and two builds with one seed and the same engines are equal
 
 import hashlib
 import io
+import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from deitalk.audio import FRAME_RATE, SAMPLE_RATE
 from deitalk.corpus.acting import act, intensity_envelope
 from deitalk.corpus.alignment import aligned_utterances
 from deitalk.corpus.articulation import articulate
@@ -31,7 +34,7 @@ from deitalk.corpus.recordings import Recording
 from deitalk.corpus.sources import synthetic_utterances
 from deitalk.corpus.utterance import Phone, Utterance
 from deitalk.emotions import EMOTIONS
-from deitalk.features import RIG_RATE, SAMPLE_RATE
+from deitalk.errors import DataError
 from rig import ControlSet, RigCurves, default_controls, write_curves
 from rig.files import atomic_write
 
@@ -43,6 +46,10 @@ MIX = {"espeak": 0.35, "flite": 0.45, "festival": 0.20}
 """Share of every engine; a missing engine's share goes to the others."""
 SHARES = (0.7, 0.2)
 """Share of the speakers that train, and that validate; the rest test (§4.1)."""
+COLUMNS = (
+    "clip", "audio", "curves", "emotion", "speaker", "voice", "source", "language", "phones",
+    "intensity", "transcript",
+)  # fmt: skip
 NATURAL_WEIGHT = 0.6
 """Weight of a recording's own prosody beside the contour that was applied to it."""
 
@@ -57,6 +64,13 @@ class Shard:
     seed: int
     recordings: tuple[Recording, ...] = ()
     alignments: Path | None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of what the shard's clips depend on, wherever the recordings lie."""
+        spoken = [(r.path.name, r.text, r.speaker) for r in self.recordings]
+        parts = repr((self.engine, self.seconds, self.seed, spoken))
+        return hashlib.sha256(parts.encode()).hexdigest()[:16]
 
 
 def build(
@@ -73,31 +87,77 @@ def build(
     out : Path
         The dataset folder.
     shards : sequence of Shard
+        From `synthetic_shards` and `recorded_shards`.
     workers : int
         Processes.
     progress : callable
-        Told the seconds of speech of every finished shard.
+        Told the seconds of speech of every finished shard; 0 for one that was there.
 
     Returns
     -------
     DataFrame
         The rows of ``clips.csv``.
+
+    Raises
+    ------
+    DataError
+        If the folder was begun with another seed, length or set of recordings, or if no shard
+        gave a clip.
     """
+    _check_plan(out, shards)
     for name in ("audio", "curves", "phones", "intensity", "shards"):
         (out / name).mkdir(parents=True, exist_ok=True)
     missing = [shard for shard in shards if not _table(out, shard).is_file()]
-    with ProcessPoolExecutor(workers) as pool:
-        futures = [pool.submit(build_shard, out, shard) for shard in missing]
-        for future in as_completed(futures):
-            progress(future.result())
+    for _ in range(len(shards) - len(missing)):
+        progress(0.0)
+    for seconds in _made(out, missing, workers):
+        progress(seconds)
+    return _write_clips(out, shards)
+
+
+def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:
+    """Make shards here or in processes; yield the seconds of each as it is done."""
+    if min(workers, len(shards)) <= 1:
+        yield from (build_shard(out, shard) for shard in shards)
+        return
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        futures = [pool.submit(build_shard, out, shard) for shard in shards]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # what is done stays; the rest is not begun
+            raise
+
+
+def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
+    """Join the shards' tables to ``clips.csv``."""
     frame = pd.concat(
         [pd.read_csv(_table(out, shard), keep_default_na=False, dtype=str) for shard in shards]
     )
+    if frame.empty:
+        raise DataError(f"{out}: not one clip was made; no recording could be aligned")
     frame = frame.sort_values("clip")
     frame["split"] = frame["speaker"].map(split_of)
     with atomic_write(out / "clips.csv") as beside:
         frame.to_csv(beside, index=False, lineterminator="\n")
     return frame
+
+
+def _check_plan(out: Path, shards: Sequence[Shard]) -> None:
+    """Keep what every shard is made from, so that two builds are never mixed in one folder."""
+    path = out / "shards" / "plan.json"
+    known = json.loads(path.read_text()) if path.is_file() else {}
+    plan = {shard.name: shard.fingerprint for shard in shards}
+    changed = [name for name in plan if known.get(name, plan[name]) != plan[name]]
+    if changed:
+        raise DataError(
+            f"{out}: {changed[0]} was begun with another seed, length or set of recordings; "
+            "build with the same options to go on, or name another folder"
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(known | plan, indent=1) + "\n")
 
 
 def synthetic_shards(hours: float, seed: int, engines: Sequence[str]) -> list[Shard]:
@@ -159,7 +219,7 @@ def build_shard(out: Path, shard: Shard) -> float:
         total += len(take.waveform) / SAMPLE_RATE
         rows += _write(out, f"{shard.name}-{number:04d}", take, rng)
     with atomic_write(_table(out, shard)) as beside:
-        pd.DataFrame(rows).to_csv(beside, index=False, lineterminator="\n")
+        pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(beside, index=False, lineterminator="\n")
     return total
 
 
@@ -192,26 +252,12 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
     Recordings that evaluate keep the prosody they have.
     """
     padded = _pad(utterance, rng)
-    seconds = len(padded.waveform) / SAMPLE_RATE
-    natural = prosody_index(padded.waveform, int(np.ceil(seconds * RIG_RATE)))
-    contour: Contour = random_contour(seconds, rng)
-    keeps = utterance.engine == "recording" and split_of(utterance.speaker) != "train"
-    if keeps or rng.random() < 0.15:
-        contour = (contour[0], np.zeros(len(contour[1])))
-    waveform, (source, moved) = apply_contour(padded.waveform, contour)
-    phones = tuple(
-        replace(
-            phone,
-            start=float(np.interp(phone.start, source, moved)),
-            end=float(np.interp(phone.end, source, moved)),
-        )
-        for phone in padded.phones
-    )
-    n_frames = int(np.ceil(len(waveform) / SAMPLE_RATE * CURVE_RATE))
-    at = np.interp(np.arange(n_frames) / CURVE_RATE, moved, source)
-    z = contour_at(contour, at) + NATURAL_WEIGHT * np.interp(
-        at, np.arange(len(natural)) / RIG_RATE, natural
-    )
+    contour = _contour(padded, rng)
+    waveform, time_map = apply_contour(padded.waveform, contour)
+    phones = tuple(_moved(phone, time_map) for phone in padded.phones)
+    n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
+    source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
+    z = _liveliness(padded.waveform, contour, source_times)
     return Take(
         padded,
         waveform,
@@ -219,6 +265,31 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
         intensity_envelope(z, speech_span(phones), CURVE_RATE),
         articulate(phones, n_frames, CURVE_RATE, loudness_stress(waveform, phones)),
     )
+
+
+def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
+    """A random contour; flat for 15 % of the clips and for recordings that evaluate."""
+    contour = random_contour(padded.duration_seconds, rng)
+    evaluates = padded.engine == "recording" and split_of(padded.speaker) != "train"
+    if evaluates or rng.random() < 0.15:
+        return contour[0], np.zeros(len(contour[1]))
+    return contour
+
+
+def _moved(phone: Phone, time_map: tuple[NDArray[np.float64], NDArray[np.float64]]) -> Phone:
+    """A phone where `apply_contour` put its sound."""
+    start, end = np.interp((phone.start, phone.end), *time_map)
+    return replace(phone, start=float(start), end=float(end))
+
+
+def _liveliness(
+    waveform: NDArray[np.float32], contour: Contour, times: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What was applied and what the voice itself did, at seconds of the source."""
+    natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
+    heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
+    z: NDArray[np.float64] = contour_at(contour, times) + NATURAL_WEIGHT * heard
+    return z
 
 
 def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:
@@ -246,9 +317,7 @@ def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
     return (spoken[0].start, spoken[-1].end) if spoken else None
 
 
-def loudness_stress(
-    waveform: NDArray[np.float32], phones: Sequence[Phone]
-) -> NDArray[np.float64]:
+def loudness_stress(waveform: NDArray[np.float32], phones: Sequence[Phone]) -> NDArray[np.float64]:
     """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
     hop = SAMPLE_RATE // 100
     frames = waveform[: len(waveform) // hop * hop].reshape(-1, hop).astype(np.float64)
@@ -311,6 +380,5 @@ def _write_table(path: Path, rows: Sequence[tuple[object, ...]], header: str) ->
 def _write_curves(path: Path, take: Take, emotion: str, controls: ControlSet) -> None:
     weights = np.eye(len(EMOTIONS))[EMOTIONS.index(emotion)]
     values = act(take.channels, weights, take.intensity, CURVE_RATE, controls)
-    values = np.round(values * 1024) / 1024  # half of the file, far below what a face shows
-    write_curves(path, RigCurves(values.astype(np.float32), controls.names, fps=CURVE_RATE))
-
+    coarse = (np.round(values * 1024) / 1024).astype(np.float32)  # half of the file, unseen
+    write_curves(path, RigCurves(coarse, controls.names, fps=CURVE_RATE))

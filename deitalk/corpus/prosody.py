@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfilt
 
-from deitalk.features import RIG_RATE, SAMPLE_RATE
+from deitalk.audio import FRAME_RATE, SAMPLE_RATE
 
 Floats = NDArray[np.float64]
 Audio = NDArray[np.float32]
@@ -39,7 +39,7 @@ def prosody_index(waveform: Audio, n_frames: int) -> Floats:
     n_frames : int
         Frames N; frame i is at i / 30 seconds.
     """
-    centres = np.round(np.arange(n_frames) * SAMPLE_RATE / RIG_RATE).astype(int)
+    centres = np.round(np.arange(n_frames) * SAMPLE_RATE / FRAME_RATE).astype(int)
     length = 1024
     padded = np.pad(waveform.astype(np.float64), (length // 2, length))
     frames = padded[centres[:, None] + np.arange(length)] * np.hanning(length)
@@ -77,7 +77,7 @@ def _standard(values: Floats, known: NDArray[np.bool_], spread: float) -> Floats
     if known.sum() < 5:
         return np.zeros(len(values))
     deviation = np.where(known, values - values[known].mean(), 0.0)
-    sigma = SMOOTHING_SECONDS * RIG_RATE
+    sigma = SMOOTHING_SECONDS * FRAME_RATE
     weight = gaussian_filter1d(known.astype(float), sigma, mode="constant")
     smooth = gaussian_filter1d(deviation, sigma, mode="constant") / (weight + 0.02)
     return np.clip(smooth / spread, -2.5, 2.5)
