@@ -16,7 +16,12 @@ CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 PRECISION = {"csv": 6e-7, "json": 6e-7, "npz": 0.0}
 FORMATS = list(PRECISION)
-EVERY_SUFFIX = [suffix for f in TABLE if f.read for suffix in f.suffixes]
+EVERY_SUFFIX = [
+    pytest.param(suffix, marks=[pytest.mark.slow] if f.name == "usd" else [])
+    for f in TABLE
+    if f.read
+    for suffix in f.suffixes
+]
 
 
 @st.composite

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-CHUNK_CELLS = 400_000
-"""Numbers formatted at once; about 10 MB."""
+CHUNK_CELLS = 30_000
+"""Numbers formatted at once; about 1 MB, so that it stays in the cache."""
 LARGEST = 9.0e17
 """Scaled numbers must fit into 64 bits."""
 
@@ -37,11 +37,12 @@ class Block:
 
 @dataclass(frozen=True)
 class Text:
-    """A column of text of fixed width.
+    """A column of text.
 
     Parameters
     ----------
     characters : array of uint8 [shape=(T, width)]
+        0 is no character: it is left out.
     """
 
     characters: NDArray[np.uint8]
@@ -78,6 +79,12 @@ def rows(
         yield _framed(text[:, :-1], keep[:, :-1], before, after)
 
 
+def rendered(block: Block) -> Text:
+    """Return the text of one block, to be used in several tables."""
+    text, keep = _cells(block, 0, len(block.values), b",")
+    return Text(np.where(keep, text, 0)[:, :-1])
+
+
 def _framed(text: NDArray[np.uint8], keep: NDArray[np.bool_], before: bytes, after: bytes) -> bytes:
     """Join the kept characters of each row, with text around each."""
     n_rows = len(text)
@@ -95,7 +102,7 @@ def _cells(
     if isinstance(block, Text):
         part = block.characters[start:stop]
         text = np.concatenate([part, np.full((len(part), 1), ord(separator), np.uint8)], axis=1)
-        return text, np.ones_like(text, bool)
+        return text, text != 0
     values = np.asarray(block.values[start:stop], dtype=np.float64)
     scaled = np.rint(np.abs(values) * 10.0**block.decimals)
     largest = scaled.max(initial=0.0)

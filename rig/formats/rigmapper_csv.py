@@ -13,7 +13,7 @@ import pandas as pd
 from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.formats.fixed_point import Block, rows
+from rig.formats.fixed_point import Block, Text, rendered, rows
 from rig.formats.wide_csv import read_header
 from rig.mapping import controls_of
 
@@ -24,14 +24,19 @@ MAX_FRAMES = 10_000_000
 
 def write(path: Path, curves: RigCurves) -> None:
     """Write curve after curve, a key per frame; a curve that never moves has its first and last."""
-    frame = np.arange(len(curves))
+    every = np.arange(len(curves))
     ends = np.unique([0, len(curves) - 1])
+    columns = np.ascontiguousarray(curves.values.T)  # a column at a time, near in memory
+    frame_text = rendered(Block(every.reshape(-1, 1), 0))
     with path.open("wb") as stream:
         stream.write(", ".join(HEADER).encode() + b"\n")
-        for name, values in zip(curves.names, curves.values.T, strict=True):
-            keys = frame if np.ptp(values) else ends
-            blocks = [Block(keys.reshape(-1, 1), 0), Block(values[keys].reshape(-1, 1), DECIMALS)]
-            stream.writelines(rows(blocks, before=name.encode() + b","))
+        for name, values in zip(curves.names, columns, strict=True):
+            keys = every if np.ptp(values) else ends
+            frames = Text(frame_text.characters[keys])
+            blocks: list[Block | Text] = [frames, Block(values[keys].reshape(-1, 1), DECIMALS)]
+            head = name.encode() + b","
+            for text in rows(blocks):
+                stream.write(head + text[:-1].replace(b"\n", b"\n" + head) + b"\n")
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:

@@ -64,14 +64,21 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     pxr = _pxr()
     try:
         stage = pxr.Usd.Stage.Open(str(path))
-    except pxr.Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise FormatError(f"{path} is no USD file: {reason}") from None
-    for prim in stage.Traverse():
-        names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
-        if names and values:
-            return _curves(path, stage, names, values, fps)
+        for prim in stage.Traverse():
+            names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
+            if names and values:
+                return _curves(path, stage, names, values, fps)
+    except (pxr.Tf.ErrorException, TypeError, UnicodeError) as error:
+        raise FormatError(f"{path} is no USD file: {_reason(error)}") from None
     raise FormatError(f"{path} has no prim with {NAMES} and {VALUES}")
+
+
+def _reason(error: Exception) -> str:
+    """Return the last line of an error, which may quote bytes that are no text."""
+    try:
+        return str(error).strip().splitlines()[-1].strip()
+    except (UnicodeError, IndexError):
+        return "it is damaged"
 
 
 def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) -> RigCurves:
