@@ -10,43 +10,78 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
 from deitalk.errors import ConfigError
 
+
+def _odd(value: int) -> int:
+    if value % 2 == 0:
+        raise ValueError("must be odd, so that it has a centre")
+    return value
+
+
 Positive = Annotated[int, Field(ge=1)]
+Odd = Annotated[Positive, AfterValidator(_odd)]
 
 
 class Section(BaseModel):
     """A frozen group of settings that refuses unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class MelConfig(Section):
     """Mel spectrogram, Spec-BiLSTM, Time-BiLSTM and temporal attention (SDFA §3.1-3.3, §4.4)."""
 
     kind: Literal["mel"] = "mel"
-    window_seconds: float = Field(0.064, gt=0, description="length of one spectrum (FFT_win)")
-    frame_rate: float = Field(125.0, gt=0, description="spectra per second; 1 / FFT_hop")
-    n_mels: Positive = Field(128, description="mel bins (F)")
+    window_seconds: float = Field(
+        default=0.064, gt=0, description="length of one spectrum (FFT_win)"
+    )
+    frame_rate: float = Field(default=125.0, gt=0, description="spectra per second; 1 / FFT_hop")
+    n_mels: int = Field(default=128, ge=4, description="mel bins (F)")
     conv_channels: tuple[Positive, Positive, Positive] = (32, 64, 64)
-    spec_hidden: Positive = Field(32, description="Spec-BiLSTM units per direction")
-    spectral_size: Positive = Field(256, description="features of one spectrum (C_spec)")
-    time_stack: Positive = Field(1, description="spectra joined before the Time-BiLSTM")
-    time_hidden: Positive = Field(256, description="Time-BiLSTM units per direction")
+    spec_hidden: Positive = Field(default=32, description="Spec-BiLSTM units per direction")
+    spectral_size: Positive = Field(default=256, description="features of one spectrum (C_spec)")
+    time_stack: Positive = Field(default=1, description="spectra joined before the Time-BiLSTM")
+    time_hidden: Positive = Field(default=256, description="Time-BiLSTM units per direction")
     time_layers: Positive = 2
-    window_frames: Positive = Field(64, description="spectra the attention sees (L)")
-    query_frames: Positive = Field(7, description="K_qry; Paper silent")
-    attention_size: Positive = Field(128, description="C_att; Paper silent")
+    window_frames: Positive = Field(default=64, description="spectra the attention sees (L)")
+    query_frames: Odd = Field(default=7, description="K_qry; Paper silent")
+    attention_size: Positive = Field(default=128, description="C_att; Paper silent")
     recurrence: Literal["window", "segment"] = Field(
-        "window", description="Time-BiLSTM once per window (the paper) or along the clip"
+        default="window", description="Time-BiLSTM once per window (the paper) or along the clip"
     )
-    weight_norm: bool = Field(True, description="weight normalisation on every weight (§4.4)")
+    weight_norm: bool = Field(
+        default=True, description="weight normalisation on every weight (§4.4)"
+    )
     centre: bool = Field(
-        False, description="add the window's own centre to what it attends to, and normalise"
+        default=False,
+        description="add the window's own centre to what it attends to, and normalise",
     )
-    dropout: float = Field(0.0, ge=0, lt=1)
+    dropout: float = Field(default=0.0, ge=0, lt=1)
+
+    @field_validator("recurrence")
+    @classmethod
+    def _stack_fits(cls, value: str, info: ValidationInfo) -> str:
+        if value == "window" and info.data.get("time_stack", 1) > 1:
+            raise ValueError("'window' takes no time_stack; use recurrence: segment")
+        return value
+
+    @field_validator("query_frames")
+    @classmethod
+    def _query_fits(cls, value: int, info: ValidationInfo) -> int:
+        if value > info.data.get("window_frames", value):
+            raise ValueError("must not be longer than window_frames")
+        return value
 
 
 class Wav2VecConfig(Section):
@@ -54,54 +89,56 @@ class Wav2VecConfig(Section):
 
     kind: Literal["wav2vec"] = "wav2vec"
     checkpoint: str | None = Field(
-        "facebook/wav2vec2-base-960h", description="hub name or folder; null builds `encoder`"
+        default="facebook/wav2vec2-base-960h",
+        description="hub name or folder; null builds `encoder`",
     )
     encoder: dict[str, Any] = Field(
         default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
     )
-    freeze_stem: bool = Field(True, description="keep the convolutional stem fixed (§4.1)")
+    freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
 
 
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | Wav2VecConfig = Field(
-        default_factory=Wav2VecConfig, discriminator="kind"
-    )
+    frontend: MelConfig | Wav2VecConfig = Field(default_factory=Wav2VecConfig, discriminator="kind")
     control_set: str = "metahuman-185@mh4"
-    positions: bool = Field(True, description="dynamic positional encoding (Eq. 2-3)")
-    intensity: bool = Field(True, description="dynamic emotional intensity (Eq. 4-6)")
-    emotion_size: Positive = Field(128, description="width of S_emo and E_in")
+    positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
+    intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
+    emotion_size: Positive = Field(default=128, description="width of S_emo and E_in")
     saliency_frames: Positive | None = Field(
-        None, description="frames the embedding of Eq. 5 is pooled over; null: the whole clip"
+        default=None,
+        description="frames the embedding of Eq. 5 is pooled over; null: the whole clip",
     )
-    style_size: Positive = Field(16, description="width of the emotional style embedding")
-    motion_channels: tuple[Positive, ...] = (384, 384, 768, 768)
+    style_size: Positive = Field(default=16, description="width of the emotional style embedding")
+    motion_channels: tuple[Positive, ...] = Field(default=(384, 384, 768, 768), min_length=1)
     classifier_size: Positive = 64
     decoder_channels: Positive = 512
-    decoder_dilations: tuple[Positive, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    decoder_dilations: tuple[Positive, ...] = Field(default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1)
     decoder_residual: bool = Field(
-        False, description="carry every layer's input past it; not in the paper"
+        default=False, description="carry every layer's input past it; not in the paper"
     )
-    kernel_size: Positive = 3
-    dropout: float = Field(0.0, ge=0, lt=1)
+    kernel_size: Odd = 3
+    dropout: float = Field(default=0.0, ge=0, lt=1)
 
 
 class LossConfig(Section):
     """The four-part loss (DEITalk Eq. 8) and what we add to it."""
 
-    contrast: float = Field(0.1, ge=0, description="lambda_1")
-    classification: float = Field(0.1, ge=0, description="lambda_2")
-    position: float = Field(1.0, ge=0, description="lambda_3")
-    velocity: float = Field(4.0, ge=0, description="lambda_4")
-    temperature: float = Field(0.07, gt=0, description="tau of Eq. 10")
+    contrast: float = Field(default=0.1, ge=0, description="lambda_1")
+    classification: float = Field(default=0.1, ge=0, description="lambda_2")
+    position: float = Field(default=1.0, ge=0, description="lambda_3")
+    velocity: float = Field(default=4.0, ge=0, description="lambda_4")
+    temperature: float = Field(default=0.07, gt=0, description="tau of Eq. 10")
     intensity: float = Field(
-        0.0, ge=0, description="weight of labelled intensity on the saliency; not in the paper"
+        default=0.0,
+        ge=0,
+        description="weight of labelled intensity on the saliency; not in the paper",
     )
     contact: float = Field(
-        0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
+        default=0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
     )
-    control_weights: dict[str, float] = Field(
+    control_weights: dict[str, Annotated[float, Field(ge=0)]] = Field(
         default_factory=dict, description="weight of a control or subset in Eq. 12-13 (default 1)"
     )
 
@@ -111,32 +148,38 @@ class DataConfig(Section):
 
     window_frames: Positive = 128
     stride_frames: Positive = 5
-    augment: bool = Field(False, description="deitalk.augment on every training window")
-    noise_folder: str | None = Field(None, description="recordings of noise to mix in")
-    room_folder: str | None = Field(None, description="room impulse responses")
+    augment: bool = Field(default=False, description="deitalk.augment on every training window")
+    noise_folder: str | None = Field(default=None, description="recordings of noise to mix in")
+    room_folder: str | None = Field(default=None, description="room impulse responses")
     real_fraction: float | None = Field(
-        None, ge=0, le=1, description="share of windows from recorded (not synthetic) speech"
+        default=None,
+        ge=0,
+        le=1,
+        description="share of windows from recorded (not synthetic) speech",
     )
 
 
 class TrainConfig(Section):
     """Optimiser and schedule (DEITalk §4.1)."""
 
-    learning_rate: float = Field(1e-4, gt=0)
+    learning_rate: float = Field(default=1e-4, gt=0)
     optimizer: Literal["adam", "adamw"] = "adam"
-    weight_decay: float = Field(0.0, ge=0)
+    weight_decay: float = Field(default=0.0, ge=0)
     schedule: Literal["constant", "one_cycle"] = "constant"
     batch_size: Positive = 32
-    epochs: float = Field(300, gt=0, description="passes over all training windows")
-    steps: Positive | None = Field(None, description="stop after this many steps instead")
-    gradient_clip: float | None = Field(None, gt=0)
-    ema: float | None = Field(None, gt=0, lt=1, description="decay of the averaged weights")
-    evaluate_every: Positive = Field(500, description="steps between evaluations and checkpoints")
+    epochs: float = Field(default=300, gt=0, description="passes over all training windows")
+    steps: Positive | None = Field(default=None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(default=None, gt=0)
+    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    evaluate_every: Positive = Field(
+        default=500, description="steps between evaluations and checkpoints"
+    )
     precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere"
+        default="float32",
+        description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
     )
     seed: int = 0
-    workers: int = Field(0, ge=0, description="processes that prepare windows")
+    workers: int = Field(default=0, ge=0, description="processes that prepare windows")
 
 
 class Config(Section):
@@ -152,6 +195,11 @@ class Config(Section):
 def parse_config(tree: dict[str, Any]) -> Config:
     """Check a tree of settings.
 
+    Parameters
+    ----------
+    tree : dict
+        As a YAML file holds it; what is missing takes its default.
+
     Raises
     ------
     ConfigError
@@ -160,15 +208,28 @@ def parse_config(tree: dict[str, Any]) -> Config:
     try:
         return Config.model_validate(tree)
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(str(part) for part in item['loc'])}={item['input']!r}: {item['msg']}"
-            for item in error.errors()
-        )
+        problems = "; ".join(_problem(item) for item in error.errors())
         raise ConfigError(f"configuration: {problems}") from None
+
+
+def _problem(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"] if part not in ("mel", "wav2vec"))
+    rule = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        rule = "unknown key"
+    value = repr(item["input"])
+    return f"{key}={value if len(value) <= 60 else value[:57] + '...'}: {rule}"
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> Config:
     """Read a YAML file and apply overrides such as ``train.batch_size=8``.
+
+    Parameters
+    ----------
+    path : path
+        YAML; an empty file is the paper's configuration.
+    overrides : sequence of str
+        ``section.key=value``, the value in YAML; later ones win.
 
     Raises
     ------
@@ -197,4 +258,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
         tree = tree.setdefault(parent, {})
         if not isinstance(tree, dict):
             raise ConfigError(f"override {override!r}: {parent!r} is a value, not a section")
-    tree[leaf] = yaml.safe_load(value)
+    try:
+        tree[leaf] = yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise ConfigError(f"override {override!r}: {value!r} is no YAML value") from None
