@@ -92,7 +92,9 @@ class TemporalAttention(nn.Module):
         Parameters
         ----------
         memory : Tensor [shape=(N, L, size)]
+            Time-BiLSTM states m of a window.
         query : Tensor [shape=(N, query_frames, size)]
+            Its central frames.
 
         Returns
         -------
@@ -111,6 +113,7 @@ class TemporalAttention(nn.Module):
         Parameters
         ----------
         memory : Tensor [shape=(B, L, size)]
+            Time-BiLSTM states along a clip.
         centres : Tensor [shape=(T,)]
             Index of the window's centre for every output frame.
         window : int
@@ -120,7 +123,7 @@ class TemporalAttention(nn.Module):
         -------
         Tensor [shape=(B, T, size)]
         """
-        batch, length, size = memory.shape
+        batch, length, _ = memory.shape
         half = self.query_frames // 2
         filtered = self.query(F.pad(memory.transpose(1, 2), (half, half))).transpose(1, 2)
         asked = self.query_project(filtered[:, centres])  # (B, T, C_att)
@@ -130,9 +133,10 @@ class TemporalAttention(nn.Module):
         index = index.clamp(0, length - 1)
         scores = self.score(torch.tanh(keys[:, index] + asked.unsqueeze(2))).squeeze(-1)
         weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
-        spread = memory.new_zeros(batch, len(centres), length)
+        spread = weights.new_zeros(batch, len(centres), length)
         spread.scatter_add_(2, index.expand(batch, -1, -1), weights)
-        return spread @ memory
+        attended: Tensor = spread.to(memory.dtype) @ memory
+        return attended
 
 
 class MelFrontend(nn.Module):
@@ -224,7 +228,7 @@ class MelFrontend(nn.Module):
         centres = nearest_spectra(last, config.frame_rate)[first:] + half  # padded by half a window
         begin = int(centres[0]) - half
         padded = F.pad(waveform, (self._samples(half), 0))
-        n_spectra = int(centres[-1]) + half - begin
+        n_spectra = int(centres[-1]) - half - begin + config.window_frames
         spectral = self.spectral(self.mel(padded, n_spectra, begin))  # (B, L, spectral_size)
         index = (centres - half - begin).unsqueeze(1) + torch.arange(config.window_frames)
         batch, frames = spectral.shape[0], last - first
@@ -254,4 +258,3 @@ def _normalise_weights(module: nn.Module) -> None:
         elif isinstance(child, nn.LSTM):
             for name in [name for name, _ in child.named_parameters() if name.startswith("weight")]:
                 weight_norm(child, name)
-
