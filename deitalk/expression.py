@@ -26,7 +26,9 @@ STILL = 0.01
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
-ARTICULATORS = ("mouth", "jaw", "tongue", "teeth")
+SPEAKING = ("lipsTogether", "lipBite", "purse", "towards", "mouth_press", "tongue", "teeth", "icky",
+            "lipsPress", "pushPull", "jaw_fwdBack")  # fmt: skip
+"""Parts of the names of the other controls that speech moves."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,7 @@ class Expression:
         delta = (emotional - neutral) * scale[:, None].astype(np.float32)
         free = 1 - self.contact(neutral)
         delta[:, self.opening] *= free[:, None]
-        seals = delta[:, self.seals]
-        delta[:, self.seals] = np.where(seals < 0, seals * free[:, None], seals)
+        delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)
         delta += neutral
         return delta
 
@@ -77,6 +78,7 @@ class Expression:
         Parameters
         ----------
         curves : ndarray [shape=(T, C)]
+            Changed.
         mouth, expression : ndarray [shape=(T,), range 0 to 1]
             From `deitalk.activity.mouth_gate` and `expression_gate`.
         """
@@ -127,8 +129,7 @@ class Expression:
         """
         speaks = np.zeros(len(self.controls.names), bool)
         speaks[self.opening] = True
-        speaks[self._named("lipsTogether", "lipBite", "purse", "towards", "mouth_press", "tongue",
-                           "teeth", "icky", "lipsPress", "pushPull", "jaw_fwdBack")] = True
+        speaks[self._named(*SPEAKING)] = True
         return speaks
 
     def _named(self, *parts: str) -> NDArray[np.intp]:
