@@ -27,8 +27,11 @@ def add_idle_motion(
     Parameters
     ----------
     curves : ndarray [shape=(T, C)]
+        Changed.
     controls : ControlSet
+        Names of the columns.
     fps : float
+        Frames per second.
     rng : numpy.random.Generator
         The same generator gives the same blinks whatever the emotion is.
     """
@@ -64,5 +67,5 @@ def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
         track[round(time * fps) :] = place
         time += rng.uniform(0.4, 1.6)
     edge = max(int(REST_SECONDS * fps), 1)
-    fade = np.clip((n_frames - 1 - np.arange(n_frames)) / edge, 0, 1)
+    fade = np.clip((n_frames - edge - np.arange(n_frames)) / edge, 0, 1)
     return (track * fade[:, None]).astype(np.float32)
