@@ -68,6 +68,7 @@ class RigDecoder(nn.Module):
         emotion : Tensor [shape=(B, 5) or (B, T, 5)]
             Weights of the emotional styles; the paper's is one-hot and constant.
         guidance : Tensor [shape=(B, T, E)] or None
+            E_in; None if the decoder was made without.
 
         Returns
         -------

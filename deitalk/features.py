@@ -19,12 +19,16 @@ FLOOR = 1e-5
 
 def spectra_centres(n_spectra: int, frame_rate: float) -> Tensor:
     """Sample at the centre of every spectrum, to the nearest sample."""
-    return torch.round(torch.arange(n_spectra, dtype=torch.float64) * SAMPLE_RATE / frame_rate).long()
+    return torch.round(
+        torch.arange(n_spectra, dtype=torch.float64) * SAMPLE_RATE / frame_rate
+    ).long()
 
 
 def nearest_spectra(n_frames: int, frame_rate: float, stack: int = 1) -> Tensor:
     """Index of the (stacked) spectrum nearest to every rig frame [shape=(T,)]."""
-    return torch.round(torch.arange(n_frames, dtype=torch.float64) * frame_rate / RIG_RATE / stack).long()
+    return torch.round(
+        torch.arange(n_frames, dtype=torch.float64) * frame_rate / RIG_RATE / stack
+    ).long()
 
 
 def derivative(x: Tensor) -> Tensor:
@@ -51,6 +55,9 @@ class MelSpectrogram(nn.Module):
     much silence a clip holds, and a piece of a clip gives the same spectra as the whole.
     """
 
+    filters: Tensor
+    window: Tensor
+
     def __init__(self, window_seconds: float, frame_rate: float, n_mels: int) -> None:
         super().__init__()
         import librosa
@@ -74,7 +81,9 @@ class MelSpectrogram(nn.Module):
         start = int(centres[0]) - half
         stop = int(centres[-1]) + self.length
         piece = waveform[:, max(start, 0) : max(stop, 0)].to(self.window.device)
-        piece = F.pad(piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0)))
+        piece = F.pad(
+            piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0))
+        )
         index = (centres - half - start).unsqueeze(1) + torch.arange(self.length)
         frames = piece[:, index.to(piece.device)] * self.window  # (B, L, window)
         spectrum = torch.fft.rfft(frames, self.n_fft)

@@ -123,9 +123,7 @@ class DynamicIntensity(nn.Module):
             around = local_maximum(features, self.saliency_frames)
         saliency = emotional_saliency(features, around)
         strength = torch.sigmoid(4 * (F.softplus(self.slope) * saliency + self.offset))
-        return Intensity(
-            features, embedding, saliency, saliency.unsqueeze(-1) * features, strength
-        )
+        return Intensity(features, embedding, saliency, saliency.unsqueeze(-1) * features, strength)
 
     def classify(self, features: Tensor) -> Tensor:
         """Emotion logits (B, n_emotions) from S_emo (B, T, E).

@@ -19,7 +19,7 @@ def contrast_loss(speech: Tensor, motion: Tensor, temperature: float) -> Tensor:
     speech, motion : Tensor [shape=(B, E)]
         s_max and m_max; row i of both belongs to clip i.
     temperature : float
-        tau.
+        tau > 0.
 
     Returns
     -------
@@ -37,6 +37,7 @@ def classification_loss(logits: Tensor, emotion: Tensor) -> Tensor:
     Parameters
     ----------
     logits : Tensor [shape=(B, 5)]
+        Before the softmax.
     emotion : Tensor [shape=(B, 5)]
         One-hot, or weights that sum to 1.
     """
@@ -49,6 +50,7 @@ def position_loss(target: Tensor, predicted: Tensor, weights: Tensor | None = No
     Parameters
     ----------
     target, predicted : Tensor [shape=(B, T, C)]
+        Captured and predicted curves.
     weights : Tensor [shape=(C,)] or None
         Weight of every control's square; the paper's are 1.
     """
@@ -71,6 +73,7 @@ def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
     target : Tensor [shape=(B, T)]
         Labelled intensity in 0..1; NaN where there is none.
     strength : Tensor [shape=(B, T)]
+        Predicted intensity in 0..1.
     """
     known = torch.isfinite(target)
     square = (torch.where(known, target, 0.0) - strength).square() * known
@@ -80,7 +83,8 @@ def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
 def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
     """Punish lips that fail to meet: a bilabial is a contact, not a correlation.
 
-    Not in the paper. Where the target's lips are closed (> 0.9) falling short costs its square;
+    Not in the paper. Where the target's lips are closed (> 0.9), falling short of 0.95 costs the
+    square of what is missing;
     everywhere, the prediction's side of one half is scored by a cross entropy, so that the curve
     is decided rather than blurred.
 
@@ -109,12 +113,17 @@ def total_loss(
     Parameters
     ----------
     output : Output
+        Of the network, given `curves` too.
     curves : Tensor [shape=(B, T, C)]
+        Captured.
     emotion : Tensor [shape=(B, 5)]
+        Captured emotion that the classifier is to hear.
     intensity : Tensor [shape=(B, T)]
         NaN where unknown.
     config : LossConfig
+        Weights of the parts.
     weights : Tensor [shape=(C,)] or None
+        Of the controls, in Eq. 12-13.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
     """

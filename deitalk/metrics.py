@@ -17,6 +17,7 @@ def parameter_error(target: Floats, predicted: Floats, controls: NDArray[np.inte
     Parameters
     ----------
     target, predicted : ndarray [shape=(T, C)]
+        Captured and predicted curves.
     controls : ndarray [shape=(K,)]
         The set: 86 lip controls for LPE, 18 of the upper face for EPE.
 

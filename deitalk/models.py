@@ -104,6 +104,7 @@ class DEITalk(nn.Module):
         waveform : Tensor [shape=(B, S)]
             16 kHz, level-normalised; begins with the first frame of the window.
         emotion : Tensor [shape=(B, 5)]
+            Weights of the emotional styles.
         frames : Tensor [shape=(B, T)]
             Frame indices in the whole clip.
         total : Tensor [shape=(B,)]
@@ -145,6 +146,7 @@ class DEITalk(nn.Module):
         waveform : Tensor [shape=(S,)]
             16 kHz, level-normalised.
         n_frames : int
+            Rig frames T of the clip.
         progress : callable
             Told the share of the frontend's work that is done, 0 to 1.
         """
@@ -154,14 +156,17 @@ class DEITalk(nn.Module):
         module = self.intensity
         embedding = None
         if module.saliency_frames is None:
-            pieces = (module.project(piece).amax(dim=0) for piece in speech.split(DECODE_FRAMES))
+            pieces = (
+                module.project(piece).amax(dim=0) for piece in torch.split(speech, DECODE_FRAMES)
+            )
             embedding = torch.stack(list(pieces)).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // 2
         parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
             said = module(speech[first:last].unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
-            parts.append((said.guidance[0, inner], said.saliency[0, inner], said.strength[0, inner]))
+            rows = (said.guidance, said.saliency, said.strength)
+            parts.append(tuple(row[0, inner] for row in rows))
         guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
         return Analysis(speech, guidance, saliency, strength)
 
@@ -172,7 +177,9 @@ class DEITalk(nn.Module):
         Parameters
         ----------
         analysis : Analysis
+            Of the whole clip.
         emotion : Tensor [shape=(T, 5)]
+            Weights of the emotional styles, frame by frame.
 
         Returns
         -------

@@ -32,6 +32,7 @@ class TemporalConv(nn.Module):
         # Paper silent: initialisation. torch's own loses 60 % of the signal per layer; after
         # eight of them speech is gone and only what joins at every layer gets through.
         nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
+        assert self.conv.bias is not None
         nn.init.zeros_(self.conv.bias)
         self.after = nn.Sequential(nn.ReLU(), nn.Dropout(dropout))
 

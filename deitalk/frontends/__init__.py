@@ -31,6 +31,7 @@ def build_frontend(config: MelConfig | Wav2VecConfig, pretrained: bool = True) -
     Parameters
     ----------
     config : MelConfig or Wav2VecConfig
+        Its class chooses the frontend.
     pretrained : bool
         Read a wav2vec 2.0 checkpoint's weights; False only takes its shape (weights follow).
     """
