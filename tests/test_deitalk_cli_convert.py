@@ -78,6 +78,22 @@ def test_take_folder_gain_mirror_and_range(curves_file, tmp_path):
     assert curves["CTRL_C_jaw.ty"] == pytest.approx(source + 0.1, abs=1e-6)
 
 
+def test_live_link_becomes_board_unless_told_otherwise(curves_file, tmp_path):
+    live_link = tmp_path / "S_1_a.csv"
+    assert run("convert", curves_file, live_link, "--to", "livelink").exit_code == 0
+    for rig, control_set in (
+        ("board", "metahuman-185@mh4"),
+        ("raw", "metahuman-raw-251@mh4"),
+        ("arkit", "arkit-61"),
+        ("as-is", "arkit-61"),
+    ):
+        out = tmp_path / f"{rig}.json"
+        assert run("convert", live_link, out, "--rig", rig).exit_code == 0
+        assert json.loads(out.read_text())["control_set"] == control_set
+    result = run("convert", live_link, tmp_path / "x.json", "--rig", "maya")
+    assert "use board, raw, arkit, as-is" in str(result.exception)
+
+
 def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
     (tmp_path / "out.csv").write_text("mine")
     result = run("convert", curves_file, tmp_path / "out.csv")

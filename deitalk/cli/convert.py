@@ -36,6 +36,10 @@ def convert(
         float, typer.Option(help="Smoothing, seconds (0.02 to 0.05 takes jitter away).")
     ] = 0.0,
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
+    rig: Annotated[
+        str,
+        typer.Option(help="What csv, json and npz are to hold: board, raw, arkit, as-is."),
+    ] = "board",
     list_formats: Annotated[
         bool, typer.Option("--list-formats", help="Print the formats and leave.")
     ] = False,
@@ -51,12 +55,17 @@ def convert(
     deitalk convert take/curves.json Slate_1_anna.csv --to livelink --fps 60
 
     deitalk convert MySlate_1_iPhone.csv curves.csv --gain brow=1.5 --smooth 0.03
+
+    deitalk convert MySlate_1_iPhone.csv shapes.csv --rig arkit
     """
     from rig import gain as scale
     from rig import read_curves, write_curves
     from rig import smooth as low_pass
+    from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
+    from rig.formats.table import find_format
     from rig.mapping import convert as to_set
+    from rig.raw import RAW_ID
 
     if list_formats:
         _print_formats()
@@ -65,6 +74,9 @@ def convert(
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     if target.exists() and not force:
         raise DeitalkError(f"{target} exists; add --force to replace it, or name another file")
+    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
+    if rig not in sets:
+        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
     path = _curves_of(source)
     curves = read_curves(path, format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
@@ -74,6 +86,9 @@ def convert(
         curves = scale(curves, _pairs(gain, "--gain"), _pairs(offset, "--offset"))
         curves = curves.mirror() if mirror else curves
         curves = low_pass(curves, smooth)
+    wanted = sets[rig]
+    if wanted is not None and find_format(target, to, writable=True).control_set is None:
+        curves = to_set(curves, wanted)
     report = write_curves(target, curves, format=to, fps=fps)
     notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
     notes += [str(report.clipped)] if report.clipped else []
