@@ -23,6 +23,9 @@ def preview(
         str, typer.Option(help="Second view of the video: mouth, three_quarter, side, eyes.")
     ] = "mouth",
     backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
+    versus: Annotated[
+        Path | None, typer.Option(help="A second take, beside the first in the page.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
 ) -> None:
     """Render a review video of a take, or a page to play with it.
@@ -32,18 +35,29 @@ def preview(
     deitalk preview take/
 
     deitalk preview curves.csv --audio speech.wav -o review.mp4
+
+    deitalk preview take/ --versus other/ -o compare.html
     """
+    from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
     from deitalk.preview.video import render_video
 
-    target = out or (source / "preview.mp4" if source.is_dir() else source.with_suffix(".mp4"))
-    if target.suffix.lower() != ".mp4":
-        raise DeitalkError(f"{target} has suffix {target.suffix!r}; a preview is a .mp4 file")
-    shown = load_source(source, audio)
-    with bar("drawing") as progress:
-        render_video(
-            shown, target, identity=int(identity) if identity.isdigit() else identity,
-            second_view=view, backend=backend, force=force,  # type: ignore[arg-type]
-            progress=progress,
-        )  # fmt: skip
-    words().print(str(target))
+    base = source / "preview" if source.is_dir() else source.with_suffix("")
+    targets = [out] if out else [base.with_suffix(".html"), base.with_suffix(".mp4")]
+    shown = [load_source(source, audio)]
+    if versus is not None:
+        shown.append(load_source(versus))
+    who = int(identity) if identity.isdigit() else identity
+    for target in targets:
+        if target.suffix.lower() in (".html", ".htm"):
+            render_page(shown, target, identity=who, force=force)
+        elif target.suffix.lower() == ".mp4":
+            with bar("drawing") as progress:
+                render_video(
+                    shown[0], target, identity=who, second_view=view,
+                    backend=backend,  # type: ignore[arg-type]
+                    force=force, progress=progress,
+                )  # fmt: skip
+        else:
+            raise DeitalkError(f"{target} has suffix {target.suffix!r}; use .mp4 or .html")
+        words().print(str(target))

@@ -62,7 +62,7 @@ in vec3 position; in vec3 normal; in vec4 paint;
 uniform mat4 view;
 centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_;
 void main() {
-  n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1);
+  n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1.0);
 }
 """
     fragment = f"""#version 330
@@ -70,16 +70,16 @@ centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_;
 uniform vec3 eye; out vec4 color_;
 void lamp(vec3 d, vec3 c, vec3 n, vec3 v, float g, inout vec3 diffuse, inout vec3 shine) {{
   float k = dot(n, d); vec3 w = {_vec(WRAP)};
-  vec3 lit = clamp((k + w) / (1 + w), 0, 1);
+  vec3 lit = clamp((k + w) / (1.0 + w), 0.0, 1.0);
   diffuse += c * lit * (0.72 + 0.28 * lit);
-  if (k > 0) shine += c * pow(clamp(dot(n, normalize(d + v)), 0, 1), 10 + 240 * g * g)
+  if (k > 0.0) shine += c * pow(clamp(dot(n, normalize(d + v)), 0.0, 1.0), 10.0 + 240.0 * g * g)
     * (0.16 * min(g, 0.28) + 0.50 * pow(g, 2.5));
 }}
 void main() {{
   vec3 v = normalize(eye - p_), n = normalize(n_);
-  vec3 diffuse = mix({_vec(GROUND)}, {_vec(SKY)}, 0.5 + 0.5 * n.y), shine = vec3(0);
+  vec3 diffuse = mix({_vec(GROUND)}, {_vec(SKY)}, 0.5 + 0.5 * n.y), shine = vec3(0.0);
 {lamps}  vec3 linear = paint_.rgb * paint_.rgb * diffuse + shine;
-  color_ = vec4(sqrt(clamp(linear * 1.12 / (1 + 0.12 * linear), 0, 1)), 1);
+  color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), 1.0);
 }}
 """
     return vertex, fragment

@@ -1,0 +1,35 @@
+"""Arrays and facts as one text: JSON header, bytes, gzip, base64 (`web/src/data.ts` reads it)."""
+
+import base64
+import gzip
+import json
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+KINDS = ("float32", "uint16", "uint32", "int16", "uint8")
+
+
+def pack(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
+    """Pack arrays (flattened, little-endian) and JSON-ready facts.
+
+    ::
+
+        length of header | header (JSON) | padding to 8 | array | padding to 8 | array ...
+    """
+    entries, blobs, offset = [], [], 0
+    for name, array in arrays.items():
+        assert array.dtype.name in KINDS, (name, array.dtype)
+        blob = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
+        entries.append(
+            {"name": name, "kind": array.dtype.name, "length": int(array.size), "offset": offset}
+        )
+        blob += b"\0" * (-len(blob) % 8)
+        blobs.append(blob)
+        offset += len(blob)
+    header = json.dumps({"facts": facts, "arrays": entries}).encode()
+    head = struct.pack("<I", len(header)) + header
+    head += b"\0" * (-len(head) % 8)
+    return base64.b64encode(gzip.compress(head + b"".join(blobs), 9, mtime=0)).decode()

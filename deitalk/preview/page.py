@@ -1,0 +1,133 @@
+"""The preview page: one HTML file with the player, the head, the curves and the recording.
+
+The player is built from ``web/`` by ``npm run build`` into ``deitalk/preview/app/index.html``;
+here the data are put into it.
+"""
+
+import base64
+import io
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.errors import MissingError
+from deitalk.preview.pack import pack
+from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from rig.curves import EMOTIONS
+from rig.face import build_head
+from rig.face.identity import Identity
+from rig.face.portable import head_arrays
+from rig.face.render import VIEWS
+from rig.face.render.shading import glsl, glsl_background
+from rig.files import atomic_write
+
+BUNDLE = Path(__file__).parent / "app" / "index.html"
+_SLOT = "<!--deitalk-data-->"
+MAX_TAKES = 2
+
+
+def render_page(
+    sources: Path | str | PreviewSource | list[PreviewSource],
+    out: Path | str,
+    *,
+    audio: Path | str | None = None,
+    identity: int | str | Identity = 0,
+    force: bool = False,
+) -> Path:
+    """Write a page that opens offline and plays a take, or two side by side.
+
+    Parameters
+    ----------
+    sources : Path, str, PreviewSource or list of PreviewSource
+        Take folder, file of curves, or one or two loaded takes.
+    out : Path or str
+        The ``.html`` to write.
+    audio : Path or str, optional
+        Recording, where the source brings none.
+    identity : int, str or Identity, optional
+        Whose head.
+    force : bool, optional
+        Replace an existing file.
+
+    Raises
+    ------
+    PreviewError
+        If the source cannot be shown or the target cannot be written.
+    MissingError
+        If this installation has no player.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a page is a .html file")
+    if out.exists() and not force:
+        raise PreviewError(f"{out} exists; add --force to replace it, or name another file")
+    if not out.parent.is_dir():
+        raise PreviewError(f"folder {out.parent} is not there; make it first")
+    player = _player()
+    if not isinstance(sources, list):
+        is_loaded = isinstance(sources, PreviewSource)
+        sources = [sources if is_loaded else load_source(sources, audio)]  # type: ignore[list-item, arg-type]
+    if not 1 <= len(sources) <= MAX_TAKES:
+        raise PreviewError(f"{len(sources)} takes; a page shows one or two")
+    blocks = [_block("head", _packed_head(identity))]
+    blocks += [_block(f"take-{k}", _packed_take(take)) for k, take in enumerate(sources)]
+    blocks += [_block(f"audio-{k}", _audio(take)) for k, take in enumerate(sources)]
+    page = player.replace(_SLOT, "\n".join(blocks))
+    with atomic_write(out) as beside:
+        beside.write_text(page, encoding="utf-8")
+    return out
+
+
+def _player() -> str:
+    if not BUNDLE.is_file():
+        raise MissingError(
+            "this installation has no preview page, because it was built without Node.js; "
+            "install a wheel, or run `npm ci && npm run build` in web/ of the source"
+        )
+    return BUNDLE.read_text(encoding="utf-8")
+
+
+def _block(name: str, text: str) -> str:
+    return f'<script type="text/plain" id="{name}">{text}</script>'
+
+
+@lru_cache(maxsize=4)
+def _packed_head(identity: int | str | Identity) -> str:
+    arrays, facts = head_arrays(build_head(identity))
+    light, sky = glsl(), glsl_background()
+    facts["shaders"] = {
+        "vertex": light[0], "fragment": light[1], "skyVertex": sky[0], "skyFragment": sky[1],
+    }  # fmt: skip
+    facts["views"] = {
+        name: {"target": view.target, "position": view.position, "degrees": view.degrees}
+        for name, view in VIEWS.items()
+    }
+    return pack(arrays, facts)
+
+
+def _packed_take(source: PreviewSource) -> str:
+    curves = source.curves
+    arrays = {"values": np.ascontiguousarray(curves.values, np.float32)}
+    if source.neutral is not None:
+        arrays["neutral"] = np.ascontiguousarray(source.neutral, np.float32)
+    if curves.emotion is not None:
+        arrays["emotion"] = np.ascontiguousarray(curves.emotion, np.float32)
+    if curves.intensity is not None:
+        arrays["intensity"] = np.ascontiguousarray(curves.intensity, np.float32)
+    facts = {
+        "title": source.title, "fps": curves.fps, "frames": len(curves), "emotions": list(EMOTIONS),
+        "audioSeconds": source.audio_seconds,
+    }  # fmt: skip
+    return pack(arrays, facts)
+
+
+def _audio(source: PreviewSource) -> str:
+    """The recording as WAV, base64; empty without one."""
+    import soundfile
+
+    if not source.sample_rate:
+        return ""
+    buffer = io.BytesIO()
+    soundfile.write(buffer, source.samples, source.sample_rate, format="WAV", subtype="PCM_16")
+    return base64.b64encode(buffer.getvalue()).decode()

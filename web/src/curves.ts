@@ -1,0 +1,80 @@
+/** Curve lanes: key controls and any the user adds, on one uPlot with the playhead. */
+
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+
+import type { Take } from "./take";
+
+const KEY = [
+  "CTRL_C_jaw.ty", "CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_mouth_funnelU.ty",
+  "CTRL_L_mouth_cornerPull.ty", "CTRL_L_brow_down.ty", "CTRL_L_eye_blink.ty",
+];
+const STROKES = ["#f0aa5a", "#5ab88c", "#5a96e8", "#d8a81e", "#e2604f", "#a58be0", "#4bb3c4", "#d070a8"];
+
+export class CurveLanes {
+  private chart?: uPlot;
+  private names = [...KEY];
+  private time = 0;
+
+  constructor(
+    private readonly box: HTMLElement,
+    private readonly take: Take,
+    private readonly controls: string[],
+    private readonly seek: (seconds: number) => void,
+  ) {
+    this.build();
+  }
+
+  add(name: string): boolean {
+    if (!this.controls.includes(name)) return false;
+    if (!this.names.includes(name)) this.names.push(name);
+    this.build();
+    return true;
+  }
+
+  build(): void {
+    this.chart?.destroy();
+    const times = Array.from({ length: this.take.frames }, (_, k) => k / this.take.fps);
+    const frames = times.map((_, k) => this.take.frame(k));
+    const data = this.names.map((name) => {
+      const c = this.controls.indexOf(name);
+      return frames.map((f) => f[c]);
+    });
+    const color = getComputedStyle(document.body).color;
+    const axis = { stroke: color, grid: { stroke: "#8883", width: 1 } };
+    this.chart = new uPlot(
+      {
+        width: this.box.clientWidth || 300,
+        height: 170,
+        scales: { x: { time: false }, y: { range: [-1.02, 1.02] } },
+        axes: [axis, { ...axis, size: 34 }],
+        series: [
+          { label: "s" },
+          ...this.names.map((name, k) => ({
+            label: name.replace("CTRL_", ""), stroke: STROKES[k % STROKES.length], width: 1.2, points: { show: false },
+          })),
+        ],
+        legend: { live: false },
+        hooks: {
+          draw: [(u) => {
+            const x = u.valToPos(this.time, "x", true);
+            u.ctx.fillStyle = color;
+            u.ctx.fillRect(x, u.bbox.top, 2, u.bbox.height);
+          }],
+          ready: [(u) => u.over.addEventListener("click", (e) => this.seek(u.posToVal(e.offsetX, "x")))],
+        },
+      },
+      [times, ...data],
+      this.box,
+    );
+  }
+
+  at(time: number): void {
+    this.time = time;
+    this.chart?.redraw(false);
+  }
+
+  resize(): void {
+    this.chart?.setSize({ width: this.box.clientWidth, height: 170 });
+  }
+}

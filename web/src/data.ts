@@ -1,0 +1,45 @@
+/** Reads the arrays that Python packed: gzip, base64, one JSON header, then the bytes. */
+
+type TypedArray = Float32Array | Uint16Array | Uint32Array | Int16Array | Uint8Array;
+
+export type Arrays = Record<string, TypedArray>;
+
+const KINDS = {
+  float32: Float32Array,
+  uint16: Uint16Array,
+  uint32: Uint32Array,
+  int16: Int16Array,
+  uint8: Uint8Array,
+} as const;
+
+interface Header {
+  facts: Record<string, unknown>;
+  arrays: { name: string; kind: keyof typeof KINDS; length: number; offset: number }[];
+}
+
+export interface Packed {
+  facts: Record<string, any>;
+  arrays: Arrays;
+}
+
+export function base64Bytes(text: string): Uint8Array {
+  const raw = atob(text);
+  const bytes = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+  return bytes;
+}
+
+export async function unpack(base64: string): Promise<Packed> {
+  const stream = new Blob([base64Bytes(base64) as BlobPart])
+    .stream()
+    .pipeThrough(new DecompressionStream("gzip"));
+  const buffer = await new Response(stream).arrayBuffer();
+  const length = new DataView(buffer).getUint32(0, true);
+  const header: Header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const start = Math.ceil((4 + length) / 8) * 8;
+  const arrays: Arrays = {};
+  for (const { name, kind, length: count, offset } of header.arrays) {
+    arrays[name] = new KINDS[kind](buffer, start + offset, count);
+  }
+  return { facts: header.facts, arrays };
+}
