@@ -4,7 +4,7 @@ Letters: S samples, T frames of a window (128), C controls.
 """
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import count
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
 from deitalk.activity import normalise_level
-from deitalk.audio import load_audio
+from deitalk.audio import frame_count, load_audio
 from deitalk.augment import Surroundings, augment, change_speed, speed_factor
 from deitalk.config import DataConfig
 from deitalk.data.folder import Clip, read_intensity
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.features import RIG_RATE, SAMPLE_RATE
-from rig import ControlSet, RigCurves, read_curves
+from rig import ControlSet, read_curves
 
 
 class Window(NamedTuple):
@@ -53,16 +53,36 @@ class Material(NamedTuple):
     intensity: NDArray[np.float32]
 
 
+def n_starts(n_frames: int, config: DataConfig) -> int:
+    """Windows of a clip: one for every stride that leaves a whole window, at least one."""
+    return max(n_frames - config.window_frames, 0) // config.stride_frames + 1
+
+
+def count_windows(clips: Sequence[Clip], config: DataConfig) -> int:
+    """Windows of all clips at their own speed; reads headers where the format has one."""
+    return sum(n_starts(_recorded_frames(str(clip.audio)), config) for clip in clips)
+
+
+@cache
+def _recorded_frames(path: str) -> int:
+    import soundfile
+
+    try:
+        return max(int(np.ceil(soundfile.info(path).duration * RIG_RATE)), 1)
+    except soundfile.LibsndfileError:
+        return n_clip_frames(len(load_audio(path).waveform))
+
+
 def load_material(clip: Clip, controls: ControlSet) -> Material:
     """Read audio and curves of one clip.
 
     Raises
     ------
     DataError
-        If the curves lack a control of `controls`.
+        If the curves lack a control of `controls`; `read_curves` raises its own errors.
     """
     curves = read_curves(clip.curves)
-    if isinstance(curves, RigCurves) and curves.names != controls.names:
+    if curves.names != controls.names:
         missing = sorted(set(controls.names) - set(curves.names))
         if missing:
             raise DataError(
@@ -75,9 +95,7 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
         intensity = np.full(len(times), np.nan, np.float32)
     else:
         intensity = read_intensity(clip.intensity, times)
-    return Material(
-        _waveform(str(clip.audio)), times, curves.values.astype(np.float16), intensity
-    )
+    return Material(_waveform(str(clip.audio)), times, curves.values.astype(np.float16), intensity)
 
 
 @lru_cache(maxsize=64)
@@ -93,10 +111,13 @@ def cut(
     Parameters
     ----------
     material : Material
+        The clip.
     first : int
         First frame, on the time axis after the change of speed.
     n_frames : int
+        Frames T to give.
     speed : float
+        Factor of speed and pitch; 2 halves the clip.
 
     Returns
     -------
@@ -109,6 +130,21 @@ def cut(
     piece = change_speed(piece, speed)[:length]
     waveform = np.pad(piece, (0, length - len(piece)))
     times = (first + np.arange(n_frames)) / RIG_RATE * speed
+    curves, intensity = _curves_at(material, times)
+    return waveform, curves, intensity, n_clip_frames(len(material.waveform), speed)
+
+
+def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
+    """Rig frames of a clip that is played at another speed; at least 1."""
+    if speed == 1.0:
+        return max(frame_count(n_samples), 1)
+    return max(int(np.ceil(n_samples / SAMPLE_RATE * RIG_RATE / speed)), 1)
+
+
+def _curves_at(
+    material: Material, times: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Curves [shape=(T, C)] and intensity [shape=(T,)] at given seconds of the clip."""
     step = material.times[1] - material.times[0] if len(material.times) > 1 else 1.0
     place = np.clip((times - material.times[0]) / step, 0, len(material.times) - 1)
     below = np.minimum(place.astype(int), max(len(material.times) - 2, 0))
@@ -117,21 +153,27 @@ def cut(
     low, high = material.values[below].astype(np.float32), material.values[above]
     curves = low + mix[:, None] * (high.astype(np.float32) - low)
     intensity = material.intensity[below] * (1 - mix) + material.intensity[above] * mix
-    total = max(int(np.ceil(len(material.waveform) / SAMPLE_RATE * RIG_RATE / speed)), 1)
-    return waveform, curves, intensity, total
+    return curves, intensity
 
 
 class Batches(IterableDataset[Window]):
     """Endless batches of random windows of many clips.
 
-    Every clip is as likely as another (or recorded ones by `DataConfig.real_fraction`); within a
-    clip the first frame is a random multiple of the stride. Clips stay in memory once read.
+    Every clip is as likely as another, whatever its length (recorded ones by
+    `DataConfig.real_fraction`); within a clip the first frame is a random multiple of the stride.
+    The 4096 clips used last stay in memory.
+
+    Deviation: §4.1 passes over all windows of all clips; drawing with replacement sees as many
+    windows in an epoch, needs no list of them, and can be resumed at any batch.
 
     Parameters
     ----------
     clips : sequence of Clip
+        Those of one split.
     controls : ControlSet
+        Columns of the curves.
     config : DataConfig
+        Window, stride and augmentation.
     seed : int
         Window k depends on the seed and k alone, whatever the number of workers.
     batch_size : int
@@ -179,9 +221,8 @@ class Batches(IterableDataset[Window]):
         material = _material(clip, self.controls)
         config = self.config
         speed = speed_factor(rng) if config.augment else 1.0
-        frames = int(np.ceil(len(material.waveform) / SAMPLE_RATE * RIG_RATE / speed))
-        latest = max(frames - config.window_frames, 0) // config.stride_frames
-        first = int(rng.integers(latest + 1)) * config.stride_frames
+        frames = n_clip_frames(len(material.waveform), speed)
+        first = int(rng.integers(n_starts(frames, config))) * config.stride_frames
         waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
         if config.augment:
             waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
@@ -192,7 +233,7 @@ class Batches(IterableDataset[Window]):
             _one_hot(clip.voice),
             torch.from_numpy(intensity),
             torch.arange(first, first + config.window_frames),
-            torch.tensor(max(total, 1)),
+            torch.tensor(total),
         )
 
     def _draw(self, rng: np.random.Generator) -> Clip:
@@ -201,7 +242,7 @@ class Batches(IterableDataset[Window]):
             return self.clips[rng.integers(len(self.clips))]
         wanted = rng.random() < fraction
         places = np.flatnonzero(self.recorded == wanted)
-        return self.clips[places[rng.integers(len(places))]]
+        return self.clips[int(places[rng.integers(len(places))])]
 
 
 @lru_cache(maxsize=4096)
@@ -213,7 +254,7 @@ def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[NDArray[np.
     """Four other voices for babble, now and then; reading them costs time."""
     if rng.random() > 0.06:
         return []
-    return [_waveform(str(clips[rng.integers(len(clips))].audio)) for _ in range(4)]
+    return [_waveform(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]
 
 
 def _one_hot(emotion: str) -> Tensor:
