@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
-from deitalk.features import SAMPLE_RATE
+from deitalk.audio import SAMPLE_RATE
 
 Audio = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ def speed_factor(rng: np.random.Generator) -> float:
 
 def change_speed(waveform: Audio, factor: float) -> Audio:
     """Resample: S samples become about S / factor, pitch and formants rise by the factor."""
-    if factor == 1.0:
+    if factor == 1.0 or not len(waveform):
         return waveform
     import soxr
 
@@ -72,14 +72,19 @@ def augment(
     waveform : ndarray [shape=(S,)]
         Speech at the normal level.
     rng : numpy.random.Generator
+        Source of every choice.
     surroundings : Surroundings
+        Recordings of noise and of rooms.
     voices : sequence of ndarray
         Other speech, for babble.
 
     Returns
     -------
     ndarray [shape=(S,)]
+        What happens at a sample happens there still, to a millisecond.
     """
+    if not len(waveform):
+        return waveform
     x = _colour(waveform.astype(np.float64), rng)
     if rng.random() < 0.45:
         x = _reverberate(x, rng, surroundings.rooms)
@@ -119,7 +124,7 @@ def _peak(centre: float, gain_db: float, q: float) -> tuple[Floats, Floats]:
 
 def _reverberate(x: Floats, rng: np.random.Generator, rooms: Sequence[Audio]) -> Floats:
     if rooms and rng.random() < 0.5:
-        room = rooms[rng.integers(len(rooms))][:SAMPLE_RATE].astype(np.float64)
+        room = rooms[int(rng.integers(len(rooms)))][:SAMPLE_RATE].astype(np.float64)
         room = room[max(int(np.abs(room).argmax()) - 8, 0) :]  # no delay: curves stay in time
         room = room / (np.abs(room).max() + 1e-9)
         wet = signal.fftconvolve(x, room)[: len(x)]
@@ -150,18 +155,21 @@ def _noise(
     """Coloured, recorded or babble, at power 1."""
     kind = rng.random()
     if kind < 0.15 and len(voices) >= 4:
-        noise = np.sum([_piece(voices[rng.integers(len(voices))], n, rng) for _ in range(4)], axis=0)
+        chosen = [voices[int(rng.integers(len(voices)))] for _ in range(4)]
+        noise = np.sum([_piece(voice, n, rng) for voice in chosen], axis=0)
     elif kind < 0.5 and noises:
-        noise = _piece(noises[rng.integers(len(noises))], n, rng)
+        noise = _piece(noises[int(rng.integers(len(noises)))], n, rng)
     else:
         spectrum = fft.rfft(rng.standard_normal(fft.next_fast_len(n, real=True)))
         spectrum *= (np.arange(len(spectrum)) + 1.0) ** -rng.choice((0.0, 0.5, 0.75, 1.0))
         noise = fft.irfft(spectrum)[:n]
-    return noise / (noise.std() + 1e-9)
+    scaled: Floats = noise / (noise.std() + 1e-9)
+    return scaled
 
 
 def _piece(recording: Audio, n: int, rng: np.random.Generator) -> Floats:
     """A random stretch of n samples, repeated where the recording is shorter; power 1."""
     start = int(rng.integers(max(len(recording) - n, 0) + 1))
     piece = np.resize(recording[start : start + n], n).astype(np.float64)
-    return piece / (piece.std() + 1e-9)
+    scaled: Floats = piece / (piece.std() + 1e-9)
+    return scaled
