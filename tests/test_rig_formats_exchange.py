@@ -108,6 +108,18 @@ def test_emoface_columns_are_the_published_ones():
         "CTRL_C_jaw-translateX",
         "CTRL_C_jaw-translateY",
     ]
+    # the published list has tongue_tip where the alphabet has tongue_roll
+    assert [spelling[n].removeprefix("CTRL_C_tongue") for n in names[20:29]] == [
+        "-translateX",
+        "-translateY",
+        "_inOut-translateY",
+        "_narrowWide-translateY",
+        "_press-translateY",
+        "_roll-translateX",
+        "_roll-translateY",
+        "_tip-translateX",
+        "_tip-translateY",
+    ]
     assert spelling[names[29]] == "CTRL_L_brow_down-translateY"
     assert spelling[names[46]] == "CTRL_L_jaw_ChinRaiseD-translateY"
     assert spelling[names[-1]] == "CTRL_neck_throatUpDown-translateY"
