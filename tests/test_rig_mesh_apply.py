@@ -12,14 +12,20 @@ from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, write_curves
 from rig.errors import FormatError, MeshError
 from rig.mesh.apply import read_shapes, retarget_curves
+from rig.mesh.blendshapes import closing_weight
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
+from rig.mesh.landmarks import check_landmarks
 from rig.mesh.obj import write_obj, write_obj_folder
 from rig.mesh.ply import read_ply_sequence, write_ply
 from rig.mesh.shapes import ShapeSet, write_shapes_npz
 from rig.mesh.trimesh import TriMesh
 
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
+GRID = TriMesh(
+    [[x, y, 0.01 * x * y] for x in range(12) for y in range(12)],
+    [[12 * i + j, 12 * i + j + 12, 12 * i + j + 1] for i in range(11) for j in range(11)],
+)
 CONTROLS = default_controls()
 
 ICT_LANDMARKS = {
@@ -38,6 +44,11 @@ ICT_LANDMARKS = {
 def ict(shared):
     file = np.load(shared / "data" / "meshes" / "ict_face.npz")
     return TriMesh(file["neutral"], file["triangles"]), ICT_LANDMARKS
+
+
+def ict_shapes(shared):
+    file = np.load(shared / "data" / "meshes" / "ict_face.npz")
+    return tuple(str(n) for n in file["expression_names"]), file["expression_deltas"]
 
 
 @pytest.fixture
@@ -105,9 +116,10 @@ def test_unknown_shapes_and_unsaid_curves_are_told(tmp_path, curves):
     assert "Key 7" in report.notes[0] and "mouthCornerPullL" in report.notes[1]
 
 
-def test_a_neutral_mesh_needs_landmarks(tmp_path, curves):
-    write_obj(tmp_path / "a.obj", MESH)
-    with pytest.raises(MeshError, match=r"a\.obj has no shapes, so it needs --landmarks.*nose_tip"):
+@pytest.mark.parametrize("mesh", [MESH, GRID], ids=["two triangles", "a sheet"])
+def test_what_is_no_face_is_not_taken_for_one(tmp_path, curves, mesh):
+    write_obj(tmp_path / "a.obj", mesh)
+    with pytest.raises(MeshError, match="give --landmarks"):
         retarget_curves(curves, tmp_path / "a.obj", tmp_path / "out.glb")
 
 
@@ -189,9 +201,10 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
     ours = source.rig.shapes.evaluate(source.rig.weights_of(values))
     theirs = made.rig.shapes.evaluate(made.rig.weights_of(values))
     width = made.target_pairs.width
+    opening = made.target_pairs.gaps(theirs[1]).max() / width
+    ours_opening = made.source_pairs.gaps(ours[1]).max() / made.source_pairs.width
+    assert opening == pytest.approx(ours_opening, rel=0.25) and opening > 0.2
     gaps = np.median(np.abs(made.target_pairs.gaps(theirs)), axis=1) / width
-    on_ours = np.median(np.abs(made.source_pairs.gaps(ours)), axis=1) / made.source_pairs.width
-    assert gaps[1] == pytest.approx(on_ours[1], rel=0.35) and gaps[1] > 0.08
     assert gaps[2] < gaps[0] + 0.01 and gaps[3] < gaps[0] + 0.01  # 0.5 mm of a 5 cm mouth
     # Our eye opens 11 mm and theirs 9: the blink closes theirs and does not run past.
     blink = made.rig.shapes.delta("CTRL_L_eye_blink.ty")
@@ -209,15 +222,36 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
 
 
 @pytest.mark.slow
+def test_landmarks_of_the_ict_face_are_found(shared):
+    """In metres and with z up, as Blender may write it; within 4 mm on average, 1 cm at worst."""
+    from rig.mesh.guess import guess_landmarks
+    from rig.mesh.head import source_head
+
+    mesh, landmarks = ict(shared)
+    source = source_head()
+    axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turned = TriMesh(0.01 * mesh.vertices @ axes.T, mesh.faces)
+    guess = guess_landmarks(turned, source.mesh, source.landmarks)
+    check_landmarks(guess.landmarks, len(mesh.vertices))
+    assert len(guess.landmarks) >= 20
+    apart = [
+        np.linalg.norm(mesh.vertices[v] - mesh.vertices[landmarks[name]])
+        for name, v in guess.landmarks.items()
+    ]
+    assert np.mean(apart) < 0.4 and np.max(apart) < 1.0
+    assert closing_weight(
+        ShapeSet(mesh, *ict_shapes(shared)), "jawOpen", "mouthClose"
+    ) == pytest.approx(0.81, abs=0.03)
+
+
+@pytest.mark.slow
 def test_ict_shapes_on_our_head(shared):
     """The other way: every ICT shape moves our head where it moves theirs."""
     from rig.mesh.head import source_head
     from rig.mesh.retarget import carry_shapes
 
     mesh, landmarks = ict(shared)
-    file = np.load(shared / "data" / "meshes" / "ict_face.npz")
-    names = tuple(str(n) for n in file["expression_names"])
-    theirs = ShapeSet(mesh, names, file["expression_deltas"], landmarks)
+    theirs = ShapeSet(mesh, *ict_shapes(shared), landmarks)
     head = source_head()
     carried = carry_shapes(theirs, head.mesh, head.landmarks)
     for name, mark, axis, sign in (

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from rig.errors import FormatError, MeshError
 from rig.mesh.closest import ClosestPoints, closest_barycentric
 from rig.mesh.eyelids import fit_lids
+from rig.mesh.guess import guess_landmarks
 from rig.mesh.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
 from rig.mesh.lips import lip_pairs
 from rig.mesh.reconstruct import rigid_motion
@@ -224,6 +225,22 @@ def test_lids_travel_as_far_as_the_eye_opens(head):
     assert after.sum() / before.sum() == pytest.approx(ratio, abs=0.12)
     chin = head.landmarks["chin"]
     np.testing.assert_allclose(fitted[1, chin], blink[1, chin], atol=1e-6)
+
+
+def test_landmarks_are_found_blind(head):
+    """The head itself, z up and in metres: rims exactly a pair, everything within millimetres."""
+    axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    mesh = TriMesh(0.01 * head.mesh.vertices @ axes.T, head.mesh.faces)
+    guess = guess_landmarks(mesh, head.mesh, head.landmarks)
+    check_landmarks(guess.landmarks, len(mesh.vertices))
+    at = head.mesh.vertices
+    apart = {n: np.linalg.norm(at[v] - at[head.landmarks[n]]) for n, v in guess.landmarks.items()}
+    assert np.mean(list(apart.values())) < 0.25
+    for side in ("left", "right"):
+        assert apart[f"eye_upper_{side}"] < 0.5 and apart[f"mouth_corner_{side}"] < 0.6
+    labels = lip_labels(head.mesh, head.landmarks)
+    assert labels[guess.landmarks["upper_rim"]] == 1
+    assert labels[guess.landmarks["lower_rim"]] == -1
 
 
 def test_lips_that_share_a_landmark_are_refused(head):

@@ -26,7 +26,9 @@ def retarget(
     ],
     landmarks: Annotated[
         Path | None,
-        typer.Option(help="JSON or CSV: where the landmarks of a neutral mesh are."),
+        typer.Option(
+            help="JSON or CSV: where the landmarks of a neutral mesh are; found by themselves if not given."
+        ),
     ] = None,
     mapping: Annotated[
         Path | None,
@@ -47,7 +49,7 @@ def retarget(
 
     A mesh with shapes named as ARKit, Live Link Face, ICT-FaceKit or MetaHuman name them is driven
     by name. A single neutral mesh of any topology gets the shapes of the embedded head, laid over
-    it by landmarks: nose_tip, chin, the corners of mouth and eyes, and the rims of both lips.
+    it by landmarks: nose_tip, chin, the corners of mouth and eyes, the rims of both lips ...
 
     Examples
     --------
@@ -78,6 +80,7 @@ def retarget(
         )
     lost = "" if report.lost is None else f", {report.lost:.0%} of the movement has no shape"
     kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
-    words.print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}")
+    said = f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}"
+    words.print(said, soft_wrap=True, markup=False, highlight=False)
     for note in report.notes:
-        words.print(f"note: {note}", style="yellow")
+        words.print(f"note: {note}", style="yellow", soft_wrap=True, markup=False)

@@ -13,7 +13,9 @@ from rig.files import atomic_write
 from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes, read_mapping
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
-from rig.mesh.landmarks import NEEDED, read_landmarks
+from rig.mesh.guess import guess_landmarks
+from rig.mesh.head import source_head
+from rig.mesh.landmarks import read_landmarks
 from rig.mesh.obj import read_obj, read_obj_folder
 from rig.mesh.ply import read_ply, write_ply_sequence
 from rig.mesh.retarget import Method, shapes_for
@@ -76,7 +78,7 @@ def retarget_curves(
         ``.glb`` (morph targets and animation), ``.npz`` (`vertices` (T, V, 3) and `triangles`), or
         a folder of PLY files.
     landmarks : Path or str, optional
-        Where the landmarks of a neutral mesh are; needed for one.
+        Where the landmarks of a neutral mesh are; guessed if not given.
     mapping : Path or str, optional
         What shapes of unknown names stand for.
     method : str
@@ -98,18 +100,26 @@ def retarget_curves(
         fit, poses = _fit(curves, shapes, mapping)
         _write(out, shapes, fit.weights, curves.fps)
         return _driven(out, fit, poses, len(curves))
-    if landmarks is None and not shapes.landmarks:
-        raise MeshError(
-            f"{mesh.name} has no shapes, so it needs --landmarks: a JSON or CSV file with the "
-            f"vertices or positions of {', '.join(NEEDED)} (more are better)"
-        )
-    found: Mapping[str, int] = (
-        shapes.landmarks if landmarks is None else read_landmarks(landmarks, shapes.neutral)
-    )
+    found, notes = _landmarks(shapes, landmarks)
     made = shapes_for(shapes.neutral, found, method=method)
     _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps)
-    return RetargetReport(
-        out, "neutral", len(made.rig.shapes.names), len(curves), None, made.warnings
+    notes += made.warnings
+    return RetargetReport(out, "neutral", len(made.rig.shapes.names), len(curves), None, notes)
+
+
+def _landmarks(
+    shapes: ShapeSet, path: Path | str | None
+) -> tuple[Mapping[str, int], tuple[str, ...]]:
+    """Landmarks from a file, from the shape set, or guessed; and what to say about them."""
+    if path is not None:
+        return read_landmarks(path, shapes.neutral), ()
+    if shapes.landmarks:
+        return shapes.landmarks, ()
+    source = source_head()
+    guess = guess_landmarks(shapes.neutral, source.mesh, source.landmarks)
+    return guess.landmarks, (
+        f"{len(guess.landmarks)} landmarks were guessed; look at the mouth and the eyes, and give "
+        "--landmarks if they are off",
     )
 
 

@@ -109,7 +109,11 @@ def _profile(points: Floats, known: dict[str, Ints], head: Head) -> dict[str, in
     found = {"nose_tip": tip, "nose_base": base, "nose_bridge": bridge, "chin": chin}
     for side, kind, sign in (("left", NOSTRIL_L, 1), ("right", NOSTRIL_R, -1)):
         ring = skin.loop(kind, 2)
-        found[f"nose_wing_{side}"] = ring[np.argmax(sign * points[ring, 0])]
+        # As far out as the wing goes, at the height of the nose's base.
+        out = np.abs(points[ring, 0]).max()
+        corner = np.array([sign * out, points[base, 1] + 0.1, points[base, 2] - 0.4])
+        away = np.where(inside, np.inf, np.linalg.norm(points - corner, axis=1))
+        found[f"nose_wing_{side}"] = np.argmin(away)
         brow = head.parts[f"brow_{side[0].upper()}"].vertices.mean(axis=0)
         found[f"brow_{side}"] = np.argmin(np.linalg.norm(points - brow, axis=1))
     return {name: int(v) for name, v in found.items()}

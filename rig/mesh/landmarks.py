@@ -33,7 +33,8 @@ LANDMARKS = (
 )  # fmt: skip
 """The 26 points. `upper_rim` and `lower_rim` are the middles of the edges where the lips meet,
 their `_left` and `_right` half way to the corners; `upper_lip_top` and `lower_lip_bottom` the
-middle of the red's outer edge; `brow_*` the middle of the brow."""
+middle of the red's outer edge; `brow_*` the middle of the brow; `nose_wing_*` where the wing of the
+nose meets the upper lip's base."""
 
 NEEDED = (
     *CORNERS,

@@ -31,10 +31,18 @@ from rig.mesh.trimesh import (
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_STIFFNESS = (100.0, 40.0, 15.0, 6.0, 3.0, 1.5)
-_REACH = (0.13, 0.11, 0.09, 0.07, 0.055, 0.045)
-"""Furthest match that counts, as a share of the distance between the outer eye corners."""
-_LANDMARK_WEIGHT = (8.0, 6.0, 5.0, 4.0, 3.0, 2.0)
+Rounds = Sequence[tuple[float, float, float]]
+"""Per round: stiffness; furthest match that counts, in distances between the outer eye corners;
+weight of the landmarks."""
+
+_ROUNDS: Rounds = (
+    (100.0, 0.13, 8.0),
+    (40.0, 0.11, 6.0),
+    (15.0, 0.09, 5.0),
+    (6.0, 0.07, 4.0),
+    (3.0, 0.055, 3.0),
+    (1.5, 0.045, 2.0),
+)
 _LIP_REACH = 0.75
 """Lips are labelled this far from their rims along the surface, in widths of the mouth."""
 _WELD = 1e-7
@@ -152,7 +160,7 @@ def register(
     skin_mesh, _ = _restrict(aligned, source.faces, skin)
     position = np.searchsorted(skin, from_)
     on_skin = (position < len(skin)) & (skin[np.minimum(position, len(skin) - 1)] == from_)
-    surface = _closest_rounds(
+    surface = closest_rounds(
         skin_mesh, source_labels[skin], search, position[on_skin], to[on_skin], eyes
     )
     placed = _carry_along(aligned, skin, surface)
@@ -203,7 +211,7 @@ def _shared_points(
 
 def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Ints:
     """Label vertices near the mouth +1 (upper lip), -1 (lower lip) or 0 [shape=(V,)]."""
-    graph = _edge_lengths(mesh)
+    graph = edge_lengths(mesh)
     width = float(np.linalg.norm(np.subtract(*(mesh.vertices[landmarks[c]] for c in CORNERS))))
     reach = _LIP_REACH * width
     upper, lower = (
@@ -220,7 +228,7 @@ def _along_surface(graph: csr_array, seeds: Sequence[int], reach: float) -> Floa
     return np.asarray(dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True))
 
 
-def _edge_lengths(mesh: TriMesh) -> csr_array:
+def edge_lengths(mesh: TriMesh) -> csr_array:
     """Graph of edge lengths; rim vertices at one place (texture seams) are joined."""
     ends = edges(mesh.faces)
     lengths = np.linalg.norm(np.subtract(*(mesh.vertices[ends[:, k]] for k in (0, 1))), axis=1)
@@ -242,7 +250,7 @@ def _thin_plate(centres: Floats, goals: Floats, points: Floats) -> Floats:
 
 def _is_inside_out(placed: TriMesh, target: TriMesh, eyes: float) -> bool:
     found = ClosestPoints(target, candidates=8).query(placed.vertices)
-    near = found.distances < _REACH[0] * eyes
+    near = found.distances < _ROUNDS[0][1] * eyes
     theirs = found.interpolate(target.faces, vertex_normals(target))
     cosine = np.einsum("vc,vc->v", vertex_normals(placed), theirs)[near]
     return bool(len(cosine) and np.median(cosine) < 0)
@@ -255,20 +263,41 @@ def _restrict(vertices: Floats, faces: Ints, keep: Ints) -> tuple[TriMesh, Ints]
     return TriMesh(vertices[keep], new_index[faces[inside]]), np.flatnonzero(inside)
 
 
-def _closest_rounds(
+def closest_rounds(
     skin: TriMesh,
     labels: Ints,
     search: ClosestPoints,
     landmarks: Ints,
     goals: Floats,
     eyes: float,
+    rounds: Rounds = _ROUNDS,
 ) -> Floats:
-    """Pull the skin to its closest points, six times, each time more freely."""
+    """Pull the skin to its closest points, round by round more freely.
+
+    Parameters
+    ----------
+    skin : TriMesh
+        Placed near the target.
+    labels : array of int [shape=(V,)]
+        Lip sides of the skin.
+    search : ClosestPoints
+        Over the target, with its own labels.
+    landmarks, goals : arrays [shape=(P,)] and [shape=(P, 3)]
+        Vertices of the skin and where they belong; may be empty.
+    eyes : float
+        Distance between the outer eye corners.
+    rounds : sequence of (float, float, float)
+        See `Rounds`.
+
+    Returns
+    -------
+    vertices : array [shape=(V, 3)]
+    """
     bending = _bending(skin)
     on_rim = np.zeros(len(search.mesh.vertices), dtype=bool)
     on_rim[boundary_edges(search.mesh)] = True
     points = np.array(skin.vertices)
-    for stiffness, reach, hold in zip(_STIFFNESS, _REACH, _LANDMARK_WEIGHT, strict=True):
+    for stiffness, reach, hold in rounds:
         normals = vertex_normals(TriMesh(points, skin.faces))
         found = search.query(points, normals=normals, labels=labels, least_cosine=0.5)
         goal = found.interpolate(search.mesh.faces, search.mesh.vertices)
