@@ -2,12 +2,15 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from rig import RigCurves, WriteReport
 
 
 def convert(
@@ -58,9 +61,7 @@ def convert(
 
     deitalk convert MySlate_1_iPhone.csv shapes.csv --rig arkit
     """
-    from rig import gain as scale
     from rig import read_curves, write_curves
-    from rig import smooth as low_pass
     from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
     from rig.formats.table import find_format
@@ -77,29 +78,43 @@ def convert(
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
     if rig not in sets:
         raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
-    path = _curves_of(source)
-    curves = read_curves(path, format=from_, fps=source_fps, control_set=None)
+    curves = read_curves(_curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         curves = curves.slice_seconds(start, end)
     if gain or offset or mirror or smooth:
-        curves = to_set(curves, DEFAULT_ID)
-        curves = scale(curves, _pairs(gain, "--gain"), _pairs(offset, "--offset"))
-        curves = curves.mirror() if mirror else curves
-        curves = low_pass(curves, smooth)
+        gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
+        curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
     wanted = sets[rig]
     if wanted is not None and find_format(target, to, writable=True).control_set is None:
         curves = to_set(curves, wanted)
-    report = write_curves(target, curves, format=to, fps=fps)
+    _tell(write_curves(target, curves, format=to, fps=fps), as_json)
+
+
+def _edited(
+    curves: "RigCurves",
+    gains: dict[str, float],
+    offsets: dict[str, float],
+    mirror: bool,
+    seconds: float,
+) -> "RigCurves":
+    from rig import gain, smooth
+
+    curves = gain(curves, gains, offsets)
+    return smooth(curves.mirror() if mirror else curves, seconds)
+
+
+def _tell(report: "WriteReport", as_json: bool) -> None:
+    """Say what was written and what was lost."""
     notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
     notes += [str(report.clipped)] if report.clipped else []
     notes += [report.note] if report.note else []
     if as_json:
         summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
-        typer.echo(json.dumps({"out": str(target), **summary, "notes": notes}))
+        typer.echo(json.dumps({"out": str(report.path), **summary, "notes": notes}))
         return
     for note in notes:
         words().print(f"note: {note}", style="yellow")
-    words().print(f"{target}: {report.format}, {report.n_frames} frames at {report.fps:g} fps")
+    words().print(f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps")
 
 
 def _curves_of(source: Path) -> Path:

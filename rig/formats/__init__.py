@@ -93,9 +93,8 @@ def read_curves(
     known = controls or known_controls(curves.control_set)
     if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges
         curves = check_range(curves, known, where=str(path))
-    if controls is not None or control_set is None:
-        return curves
-    return convert(curves, control_set)
+    wanted = control_set if controls is None else controls.id
+    return curves if wanted is None else convert(curves, wanted)
 
 
 def write_curves(
