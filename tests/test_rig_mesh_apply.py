@@ -163,13 +163,16 @@ def test_command_reads_a_take_folder(tmp_path, shapes, curves):
     np.testing.assert_allclose(glb_weights(tmp_path / "out.glb"), EXPECTED, atol=1e-4)
     again = run(tmp_path / "take", "--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb")
     assert isinstance(again.exception, DeitalkError) and "--force" in str(again.exception)
+    options = ("--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb", "--force", "--json")
+    summary = json.loads(run(tmp_path / "take", *options).stdout)
+    assert summary["way"] == "blendshapes" and summary["frames"] == 3
 
 
 def test_command_refuses_what_it_cannot_do(tmp_path, shapes):
     write_glb(tmp_path / "face.glb", shapes)
     common = ("--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb")
     missing = run(tmp_path / "none.csv", *common)
-    assert "is not a file" in str(missing.exception)
+    assert "holds no curves" in str(missing.exception)
     odd = run(tmp_path / "none.csv", *common, "--method", "magic")
     assert "'magic' is unknown" in str(odd.exception)
 

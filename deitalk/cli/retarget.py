@@ -1,17 +1,22 @@
 """`deitalk retarget`: a take on your own face."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from rig.mesh.apply import RetargetReport
 
 
 def retarget(
     take: Annotated[
-        Path, typer.Argument(help="Take folder, or a curve file (CSV, JSON, NPZ, Live Link CSV).")
+        Path, typer.Argument(help="Take folder, or a file of curves (CSV, JSON, NPZ, Live Link).")
     ],
     mesh: Annotated[
         Path,
@@ -26,9 +31,7 @@ def retarget(
     ],
     landmarks: Annotated[
         Path | None,
-        typer.Option(
-            help="JSON or CSV: where the landmarks of a neutral mesh are; found by themselves if not given."
-        ),
+        typer.Option(help="JSON or CSV of points on a neutral mesh (guessed if not given)."),
     ] = None,
     mapping: Annotated[
         Path | None,
@@ -41,15 +44,14 @@ def retarget(
     as_neutral: Annotated[
         bool, typer.Option("--as-neutral", help="Ignore the mesh's own shapes and make new ones.")
     ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the output if it exists.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
 ) -> None:
     """Put a take on your own face: drive its blendshapes, or make it some.
 
     A mesh with shapes named as ARKit, Live Link Face, ICT-FaceKit or MetaHuman name them is driven
-    by name. A single neutral mesh of any topology gets the shapes of the embedded head, laid over
-    it by landmarks: nose_tip, chin, the corners of mouth and eyes, the rims of both lips ...
+    by name. A single neutral mesh of any topology, mouth closed and eyes open, gets the shapes of
+    the embedded head, laid over it by landmarks.
 
     Examples
     --------
@@ -61,16 +63,13 @@ def retarget(
     from rig.mesh.apply import retarget_curves
 
     if method not in ("displacements", "gradients"):
-        raise DeitalkError(f"method {method!r} is unknown; use displacements or gradients")
+        raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; choose another name or give --force")
-    source = take / "curves.csv" if take.is_dir() else take
-    if not source.is_file():
-        raise DeitalkError(f"{source} is not a file; give a take folder or a curve file")
-    words = Console(stderr=True)
-    with words.status("retargeting"):
+        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    curves = read_curves(_curves_of(take))
+    with words().status("retargeting"):
         report = retarget_curves(
-            read_curves(source),
+            curves,
             mesh,
             out,
             landmarks=landmarks,
@@ -78,9 +77,29 @@ def retarget(
             method="gradients" if method == "gradients" else "displacements",
             as_neutral=as_neutral,
         )
+    _tell(report, as_json)
+
+
+def _curves_of(take: Path) -> Path:
+    """Return the file of curves of a take, or the file itself."""
+    found = (
+        [take / f"curves.{kind}" for kind in ("json", "npz", "csv")] if take.is_dir() else [take]
+    )
+    for path in found:
+        if path.is_file():
+            return path
+    raise DeitalkError(f"{take} holds no curves; give a take folder or a file of curves")
+
+
+def _tell(report: "RetargetReport", as_json: bool) -> None:
+    """Say what was written and what to look at."""
+    if as_json:
+        typer.echo(json.dumps(asdict(report) | {"path": str(report.path)}))
+        return
     lost = "" if report.lost is None else f", {report.lost:.0%} of the movement has no shape"
     kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
-    said = f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}"
-    words.print(said, soft_wrap=True, markup=False, highlight=False)
     for note in report.notes:
-        words.print(f"note: {note}", style="yellow", soft_wrap=True, markup=False)
+        words().print(f"note: {note}", style="yellow", markup=False)
+    words().print(
+        f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}", markup=False
+    )
