@@ -18,10 +18,11 @@ from rig.errors import FormatError, RigError
 from rig.formats import read_curves
 from rig.formats.curves_json import read_json
 from rig.formats.livelink_csv import LiveLinkTake, read_take, subject_of
-from rig.formats.table import find_format, format_of_header
+from rig.formats.table import format_of_header
 from rig.formats.wide_csv import read_header
 from rig.mapping import known_controls
 from rig.raw import PREFIX, RAW_ID
+from rig.validate_exports import CHECKS
 
 Level = Literal["error", "warning", "note"]
 OPEN_MOUTH = 0.1
@@ -29,7 +30,7 @@ OPEN_MOUTH = 0.1
 JUMP = 0.8
 """Share of a control's range that no face crosses from one frame to the next."""
 MOUTH_SHAPES = ("JawOpen", "CTRL_C_jaw.ty", f"{PREFIX}jawOpen")
-CURVE_SUFFIXES = (".csv", ".json", ".npz", ".txt", ".tsv", ".xml")
+CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb")
 OTHER_CSV = ("intensity.csv",)
 """Tables of a take that hold no curves."""
 WRINKLES = tuple(f"{PREFIX}noseWrinkleUpper{side}" for side in "LR")
@@ -67,7 +68,7 @@ class Validation:
 
 
 def validate(path: Path | str) -> Validation:
-    """Check a file of any format that `read_curves` knows, or a take folder.
+    """Check a file of any format that we read or write, or a take folder.
 
     Raises
     ------
@@ -93,11 +94,10 @@ def _take_folder(folder: Path) -> list[Finding]:
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in CURVE_SUFFIXES or path.name in ("take.json", *OTHER_CSV):
             continue
-        if not _is_readable(path):
-            continue
         found = _file(path)
         findings += found
-        if all(finding.level != "error" for finding in found):
+        is_good = all(finding.level != "error" for finding in found)
+        if is_good and not path.name.lower().endswith(tuple(CHECKS)):
             durations[path.name] = read_curves(path, control_set=None).duration
     if not durations:
         findings.append(Finding("error", folder, "no file of curves can be read here"))
@@ -122,16 +122,11 @@ def _take_json(folder: Path) -> list[Finding]:
     ]
 
 
-def _is_readable(path: Path) -> bool:
-    try:
-        find_format(path, readable=True)
-    except FormatError:
-        return False
-    return not path.name.endswith((".unreal.json", ".visemes.json"))
-
-
 def _file(path: Path) -> list[Finding]:
     try:
+        for ending, check in CHECKS.items():
+            if path.name.lower().endswith(ending):
+                return [Finding("note", path, check(path))]
         if path.suffix.lower() == ".csv" and format_of_header(read_header(path)) == "livelink":
             return _live_link(path)
         return _curves(path, read_curves(path, control_set=None))

@@ -159,6 +159,21 @@ def test_other_protocols_send(curves_file, protocol):
     assert result.exit_code == 0 and "30 frames in" in result.stderr
 
 
+def test_json_sends_the_rig_that_is_asked_for(curves_file):
+    with Receiver(port=0) as probe:
+        for rig, name in (("board", "CTRL_C_jaw.ty"), ("raw", "CTRL_expressions_jawOpen")):
+            arguments = ["--protocol", "json", "--port", probe.port, "--rig", rig, "--fps", 60]
+            assert run("livelink", "send", curves_file, *arguments).exit_code == 0
+            properties = json.loads(probe._socket.recv(65535))["deitalk"]["Properties"]
+            assert name in {p["Name"] for p in properties}
+            probe._socket.setblocking(False)
+            try:
+                while probe._socket.recv(65535):
+                    pass
+            except BlockingIOError:
+                probe._socket.settimeout(1)
+
+
 def test_start_signal_arrives_as_osc(curves_file):
     with Receiver(port=0) as probe:
         signal = f"127.0.0.1:{probe.port}"

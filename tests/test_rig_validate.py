@@ -2,11 +2,14 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rig import RigCurves, default_controls, rest_curves, write_curves
 from rig.arkit import arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
+from rig.formats.table import FORMATS
 from rig.validate import validate
 
 BOARD = default_controls()
@@ -122,7 +125,101 @@ def test_take_folder_is_checked_file_by_file(tmp_path):
     assert "files differ in length" in texts(tmp_path, "warning")[0]
 
 
+def test_files_we_only_write_are_checked_too(tmp_path):
+    for suffix in ("unreal.json", "visemes.json"):
+        path = tmp_path / f"c.{suffix}"
+        write_curves(path, talking())
+        assert validate(path).ok and "90 frames" in texts(path, "note")[0]
+    cases = {
+        "c.unreal.json": [
+            ({"n_frames": 0}, "must be 1 or more"),
+            ({"n_frames": 5}, "has 90 values, not 5"),
+            ({"frame_rate": [30, 0]}, "two numbers above 0"),
+            ({"raw": {}}, "lacks CTRL_expressions_browDownL and 250 more"),
+            ({"board": {"CTRL_C_jaw": {"z": 0}}}, "'value', or 'x' and 'y'"),
+            ({"board": {"CTRL_C_jaw": {"value": 3}}}, "leaves its range -1 to 1"),
+            ({"board": {"CTRL_C_jaw": {"value": "x"}}}, "no number"),
+        ],
+        "c.visemes.json": [
+            ({"names": 3}, "needs 'names'"),
+            ({"values": [[1, 2]]}, "rows of 15 numbers"),
+            ({"values": [[1] * 15]}, "data row 1 does not sum to 1"),
+        ],
+    }
+    for name, changes in cases.items():
+        good = json.loads((tmp_path / name).read_text())
+        for change, message in changes:
+            (tmp_path / name).write_text(json.dumps(good | change))
+            assert message in texts(tmp_path / name, "error")[0]
+
+
+def test_glb_is_checked(tmp_path):
+    from rig.mesh.glb import write_container
+
+    path = tmp_path / "c.glb"
+    primitive = {"attributes": {}, "targets": [{}, {}]}
+    document = {
+        "asset": {"version": "2.0"},
+        "meshes": [{"primitives": [primitive]}],
+        "nodes": [{"mesh": 0}],
+        "bufferViews": [{"buffer": 0, "byteLength": 8}],
+        "accessors": [{"count": 3}, {"count": 6}],
+        "animations": [
+            {
+                "samplers": [{"input": 0, "output": 1}],
+                "channels": [{"sampler": 0, "target": {"node": 0, "path": "weights"}}],
+            }
+        ],
+    }
+    write_container(path, document, bytes(8))
+    assert texts(path, "note") == ["glTF 2.0, 2 morph targets, 3 keys of weights"]
+    document["accessors"][1]["count"] = 5
+    write_container(path, document, bytes(8))
+    assert "5 weights; 3 keys need 6" in texts(path, "error")[0]
+    document["accessors"][1]["count"] = 6
+    write_container(path, document, bytes(4))
+    assert "bufferView 0 lies outside" in texts(path, "error")[0]
+    del document["nodes"]
+    write_container(path, document, bytes(8))
+    assert "no valid glTF" in texts(path, "error")[0]
+    path.write_bytes(b"glTF")
+    assert not validate(path).ok
+
+
 def test_empty_folder_and_absent_path(tmp_path):
     assert not validate(tmp_path).ok
     with pytest.raises(FormatError, match="does not exist"):
         validate(tmp_path / "absent")
+
+
+SUFFIXES = sorted({s for f in FORMATS for s in f.suffixes if f.name != "usd"})
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=25, deadline=None)
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_found_bad_in_one_line(suffix, data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
+    path.write_bytes(data)
+    validation = validate(path)
+    assert not validation.ok
+    assert all("\n" not in finding.text for finding in validation.findings)
+
+
+@pytest.mark.parametrize("suffix", [".unreal.json", ".visemes.json", ".glb"])
+@settings(max_examples=25, deadline=None)
+@given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
+def test_one_wrong_byte_never_crashes(suffix, place, byte, cut, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fuzz")
+    if suffix == ".glb":
+        from rig.mesh.glb import write_container
+
+        write_container(folder / "c.glb", {"asset": {}, "meshes": [], "animations": []}, bytes(8))
+    else:
+        write_curves(folder / f"c{suffix}", rest_curves(2))
+    path = folder / f"c{suffix}"
+    data = bytearray(path.read_bytes())
+    at = min(int(place * len(data)), len(data) - 1)
+    data[at : at + 1] = bytes([byte])
+    path.write_bytes(bytes(data[:at] if cut else data))
+    assert validate(path).findings

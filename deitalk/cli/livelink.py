@@ -42,6 +42,9 @@ def send(
     subject: Subject = "deitalk",
     fps: Fps = None,
     loop: Loop = False,
+    rig: Annotated[
+        str, typer.Option(help="What json sends: board, raw (CTRL_expressions) or arkit.")
+    ] = "board",
     play: Annotated[bool, typer.Option("--play", help="Play the audio too.")] = False,
     start_signal: StartSignal = None,
 ) -> None:
@@ -58,6 +61,8 @@ def send(
     deitalk livelink send take/curves.json --protocol json --loop
     """
     curves, audio = _source(source, emotion, intensity, model)
+    if protocol == "json":
+        curves = _as_rig(curves, rig)
     started = [_player(audio)] if play else []
     if start_signal:
         started.append(_signal(start_signal))
@@ -198,6 +203,18 @@ def _source(
         performance = animate(source, emotion, model=model, intensity=intensity)
         return performance.curves, source
     return read_curves(source, control_set=None), None
+
+
+def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
+    from rig.arkit import ARKIT_ID
+    from rig.controls import DEFAULT_ID
+    from rig.mapping import convert
+    from rig.raw import RAW_ID
+
+    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID}
+    if rig not in sets:
+        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
+    return convert(curves, sets[rig])
 
 
 def _player(audio: Path | None) -> Callable[[], None]:
