@@ -1,0 +1,144 @@
+"""The laws of expression, on random readings."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deitalk.expression import Expression
+from rig import default_controls
+
+CONTROLS = default_controls()
+RULES = Expression(CONTROLS)
+T = 12
+
+
+def readings(seed=0, closed=0.0):
+    rng = np.random.default_rng(seed)
+    neutral, emotional = rng.uniform(0, 1, (2, T, len(CONTROLS.names))).astype(np.float32)
+    neutral[:, RULES.seals] = closed
+    return neutral, emotional
+
+
+def constant(value):
+    return np.full(T, value, np.float32)
+
+
+@given(st.integers(0, 50), st.floats(0, 1))
+def test_intensity_zero_is_exactly_the_neutral_reading(seed, heard):
+    neutral, emotional = readings(seed, closed=0.5)
+    blended = RULES.blend(neutral, emotional, constant(0), constant(heard))
+    assert np.array_equal(blended, neutral)
+
+
+def test_intensity_one_is_the_emotional_reading():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(0.6), constant(0.6))
+    np.testing.assert_allclose(blended, emotional, atol=1e-6)
+
+
+def test_intensity_two_goes_twice_as_far():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(1.0), constant(0.5))
+    brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
+    expected = neutral[:, brow] + 2 * (emotional[:, brow] - neutral[:, brow])
+    np.testing.assert_allclose(blended[:, brow], expected, atol=1e-6)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 1))
+def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
+    neutral, emotional = readings(seed, closed)
+    levels = [0.0, 0.1, 0.5, 1.0, 2.0, 4.0]
+    away = [
+        np.abs(RULES.blend(neutral, emotional, constant(x), constant(heard)) - neutral)
+        for x in levels
+    ]
+    assert all((b >= a - 1e-6).all() for a, b in zip(away, away[1:], strict=False))
+    brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
+    assert (away[-1][:, brow] > away[1][:, brow]).all()
+
+
+def test_a_voice_that_was_not_heard_does_not_divide_by_zero():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(0.15), constant(0))
+    np.testing.assert_allclose(blended, emotional, atol=1e-6)  # as if it were 0.15 strong
+
+
+@given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 4))
+def test_contacts_are_never_lowered(seed, closed, applied):
+    neutral, emotional = readings(seed, closed)
+    blended = RULES.blend(neutral, emotional, constant(applied), constant(0.3))
+    assert (blended[:, RULES.seals] >= neutral[:, RULES.seals]).all()
+
+
+@pytest.mark.parametrize("which", ["together", "bite"])
+def test_closed_lips_are_not_forced_open(which):
+    neutral, emotional = readings()
+    neutral[:, getattr(RULES, which)] = 0.8
+    blended = RULES.blend(neutral, emotional, constant(4), constant(0.2))
+    assert np.array_equal(blended[:, RULES.opening], neutral[:, RULES.opening])
+    smile = CONTROLS.index("CTRL_L_mouth_cornerPull.ty")
+    assert not np.allclose(blended[:, smile], neutral[:, smile])
+
+
+def test_open_lips_open_further_and_half_closed_lips_half():
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    moved = {}
+    for closed in (0.0, 0.25, 0.5, 0.75):
+        neutral, emotional = readings(closed=closed)
+        blended = RULES.blend(neutral, emotional, constant(1), constant(1))
+        moved[closed] = (blended[:, jaw] - neutral[:, jaw]) / (emotional - neutral)[:, jaw]
+    for closed, share in {0.0: 1, 0.25: 1, 0.5: 0.5, 0.75: 0}.items():
+        np.testing.assert_allclose(moved[closed], share, atol=1e-4)
+
+
+def test_silence_is_rest():
+    curves = readings()[1]
+    gate = np.linspace(0, 1, T).astype(np.float32)
+    spoken = curves.copy()
+    RULES.rest_in_silence(spoken, gate, gate)
+    assert np.array_equal(spoken[0], CONTROLS.rest)
+    np.testing.assert_allclose(spoken[-1], curves[-1], atol=1e-6)
+    assert spoken[0, CONTROLS.index("CTRL_L_nose_wrinkleUpper.ty")] == 1
+
+
+def test_an_expression_outlasts_the_mouth():
+    curves = readings()[1]
+    spoken = curves.copy()
+    RULES.rest_in_silence(spoken, constant(0), constant(1))
+    rest = np.broadcast_to(CONTROLS.rest, curves.shape)
+    assert np.array_equal(spoken[:, RULES.follows_mouth], rest[:, RULES.follows_mouth])
+    stays = ~RULES.follows_mouth
+    np.testing.assert_allclose(spoken[:, stays], curves[:, stays], atol=1e-6)
+    assert stays[CONTROLS.index("CTRL_L_mouth_cornerPull.ty")]
+    assert stays[CONTROLS.index("CTRL_L_brow_down.ty")]
+
+
+def test_gates_work_frame_by_frame_in_long_clips():
+    n = 5000
+    curves = np.tile(CONTROLS.rest, (n, 1)) + 1
+    gate = (np.arange(n) % 2).astype(np.float32)
+    RULES.rest_in_silence(curves, gate, gate)
+    moved = np.abs(curves - CONTROLS.rest).max(axis=1)
+    np.testing.assert_allclose(moved, gate, atol=1e-6)
+
+
+def test_murmur_goes_and_speech_stays():
+    curves = np.tile(CONTROLS.rest, (4, 1))
+    jaw, roll = CONTROLS.index("CTRL_C_jaw.ty"), CONTROLS.index("CTRL_L_mouth_lipsRollU.ty")
+    brow = CONTROLS.index("CTRL_L_brow_down.ty")
+    curves[:, jaw] = [0.005, -0.009, 0.5, 1.0]
+    curves[:, roll] = [-0.005, -0.5, 0.0, 0.2]
+    curves[:, brow] = 0.004
+    RULES.quieten(curves)
+    np.testing.assert_allclose(curves[:, jaw], [0, 0, 0.49, 0.99], atol=1e-6)
+    np.testing.assert_allclose(curves[:, roll], [0, -0.49, 0, 0.19], atol=1e-6)
+    assert (curves[:, brow] == np.float32(0.004)).all()
+
+
+def test_the_groups_hold_what_they_say():
+    assert len(RULES.together) == 4
+    assert len(RULES.bite) == 2
+    assert not set(RULES.opening) & set(RULES.seals)
+    assert (CONTROLS.rest[RULES.opening] == 0).all()  # quieten draws them towards 0
