@@ -31,13 +31,8 @@ class Intensity(NamedTuple):
     """Predicted intensity [shape=(B, T), range 0 to 1]: the saliency, calibrated."""
 
 
-def temporal_maximum(features: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Largest value of every feature over the clip: (B, T, E) to (B, E) (Eq. 4).
-
-    `mask` [shape=(B, T), bool] marks the frames that count; a clip has at least one.
-    """
-    if mask is not None:
-        features = features.masked_fill(~mask.unsqueeze(-1), -torch.inf)
+def temporal_maximum(features: Tensor) -> Tensor:
+    """Largest value of every feature over the clip: (B, T, E) to (B, E) (Eq. 4)."""
     return features.amax(dim=1)
 
 
