@@ -15,6 +15,7 @@ export class CurveLanes {
   private chart?: uPlot;
   private names = [...KEY];
   private time = 0;
+  private readonly head = document.createElement("div");
 
   constructor(
     private readonly box: HTMLElement,
@@ -56,25 +57,25 @@ export class CurveLanes {
         ],
         legend: { live: false },
         hooks: {
-          draw: [(u) => {
-            const x = u.valToPos(this.time, "x", true);
-            u.ctx.fillStyle = color;
-            u.ctx.fillRect(x, u.bbox.top, 2, u.bbox.height);
-          }],
           ready: [(u) => u.over.addEventListener("click", (e) => this.seek(u.posToVal(e.offsetX, "x")))],
         },
       },
       [times, ...data],
       this.box,
     );
+    this.head.className = "playhead";
+    this.chart.over.append(this.head);
+    this.at(this.time);
   }
 
   at(time: number): void {
     this.time = time;
-    this.chart?.redraw(false);
+    const x = this.chart?.valToPos(time, "x");
+    if (x !== undefined) this.head.style.transform = `translateX(${x}px)`;
   }
 
   resize(): void {
     this.chart?.setSize({ width: this.box.clientWidth, height: 170 });
+    this.at(this.time);
   }
 }

@@ -8,8 +8,18 @@ import { Rig } from "./rig";
 
 const es = (source: string) => source.replace("#version 330\n", "precision highp float;\n");
 
+/** Whether WebGL is drawn by the processor (SwiftShader, llvmpipe). */
+function isSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
+}
+
 export class Face {
   readonly rig: Rig;
+  private scale: number;
   readonly canvas = document.createElement("canvas");
   private readonly renderer: THREE.WebGLRenderer;
   private readonly scene = new THREE.Scene();
@@ -24,7 +34,9 @@ export class Face {
     this.rig = new Rig(head);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true });
+    const hasGpu = !isSoftware();
+    this.scale = hasGpu ? 1 : 0.6;
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: hasGpu });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     const { shaders } = head.facts;
     this.material = new THREE.RawShaderMaterial({
@@ -77,7 +89,7 @@ export class Face {
   resize(): void {
     const box = this.canvas.getBoundingClientRect();
     if (!box.width) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (this.sharp ? 1.5 : this.scale));
     this.renderer.setSize(box.width, box.height, false);
     this.camera.aspect = box.width / box.height;
     this.camera.updateProjectionMatrix();
@@ -85,11 +97,39 @@ export class Face {
   }
 
   show(values: ArrayLike<number>): void {
+    this.adapt();
     this.rig.pose(values);
     this.normals();
     this.geometry.attributes.position.needsUpdate = true;
     this.geometry.attributes.normal.needsUpdate = true;
+    if (this.sharp) this.sharpen(false);
     this.draw();
+    clearTimeout(this.idle);
+    if (this.scale < 1) this.idle = window.setTimeout(() => this.sharpen(true), 300);
+  }
+
+  private idle = 0;
+  private sharp = false;
+
+  /** A still face is drawn with all its pixels, however slow that is. */
+  private sharpen(on: boolean): void {
+    this.sharp = on;
+    this.resize();
+  }
+
+  private shownAt = 0;
+  private slow = 0;
+
+  /** Draw fewer pixels where frames take long, as without a GPU. */
+  private adapt(): void {
+    const now = performance.now(), took = now - this.shownAt;
+    this.shownAt = now;
+    if (took > 400) return;
+    this.slow = took > 70 ? this.slow + 1 : 0;
+    if (this.slow < 6 || this.scale <= 0.45) return;
+    this.slow = 0;
+    this.scale *= 0.75;
+    this.resize();
   }
 
   private draw(): void {

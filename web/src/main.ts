@@ -7,7 +7,7 @@ import { CurveLanes } from "./curves";
 import { base64Bytes, unpack, type Packed } from "./data";
 import { Face } from "./face";
 import { Take } from "./take";
-import { drawEmotion, drawSound, IntensityEditor, samplesOf } from "./timeline";
+import { drawEmotion, IntensityEditor, samplesOf, SoundView } from "./timeline";
 
 const $ = <T extends Element = HTMLElement>(id: string) => document.getElementById(id) as unknown as T;
 const text = (id: string) => $(id)?.textContent ?? "";
@@ -24,7 +24,7 @@ const KEYS: [string, string][] = [
 class Page {
   private readonly faces: Face[] = [];
   private readonly clock: Clock;
-  private readonly samples: Int16Array;
+  private readonly sound: SoundView;
   private readonly editor: IntensityEditor;
   private readonly lanes: CurveLanes;
   private shown = NaN;
@@ -33,7 +33,9 @@ class Page {
   constructor(head: Packed, private readonly takes: Take[], wav: Uint8Array | null, audioSeconds: number) {
     const take = takes[0];
     this.clock = new Clock(wav, take.seconds);
-    this.samples = wav ? samplesOf(wav) : new Int16Array(0);
+    const share = audioSeconds ? Math.min(audioSeconds / take.seconds, 1) : 0;
+    const samples = wav ? samplesOf(wav) : new Int16Array(0);
+    this.sound = new SoundView($<HTMLCanvasElement>("sound"), samples, share);
     for (const each of takes) this.addFace(head, each);
     this.editor = new IntensityEditor($<SVGSVGElement>("intensity"), take, () => this.edited());
     this.lanes = new CurveLanes($("curves"), take, head.facts.controls, (s) => this.seek(s));
@@ -100,7 +102,7 @@ class Page {
 
   private loop = (): void => {
     const { clock } = this;
-    if (clock.playing || clock.time !== this.shown) this.show(clock.time);
+    if (clock.playing || Math.abs(clock.time - this.shown) > 1e-3) this.show(clock.time);
     if (clock.time >= this.takes[0].seconds - 0.001 || clock.audio?.ended) this.atEnd();
     requestAnimationFrame(this.loop);
   };
@@ -119,15 +121,13 @@ class Page {
     const frame = Math.min(Math.round(seconds * take.fps), take.frames - 1);
     $("clock").textContent = `${timeCode(seconds)}  frame ${frame}`;
     const sound = $<HTMLCanvasElement>("sound");
-    drawSound(sound, this.samples, this.soundShare, share);
+    this.sound.at(share);
     sound.setAttribute("aria-valuenow", seconds.toFixed(2));
     sound.setAttribute("aria-valuemax", take.seconds.toFixed(2));
     this.editor.at(share);
     this.lanes.at(seconds);
     $("status").textContent = this.words(frame);
   }
-
-  private soundShare = 1;
 
   private words(frame: number): string {
     const take = this.takes[0], parts: string[] = [];
@@ -257,7 +257,6 @@ class Page {
 
   private listWarnings(audioSeconds: number): void {
     const take = this.takes[0];
-    this.soundShare = audioSeconds ? Math.min(audioSeconds / take.seconds, 1) : 0;
     const found = take.warnings(audioSeconds);
     const list = $("warnings");
     if (!found.length) list.append(Object.assign(document.createElement("li"), { textContent: "none" }));

@@ -12,24 +12,51 @@ export function samplesOf(wav: Uint8Array): Int16Array {
   return new Int16Array(wav.buffer.slice(wav.byteOffset + 44, wav.byteOffset + 44 + ((wav.length - 44) & ~1)));
 }
 
-export function drawSound(canvas: HTMLCanvasElement, samples: Int16Array, share: number, time: number): void {
-  const width = (canvas.width = canvas.clientWidth), height = canvas.height;
-  const pen = canvas.getContext("2d")!;
-  pen.fillStyle = getComputedStyle(canvas).color;
-  const loudest = samples.reduce((m, x) => Math.max(m, Math.abs(x)), 1);
-  for (let x = 0; x < width * share; x++) {
-    const a = Math.floor((x / (width * share)) * samples.length);
-    const b = Math.max(a + 1, Math.floor(((x + 1) / (width * share)) * samples.length));
-    let low = 0, high = 0;
-    for (let k = a; k < b; k++) {
-      low = Math.min(low, samples[k]);
-      high = Math.max(high, samples[k]);
+/** The waveform, drawn once for a width, and the playhead over it. */
+export class SoundView {
+  private readonly picture = document.createElement("canvas");
+  private key = "";
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly samples: Int16Array,
+    private readonly share: number,
+  ) {}
+
+  at(time: number): void {
+    const { canvas, picture } = this;
+    const key = `${canvas.clientWidth} ${getComputedStyle(canvas).color}`;
+    if (key !== this.key) {
+      this.key = key;
+      picture.width = canvas.width = canvas.clientWidth;
+      picture.height = canvas.height;
+      this.draw();
     }
-    const top = (0.5 - (0.48 * high) / loudest) * height;
-    pen.fillRect(x, top, 1, Math.max(1, (0.48 * (high - low) * height) / loudest));
+    const pen = canvas.getContext("2d")!;
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    if (canvas.width) pen.drawImage(picture, 0, 0);
+    pen.fillStyle = getComputedStyle(document.body).color;
+    pen.fillRect(time * canvas.width, 0, 2, canvas.height);
   }
-  pen.fillStyle = getComputedStyle(document.body).color;
-  pen.fillRect(time * width, 0, 2, height);
+
+  private draw(): void {
+    const { picture, samples } = this;
+    const width = picture.width * this.share, height = picture.height;
+    const pen = picture.getContext("2d")!;
+    pen.fillStyle = getComputedStyle(this.canvas).color;
+    const loudest = samples.reduce((m, x) => Math.max(m, Math.abs(x)), 1);
+    for (let x = 0; x < width; x++) {
+      const a = Math.floor((x / width) * samples.length);
+      const b = Math.max(a + 1, Math.floor(((x + 1) / width) * samples.length));
+      let low = 0, high = 0;
+      for (let k = a; k < b; k++) {
+        low = Math.min(low, samples[k]);
+        high = Math.max(high, samples[k]);
+      }
+      const top = (0.5 - (0.48 * high) / loudest) * height;
+      pen.fillRect(x, top, 1, Math.max(1, (0.48 * (high - low) * height) / loudest));
+    }
+  }
 }
 
 export function drawEmotion(canvas: HTMLCanvasElement, take: Take): void {

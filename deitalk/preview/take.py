@@ -1,0 +1,38 @@
+"""A review video and a page among the files of a take."""
+
+from pathlib import Path
+
+from deitalk.animate import Performance
+from deitalk.audio import SAMPLE_RATE
+from deitalk.preview.page import render_page
+from deitalk.preview.source import PreviewSource
+from deitalk.preview.video import render_video
+
+
+def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
+    """Write ``preview.html`` and ``preview.mp4`` into a take folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    performance : Performance
+
+    Returns
+    -------
+    dict
+        File names and a line on each, for ``take.json``.
+    """
+    source = PreviewSource(
+        title=Path(performance.recording.source).stem,
+        curves=performance.curves,
+        samples=performance.recording.waveform,
+        sample_rate=SAMPLE_RATE,
+        neutral=performance.neutral.values,
+    )
+    render_page(source, folder / "preview.html")
+    render_video(source, folder / "preview.mp4")
+    return {
+        "preview.html": "the face, the sound and every curve in one page; drag the intensity",
+        "preview.mp4": "review video",
+    }
