@@ -1,37 +1,33 @@
 """Training: windows in, a model folder out (DEITalk §4.1). ``deitalk train CONFIG --data --out``.
 
-A run folder holds ``config.yaml``, ``metrics.csv`` (a row a log interval), ``best/`` and ``last/``
-(model folders) and ``state.pt`` (everything a killed run needs to go on exactly).
+The main path is `train`, then `_fit`, then `_step`; `deitalk.run_folder` keeps what is written.
 """
 
 import copy
-import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-import yaml
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from deitalk.checkpoint import save_model
+from deitalk.checkpoint import describe_model, load_model, save_model
 from deitalk.config import Config, TrainConfig
-from deitalk.data.folder import read_clips
-from deitalk.data.windows import Batches, Window
+from deitalk.data.folder import Clip, read_clips
+from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.development import DevelopmentSet
 from deitalk.errors import ConfigError, DataError
 from deitalk.losses import total_loss
-from deitalk.models import DEITalk
+from deitalk.models import DEITalk, Output
+from deitalk.run_folder import forget, log, open_folder, restore_state, save_state
 from rig import ControlSet
-from rig.files import atomic_write
 
 LOG_EVERY = 25
 MAX_BAD_STEPS = 20
-"""Steps in a row with a loss or gradient that is not finite before the run gives up."""
+"""Steps in a row with a gradient that is not finite before the run gives up."""
 
 Progress = Callable[[int, int, dict[str, float]], None]
 
@@ -44,9 +40,17 @@ class Run:
     average: DEITalk
     optimizer: torch.optim.Optimizer
     scheduler: torch.optim.lr_scheduler.LRScheduler
+    total: int
+    """Steps of the whole run."""
     step: int = 0
     best_score: float = -math.inf
     bad_steps: int = 0
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What ``state.pt`` keeps."""
+        names = ("model", "average", "optimizer", "scheduler")
+        return {name: getattr(self, name) for name in names}
 
 
 def train(
@@ -63,12 +67,14 @@ def train(
     Parameters
     ----------
     config : Config
+        Model, loss, data and schedule.
     data : Path
         Dataset folder.
     out : Path
-        Run folder; must be new unless `resume`.
+        Run folder (see `deitalk.run_folder`); must be new unless `resume`.
     resume : bool
-        Go on from the run folder's ``state.pt``.
+        Go on from the run folder's ``state.pt``: on a CPU the weights become those of an
+        uninterrupted run, bit for bit.
     start_from : Path or None
         Model folder whose weights are the start (fine-tuning).
     progress : callable
@@ -78,28 +84,71 @@ def train(
     -------
     dict
         Step and development scores of the best model.
-    """
-    from accelerate import Accelerator
 
-    accelerator = Accelerator(
-        cpu=not torch.cuda.is_available(),
-        mixed_precision="bf16" if config.train.precision == "bfloat16" else "no",
-    )
+    Raises
+    ------
+    DataError
+        If the dataset or the run folder is not as it must be, or gradients stay not finite.
+    ConfigError
+        If `config` differs from the run that is resumed, or from the weights to start from, or
+        the batch cannot be shared among the processes.
+    """
+    accelerator = _accelerator(config.train)
+    clips = read_clips(data, "train")
+    open_folder(out, config, resume=resume, write=accelerator.is_main_process)
     torch.manual_seed(config.train.seed)
     model = DEITalk(config.model)
     if start_from is not None:
-        from deitalk.checkpoint import load_model
-
-        model.load_state_dict(load_model(start_from).state_dict())
-    clips = read_clips(data, "train")
-    total = n_steps(config, clips_frames=len(clips) * 250)
-    run = _start(config, model, total)
-    _open_folder(out, config, resume)
+        _copy_weights(model, start_from)
+    run = _start(config, model, n_steps(config, clips))
     if resume:
-        _restore(run, out)
+        _restore(run, out, forgets=accelerator.is_main_process)
+    progress(run.step, run.total, {})
+    loader = _loader(clips, run, config, accelerator)
+    development = DevelopmentSet.of(read_clips(data, "validation"), model.controls)
+    _fit(run, loader, development, config, out, accelerator, progress)
+    return dict(describe_model(out / "best")["training"])
+
+
+def _accelerator(settings: TrainConfig) -> Any:
+    from accelerate import Accelerator, DistributedDataParallelKwargs
+
+    accelerator = Accelerator(
+        cpu=not torch.cuda.is_available(),
+        mixed_precision="bf16" if settings.precision == "bfloat16" else "no",
+        # Without contrast or intensity the motion encoder has no gradient.
+        kwargs_handlers=[DistributedDataParallelKwargs(find_unused_parameters=True)],
+    )
+    if settings.batch_size % accelerator.num_processes:
+        raise ConfigError(
+            f"train.batch_size={settings.batch_size} cannot be shared by "
+            f"{accelerator.num_processes} processes; make it a multiple of them"
+        )
+    return accelerator
+
+
+def _copy_weights(model: DEITalk, folder: Path) -> None:
+    try:
+        model.load_state_dict(load_model(folder).state_dict())
+    except RuntimeError:
+        raise ConfigError(
+            f"{folder}: its weights do not fit the configuration's model; begin with "
+            f"{folder / 'config.yaml'}"
+        ) from None
+
+
+def _restore(run: Run, out: Path, *, forgets: bool) -> None:
+    numbers = restore_state(out, run.parts)
+    run.step, run.best_score = int(numbers["step"]), numbers["best_score"]
+    for name in ("metrics.csv", "development.csv") if forgets else ():
+        forget(out / name, run.step)
+
+
+def _loader(clips: Sequence[Clip], run: Run, config: Config, accelerator: Any) -> DataLoader[Any]:
+    """Batches from the run's step on; this process's share of each."""
     batches = Batches(
         clips,
-        model.controls,
+        run.model.controls,
         config.data,
         config.train.seed,
         config.train.batch_size,
@@ -107,34 +156,46 @@ def train(
         rank=accelerator.process_index,
         world=accelerator.num_processes,
     )
-    loader = DataLoader(batches, batch_size=None, num_workers=config.train.workers)
-    development = DevelopmentSet.of(read_clips(data, "validation"), model.controls)
+    return DataLoader(batches, batch_size=None, num_workers=config.train.workers)
+
+
+def _fit(
+    run: Run,
+    loader: DataLoader[Any],
+    development: DevelopmentSet,
+    config: Config,
+    out: Path,
+    accelerator: Any,
+    progress: Progress,
+) -> None:
+    """Step to the end of the run; log, evaluate and save on the way."""
     # Accelerate wraps the network for several processes; `run.model` stays the plain one.
     network, run.optimizer = accelerator.prepare(run.model, run.optimizer)
     run.average.to(accelerator.device)
-    best: dict[str, Any] = {}
-    loss = Loss(config, model.controls, accelerator.device)
-    for batch in loader:
-        if run.step >= total:
-            break
-        values = _step(run, network, loss, Window(*(x.to(accelerator.device) for x in batch)),
-                       config.train, accelerator)
+    loss = Loss(config, run.model.controls, accelerator.device)
+    batches: Iterator[Window] = iter(loader if run.step < run.total else ())
+    while run.step < run.total:
+        batch = Window(*(part.to(accelerator.device) for part in next(batches)))
+        # Dropout depends on the step alone, so that a resumed run meets the same.
+        torch.manual_seed((config.train.seed * 2**20 + run.step) * 64 + accelerator.process_index)
+        values = _step(run, network, loss, batch, config.train, accelerator)
         run.step += 1
-        if run.step % LOG_EVERY == 0 or run.step == total:
-            _log(out, run, values)
-            progress(run.step, total, values)
-        if run.step % config.train.evaluate_every == 0 or run.step == total:
+        is_last = run.step == run.total
+        if run.step % LOG_EVERY == 0 or is_last:
             if accelerator.is_main_process:
-                best = _evaluate(run, development, config, out) or best
+                log(out / "metrics.csv", run.step, values)
+            progress(run.step, run.total, values)
+        if run.step % config.train.evaluate_every == 0 or is_last:
+            if accelerator.is_main_process:
+                _evaluate(run, development, config, out)
             accelerator.wait_for_everyone()
-    return best
 
 
-def n_steps(config: Config, clips_frames: int) -> int:
-    """Steps of a run: given, or from epochs over all windows of the given number of frames."""
+def n_steps(config: Config, clips: Sequence[Clip]) -> int:
+    """Steps of a run: given, or from passes over all windows of all clips."""
     if config.train.steps is not None:
         return config.train.steps
-    windows = max(clips_frames // config.data.stride_frames, 1)
+    windows = count_windows(clips, config.data)
     return max(math.ceil(config.train.epochs * windows / config.train.batch_size), 1)
 
 
@@ -146,13 +207,18 @@ def _start(config: Config, model: DEITalk, total: int) -> Run:
     scheduler: torch.optim.lr_scheduler.LRScheduler
     if settings.schedule == "one_cycle":
         scheduler = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, settings.learning_rate, total_steps=total + 1, pct_start=0.08,
-            cycle_momentum=False, div_factor=10, final_div_factor=100,
+            optimizer,
+            settings.learning_rate,
+            total_steps=total + 1,
+            pct_start=0.08,
+            cycle_momentum=False,
+            div_factor=10,
+            final_div_factor=100,
         )
     else:
         scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer, factor=1.0)
     average = copy.deepcopy(model).eval().requires_grad_(False)
-    return Run(model, average, optimizer, scheduler)
+    return Run(model, average, optimizer, scheduler, total)
 
 
 class Loss:
@@ -167,11 +233,39 @@ class Loss:
 
     def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
         """Every part of the loss of one batch."""
-        output = network(batch.waveform, batch.emotion, batch.frames, batch.total, batch.curves)
+        curves = batch.curves if self.config.contrast else None
+        output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
         return total_loss(
-            output, batch.curves, batch.voice, batch.intensity,
-            config=self.config, weights=self.weights, contact_controls=self.contact,
+            _across_processes(output),
+            batch.curves,
+            batch.voice,
+            batch.intensity,
+            config=self.config,
+            weights=self.weights,
+            contact_controls=self.contact,
         )
+
+
+def _across_processes(output: Output) -> Output:
+    """Embeddings of all processes' clips: contrast (Eq. 9-10) sees the whole batch.
+
+    The gradients of the gathered rows are summed over the processes and then averaged with all
+    others, which gives the gradient of one process with the whole batch.
+    """
+    distributed = torch.distributed
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return output
+    if output.intensity is None or output.motion_embedding is None:
+        return output
+    from torch.distributed.nn.functional import all_gather as gather
+
+    all_gather: Callable[[Tensor], tuple[Tensor, ...]] = gather
+
+    speech = torch.cat(all_gather(output.intensity.embedding))
+    motion = torch.cat(all_gather(output.motion_embedding))
+    return output._replace(
+        intensity=output.intensity._replace(embedding=speech), motion_embedding=motion
+    )
 
 
 def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:
@@ -207,26 +301,41 @@ def _step(
     settings: TrainConfig,
     accelerator: Any,
 ) -> dict[str, float]:
-    """One update; a batch whose loss or gradient is not finite is left out."""
+    """One update; a batch whose gradient is not finite is left out.
+
+    The norm is that of the averaged gradient, so that all processes leave out the same batches.
+    """
     run.model.train()
     parts = loss(network, batch)
     run.optimizer.zero_grad(set_to_none=True)
     accelerator.backward(parts["total"])
-    norm = accelerator.clip_grad_norm_(network.parameters(), settings.gradient_clip or 1e9)
-    if not (torch.isfinite(parts["total"]) and torch.isfinite(norm)):
-        run.bad_steps += 1
-        if run.bad_steps >= MAX_BAD_STEPS:
-            raise DataError(
-                f"step {run.step}: {run.bad_steps} losses in a row are not finite; lower "
-                "train.learning_rate, set train.gradient_clip, or check the data"
-            )
-    else:
+    limit = settings.gradient_clip or math.inf
+    norm = float(accelerator.clip_grad_norm_(network.parameters(), limit))
+    if math.isfinite(norm):
         run.bad_steps = 0
         run.optimizer.step()
+        run.scheduler.step()
         _average(run, settings.ema)
-    run.scheduler.step()
+    else:
+        _leave_out(run)
     values = {name: float(part.detach()) for name, part in parts.items()}
-    return values | {"gradient_norm": float(norm), "learning_rate": run.scheduler.get_last_lr()[0]}
+    rate = float(run.scheduler.get_last_lr()[0])
+    return values | {"gradient_norm": norm, "learning_rate": rate}
+
+
+@torch.no_grad()
+def _leave_out(run: Run) -> None:
+    """Undo what a bad batch did to running means; give up after too many in a row."""
+    for mean, value in zip(run.average.buffers(), run.model.buffers(), strict=True):
+        if not value.isfinite().all():
+            value.copy_(mean)
+    run.bad_steps += 1
+    if run.bad_steps >= MAX_BAD_STEPS:
+        raise DataError(
+            f"step {run.step}: {run.bad_steps} gradients in a row are not finite; lower "
+            "train.learning_rate, set train.gradient_clip, or check the data with "
+            "`deitalk data check`"
+        )
 
 
 @torch.no_grad()
@@ -242,62 +351,15 @@ def _average(run: Run, decay: float | None) -> None:
             mean.copy_(value)
 
 
-def _evaluate(
-    run: Run, development: DevelopmentSet, config: Config, out: Path
-) -> dict[str, Any] | None:
-    """Score the averaged weights, keep them if they are the best, and save the state."""
+def _evaluate(run: Run, development: DevelopmentSet, config: Config, out: Path) -> None:
+    """Score the averaged weights, keep them if none were better, and save the state."""
     run.average.eval()
     scores = development.score(run.average)
-    _log(out, run, {f"dev_{name}": value for name, value in scores.items()}, "development.csv")
+    named = {f"dev_{name}": value for name, value in scores.items()}
+    log(out / "development.csv", run.step, named)
     summary = {"step": run.step, "development": scores}
-    best = None
-    if scores["score"] > run.best_score:
-        run.best_score, best = scores["score"], summary
+    if scores["score"] >= run.best_score:
+        run.best_score = scores["score"]
         save_model(out / "best", run.average, config, summary)
     save_model(out / "last", run.average, config, summary)
-    with atomic_write(out / "state.pt") as beside:
-        torch.save(
-            {
-                "model": run.model.state_dict(),
-                "average": run.average.state_dict(),
-                "optimizer": run.optimizer.state_dict(),
-                "scheduler": run.scheduler.state_dict(),
-                "step": run.step,
-                "best_score": run.best_score,
-                "random": torch.get_rng_state(),
-            },
-            beside,
-        )
-    return best
-
-
-def _restore(run: Run, out: Path) -> None:
-    state = torch.load(out / "state.pt", weights_only=True, map_location="cpu")
-    run.model.load_state_dict(state["model"])
-    run.average.load_state_dict(state["average"])
-    run.optimizer.load_state_dict(state["optimizer"])
-    run.scheduler.load_state_dict(state["scheduler"])
-    run.step, run.best_score = state["step"], state["best_score"]
-    torch.set_rng_state(state["random"])
-
-
-def _open_folder(out: Path, config: Config, resume: bool) -> None:
-    """Refuse to mix two runs in one folder."""
-    has_state = (out / "state.pt").is_file()
-    if resume and not has_state:
-        raise DataError(f"{out}: no state.pt to go on from; leave out --resume to begin")
-    if not resume and (out / "metrics.csv").exists():
-        raise DataError(f"{out}: holds a run already; use --resume, or name another folder")
-    out.mkdir(parents=True, exist_ok=True)
-    settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-    (out / "config.yaml").write_text(settings)
-
-
-def _log(out: Path, run: Run, values: dict[str, float], name: str = "metrics.csv") -> None:
-    path = out / name
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if new:
-            writer.writerow(["step", *values])
-        writer.writerow([run.step, *(f"{np.float32(v):.6g}" for v in values.values())])
+    save_state(out, run.parts, {"step": run.step, "best_score": run.best_score})

@@ -47,7 +47,10 @@ def write_dataset(folder: Path, n_train: int = 4, n_validation: int = 2) -> Path
             values[:, controls.index(name)] = 1 - jaw()
         soundfile.write(folder / f"audio/{i}.flac", waveform(i), RATE, subtype="PCM_16")
         write_curves(folder / f"curves/{i}.npz", RigCurves(values, controls.names, fps=FPS))
-        phones = [(0, 0.7, "SIL"), (0.7, 0.8, "M"), (0.8, 1.0, "AA"), (1.0, SECONDS, "SIL")]
+        phones = [
+            (0, 0.7, "SIL"), (0.7, 0.8, "M"), (0.8, 1.0, "AA"), (1.0, 1.6, "SIL"),
+            (1.6, 1.8, "EH"), (1.8, SECONDS, "SIL"),
+        ]  # fmt: skip
         pd.DataFrame(phones, columns=["start", "end", "phone"]).to_csv(
             folder / f"phones/{i}.csv", index=False
         )
