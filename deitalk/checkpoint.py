@@ -11,15 +11,19 @@ import hashlib
 import json
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
-from deitalk.models import DEITalk
-from rig import default_controls
+from rig import ControlSet, default_controls
 from rig.files import atomic_write
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from deitalk.models import DEITalk
 
 FORMAT_VERSION = 1
 EMBEDDED = ("default", "compact")
@@ -34,15 +38,18 @@ def embedded_models() -> list[str]:
 
 
 def save_model(
-    folder: Path, model: DEITalk, config: Config, summary: dict[str, Any], *, half: bool = False
+    folder: Path, model: "DEITalk", config: Config, summary: dict[str, Any], *, half: bool = False
 ) -> None:
     """Write a model folder; an existing one is replaced at once.
 
     Parameters
     ----------
     folder : Path
+        Its parent must exist.
     model : DEITalk
+        On any device.
     config : Config
+        What built the model.
     summary : dict
         What trained it: steps, data, scores.
     half : bool
@@ -52,11 +59,10 @@ def save_model(
     from safetensors.torch import save_file
 
     weights = {
-        name: (
-            value.half() if half and value.dtype == torch.float32 else value
-        ).detach().cpu().contiguous()
+        name: value.half() if half and value.dtype == torch.float32 else value
         for name, value in model.state_dict().items()
     }
+    weights = {name: value.detach().cpu().contiguous() for name, value in weights.items()}
     about = {
         "format_version": FORMAT_VERSION,
         "control_set": model.controls.id,
@@ -111,7 +117,7 @@ def _read_about(folder: Path) -> dict[str, Any]:
     path = folder / "model.json"
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
-        version = about["format_version"]
+        version, _, _ = about["format_version"], about["control_set"], about["controls"]
     except (OSError, ValueError, KeyError, TypeError):
         raise CheckpointError(
             f"{path}: missing or damaged; save the model again with `deitalk train`"
@@ -124,7 +130,7 @@ def _read_about(folder: Path) -> dict[str, Any]:
     return dict(about)
 
 
-def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> DEITalk:
+def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> "DEITalk":
     """Read a model, ready to predict.
 
     Parameters
@@ -140,35 +146,50 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         If there is no such model, its weights are damaged or too large, they do not fit its
         configuration, or it belongs to another control set.
     """
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    from deitalk.models import DEITalk
 
     folder = model_folder(name_or_path)
-    about = _read_about(folder)
     controls = default_controls()
-    if about["control_set"] != controls.id or about["controls"] != list(controls.names):
-        raise CheckpointError(
-            f"{folder}: made for control set {about['control_set']!r}, this deitalk drives "
-            f"{controls.id!r}; train on curves of that set"
-        )
+    _check_controls(folder, controls)
     config = load_config(folder / "config.yaml")
-    path = folder / "model.safetensors"
-    if path.stat().st_size > MAX_BYTES:
-        raise CheckpointError(f"{path}: {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
-    try:
-        weights = load_file(path)
-    except (SafetensorError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise CheckpointError(f"{path}: no safetensors file ({reason}); copy it again") from None
+    weights = _read_weights(folder / "model.safetensors")
     model = DEITalk(config.model, controls, pretrained=False)
     try:
         model.load_state_dict({name: value.float() for name, value in weights.items()})
     except RuntimeError:
         raise CheckpointError(
-            f"{path}: weights do not fit {folder / 'config.yaml'}; both must be of one model"
+            f"{folder / 'model.safetensors'}: weights do not fit {folder / 'config.yaml'}; both "
+            "must be of one model"
         ) from None
     try:
         return model.to(device).eval()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"device {device!r}: {reason}; use --device cpu") from None
+
+
+def _check_controls(folder: Path, controls: ControlSet) -> None:
+    about = _read_about(folder)
+    if about["control_set"] != controls.id or about["controls"] != list(controls.names):
+        raise CheckpointError(
+            f"{folder}: made for control set {about['control_set']!r}, this deitalk drives "
+            f"{controls.id!r}; train on curves of that set"
+        )
+
+
+def _read_weights(path: Path) -> "dict[str, Tensor]":
+    """Every tensor of a safetensors file, all of them finite."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    if path.stat().st_size > MAX_BYTES:
+        raise CheckpointError(f"{path}: {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
+    try:
+        weights: dict[str, Tensor] = load_file(path)
+    except (SafetensorError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise CheckpointError(f"{path}: no safetensors file ({reason}); copy it again") from None
+    spoilt = [name for name, value in weights.items() if not value.isfinite().all()]
+    if spoilt:
+        raise CheckpointError(f"{path}: {spoilt[0]} is not finite; train again or copy it again")
+    return weights
