@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deitalk.closures import ClosureScores, closure_scores, summarise_closures
 from deitalk.data.folder import Clip, read_phones
-from deitalk.data.windows import cut, load_material
+from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models import DEITalk
@@ -76,6 +76,11 @@ class DevelopmentSet:
         ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
         over `ARTICULATION`, and the r of the intensity: what a viewer notices, equally weighted.
         Data without phones or intensity is scored by the rest; an empty set by 0.
+
+        Parameters
+        ----------
+        model : DEITalk
+            On any device, in evaluation mode.
         """
         rows: list[dict[str, float]] = []
         closures: list[ClosureScores] = []
@@ -116,7 +121,7 @@ class DevelopmentSet:
 def load_example(clip: Clip, controls: ControlSet) -> Example:
     """Read a whole clip, resampled to 30 frames per second."""
     material = load_material(clip, controls)
-    n_frames = max(int(np.ceil(len(material.waveform) / 16_000 * 30)), 1)
+    n_frames = n_clip_frames(len(material.waveform))
     waveform, curves, intensity, _ = cut(material, 0, n_frames)
     phones = read_phones(clip.phones) if clip.phones else []
     return Example(waveform, curves, clip.emotion, intensity, phones)
@@ -128,10 +133,11 @@ def predict(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """The network's own curves [shape=(T, C)] and intensity [shape=(T,)], nothing added."""
     n_frames = len(example.curves)
-    analysis = model.analyse(torch.from_numpy(example.waveform), n_frames)
-    emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(example.emotion)].expand(n_frames, -1)
-    curves: NDArray[np.float32] = model.decode(analysis, emotion).numpy()
-    return curves, None if analysis.strength is None else analysis.strength.numpy()
+    device = next(model.parameters()).device
+    analysis = model.analyse(torch.from_numpy(example.waveform).to(device), n_frames)
+    one_hot = torch.eye(len(EMOTIONS), device=device)[EMOTIONS.index(example.emotion)]
+    curves: NDArray[np.float32] = model.decode(analysis, one_hot.expand(n_frames, -1)).cpu().numpy()
+    return curves, None if analysis.strength is None else analysis.strength.cpu().numpy()
 
 
 def _mean(values: list[float]) -> float:
