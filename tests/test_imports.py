@@ -1,0 +1,131 @@
+"""The structure as tests: who may import whom, what a command line loads, one version."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ALLOWED = {"rig": {"rig"}, "deitalk": {"deitalk", "rig"}, "api": {"api", "deitalk", "rig"}}
+HEAVY = {"torch", "transformers", "librosa", "fastapi", "soundfile", "accelerate", "safetensors"}
+FILES = [
+    path
+    for package in ALLOWED
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if "__pycache__" not in path.parts
+]
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path: Path) -> set[str]:
+    """Top-level packages of every import, also of those inside functions and strings of types."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative imports hide the direction"
+            found.add((node.module or "").split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_point_down_only(path):
+    package = path.relative_to(ROOT).parts[0]
+    forbidden = (imported(path) & set(ALLOWED)) - ALLOWED[package]
+    assert not forbidden, f"{package} must not import {forbidden}"
+    if package == "rig":
+        assert not imported(path) & HEAVY
+
+
+def test_the_walk_sees_imports_inside_functions(tmp_path):
+    path = tmp_path / "x.py"
+    path.write_text("def f():\n    import torch.nn\n    from deitalk.train import train\n")
+    assert imported(path) == {"torch", "deitalk"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_every_module_imports_and_keeps_what_it_promises(path):
+    if imported(path) & {"unreal", "bpy"} or path.name == "__main__.py":
+        compile(path.read_text(encoding="utf-8"), str(path), "exec")
+        return
+    try:
+        module = importlib.import_module(name_of(path))
+    except ModuleNotFoundError as error:
+        extra = error.name or ""
+        assert extra.split(".")[0] not in ALLOWED, error
+        pytest.skip(f"{extra} of an extra is not installed")
+    for name in getattr(module, "__all__", ()):
+        assert hasattr(module, name), f"{module.__name__}.__all__ names {name}"
+
+
+def run(code: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT
+    )
+
+
+HELP = """
+import os, sys
+sys.argv = ["deitalk", "--help"]
+from deitalk.cli import main
+try:
+    main()
+except SystemExit as exit:
+    assert not exit.code, exit.code
+heavy = sorted(set(sys.modules) & {"torch", "librosa", "transformers", "matplotlib", "scipy", "pandas"})
+times = os.times()
+print("HEAVY", heavy, "CPU", times.user + times.system)
+"""
+
+
+def test_help_loads_nothing_heavy_and_takes_under_half_a_second_of_cpu():
+    seconds = []
+    for _ in range(3):  # the first may compile; a busy machine may disturb one
+        done = run(HELP)
+        assert done.returncode == 0, done.stderr
+        assert "animate" in done.stdout and "train" in done.stdout
+        heavy, cpu = re.search(r"HEAVY (.*) CPU (.*)", done.stdout).groups()
+        loaded = set(ast.literal_eval(heavy))
+        assert not loaded & {"torch", "librosa", "transformers", "matplotlib"}, loaded
+        seconds.append(float(cpu))
+        if seconds[-1] < 0.5:
+            break
+    assert min(seconds) < 0.5, seconds
+
+
+@pytest.mark.parametrize("package", ["rig", "deitalk"])
+def test_importing_a_package_loads_nothing_heavy(package):
+    done = run(f"import sys, {package}; print(sorted(set(sys.modules) & {HEAVY | {'scipy'}!r}))")
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_rig_works_without_torch():
+    code = (
+        "import sys; sys.modules['torch'] = None; import rig; "
+        "rig.default_controls(); rig.RigCurves; rig.read_curves; rig.smooth"
+    )
+    assert run(code).returncode == 0
+
+
+def test_the_version_is_written_once():
+    from deitalk import __version__
+
+    assert re.fullmatch(r"\d+\.\d+\.\d+([a-z0-9.]+)?", __version__)
+    text = (ROOT / "pyproject.toml").read_text()
+    assert 'dynamic = ["version"]' in text and 'path = "deitalk/__init__.py"' in text
+    assert not re.search(r'(?m)^version\s*=\s*"', text)
+    writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", p.read_text())]
+    assert [name_of(p) for p in writers] == ["deitalk"]
+    assert (
+        f"deitalk {__version__}"
+        in run("import deitalk; print('deitalk', deitalk.__version__)").stdout
+    )
