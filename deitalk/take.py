@@ -9,6 +9,8 @@
       neutral.npz      the neutral reading: what intensity 0 gives
       intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
       audio.wav        the recording, 16 kHz mono, in time with the curves
+      <Slate>_1_deitalk.csv    Live Link Face, for Unreal's importer
+      <Slate>.unreal.json      for the script that runs inside Unreal
 """
 
 import json
@@ -23,6 +25,7 @@ from deitalk.audio import frame_times, write_wav
 from deitalk.emotions import write_intensity_csv
 from deitalk.errors import DeitalkError
 from rig import write_curves
+from rig.exchange import write_exchange_files
 from rig.files import atomic_write
 
 SCHEMA = "deitalk.take/1"
@@ -130,7 +133,8 @@ def _fill(
         intensity=performance.curves.intensity,
     )
     write_wav(folder / "audio.wav", performance.recording.waveform)
-    files = dict(FILES)
+    slate = Path(performance.recording.source).stem
+    files = FILES | write_exchange_files(folder, curves, slate=slate)
     for extra in extras:
         files |= extra(folder, performance)
     about = {

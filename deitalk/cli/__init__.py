@@ -9,12 +9,17 @@ from deitalk import __version__
 from deitalk.cli.animate import animate
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.controls import controls
+from deitalk.cli.convert import convert
 from deitalk.cli.corpus import app as corpus_app
 from deitalk.cli.evaluate import evaluate
+from deitalk.cli.face import app as face_app
+from deitalk.cli.livelink import app as livelink_app
 from deitalk.cli.model import app as model_app
 from deitalk.cli.plot import plot
+from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
 from deitalk.cli.train import train
+from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
 from rig.errors import RigError
 
@@ -28,10 +33,15 @@ app = typer.Typer(
 app.command()(animate)
 app.command()(controls)
 app.command()(plot)
+app.command()(preview)
+app.command()(convert)
+app.command()(validate)
 app.command()(retarget)
 app.command()(train)
 app.command()(evaluate)
 app.command()(benchmark)
+app.add_typer(livelink_app, name="livelink")
+app.add_typer(face_app, name="face")
 app.add_typer(corpus_app, name="corpus")
 app.add_typer(model_app, name="model")
 

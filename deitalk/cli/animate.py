@@ -11,6 +11,7 @@ from deitalk.cli.words import bar, words
 
 if TYPE_CHECKING:
     from deitalk.animate import Performance
+    from deitalk.take import Extra
 
 
 def animate(
@@ -44,6 +45,9 @@ def animate(
     threads: Annotated[
         int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
     ] = 1,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Add a page and a review video to the take.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
 ) -> None:
@@ -55,9 +59,12 @@ def animate(
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
     """
+    from deitalk.errors import DeitalkError
     from deitalk.take import check_target, write_take
 
     check_target(out, force=force)
+    if preview and out.suffix:
+        raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
     with words().status("loading the network"):
         import torch
 
@@ -94,6 +101,7 @@ def animate(
             model=describe_model(model),
             fps=fps,
             force=force,
+            extras=_extras(preview),
         )
     for warning in performance.recording.warnings:
         words().print(f"note: {warning}")
@@ -104,6 +112,14 @@ def animate(
             f"{out}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
             f"emotion {emotion}, intensity {performance.predicted.mean():.2f} on average"
         )
+
+
+def _extras(preview: bool) -> "tuple[Extra, ...]":
+    if not preview:
+        return ()
+    from deitalk.preview.take import add_preview
+
+    return (add_preview,)
 
 
 def _write_file(out: Path, performance: "Performance", fps: float | None) -> None:
