@@ -16,84 +16,22 @@ eight brow channels with blink, lid press, inner squint, cheek raise and scrunch
 import csv
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
+from rig.control import MAX_CONTROLS, NEWER_ONLY, SETS, Control, read_table
 from rig.errors import ControlError
 
 DEFAULT_ID = "metahuman-185@mh4"
-SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
-"""Named sets that are columns of the table."""
 SIDES = {"left": "L", "right": "R", "center": "C"}
-NEWER_ONLY = "-"
-"""`mh3_name` of a control that the older board did not have."""
-MAX_CONTROLS = 4096
-"""A control set is a list a person can read, not a mesh."""
 
 Indices = NDArray[np.intp]
 Floats = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Control:
-    """One scalar channel of a face: a row of the table.
-
-    Parameters
-    ----------
-    name : str
-        Canonical spelling, ``CTRL_C_jaw.ty``.
-    minimum, maximum, rest : float
-        Range and the value at rest, no unit.
-    ue_control, ue_channel : str
-        The control in Unreal, and its channel (``CTRL_C_jaw``, ``CTRL_C_jaw.Y``).
-    type : str
-        ``float`` or ``Vector2D``: which setter Unreal wants.
-    axis : str
-        ``X`` or ``Y``.
-    side, region, role : str
-        ``L``, ``R`` or ``C``; ``mouth``, ``jaw`` …; ``driver`` (moves raw curves), ``master`` (both
-        eyes), ``unmapped`` (exists, moves nothing), ``switch`` or ``multiplier``.
-    sets : frozenset of str
-        The named sets this control is in.
-    mirror : str
-        The control of the other side (itself in the middle); empty means itself.
-    mirror_sign : float
-        -1 where mirroring turns the value round.
-    raw_positive, raw_negative : tuple of str
-        Raw ``CTRL_expressions`` curves driven by the positive and the negative half.
-    mh3_name : str
-        Name on the mh3 board (2021 to 2023): empty if it is the same, ``-`` if it had none.
-    emoface_name : str
-        Spelling in EmoFace's 174 columns, empty if it has none.
-    aliases : tuple of str
-        Further spellings.
-    """
-
-    name: str
-    minimum: float = 0.0
-    maximum: float = 1.0
-    rest: float = 0.0
-    ue_control: str = ""
-    ue_channel: str = ""
-    type: str = "float"
-    axis: str = "Y"
-    side: str = "C"
-    region: str = ""
-    role: str = "driver"
-    sets: frozenset[str] = frozenset()
-    mirror: str = ""
-    mirror_sign: float = 1.0
-    raw_positive: tuple[str, ...] = ()
-    raw_negative: tuple[str, ...] = ()
-    mh3_name: str = ""
-    emoface_name: str = ""
-    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -257,8 +195,9 @@ class ControlSet:
         """Return a control set of some of the controls; mirrors outside it become themselves."""
         chosen = [self.controls[i] for i in indices]
         kept = {control.name for control in chosen}
-        rows = [{**vars(c), "mirror": c.mirror if c.mirror in kept else ""} for c in chosen]
-        return ControlSet(id, tuple(Control(**row) for row in rows))
+        return ControlSet(
+            id, tuple(replace(c, mirror=c.mirror if c.mirror in kept else "") for c in chosen)
+        )
 
     @classmethod
     def from_names(
@@ -284,10 +223,10 @@ class ControlSet:
         try:
             with path.open(encoding="utf-8-sig", newline="") as stream:
                 header = [cell.strip() for cell in next(csv.reader(stream), [])]
-            if "name" in header:
-                table = pd.read_csv(path, keep_default_na=False, dtype=str, nrows=MAX_CONTROLS + 1)
-                return cls(id or path.stem, _controls_from(table))
-        except (OSError, UnicodeDecodeError, csv.Error, pd.errors.ParserError) as error:
+                if "name" in header:
+                    stream.seek(0)
+                    return cls(id or path.stem, read_table(stream))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise ControlError(f"cannot read a control set from {path}: {error}") from error
         names = [name for name in header if name not in ("frame", "time")]
         return cls.from_names(names, id=id or path.stem, minimum=-1.0)
@@ -301,9 +240,8 @@ class ControlSet:
         """Spellings of this board: name, Unreal channel, Maya channel."""
         aliases: dict[str, str] = {}
         for control in self.controls:
-            for spelling in (control.ue_channel, *control.aliases, *_spellings(control.name)):
-                if spelling:
-                    aliases.setdefault(spelling, control.name)
+            for spelling in control.spellings:
+                aliases.setdefault(spelling, control.name)
         return aliases | {name: name for name in self.names}
 
     @cached_property
@@ -311,9 +249,8 @@ class ControlSet:
         """Spellings of the mh3 board and of EmoFace."""
         aliases: dict[str, str] = {}
         for control in self.controls:
-            for spelling in (control.emoface_name, *_spellings(control.mh3_name)):
-                if spelling:
-                    aliases.setdefault(spelling, control.name)
+            for spelling in control.older_spellings:
+                aliases.setdefault(spelling, control.name)
         return aliases
 
     @cached_property
@@ -339,8 +276,7 @@ class ControlSet:
 def default_controls() -> ControlSet:
     """Return the 185 channels of the MetaHuman face board, ``metahuman-185@mh4``."""
     with resources.files("rig").joinpath("controls.csv").open(encoding="utf-8") as stream:
-        table = pd.read_csv(stream, keep_default_na=False, dtype=str)
-    return ControlSet(DEFAULT_ID, _controls_from(table))
+        return ControlSet(DEFAULT_ID, read_table(stream))
 
 
 def check_unique(names: Sequence[str], *, where: str) -> None:
@@ -372,48 +308,6 @@ def _check_control(control: Control, known: set[str]) -> None:
         )
 
 
-def _spellings(name: str) -> tuple[str, ...]:
-    """Return ``X.ty`` as Unreal and Maya spell it too."""
-    if name in ("", NEWER_ONLY):
-        return ()
-    stem, dot, axis = name.rpartition(".t")
-    if not dot or axis not in ("x", "y"):
-        return (name,)
-    upper = axis.upper()
-    return (name, f"{stem}.{upper}", f"{stem}-translate{upper}", f"{stem}.translate{upper}")
-
-
-def _controls_from(table: pd.DataFrame) -> tuple[Control, ...]:
-    rows = table.to_dict(orient="records")
-    return tuple(
-        _control_from({str(key): str(value) for key, value in row.items()}) for row in rows
-    )
-
-
-def _control_from(row: dict[str, str]) -> Control:
-    """Read one row of a table; absent columns take the defaults of `Control`."""
-    number = {"min": "minimum", "max": "maximum", "rest": "rest", "mirror_sign": "mirror_sign"}
-    text = ("ue_control", "ue_channel", "type", "axis", "side", "region", "role", "mirror")
-    fields: dict[str, object] = {
-        k: row[k] for k in (*text, "mh3_name", "emoface_name") if row.get(k)
-    }
-    for column, field in number.items():
-        if row.get(column):
-            fields[field] = _number(row[column], f"control {row['name']!r}, column {column}")
-    lists = {"raw_pos": "raw_positive", "raw_neg": "raw_negative", "aliases": "aliases"}
-    for column, field in lists.items():
-        fields[field] = tuple(filter(None, row.get(column, "").split("|")))
-    fields["sets"] = frozenset(name for name in SETS if row.get(name) == "1")
-    return Control(name=row["name"].strip(), **fields)  # type: ignore[arg-type]
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ControlError(f"{where}: {text!r} is not a number") from None
-
-
 def _floats(values: Sequence[float]) -> Floats:
     array = np.array(values, dtype=np.float32)
     array.setflags(write=False)
@@ -424,3 +318,13 @@ def _indices(places: Sequence[int]) -> Indices:
     array = np.array(places, dtype=np.intp)
     array.setflags(write=False)
     return array
+
+
+__all__ = [
+    "DEFAULT_ID",
+    "MAX_CONTROLS",
+    "Control",
+    "ControlSet",
+    "check_unique",
+    "default_controls",
+]
