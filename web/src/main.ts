@@ -102,10 +102,23 @@ class Page {
 
   private loop = (): void => {
     const { clock } = this;
-    if (clock.playing || Math.abs(clock.time - this.shown) > 1e-3) this.show(clock.time);
+    if (clock.playing) this.showAhead();
+    else if (Math.abs(clock.time - this.shown) > 1e-3) this.show(clock.time);
     if (clock.time >= this.takes[0].seconds - 0.001 || clock.audio?.ended) this.atEnd();
     requestAnimationFrame(this.loop);
   };
+
+  /** Seconds that drawing a frame takes; the frame shown is the one due when it is drawn. */
+  private lead = 0;
+
+  private showAhead(): void {
+    const began = performance.now();
+    this.show(Math.min(this.clock.time + this.lead * this.clock.rate, this.takes[0].seconds));
+    setTimeout(() => {
+      const took = Math.min((performance.now() - began) / 1000, 0.1);
+      this.lead += 0.2 * (took - this.lead);
+    }, 0);
+  }
 
   private atEnd(): void {
     if ($<HTMLInputElement>("loop").checked && this.shown > 0) void this.clock.play();
