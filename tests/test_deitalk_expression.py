@@ -1,5 +1,7 @@
 """The laws of expression, on random readings."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -54,7 +56,7 @@ def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
         np.abs(RULES.blend(neutral, emotional, constant(x), constant(heard)) - neutral)
         for x in levels
     ]
-    assert all((b >= a - 1e-6).all() for a, b in zip(away, away[1:], strict=False))
+    assert all((b >= a - 1e-6).all() for a, b in pairwise(away))
     brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
     assert (away[-1][:, brow] > away[1][:, brow]).all()
 
