@@ -1,0 +1,47 @@
+"""`deitalk data`: look at a dataset folder."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import bar
+
+app = typer.Typer(help="Look at a dataset folder.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Look at a dataset folder."""
+
+
+@app.command()
+def check(
+    folder: Annotated[Path, typer.Argument(help="Dataset folder with clips.csv.")],
+    most: Annotated[
+        int | None, typer.Option(min=1, help="Read at most so many clips, evenly spread.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Tell whether a dataset is fit to train on; exit code 1 on errors.
+
+    Names, rates, lengths, offset of curves and sound, silence, ranges, controls that never move,
+    balance of the emotions, speakers in several splits.
+
+    Examples
+    --------
+    deitalk data check my_capture/
+    """
+    from deitalk.data.check import check_dataset
+
+    with bar("reading") as progress:
+        checks = check_dataset(folder, most=most, progress=progress)
+    if as_json:
+        rows = [{"check": c.name, "level": c.level, "text": c.text} for c in checks]
+        typer.echo(json.dumps(rows, indent=1))
+    else:
+        for c in checks:
+            typer.echo(f"{c.level:8} {c.name:13} {c.text}")
+    if any(c.level == "error" for c in checks):
+        raise typer.Exit(1)
