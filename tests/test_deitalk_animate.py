@@ -232,3 +232,45 @@ def test_the_mouth_is_shut_in_silence(default, voice, emotion):
     assert silence.mean() <= 0.01 * speech
     rest = default.controls.rest
     np.testing.assert_allclose(acted[-1], rest, atol=0.01)
+
+
+@pytest.mark.slow
+def test_ten_minutes_in_segments_equal_ten_minutes_at_once(default, voice):
+    import torch
+
+    from deitalk.activity import normalise_level
+    from deitalk.models import Analysis
+
+    waveform = torch.from_numpy(normalise_level(np.resize(voice.waveform, 600 * 16_000)))
+    n_frames = 600 * 30
+    happy = torch.zeros(n_frames, 5)
+    happy[:, 2] = 1
+    chunked = default.decode(default.analyse(waveform, n_frames), happy)
+    with torch.no_grad():
+        speech = default.frontend(waveform.unsqueeze(0), n_frames)
+        said = default.intensity(speech)
+        whole = default.decode(
+            Analysis(speech[0], said.guidance[0], said.saliency[0], said.strength[0]), happy
+        )
+    span = torch.tensor(default.controls.maximum - default.controls.minimum)
+    assert ((chunked - whole).abs() / span).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_an_hour_fits_into_one_and_a_half_gigabytes(default):
+    from deitalk.benchmark import peak_memory
+
+    assert peak_memory("default", 3600)["megabytes"] < 1500
+
+
+@pytest.mark.slow
+def test_no_frame_jumps_more_than_captured_motion_does(default, voice):
+    """Largest step between frames against a hand-animated and a captured set at 30 Hz."""
+    import pandas as pd
+    from conftest import SHARED
+
+    captured = pd.read_csv(SHARED / "data/curves/livelink/alex_rom_3.csv")
+    jaw = captured["JawOpen"].to_numpy()
+    ours = values(voice, "angry", model=default, idle=False)
+    step = np.abs(np.diff(ours[:, default.controls.index("CTRL_C_jaw.ty")])).max()
+    assert step < np.abs(np.diff(jaw)).max()
