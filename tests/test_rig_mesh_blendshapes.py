@@ -247,6 +247,15 @@ def test_baked_rig_moves_to_another_mesh(baked):
         bake(other, lambda v: np.zeros((1, 2, 3)), CONTROLS)
 
 
+def test_a_driver_is_a_product_of_the_least_in_each_group():
+    driver = Driver(((JAW,), (LIP, Half("gaze", -1))))
+    values = np.array([[0.5, 0.8, -1.0, 0, 1], [0.5, 0.2, -2.0, 0, 1], [0.5, 1, 1, 0, 1]])
+    np.testing.assert_allclose(driver.weight(values, CONTROLS), [0.25, 0.1, 0.0], atol=1e-7)
+    in_between = Driver(((JAW,),), peak=0.25)
+    values = np.array([[x, 0, 0, 0, 1] for x in (0, 0.125, 0.25, 0.625, 1)])
+    np.testing.assert_allclose(in_between.weight(values, CONTROLS), [0, 0.5, 1, 0.5, 0], atol=1e-7)
+
+
 def test_face_correctives_name_real_controls():
     for _, driver in face_correctives():
         pose = driver.pose(BOARD)

@@ -179,6 +179,7 @@ def test_shapes_follow_an_affine_map_of_the_head(head, rng):
     assert error[:, skin].mean() < 0.3
 
 
+@pytest.mark.slow
 def test_the_head_onto_itself_keeps_eyes_and_teeth_whole(head):
     registration = register(head.mesh, head.landmarks, head.mesh, head.landmarks)
     names = ("CTRL_C_jaw.ty", "CTRL_L_eye.tx", "CTRL_C_tongue_inOut.ty")
@@ -202,6 +203,7 @@ def bends(rest, delta):
     return bool(np.abs(rest @ rotation.T + shift - rest - delta).max() > 0.01)
 
 
+@pytest.mark.slow
 def test_lids_travel_as_far_as_the_eye_opens(head):
     """Landmarks that say the eye opens half as far: the blink across the slit halves, no more."""
     registration = register(head.mesh, head.landmarks, head.mesh, head.landmarks)
@@ -227,6 +229,7 @@ def test_lids_travel_as_far_as_the_eye_opens(head):
     np.testing.assert_allclose(fitted[1, chin], blink[1, chin], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_landmarks_are_found_blind(head):
     """The head itself, z up and in metres: rims exactly a pair, everything within millimetres."""
     axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

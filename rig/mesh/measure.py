@@ -1,7 +1,8 @@
 """The numbers of docs/mesh.md: ``python -m rig.mesh.measure ict_face.npz``.
 
-Without a file, only those of the embedded head. The file holds `neutral` (V, 3) in cm, `triangles` (N, 3) and `expression_deltas` (K, V, 3); any
-face of a few thousand vertices that looks along +z does.
+Without a file, only those of the embedded head. The file holds `neutral` (V, 3) in cm, `triangles`
+(N, 3) and `expression_deltas` (K, V, 3); any face of a few thousand vertices that looks along +z
+does.
 """
 
 import sys
