@@ -130,6 +130,12 @@ def test_all_three_read_back_to_the_same_mouth(tmp_path, suffix):
     assert np.abs(gestures(back) - gestures(curves)).mean() < 0.05
 
 
+def test_rhubarb_json_is_told_by_its_content(tmp_path):
+    write_curves(tmp_path / "c.rhubarb.json", speech()[1])
+    (tmp_path / "c.rhubarb.json").rename(tmp_path / "output.json")
+    assert len(read_curves(tmp_path / "output.json")) == 36
+
+
 def test_visemes_json(tmp_path):
     write_curves(tmp_path / "c.visemes.json", speech()[1])
     data = json.loads((tmp_path / "c.visemes.json").read_text())

@@ -33,7 +33,7 @@ def validate(
         typer.echo(json.dumps({"ok": validation.ok, "findings": rows}, indent=1))
     else:
         for finding in validation.findings:
-            typer.echo(f"{finding.level:8} {finding.path.name}: {finding.text}")
+            typer.echo(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}")
     is_warned = strict and any(f.level == "warning" for f in validation.findings)
     if not validation.ok or is_warned:
         raise typer.Exit(1)

@@ -16,7 +16,7 @@ from rig.edit import ClampReport, clamp
 from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
-from rig.formats.wide_csv import read_header
+from rig.formats.wide_csv import check_size, read_header
 from rig.mapping import convert, known_controls
 from rig.raw import RAW_ID
 
@@ -66,7 +66,7 @@ def read_curves(
     path : Path or str
         The file.
     format : str, optional
-        Name of a format; by default the suffix, and for CSV the header, tells.
+        Name of a format; by default the suffix, and for CSV and JSON the beginning, tells.
     controls : ControlSet, optional
         Someone's own control set that the columns are; all its controls must be there. By default
         the file or its names tell: board, raw curves or ARKit, in any order and known spelling.
@@ -86,8 +86,8 @@ def read_curves(
     """
     path = Path(path)
     chosen = find_format(path, format, readable=True)
-    if format is None and path.suffix.lower() == ".csv":
-        chosen = find_format(path, format_of_header(read_header(path)) or chosen.name)
+    if format is None:
+        chosen = _told_by_content(path, chosen)
     assert chosen.read is not None
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
@@ -140,6 +140,18 @@ def write_curves(
     tracks = {"emotion": curves.emotion, "intensity": curves.intensity}
     lost = () if chosen.has_tracks else tuple(k for k, v in tracks.items() if v is not None)
     return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost, note)
+
+
+def _told_by_content(path: Path, chosen: Format) -> Format:
+    """Return the format that the beginning of a CSV or JSON file tells."""
+    told = None
+    if path.suffix.lower() == ".csv":
+        told = format_of_header(read_header(path))
+    elif chosen.name == "json":
+        check_size(path)
+        with path.open("rb") as stream:
+            told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
+    return find_format(path, told or chosen.name)
 
 
 def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
