@@ -149,8 +149,11 @@ def _told_by_content(path: Path, chosen: Format) -> Format:
         told = format_of_header(read_header(path))
     elif chosen.name == "json":
         check_size(path)
-        with path.open("rb") as stream:
-            told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
+        try:
+            with path.open("rb") as stream:
+                told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
+        except OSError as error:
+            raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
     return find_format(path, told or chosen.name)
 
 
