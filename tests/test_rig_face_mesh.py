@@ -38,7 +38,7 @@ def test_skin_is_one_piece_of_a_few_thousand_triangles(head):
 
     count, _ = connected_components(adjacency(head.skin.faces, len(head.skin.vertices)))
     assert count == 1
-    assert 4000 <= len(head.skin.faces) <= 9100
+    assert 4000 <= len(head.skin.faces) <= 9000
 
 
 def test_neighbouring_faces_agree_about_the_outside(head):

@@ -64,7 +64,7 @@ def _with_face(d: Array, p: Array, i: Identity) -> Array:
     d = blend(d, ellipsoid(p, (0, -3.8, 1.8), (5.8 * w, 7.0, 6.45)), 2.4)
     corner = (4.1 * w * jaw, -6.0 - 0.4 * drop, 0.6)
     d = blend(d, capsule(p, corner, (1.5 * jaw, -9.6 - drop, 6.0), 0.95, 1.4), 2.4)
-    chin = (0, -9.75 - drop, 7.05 + i.chin_forward_cm)
+    chin = (0, -9.95 - drop, 7.3 + i.chin_forward_cm)
     d = blend(d, ellipsoid(p, chin, (2.1 * i.chin_width, 1.3, 1.65)), 1.5)
     cheek = (3.85 * w, -2.6, 5.05)
     d = blend(d, ellipsoid(p, cheek, (2.2 * i.cheek, 2.0 * i.cheek, 2.1 * i.cheek)), 2.0)

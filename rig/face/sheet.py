@@ -121,7 +121,8 @@ def draw_sheet(
                 head.mesh, size=size, view=VIEWS[tile.view], backend=backend
             )
         drawn = renderers[tile.view].render(head.pose(tile.values).astype(np.float64))
-        drawn = write_text(drawn, tile.title, (8, 8))
+        letter = min(11, int((width - 12) / max(len(tile.title), 1) / 0.82))
+        drawn = write_text(drawn, tile.title, (8, 8), height=max(letter, 6))
         y, x = k // columns * height, k % columns * width
         picture[y : y + height, x : x + width] = drawn
     for renderer in renderers.values():

@@ -7,7 +7,7 @@ import numpy as np
 from rig.face import loops
 from rig.face.identity import Identity
 from rig.face.loops import Anatomy, anatomy
-from rig.face.mesh import Array, Index, adjacency, edge_counts, unit
+from rig.face.mesh import Array, Index, adjacency, edge_counts, smoothstep, unit
 from rig.face.sdf import CENTER, project
 from rig.face.topology import (
     EYE_L,
@@ -87,9 +87,12 @@ def _smoothed(vertices: Array, topology: Topology) -> Array:
     weight[is_mouth] = np.interp(topology.ring[is_mouth], [0, 4, 9], [0, 0.1, 0.5])
     near_nose = np.hypot(vertices[:, 0], vertices[:, 1] + 4.4) < 1.9
     weight[near_nose & (vertices[:, 2] > 8.4)] *= 0.45
-    for factor in (0.55, -0.42) * 3:
-        mean = (graph @ vertices) / degree
-        vertices = vertices + 2 * factor * weight[:, None] * (mean - vertices)
+    y, z = vertices[:, 1], vertices[:, 2]
+    below_chin = 0.5 * smoothstep((-9.2 - y) / 1.2) * smoothstep((z - 1.5) / 1.5)
+    for passes, share in ((3, weight), (8, below_chin * (topology.kind == FILLER))):
+        for factor in (0.55, -0.42) * passes:
+            mean = (graph @ vertices) / degree
+            vertices = vertices + 2 * factor * share[:, None] * (mean - vertices)
     return vertices
 
 

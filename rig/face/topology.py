@@ -45,11 +45,11 @@ def spacing(directions: Array) -> Array:
     """Wanted distance between neighbouring vertices, radians seen from the head's centre."""
     from_face = np.degrees(np.arccos(np.clip(directions @ FACE_AXIS, -1, 1)))
     from_nose = np.degrees(np.arccos(np.clip(directions @ NOSE_AXIS, -1, 1)))
-    face = np.interp(from_face, [0, 28, 42, 60, 90, 180], [0.046, 0.046, 0.064, 0.125, 0.25, 0.32])
-    nose = np.interp(from_nose, [0, 11, 19], [0.027, 0.030, 0.06])
-    neck = np.where(directions[:, 1] < -0.72, 0.105, 1.0)
+    face = np.interp(from_face, [0, 28, 42, 60, 90, 180], [0.046, 0.046, 0.067, 0.14, 0.28, 0.36])
+    nose = np.interp(from_nose, [0, 11, 19], [0.0275, 0.032, 0.064])
+    neck = np.where(directions[:, 1] < -0.72, 0.118, 1.0)
     under_chin = np.degrees(np.arccos(np.clip(directions @ CHIN_AXIS, -1, 1)))
-    neck = np.minimum(neck, np.interp(under_chin, [0, 14, 30], [0.048, 0.055, 0.12]))
+    neck = np.minimum(neck, np.interp(under_chin, [0, 18, 32], [0.045, 0.051, 0.12]))
     return np.minimum(np.minimum(face, nose), neck)
 
 
