@@ -161,6 +161,20 @@ def test_usd_carries_the_raw_curves_and_reads_back(usd_path, curves):
     assert back.fps == 25 and back.values == pytest.approx(curves.values, abs=1e-5)
 
 
+def test_usd_passes_the_validators_of_usd_core(usd_path):
+    from pxr import Usd
+
+    try:
+        from pxr import UsdValidation
+    except ImportError:
+        pytest.skip("this usd-core has no UsdValidation")
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 5
+    stage = Usd.Stage.Open(str(usd_path))
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in errors] == []
+
+
 def test_broken_usd_is_an_error(tmp_path):
     pytest.importorskip("pxr", reason="needs usd-core")
     for name, text in (
