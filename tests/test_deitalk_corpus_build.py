@@ -163,6 +163,11 @@ def test_a_performance_keeps_phones_curves_and_sound_together(seed):
     assert 0.2 < take.intensity.max() <= 1
     shut = {phone.name: quietest(take.waveform, phone) for phone in take.phones[1:-1]}
     assert max(shut["M"], shut["P"]) < 0.2 * min(shut["AA"], shut["UW"], shut["IY"])
+    last = take.phones[-2]  # /i/ after a silent /p/: its first sound is at its label
+    before = round((last.start - 0.08) * RATE)
+    level = np.convolve(np.abs(take.waveform[before:][:2560]), np.ones(107) / 107, "same")
+    onset = (before + np.flatnonzero(level > 0.4 * level.max())[0]) / RATE
+    assert onset == pytest.approx(last.start, abs=0.004)
     for phone in take.phones:
         if phone.name in BILABIALS:
             assert take.channels[round((phone.start + phone.end) / 2 * CURVE_RATE), 1] > 0.9
