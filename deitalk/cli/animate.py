@@ -126,6 +126,8 @@ def _write_file(out: Path, performance: "Performance", fps: float | None) -> Non
     from rig import write_curves
 
     report = write_curves(out, performance.curves, fps=fps)
+    if report.note:
+        words().print(f"note: {report.note}")
     for track in report.dropped:
         words().print(f"note: {out.name} cannot hold the {track} track; a take folder does")
 
