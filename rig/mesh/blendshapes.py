@@ -262,6 +262,7 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
 def _known_pose(key: str) -> Floats:
     """Pose of a known name; half or both sides of it where only those are known; else zeros."""
     known = _known_poses()
+    key = key.replace("pupildilate", "eyepupilwide")  # ICT-FaceKit's word
     if key in known:
         return known[key]
     stem, side = (key[:-2], key[-2:]) if key.endswith(("_l", "_r")) else (key, "")

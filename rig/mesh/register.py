@@ -87,7 +87,8 @@ class Registration:
     residual: float
     inside_out: bool
 
-    def correspond(self) -> SurfacePoints:
+    @cached_property
+    def correspondence(self) -> SurfacePoints:
         """For every target vertex, its point on the placed source's skin."""
         normals = vertex_normals(self.target)
         return self.correspond_points(self.target.vertices, normals, self.target_labels)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.errors import MeshError
 from rig.mesh.bake import BakedRig
 from rig.mesh.eyelids import fit_lids
 from rig.mesh.head import SourceHead, source_head
@@ -23,6 +24,10 @@ from rig.mesh.trimesh import TriMesh
 
 Floats = NDArray[np.float64]
 Method = Literal["displacements", "gradients"]
+
+MAX_VERTICES = 200_000
+"""Largest mesh that shapes are made for; two hundred morph targets of more help nobody."""
+_SHAPES_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +79,7 @@ def shapes_for(
     Raises
     ------
     MeshError
-        If landmarks are missing or the lips cannot be told apart.
+        If landmarks are missing, the lips cannot be told apart, or the mesh is too large.
     """
     source = source_head() if source is None else source
     shapes = replace(source.rig.shapes, landmarks=source.landmarks)
@@ -126,15 +131,23 @@ def carry_shapes(
     method : str
         "displacements" or "gradients".
     """
+    if len(target.vertices) > MAX_VERTICES:
+        raise MeshError(
+            f"the mesh has {len(target.vertices)} vertices; shapes are made for at most "
+            f"{MAX_VERTICES}: decimate it"
+        )
     registration = register(source.neutral, source.landmarks, target, landmarks)
     source_pairs = lip_pairs(source.neutral, source.landmarks, registration.source_labels)
     target_pairs = lip_pairs(target, landmarks, registration.target_labels)
-    deltas = source.deltas.astype(np.float64)
     transfer = transfer_gradients if method == "gradients" else transfer_displacements
-    moved = transfer(registration, deltas)
-    moved = fit_lids(registration, source.landmarks, landmarks, moved)
-    moved = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
-    shapes = ShapeSet(target, source.names, moved.astype(np.float32), landmarks)
+    carried = np.empty((len(source.names), len(target.vertices), 3), dtype=np.float32)
+    for start in range(0, len(source.names), _SHAPES_AT_ONCE):
+        some = slice(start, start + _SHAPES_AT_ONCE)
+        deltas = source.deltas[some].astype(np.float64)
+        moved = transfer(registration, deltas)
+        moved = fit_lids(registration, source.landmarks, landmarks, moved)
+        carried[some] = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
+    shapes = ShapeSet(target, source.names, carried, landmarks)
     return Carried(shapes, registration, source_pairs, target_pairs)
 
 

@@ -7,6 +7,7 @@ SDFA's use of Eq. 1-6 across topologies). The first is closer at the lips, where
 few rim slivers lead the whole lip astray (measured: docs/mesh.md).
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
     source = _checked(registration, deltas)
     jacobian = local_jacobians(registration)
     mapped = np.einsum("vab,kvb->kva", jacobian, source)
-    points = registration.correspond()
+    points = registration.correspondence
     faces = registration.source.faces[registration.skin_faces]
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
     trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
@@ -111,6 +112,7 @@ def _checked(registration: Registration, deltas: Any) -> Floats:
     return array
 
 
+@lru_cache(maxsize=2)
 def local_jacobians(registration: Registration) -> Floats:
     """How the registration turns and stretches space around each source vertex.
 
