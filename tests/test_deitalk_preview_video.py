@@ -186,20 +186,3 @@ def test_failing_ffmpeg_leaves_nothing_behind(tmp_path, monkeypatch):
     with pytest.raises(PreviewError, match="ffmpeg failed"):
         render_video(make_source(5), tmp_path / "v.mp4")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_performance_is_shown_with_its_neutral_reading():
-    from types import SimpleNamespace
-
-    from deitalk.preview.extra import performance_source
-
-    recording = SimpleNamespace(
-        waveform=np.ones(RATE, np.float32), source="voices/hello.wav", sample_rate=RATE
-    )
-    performance = SimpleNamespace(
-        curves=make_curves(30), neutral=make_curves(30), recording=recording
-    )
-    source = performance_source(performance)
-    assert source.title == "hello"
-    assert source.audio_seconds == 1.0
-    assert np.array_equal(source.neutral, performance.neutral.values)

@@ -17,6 +17,7 @@ def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
     folder : Path
         Must exist.
     performance : Performance
+        Whose curves, neutral reading and recording are shown.
 
     Returns
     -------
