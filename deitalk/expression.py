@@ -21,12 +21,12 @@ LEAST_PREDICTED = 0.15
 CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
 """Neutral lips-together (or lip-bite) value at which protection begins, and is complete."""
 STILL = 0.01
-"""Openings below this share of a control's range are the network's murmur, not speech."""
+"""Openings below this are the network's murmur, not speech."""
 
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
-SPEAKING = ("lipsTogether", "lipBite", "purse", "towards", "mouth_press", "tongue", "teeth", "icky",
+SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue", "teeth", "icky",
             "lipsPress", "pushPull", "jaw_fwdBack")  # fmt: skip
 """Parts of the names of the other controls that speech moves."""
 
@@ -95,7 +95,7 @@ class Expression:
     def quieten(self, curves: Floats) -> None:
         """Remove the network's murmur from controls that part or move the lips, in place.
 
-        Values below one percent of the range go to 0; above, nothing but that percent is lost.
+        Values below 0.01 go to 0; above, nothing but that is lost.
         """
         places = self.opening
         values = curves[:, places]
