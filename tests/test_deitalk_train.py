@@ -223,6 +223,8 @@ from deitalk.config import load_config
 from deitalk.train import train
 if __name__ == "__main__":
     train(load_config(sys.argv[1], sys.argv[4:]), Path(sys.argv[2]), Path(sys.argv[3]))
+    from accelerate.state import PartialState
+    (Path(sys.argv[3]) / "processes").write_text(str(PartialState().num_processes))
 """
 
 
@@ -244,8 +246,10 @@ def test_two_processes_make_the_model_that_one_makes(data, tmp_path, contrast):
         return tmp_path / out
 
     one = fit([sys.executable], "one")
-    launcher = [sys.executable, "-m", "accelerate.commands.launch", "--cpu", "--num_processes", "2"]
-    two = fit([*launcher, "--num_machines", "1", "--mixed_precision", "no"], "two")
+    # `accelerate launch --cpu` begins several processes only through MPI; torchrun needs none,
+    # and Accelerate reads its environment.
+    two = fit([sys.executable, "-m", "torch.distributed.run", "--nproc_per_node", "2"], "two")
+    assert (two / "processes").read_text() == "2" and (one / "processes").read_text() == "1"
     assert pd.read_csv(two / "metrics.csv")["step"].tolist() == [4], "one process writes"
     first, second, start = weights(one / "last"), weights(two / "last"), None
     torch.manual_seed(0)
