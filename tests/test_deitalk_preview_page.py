@@ -107,7 +107,7 @@ def test_page_without_recording_says_so_with_nothing(tiny_player, tmp_path):
 
 def test_missing_player_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "BUNDLE", tmp_path / "none.html")
-    with pytest.raises(MissingError, match="npm ci && npm run build"):
+    with pytest.raises(MissingError, match="npm install && npm run build"):
         render_page(make_source(), tmp_path / "p.html")
     assert not (tmp_path / "p.html").exists()
 
@@ -142,7 +142,7 @@ def browser():
     if program is None:
         pytest.skip("needs Debian's chromium")
     if not page_module.BUNDLE.is_file():
-        pytest.skip("needs the built player: npm ci && npm run build in web/")
+        pytest.skip("needs the built player: npm install && npm run build in web/")
     flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
              "--autoplay-policy=no-user-gesture-required"]  # fmt: skip
     with sync_api.sync_playwright() as playwright:

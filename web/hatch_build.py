@@ -11,7 +11,7 @@ PAGE = Path("deitalk/preview/app/index.html")
 
 
 class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
-    """Run ``npm ci && npm run build`` in ``web/`` unless the page is there already."""
+    """Run ``npm install && npm run build`` in ``web/`` unless the page is there already."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Make the page if that is possible, and put it into the wheel."""
@@ -24,15 +24,15 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
 
     def _build(self, web: Path) -> None:
         npm = shutil.which("npm")
-        if npm is None or not (web / "package-lock.json").is_file():
+        if npm is None or not (web / "package.json").is_file():
             self.app.display_warning(
                 "no npm: the package is built without its preview page; "
                 "`deitalk preview -o page.html` will say how to get it"
             )
             return
-        for command in (["ci", "--no-audit", "--no-fund"], ["run", "build"]):
+        for command in (["install", "--no-audit", "--no-fund"], ["run", "build"]):
             done = subprocess.run([npm, *command], cwd=web, capture_output=True, text=True)
             if done.returncode:
-                lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+                lines = (done.stdout or done.stderr).strip().splitlines() or ["no message"]
                 self.app.display_warning(f"npm {command[0]} failed ({lines[-1]}); no preview page")
                 return

@@ -83,7 +83,7 @@ def _player() -> str:
     if not BUNDLE.is_file():
         raise MissingError(
             "this installation has no preview page, because it was built without Node.js; "
-            "install a wheel, or run `npm ci && npm run build` in web/ of the source"
+            "install a wheel, or run `npm install && npm run build` in web/ of the source"
         )
     return BUNDLE.read_text(encoding="utf-8")
 
