@@ -40,7 +40,16 @@ _LOOSENING: Rounds = (
     (40.0, 0.15, 0.0),
     (15.0, 0.1, 0.0),
 )
-_VAGUE = ("nose_wing", "eye_upper", "eye_lower", "upper_lip", "lower_lip", "upper_rim", "lower_rim")
+_VAGUE = (
+    "brow",
+    "nose_wing",
+    "eye_upper",
+    "eye_lower",
+    "upper_lip",
+    "lower_lip",
+    "upper_rim",
+    "lower_rim",
+)
 """A blind fit slides too far here; these come from rims and the slit, or not at all."""
 _WORST = 0.03
 """Largest median residual, in eye distances, at which a guess is offered at all."""
