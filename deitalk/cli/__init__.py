@@ -11,6 +11,7 @@ from deitalk.cli.benchmark import benchmark
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
 from deitalk.cli.corpus import app as corpus_app
+from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
 from deitalk.cli.livelink import app as livelink_app
@@ -42,6 +43,7 @@ app.command()(evaluate)
 app.command()(benchmark)
 app.add_typer(livelink_app, name="livelink")
 app.add_typer(face_app, name="face")
+app.add_typer(data_app, name="data")
 app.add_typer(corpus_app, name="corpus")
 app.add_typer(model_app, name="model")
 
