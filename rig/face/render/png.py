@@ -24,7 +24,10 @@ def png_bytes(picture: Picture) -> bytes:
             f"picture of shape {picture.shape} and type {picture.dtype}; PNG needs (h, w, 3) uint8"
         )
     height, width = picture.shape[:2]
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)
+    left = np.zeros_like(picture)
+    left[:, 1:] = picture[:, :-1]
+    change = (picture - left).reshape(height, -1)  # filter 1: difference to the pixel on the left
+    rows = np.concatenate([np.ones((height, 1), np.uint8), change], axis=1)
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         body = kind + data
@@ -34,7 +37,7 @@ def png_bytes(picture: Picture) -> bytes:
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6))
+        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
         + chunk(b"IEND", b"")
     )
 
