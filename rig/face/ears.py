@@ -8,15 +8,15 @@ from rig.face.sdf import project
 
 _COLUMNS = 44
 _RADIUS = np.array(
-    [0.05, 0.18, 0.30, 0.40, 0.47, 0.53, 0.59, 0.66, 0.73, 0.80, 0.87, 0.93, 0.98, 1.0, 0.98,
+    [0.01, 0.18, 0.30, 0.40, 0.47, 0.53, 0.59, 0.66, 0.73, 0.80, 0.87, 0.93, 0.98, 1.0, 0.98,
      0.92, 0.84, 0.74, 0.66, 0.60]
 )  # fmt: skip
 _DEPTH = np.array(
-    [-0.62, -0.60, -0.52, -0.34, -0.08, 0.10, 0.15, 0.12, 0.02, -0.05, -0.02, 0.12, 0.17, 0.08,
+    [-0.42, -0.41, -0.37, -0.26, -0.06, 0.10, 0.15, 0.12, 0.02, -0.05, -0.02, 0.12, 0.17, 0.08,
      -0.06, -0.20, -0.34, -0.55, -0.9, -1.5]
 )  # fmt: skip
 _LOBE = np.array(
-    [-0.45, -0.40, -0.30, -0.16, -0.04, 0.03, 0.06, 0.08, 0.09, 0.09, 0.08, 0.06, 0.02, -0.06,
+    [-0.32, -0.29, -0.22, -0.12, -0.03, 0.03, 0.06, 0.08, 0.09, 0.09, 0.08, 0.06, 0.02, -0.06,
      -0.16, -0.24, -0.32, -0.5, -0.9, -1.5]
 )  # fmt: skip
 
@@ -51,7 +51,7 @@ def _ear_center(identity: Identity) -> Array:
     """Just outside the side of the head, level with the nose."""
     direction = np.array([[1.0, -0.14, -0.22]])
     on_skin = project(direction / np.linalg.norm(direction), identity)[0]
-    return np.asarray(on_skin + np.array([0.72, 0.0, -0.25]))
+    return np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
 
 
 def _shaded(colors: Array) -> Array:

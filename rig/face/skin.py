@@ -272,7 +272,9 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Array, Array]:
     is_nostril = (kind == NOSTRIL_L) | (kind == NOSTRIL_R)
     mix(is_nostril * np.interp(ring, [-3, -1, 0, 1, 2], [1, 1, 0.55, 0.15, 0]), base * 0.09)
     gloss = np.full(len(v), 0.25)
-    gloss[is_mouth] = np.interp(ring[is_mouth], [-9, -2, 0, 3, 5], [0.1, 0.5, 0.5, 0.42, 0.25])
+    gloss[is_mouth] = np.interp(
+        ring[is_mouth], [-9, -3, -1, 0, 3, 5], [0.0, 0.02, 0.4, 0.5, 0.42, 0.25]
+    )
     gloss[is_nostril & (ring < 1)] = 0.0
     return colors, gloss
 
