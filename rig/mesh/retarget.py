@@ -27,7 +27,8 @@ Method = Literal["displacements", "gradients"]
 
 MAX_VERTICES = 200_000
 """Largest mesh that shapes are made for; two hundred morph targets of more help nobody."""
-_SHAPES_AT_ONCE = 32
+_VERTICES_AT_ONCE = 4_000_000
+"""Shapes are carried in batches of about so many vertices altogether: some hundred MiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +142,9 @@ def carry_shapes(
     target_pairs = lip_pairs(target, landmarks, registration.target_labels)
     transfer = transfer_gradients if method == "gradients" else transfer_displacements
     carried = np.empty((len(source.names), len(target.vertices), 3), dtype=np.float32)
-    for start in range(0, len(source.names), _SHAPES_AT_ONCE):
-        some = slice(start, start + _SHAPES_AT_ONCE)
+    batch = max(8, _VERTICES_AT_ONCE // len(target.vertices))
+    for start in range(0, len(source.names), batch):
+        some = slice(start, start + batch)
         deltas = source.deltas[some].astype(np.float64)
         moved = transfer(registration, deltas)
         moved = fit_lids(registration, source.landmarks, landmarks, moved)
