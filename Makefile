@@ -8,7 +8,7 @@ TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-slow check lint type format train-tiny figure sample clean
+.PHONY: help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure sample clean
 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
@@ -29,6 +29,14 @@ setup-dev: $(BIN)/.installed-dev  ## The same with everything tests and checks n
 demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folder
 	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
 	@echo "Look into $(TAKE)/: curves.csv (185 controls), intensity.csv (edit it), take.json"
+
+page: deitalk/preview/app/index.html  ## Build the preview page (needs npm)
+
+deitalk/preview/app/index.html: $(wildcard web/*.json web/*.ts web/*.html web/src/*)
+	cd web && npm install --no-audit --no-fund && npm run build
+
+# Without npm the tests of the page are skipped.
+test test-slow: $(if $(shell command -v npm),page)
 
 test: setup-dev  ## Run the tests
 	$(BIN)/python -m pytest
@@ -52,6 +60,12 @@ format: setup-dev  ## Format the code
 train-tiny: setup  ## Corpus of two minutes and a training of six steps, end to end
 	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
 	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
+
+pictures: setup  ## Draw docs/pictures, the embedded head in pictures
+	mkdir -p docs/pictures
+	$(BIN)/deitalk face sheet mouth --tile 170 -o docs/pictures/face-mouth.png --force
+	$(BIN)/deitalk face sheet emotions --columns 5 --tile 180 -o docs/pictures/face-emotions.png --force
+	$(BIN)/deitalk face identities -o docs/pictures/face-people.png --force
 
 figure: setup-dev  ## Draw docs/curves.png, the README's picture
 	$(BIN)/deitalk plot deitalk/samples/promise.flac --emotion happy -o docs/curves.png --force
