@@ -137,6 +137,12 @@ def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
     assert report["ok"] is False and report["findings"][0]["level"] == "error"
 
 
+def skipped(words):
+    """Frames the sender left out to keep time, as it says itself."""
+    found = re.search(r"(\d+) skipped", words)
+    return int(found[1]) if found else 0
+
+
 def test_what_is_sent_is_received(curves_file, tmp_path):
     """The commands against each other over the loopback."""
     out = tmp_path / "T_1_anna.csv"
@@ -145,9 +151,11 @@ def test_what_is_sent_is_received(curves_file, tmp_path):
     with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as receiver:
         port = re.search(r"listening on 127.0.0.1:(\d+)", receiver.stderr.readline())[1]
         arguments = ("--port", port, "--subject", "anna", "--fps", 60)
-        assert run("livelink", "send", curves_file, *arguments).exit_code == 0
-        words = receiver.stderr.read()
-    assert receiver.returncode == 0 and "frames of 'anna', 0 lost" in words.replace("\n", " ")
+        sender = run("livelink", "send", curves_file, *arguments)
+        words = receiver.stderr.read().replace("\n", " ")
+    assert sender.exit_code == 0 and receiver.returncode == 0
+    lost = int(re.search(r"frames of 'anna', (\d+) lost", words)[1])
+    assert lost <= skipped(sender.stderr)  # a busy machine skips; what is sent arrives
     take = read_take(out)
     jaw = take.values[:, take.names.index("JawOpen")]
     assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
@@ -156,7 +164,9 @@ def test_what_is_sent_is_received(curves_file, tmp_path):
 @pytest.mark.parametrize("protocol", ["json", "vmc"])
 def test_other_protocols_send(curves_file, protocol):
     result = run("livelink", "replay", curves_file, "--protocol", protocol, "--port", 9)
-    assert result.exit_code == 0 and "30 frames in" in result.stderr
+    assert result.exit_code == 0
+    sent = int(re.search(r"(\d+) frames in", result.stderr)[1])
+    assert 30 <= sent + skipped(result.stderr) <= 31  # the rest frame may be counted
 
 
 def test_json_sends_the_rig_that_is_asked_for(curves_file):
