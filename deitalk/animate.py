@@ -112,6 +112,8 @@ def animate(
     predicted = heard * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
     rules = Expression(network.controls)
+    for reading in (neutral,) if emotional is neutral else (neutral, emotional):
+        rules.decide(reading)
     values = rules.blend(neutral, emotional, applied, predicted)
     del emotional
     for reading in (neutral, values):

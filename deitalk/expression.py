@@ -23,6 +23,9 @@ CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
 STILL = 0.01
 """Openings below this are the network's murmur, not speech."""
 
+DECIDED, DECISION = 0.38, 2.0
+"""Lips-together value that becomes one half, and the factor on the distance from it, in logits."""
+
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
@@ -62,6 +65,24 @@ class Expression:
         delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)
         delta += neutral
         return delta
+
+    def decide(self, curves: Floats) -> None:
+        """Make contacts of what the network only believes, in place.
+
+        A network trained on squared errors answers a doubtful /b/ with 0.7: lips that almost meet
+        and say nothing. An S-curve moves the lips-together and lip-bite controls away from the
+        middle: 0.2 becomes 0.14, 0.7 becomes 0.94; 0 and 1 stay. It is strictly rising, so the
+        order of any two frames remains.
+
+        Parameters
+        ----------
+        curves : ndarray [shape=(T, C)]
+        """
+        odds_of_middle = DECIDED / (1 - DECIDED)
+        for place in self.seals:
+            x = np.clip(curves[:, place], 0, 1)
+            odds = (x / np.maximum(1 - x, 1e-6) / odds_of_middle) ** DECISION
+            curves[:, place] = odds / (odds + 1)
 
     def contact(self, neutral: Floats) -> Floats:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""

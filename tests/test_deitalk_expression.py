@@ -144,3 +144,17 @@ def test_the_groups_hold_what_they_say():
     assert len(RULES.bite) == 2
     assert not set(RULES.opening) & set(RULES.seals)
     assert (CONTROLS.rest[RULES.opening] == 0).all()  # quieten draws them towards 0
+
+
+def test_doubtful_contacts_are_decided_and_keep_their_order():
+    controls = default_controls()
+    rules = Expression(controls)
+    values = np.tile(controls.rest, (5, 1)).astype(np.float32)
+    place = controls.index("CTRL_L_mouth_lipsTogetherU.ty")
+    jaw = controls.index("CTRL_C_jaw.ty")
+    values[:, place] = [0, 0.2, 0.38, 0.7, 1]
+    values[:, jaw] = 0.7
+    rules.decide(values)
+    # odds of 0.7 against those of 0.38 are 3.807; squared 14.49; 14.49 / 15.49 = 0.9354
+    np.testing.assert_allclose(values[:, place], [0, 0.1426, 0.5, 0.9354, 1], atol=1e-3)
+    np.testing.assert_allclose(values[:, jaw], 0.7)
