@@ -1,6 +1,7 @@
-"""`deitalk model`: what a model is."""
+"""`deitalk model`: what a model is, and a copy of it to give away."""
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,6 +14,34 @@ app = typer.Typer(help="What a model is.", no_args_is_help=True)
 @app.callback()
 def _group() -> None:
     """What a model is."""
+
+
+@app.command()
+def export(
+    model: Annotated[str, typer.Argument(help="Model folder, such as runs/mel/best.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to make.")],
+    data: Annotated[str, typer.Option(help="What trained it, in words.")] = "",
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Write a model at half precision and without paths of this machine, to give away.
+
+    Examples
+    --------
+    deitalk model export runs/mel/best -o my_model --data "my captures"
+    """
+    from deitalk.checkpoint import describe_model, load_model, model_folder, save_model
+    from deitalk.config import load_config
+    from deitalk.errors import CheckpointError
+
+    if out.exists() and not force:
+        raise CheckpointError(f"{out} exists; add --force to replace it, or name another folder")
+    config = load_config(
+        model_folder(model) / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
+    )
+    summary = describe_model(model)["training"] | ({"data": data} if data else {})
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_model(out, load_model(model), config, summary, half=True)
+    words().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 
 @app.command()
