@@ -101,7 +101,7 @@ def model_folder(name_or_path: str | Path) -> Path:
 def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     """What ``model.json`` says, with the hash and size of the weights; imports no torch."""
     folder = model_folder(name_or_path)
-    about = _read_about(folder)
+    about = read_about(folder)
     weights = folder / "model.safetensors"
     about.pop("controls", None)
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
@@ -113,7 +113,8 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     }
 
 
-def _read_about(folder: Path) -> dict[str, Any]:
+def read_about(folder: Path) -> dict[str, Any]:
+    """What a folder's ``model.json`` says, if this version reads it."""
     path = folder / "model.json"
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
@@ -152,7 +153,9 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     controls = default_controls()
     _check_controls(folder, controls)
     config = load_config(folder / "config.yaml")
-    weights = _read_weights(folder / "model.safetensors")
+    if not isinstance(config, Config):
+        raise CheckpointError(f"{folder}: an SDFA model moves meshes; use deitalk.mesh_checkpoint")
+    weights = read_weights(folder / "model.safetensors")
     model = DEITalk(config.model, controls, pretrained=False)
     try:
         model.load_state_dict({name: value.float() for name, value in weights.items()})
@@ -169,7 +172,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
 
 
 def _check_controls(folder: Path, controls: ControlSet) -> None:
-    about = _read_about(folder)
+    about = read_about(folder)
     if about["control_set"] != controls.id or about["controls"] != list(controls.names):
         raise CheckpointError(
             f"{folder}: made for control set {about['control_set']!r}, this deitalk drives "
@@ -177,7 +180,7 @@ def _check_controls(folder: Path, controls: ControlSet) -> None:
         )
 
 
-def _read_weights(path: Path) -> "dict[str, Tensor]":
+def read_weights(path: Path) -> "dict[str, Tensor]":
     """Every tensor of a safetensors file, all of them finite."""
     from safetensors import SafetensorError
     from safetensors.torch import load_file

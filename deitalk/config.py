@@ -194,8 +194,78 @@ class Config(Section):
     train: TrainConfig = TrainConfig()
 
 
-def parse_config(tree: dict[str, Any]) -> Config:
-    """Check a tree of settings.
+class SDFAModelConfig(Section):
+    """The network of SDFA §3; defaults are Tables 1-3."""
+
+    frontend: MelConfig = Field(default_factory=MelConfig)
+    shared_size: Positive = Field(default=512, description="width of z_dec")
+    branch_sizes: tuple[Positive, Positive] = (512, 256)
+    weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
+
+    @field_validator("frontend")
+    @classmethod
+    def _windows(cls, value: MelConfig) -> MelConfig:
+        if value.recurrence != "window" or value.time_stack != 1:
+            raise ValueError("SDFA sees one window a frame; use recurrence: window, time_stack: 1")
+        return value
+
+
+class MeshDataConfig(Section):
+    """Mesh sequences and the bases of their gradients (SDFA §4.1, §4.3, §4.4)."""
+
+    fps: float = Field(default=60.0, gt=0, le=240, description="frames per second of the meshes")
+    identities: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        default=(0, 1, 2, 3, 4, 5, 6, 7),
+        min_length=1,
+        description="embedded heads that act a dataset folder's curves",
+    )
+    clips: Positive | None = Field(
+        default=None, description="clips taken of such a folder's split; null: all"
+    )
+    augment: bool = Field(default=True, description="all of §4.3")
+    basis_error_mm: float = Field(
+        default=0.5, gt=0, description="what the bases may cost where the face moves most"
+    )
+    basis_frames: Annotated[int, Field(ge=2)] = Field(
+        default=400, description="frames that the bases are fitted to"
+    )
+
+
+class MeshTrainConfig(Section):
+    """Adam at a constant rate (SDFA §4.4)."""
+
+    learning_rate: float = Field(default=1e-4, gt=0)
+    batch_size: Annotated[int, Field(ge=2, multiple_of=2)] = Field(
+        default=100, description="frames; half as many pairs of adjacent ones"
+    )
+    epochs: float = Field(default=50, gt=0, description="passes over all training frames")
+    steps: Positive | None = Field(default=None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(default=None, gt=0)
+    loss_decay: float = Field(
+        default=0.99, gt=0, lt=1, description="of the loss terms' second moments"
+    )
+    evaluate_every: Positive = Field(
+        default=500, description="steps between evaluations and checkpoints"
+    )
+    seed: int = 0
+    workers: int = Field(default=0, ge=0, description="processes that prepare windows")
+
+
+class SDFAConfig(Section):
+    """Everything a run of SDFA needs besides its data; ``kind: sdfa`` chooses it."""
+
+    kind: Literal["sdfa"]
+    name: str = "sdfa"
+    model: SDFAModelConfig = SDFAModelConfig()
+    data: MeshDataConfig = MeshDataConfig()
+    train: MeshTrainConfig = MeshTrainConfig()
+
+
+AnyConfig = Config | SDFAConfig
+
+
+def parse_config(tree: dict[str, Any]) -> AnyConfig:
+    """Check a tree of settings; one with ``kind: sdfa`` gives an `SDFAConfig`.
 
     Parameters
     ----------
@@ -208,7 +278,8 @@ def parse_config(tree: dict[str, Any]) -> Config:
         Naming the key, the value and the rule, all problems in one line.
     """
     try:
-        return Config.model_validate(tree)
+        kind = SDFAConfig if tree.get("kind") == "sdfa" else Config
+        return kind.model_validate(tree)
     except ValidationError as error:
         problems = "; ".join(_problem(item) for item in error.errors())
         raise ConfigError(f"configuration: {problems}") from None
@@ -223,7 +294,7 @@ def _problem(item: Any) -> str:
     return f"{key}={value if len(value) <= 60 else value[:57] + '...'}: {rule}"
 
 
-def load_config(path: Path | str, overrides: Sequence[str] = ()) -> Config:
+def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     """Read a YAML file and apply overrides such as ``train.batch_size=8``.
 
     Parameters

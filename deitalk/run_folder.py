@@ -17,7 +17,7 @@ from typing import Any
 import torch
 import yaml
 
-from deitalk.config import Config, load_config
+from deitalk.config import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError
 from rig.files import atomic_write
 
@@ -25,14 +25,14 @@ MAY_CHANGE = ("name", "train.workers", "train.evaluate_every")
 """Settings that a resumed run may have changed."""
 
 
-def open_folder(out: Path, config: Config, *, resume: bool, write: bool) -> None:
+def open_folder(out: Path, config: AnyConfig, *, resume: bool, write: bool) -> None:
     """Refuse to mix two runs in one folder; else write the configuration there.
 
     Parameters
     ----------
     out : Path
         Run folder.
-    config : Config
+    config : Config or SDFAConfig
         Settings of the run that begins or goes on.
     resume : bool
         Whether it goes on.

@@ -1,11 +1,14 @@
 """`deitalk train`: fit a model to a dataset folder."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deitalk.cli.words import bar, words
+
+if TYPE_CHECKING:
+    from deitalk.config import SDFAConfig
 
 
 def train(
@@ -27,10 +30,15 @@ def train(
     deitalk train configs/mel.yaml --data corpus/ -o runs/mel
 
     deitalk train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
+
+    deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
     """
-    from deitalk.config import load_config
+    from deitalk.config import SDFAConfig, load_config
 
     settings = load_config(config, overrides or ())
+    if isinstance(settings, SDFAConfig):
+        _train_sdfa(settings, data, out, resume=resume, start_from=start_from)
+        return
     with words().status("loading"):
         from deitalk.checkpoint import model_folder
         from deitalk.train import train as fit
@@ -45,5 +53,29 @@ def train(
             start_from=start,
             progress=lambda step, total, values: progress(step / total),
         )
+    _report(out, best)
+
+
+def _train_sdfa(
+    settings: "SDFAConfig", data: Path, out: Path, *, resume: bool, start_from: str | None
+) -> None:
+    from deitalk.errors import ConfigError
+
+    if start_from is not None:
+        raise ConfigError("--from: SDFA starts from nothing; leave it out, or use --resume")
+    with words().status("loading"):
+        from deitalk.train_sdfa import train_sdfa as fit
+    with bar("training") as progress:
+        best = fit(
+            settings,
+            data,
+            out,
+            resume=resume,
+            progress=lambda step, total, values: progress(step / total),
+        )
+    _report(out, best)
+
+
+def _report(out: Path, best: dict[str, Any]) -> None:
     scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
     words().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
