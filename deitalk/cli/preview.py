@@ -14,6 +14,10 @@ def preview(
     audio: Annotated[
         Path | None, typer.Option(help="Recording; a take folder brings its own.")
     ] = None,
+    phones: Annotated[
+        Path | None,
+        typer.Option(help="CSV start,end,phone: warns of m, b, p that stay open."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help=".mp4 or .html; both beside the source without it."),
@@ -38,15 +42,18 @@ def preview(
 
     deitalk preview take/ --versus other/ -o compare.html
     """
+    from deitalk.preview.checks import find_warnings
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
     from deitalk.preview.video import render_video
 
     base = source / "preview" if source.is_dir() else source.with_suffix("")
     targets = [out] if out else [base.with_suffix(".html"), base.with_suffix(".mp4")]
-    shown = [load_source(source, audio)]
+    shown = [load_source(source, audio, phones)]
     if versus is not None:
         shown.append(load_source(versus))
+    for time, text in find_warnings(shown[0]):
+        words().print(f"{time:6.2f} s  {text}")
     who = int(identity) if identity.isdigit() else identity
     for target in targets:
         if target.suffix.lower() in (".html", ".htm"):

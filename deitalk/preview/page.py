@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import MissingError
+from deitalk.preview.checks import find_warnings
 from deitalk.preview.pack import pack
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from rig.curves import EMOTIONS
@@ -118,6 +119,7 @@ def _packed_take(source: PreviewSource) -> str:
     facts = {
         "title": source.title, "fps": curves.fps, "frames": len(curves), "emotions": list(EMOTIONS),
         "audioSeconds": source.audio_seconds,
+        "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip
     return pack(arrays, facts)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.data.folder import read_phones
 from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, read_curves
 
@@ -13,6 +14,8 @@ MAX_SECONDS = 1800.0
 MAX_AUDIO_BYTES = 500_000_000
 TOLERANCE_SECONDS = 0.1
 """Curves and recording may differ in length by this much (a frame or two of rounding)."""
+
+Phones = tuple[tuple[float, float, str], ...]
 
 
 class PreviewError(DeitalkError):
@@ -34,6 +37,8 @@ class PreviewSource:
         Hz; 0 without a recording.
     neutral : ndarray [shape=(T, 185)] or None
         The neutral reading of the same speech.
+    phones : tuple of (start, end, name)
+        Seconds and ARPABET names, where they are known.
     """
 
     title: str
@@ -41,6 +46,7 @@ class PreviewSource:
     samples: NDArray[np.float32]
     sample_rate: int
     neutral: NDArray[np.float32] | None = None
+    phones: Phones = ()
 
     @property
     def audio_seconds(self) -> float:
@@ -48,7 +54,11 @@ class PreviewSource:
         return len(self.samples) / self.sample_rate if self.sample_rate else 0.0
 
 
-def load_source(source: Path | str, audio: Path | str | None = None) -> PreviewSource:
+def load_source(
+    source: Path | str,
+    audio: Path | str | None = None,
+    phones: Path | str | None = None,
+) -> PreviewSource:
     """Read a take folder, or a file of curves with its recording.
 
     Parameters
@@ -57,23 +67,27 @@ def load_source(source: Path | str, audio: Path | str | None = None) -> PreviewS
         Folder written by ``deitalk animate``, or a curve file of any known format.
     audio : Path or str, optional
         The recording; a take folder brings its own.
+    phones : Path or str, optional
+        Table ``start,end,phone`` in seconds; a take folder may bring a ``phones.csv``.
 
     Raises
     ------
     PreviewError
         If something is missing, the recording is longer than the curves, or either is too long.
+    DataError
+        If the phones cannot be read.
     """
     source = Path(source)
     if not source.exists():
         raise PreviewError(f"{source} is not there; name a take folder or a file of curves")
     if source.is_dir():
-        return _load_take(source, audio)
+        return _load_take(source, audio, phones)
     curves = _on_the_board(read_curves(source))
     samples, rate = (np.zeros(0, np.float32), 0) if audio is None else _read_audio(Path(audio))
-    return _checked(PreviewSource(source.stem, curves, samples, rate))
+    return _checked(PreviewSource(source.stem, curves, samples, rate, None, _read_phones(phones)))
 
 
-def _load_take(folder: Path, audio: Path | str | None) -> PreviewSource:
+def _load_take(folder: Path, audio: Path | str | None, phones: Path | str | None) -> PreviewSource:
     path = folder / "curves.json"
     if not path.is_file():
         raise PreviewError(f"{folder} has no curves.json; name a folder that deitalk animate wrote")
@@ -88,7 +102,18 @@ def _load_take(folder: Path, audio: Path | str | None) -> PreviewSource:
                 f"neutral.npz has {len(neutral)} frames and curves.json {len(curves)}; "
                 "write the take again"
             )
-    return _checked(PreviewSource(folder.name, curves, samples, rate, neutral))
+    if phones is None and (folder / "phones.csv").is_file():
+        phones = folder / "phones.csv"
+    known = _read_phones(phones)
+    return _checked(PreviewSource(folder.name, curves, samples, rate, neutral, known))
+
+
+def _read_phones(path: Path | str | None) -> Phones:
+    if path is None:
+        return ()
+    if not Path(path).is_file():
+        raise PreviewError(f"phones {path} are not there; name a CSV with start, end and phone")
+    return tuple(read_phones(Path(path)))
 
 
 def _on_the_board(curves: RigCurves) -> RigCurves:

@@ -23,7 +23,7 @@ _SIDED: dict[str, tuple[tuple[Effect, ...], tuple[Effect, ...]]] = {
     "eye_blink.ty": ((("lid.close_", 1),), (("lid.widen_", 1),)),
     "eye_lidPress.ty": ((("lidPress_", 1), ("lid.upper_", 0.22), ("lid.lower_", 0.30)), ()),
     "eye_squintInner.ty": ((("squintInner_", 1), ("lid.lower_", 0.32), ("lid.upper_", 0.12)), ()),
-    "eye_cheekRaise.ty": ((("cheekRaise_", 1), ("lid.lower_", 0.24)), ()),
+    "eye_cheekRaise.ty": ((("cheekRaise_", 1), ("lid.lower_", 0.36)), ()),
     "eye_faceScrunch.ty": ((("scrunch_", 1), ("lid.lower_", 0.36), ("lid.upper_", 0.40)), ()),
     "eye_eyelidU.ty": ((("lid.upper_", 0.38),), (("lid.upperUp_", 1),)),
     "eye_eyelidD.ty": ((("lid.lower_", 0.34),), (("lid.lowerDown_", 1),)),

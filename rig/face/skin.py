@@ -63,6 +63,12 @@ class Skin:
         chosen = np.flatnonzero((self.kind == kind) & (self.ring == ring))
         return chosen[np.argsort(self.slot[chosen])]
 
+    def lip_rims(self) -> tuple[Index, Index]:
+        """Opposing vertices of the upper and the lower lip's rim, from corner to corner."""
+        rim = self.loop(MOUTH, 0)
+        upper = np.arange(1, len(rim) // 2)
+        return rim[upper], rim[len(rim) - upper]
+
 
 def build_skin(identity: Identity) -> Skin:
     """Make the neutral skin of one identity."""

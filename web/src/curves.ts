@@ -41,14 +41,16 @@ export class CurveLanes {
       const c = this.controls.indexOf(name);
       return frames.map((f) => f[c]);
     });
+    const lowest = Math.min(0, ...data.flat());
     const color = getComputedStyle(document.body).color;
     const axis = { stroke: color, grid: { stroke: "#8883", width: 1 } };
     this.chart = new uPlot(
       {
         width: this.box.clientWidth || 300,
         height: 170,
-        scales: { x: { time: false }, y: { range: [-1.02, 1.02] } },
-        axes: [axis, { ...axis, size: 34 }],
+        padding: [8, 0, 0, 0],
+        scales: { x: { time: false, range: [0, this.take.seconds] }, y: { range: [lowest - 0.03, 1.03] } },
+        axes: [axis, { ...axis, size: 0, ticks: { show: false }, values: () => [] }],
         series: [
           { label: "s" },
           ...this.names.map((name, k) => ({

@@ -28,6 +28,8 @@ export class Take {
   readonly muted = new Set<string>();
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
+  /** Found by Python, which knows phones and loudness. */
+  private readonly known: Warning[];
 
   constructor(packed: Packed, private readonly board: Record<string, any>) {
     const { facts, arrays } = packed;
@@ -36,6 +38,7 @@ export class Take {
     this.frames = facts.frames;
     this.seconds = facts.frames / facts.fps;
     this.emotions = facts.emotions;
+    this.known = facts.warnings;
     this.values = arrays.values as Float32Array;
     this.neutral = arrays.neutral as Float32Array | undefined;
     this.emotion = arrays.emotion as Float32Array | undefined;
@@ -117,7 +120,7 @@ export class Take {
 
   /** What a reviewer should look at: values at their limit for long, jitter, lengths that differ. */
   warnings(audioSeconds: number): Warning[] {
-    const found: Warning[] = [];
+    const found: Warning[] = [...this.known];
     const n = this.board.controls.length;
     if (audioSeconds && Math.abs(audioSeconds - this.seconds) > 0.1) {
       found.push({ time: 0, text: `curves last ${this.seconds.toFixed(2)} s, the recording ${audioSeconds.toFixed(2)} s` });

@@ -1,0 +1,96 @@
+"""What a reviewer should look at, of things that the sound or its phones tell.
+
+Values at their limits, jitter and lengths are found by the page itself (`web/src/take.ts`).
+Letters: T frames, V vertices.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio import SAMPLE_RATE
+from deitalk.data import check
+from deitalk.preview.source import PreviewSource
+from rig.face import Head, build_head
+
+OPEN_CM = 0.1
+"""A bilabial whose lips stay further apart than this anywhere along the rims reads as open."""
+MOST_LAG_FRAMES = 2.0
+
+
+class Finding(NamedTuple):
+    """One warning: when, and what."""
+
+    time: float
+    """Seconds."""
+    text: str
+
+
+def find_warnings(source: PreviewSource) -> list[Finding]:
+    """Bilabials that do not close, and curves that are early or late, in order of time."""
+    return sorted([*offset_warnings(source), *bilabial_warnings(source)])
+
+
+def offset_warnings(source: PreviewSource) -> list[Finding]:
+    """Say so if the jaw follows the loudness best more than two frames early or late.
+
+    The measure is that of ``deitalk data check``. One recording is a small sample, so the better
+    lag must also gain `check.CLEARLY` of correlation. Recordings under 2 s are not judged.
+    """
+    if not source.sample_rate:
+        return []
+    samples = _at_16_khz(source.samples, source.sample_rate)
+    jaw = check._jaw(source.curves, 0.0, len(samples) / SAMPLE_RATE)
+    lags = check._correlations(check.loudness(samples), jaw)
+    if not np.isfinite(lags).all():
+        return []
+    best, middle = int(lags.argmax()), len(lags) // 2
+    seconds = (best - middle) / check.RATE
+    if abs(seconds) * source.curves.fps <= MOST_LAG_FRAMES or (
+        lags[best] - lags[middle] < check.CLEARLY
+    ):
+        return []
+    early_or_late = "late" if seconds > 0 else "early"
+    text = f"curves come {abs(seconds) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
+    return [Finding(0.0, text)]
+
+
+def bilabial_warnings(source: PreviewSource) -> list[Finding]:
+    """Every m, b or p during which the embedded head's lips never meet; needs phones."""
+    if not source.phones:
+        return []
+    from deitalk.closures import BILABIAL, WIDEN_FRAMES
+
+    fps, found = source.curves.fps, []
+    head = build_head(0)
+    for start, end, name in source.phones:
+        phone = name.upper().rstrip("012")
+        if phone not in BILABIAL:
+            continue
+        first = max(int(np.floor(start * fps)) - WIDEN_FRAMES, 0)
+        frames = source.curves.values[first : int(np.ceil(end * fps)) + WIDEN_FRAMES + 1]
+        if not len(frames):
+            continue
+        gap = float(lip_gaps(head, frames).min())
+        if gap > OPEN_CM:
+            text = f"{phone.lower()} does not close: {gap * 10:.1f} mm between the lips"
+            found.append(Finding(float(start), text))
+    return found
+
+
+def lip_gaps(head: Head, values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Widest distance between the rims of the lips (T,), cm, of control values (T, 185)."""
+    upper, lower = head.features.lip_rims()
+    skin = head.pose(values)[:, head.slices["skin"]].astype(np.float64)
+    gaps: NDArray[np.float64] = np.linalg.norm(skin[:, lower] - skin[:, upper], axis=-1).max(1)
+    return gaps
+
+
+def _at_16_khz(samples: NDArray[np.float32], rate: int) -> NDArray[np.float32]:
+    import soxr
+
+    if rate == SAMPLE_RATE:
+        return samples
+    resampled: NDArray[np.float32] = soxr.resample(samples, rate, SAMPLE_RATE)
+    return resampled
