@@ -1,0 +1,84 @@
+"""Is the face the one asked for? A rule in action units, and how far the lips go.
+
+The rule reads the curves alone, as a FACS coder would (prototypes of EMFACS; Ekman, Friesen and
+Hager 2002), on means over the frames with speech:
+
+- happy: AU12 + AU6: mean of corner pull and cheek raise
+- sad: AU1 + AU15 + AU17 without AU2: mean of inner brow raise, corner depress and chin raise,
+  less the outer brow raise
+- angry: AU4 + AU7 + AU23: mean of brow down, inner squint and lip tightening
+- surprised: AU1 + AU2 + AU5: mean of inner and outer brow raise and the lids' widening
+
+The highest wins; below `FAINT` the face is neutral. Letters: T frames, C controls.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import ControlSet
+
+Floats = NDArray[np.float32]
+FAINT = 0.1
+"""A style seen less than this (control units) is no expression."""
+
+RULE: dict[str, tuple[tuple[str, float], ...]] = {
+    "happy": (("mouth_cornerPull.ty", 0.5), ("eye_cheekRaise.ty", 0.5)),
+    "sad": (
+        ("brow_raiseIn.ty", 1 / 3), ("mouth_cornerDepress.ty", 1 / 3), ("jaw_ChinRaiseD.ty", 1 / 3),
+        ("brow_raiseOut.ty", -1.0),
+    ),
+    "angry": (
+        ("brow_down.ty", 1 / 3), ("eye_squintInner.ty", 1 / 3), ("mouth_tightenU.ty", 1 / 6),
+        ("mouth_tightenD.ty", 1 / 6),
+    ),
+    "surprised": (
+        ("brow_raiseIn.ty", 1 / 3), ("brow_raiseOut.ty", 1 / 3), ("eye_blink.ty", -1 / 3),
+    ),
+}  # fmt: skip
+"""Controls of both sides and their weight."""
+
+
+def style_scores(curves: Floats, speaking: NDArray[np.bool_], controls: ControlSet) -> Floats:
+    """How much of happy, sad, angry and surprised a face shows [shape=(4,)]."""
+    rows = curves[speaking] if speaking.any() else curves
+    face = rows.mean(axis=0) - controls.rest
+    scores = [
+        sum(weight * _sides(face, name, controls) for name, weight in rule)
+        for rule in RULE.values()
+    ]
+    return np.array(scores, np.float32)
+
+
+def _sides(face: Floats, name: str, controls: ControlSet) -> float:
+    left, right = (face[controls.index(f"CTRL_{side}_{name}")] for side in "LR")
+    return float(left + right) / 2
+
+
+def recognise(curves: Floats, speaking: NDArray[np.bool_], controls: ControlSet) -> str:
+    """The emotion a coder would name.
+
+    Parameters
+    ----------
+    curves : ndarray [shape=(T, C)]
+        Without blinks.
+    speaking : ndarray of bool [shape=(T,)]
+        Frames to look at; all of them if there is none.
+    controls : ControlSet
+        What the columns are.
+    """
+    scores = style_scores(curves, speaking, controls)
+    best = int(scores.argmax())
+    return list(RULE)[best] if scores[best] >= FAINT else "neutral"
+
+
+def face_distance(first: Floats, second: Floats) -> float:
+    """Euclidean distance over the controls, averaged over frames: control units."""
+    return float(np.sqrt(np.square(first - second).sum(axis=1)).mean())
+
+
+def lip_range(opening: Floats, speaking: NDArray[np.bool_]) -> float:
+    """From the 5th to the 95th percentile of the mouth's opening while somebody speaks."""
+    if not speaking.any():
+        return float("nan")
+    low, high = np.percentile(opening[speaking], (5, 95))
+    return float(high - low)

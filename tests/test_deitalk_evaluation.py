@@ -1,0 +1,198 @@
+"""Measures of the evaluation on curves made by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataset import waveform
+
+from deitalk.activity import active_level_db
+from deitalk.audio import Recording
+from deitalk.corpus.acting import style_poses
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
+from deitalk.evaluation.faces import face_distance, lip_range, recognise
+from deitalk.evaluation.liveliness import (
+    constant,
+    halves,
+    level_curve,
+    modified,
+    spearman,
+    wandering,
+)
+from deitalk.evaluation.motion import captured_smoothness, smoothness
+from deitalk.evaluation.noise import mix, pink_noise, read_noises
+from deitalk.evaluation.phones import (
+    BITE,
+    CLOSURE,
+    ROUNDING,
+    gesture_curve,
+    gesture_peaks,
+    global_lag_ms,
+    jaw_in_contact,
+    lag_scores,
+    phone_table,
+)
+from rig import RigCurves, default_controls, write_curves
+
+CONTROLS = default_controls()
+PHONES = [(0.0, 1.0, "SIL"), (1.0, 1.1, "M"), (1.1, 1.12, "IY"), (1.3, 1.5, "AA"), (1.8, 1.9, "F")]
+
+
+def recording(seed: int = 0) -> Recording:
+    return Recording(waveform(seed), "test", 16_000, 1, 0.0)
+
+
+def test_a_closure_two_frames_early_counts_and_three_frames_early_does_not():
+    for early, found in ((2, 1.0), (3, 0.0)):
+        curve = np.zeros(90, np.float32)
+        curve[30 - early] = 1
+        assert gesture_peaks(curve, PHONES, CLOSURE)["M"] == [found]
+
+
+def test_vowels_beside_a_closure_are_no_counter_examples():
+    curve = np.zeros(90, np.float32)
+    curve[33] = 0.7  # 1.1 s: IY, beside M
+    curve[42] = 0.3  # 1.4 s: AA, clear
+    assert gesture_peaks(curve, PHONES, CLOSURE)["-"] == pytest.approx([0.3])
+
+
+def test_phone_table_counts_hits_over_the_alarm_level():
+    collected = [{"P": [0.9, 0.1], "-": [0.2] * 10}, {"M": [0.5], "-": [0.2] * 10}]
+    table = phone_table(collected, CLOSURE)
+    assert table["P"] == {"n": 2, "hits": 0.5, "auc": 0.5}
+    assert table["M"]["hits"] == 1
+    assert table["B"]["n"] == 0
+    assert np.isnan(table["B"]["hits"])
+
+
+@pytest.mark.parametrize(
+    ("gesture", "name", "n"),
+    [(CLOSURE, "lipsTogetherU", 4), (BITE, "lipBiteD", 2), (ROUNDING, "purseU", 8)],
+)
+def test_gestures_average_their_controls(gesture, name, n):
+    curves = np.zeros((3, len(CONTROLS.names)), np.float32)
+    curves[1, CONTROLS.index(f"CTRL_L_mouth_{name}.ty")] = 1
+    np.testing.assert_allclose(gesture_curve(curves, CONTROLS, gesture), [0, 1 / n, 0])
+
+
+def test_jaw_in_contact_looks_at_held_lips_only():
+    lips, jaw = np.array([0, 0.95, 1.0]), np.array([1, 0.2, 0.4])
+    assert jaw_in_contact(lips, jaw) == pytest.approx(0.3)
+    assert np.isnan(jaw_in_contact(lips * 0.5, jaw))
+
+
+@pytest.mark.parametrize("late_ms", [-50.0, 0.0, 17.0, 100.0])
+def test_lag_between_frames(late_ms):
+    times = np.arange(300) / 30
+    target = np.sin(2 * np.pi * 1.3 * times)
+    predicted = np.sin(2 * np.pi * 1.3 * (times - late_ms / 1000))
+    assert global_lag_ms([lag_scores(target, predicted)]) == pytest.approx(late_ms, abs=2)
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS)
+def test_rule_names_the_prototypes_and_half_of_them(emotion):
+    pose = style_poses(CONTROLS)[EMOTIONS.index(emotion)].astype(np.float32)
+    speaking = np.array([True, True, False])
+    for strength in (0.5, 1.0):
+        curves = np.tile(CONTROLS.rest + strength * pose, (3, 1))
+        curves[2] = CONTROLS.rest
+        assert recognise(curves, speaking, CONTROLS) == emotion
+
+
+def test_a_trace_of_a_smile_is_neutral_and_a_grin_is_not():
+    curves = np.tile(CONTROLS.rest, (2, 1))
+    for size, name in ((0.09, "neutral"), (0.5, "happy")):
+        for side in "LR":
+            curves[:, CONTROLS.index(f"CTRL_{side}_mouth_cornerPull.ty")] = size
+            curves[:, CONTROLS.index(f"CTRL_{side}_eye_cheekRaise.ty")] = size
+        assert recognise(curves, np.zeros(2, bool), CONTROLS) == name
+
+
+def test_distance_and_range():
+    a, b = np.zeros((2, 4), np.float32), np.zeros((2, 4), np.float32)
+    b[0, :2] = 3, 4
+    assert face_distance(a, b) == 2.5
+    opening = np.linspace(0, 1, 101, dtype=np.float32)
+    speaking = np.ones(101, bool)
+    assert lip_range(opening, speaking) == pytest.approx(0.9)
+    assert lip_range(opening, opening < 0.5) < 0.46
+    assert np.isnan(lip_range(opening, ~speaking))
+
+
+def test_spearman_looks_within_speech():
+    label = np.arange(40.0)
+    heard = np.concatenate((np.arange(20.0) ** 3, np.zeros(20)))
+    within = np.arange(40) < 20
+    assert spearman(label, heard, within) == pytest.approx(1)
+    assert spearman(label, -heard, within) == pytest.approx(-1)
+    assert np.isnan(spearman(label, heard, np.arange(40) >= 20))
+
+
+def test_level_curve_follows_a_step_of_20_db():
+    tone = np.sin(2 * np.pi * 200 * np.arange(64_000) / 16_000).astype(np.float32) * 0.3
+    tone[32_000:] *= 0.1
+    level = level_curve(tone, 120)
+    assert level[20] - level[100] == pytest.approx(20, abs=0.1)
+
+
+def test_modified_halves_say_where_they_are():
+    take, z = modified(recording(), halves(1.0, 3.0))
+    assert len(z) == take.n_frames
+    assert z[5] == pytest.approx(1)
+    assert z[-5] == pytest.approx(-1)
+    livelier, _ = modified(recording(), constant(1.0, 3.0))
+    duller, _ = modified(recording(), constant(-1.0, 3.0))
+    assert active_level_db(livelier.waveform) > active_level_db(duller.waveform) + 8
+    assert livelier.duration < duller.duration
+
+
+def test_wandering_is_the_same_for_one_seed():
+    first, z = wandering(recording(), 3)
+    np.testing.assert_array_equal(first.waveform, wandering(recording(), 3)[0].waveform)
+    assert np.ptp(z) > 0.1
+
+
+def test_smoothness_of_a_ramp_and_of_a_tremble():
+    times = np.arange(90) / 30
+    sine = np.sin(2 * np.pi * times)[:, None].astype(np.float32)
+    still = np.zeros((90, 1), np.float32)
+    measured = smoothness(np.hstack((sine, still)))
+    # third over first derivative of sin(w t) is w squared, a little less on a grid
+    assert measured["jerk_per_speed"] == pytest.approx((2 * np.pi) ** 2, rel=0.05)
+    step = sine.copy()
+    step[45:] += 1
+    assert smoothness(step)["largest_step"] == pytest.approx(1, abs=0.25)
+    assert smoothness(step)["jerk_per_speed"] > 5 * measured["jerk_per_speed"]
+    assert smoothness(still) == {}
+
+
+def test_captured_curves_are_measured_or_refused(tmp_path: Path):
+    values = np.zeros((90, len(CONTROLS.names)), np.float32)
+    values[:, CONTROLS.index("CTRL_C_jaw.ty")] = 0.5 + 0.5 * np.sin(np.arange(90) / 5)
+    write_curves(tmp_path / "a.csv", RigCurves(values, CONTROLS.names, fps=30))
+    assert captured_smoothness(tmp_path / "a.csv", CONTROLS)["largest_step"] < 0.11
+    write_curves(tmp_path / "b.csv", RigCurves(values * 0, CONTROLS.names, fps=30))
+    with pytest.raises(DataError, match="no control of .* moves"):
+        captured_smoothness(tmp_path / "b.csv", CONTROLS)
+
+
+@pytest.mark.parametrize("snr_db", [20.0, 0.0])
+def test_noise_is_as_far_below_the_speech_as_asked(snr_db):
+    speech = waveform(0)
+    noise = mix(speech, pink_noise(16_000), snr_db) - speech
+    level = 10 * np.log10(np.square(noise, dtype=np.float64).mean())
+    assert active_level_db(speech) - level == pytest.approx(snr_db, abs=0.2)
+
+
+def test_pink_noise_falls_3_db_an_octave():
+    power = np.abs(np.fft.rfft(pink_noise(160_000))) ** 2
+    octaves = [10 * np.log10(power[1000 * 2**k : 2000 * 2**k].mean()) for k in range(4)]
+    np.testing.assert_allclose(np.diff(octaves), -3, atol=0.4)
+
+
+def test_noise_comes_from_a_folder_with_recordings(tmp_path: Path):
+    with pytest.raises(DataError, match="neither a folder"):
+        read_noises(str(tmp_path / "absent"))
+    with pytest.raises(DataError, match="holds no"):
+        read_noises(str(tmp_path))
