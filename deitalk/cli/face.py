@@ -81,3 +81,34 @@ def identities(
             raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
         write_png(out, draw_people())
         words().print(f"{out}: {len(IDENTITIES)} heads")
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Option("--out", "-o", help="GLB file to write.")] = Path("head.glb"),
+    identity: Annotated[
+        str, typer.Option(help="Number or name; see `deitalk face identities`.")
+    ] = "0",
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write the head with ARKit's 52 shapes and correctives, as sparse morph targets.
+
+    Examples
+    --------
+    deitalk face export -o head.glb
+
+    deitalk face export --identity Dana -o dana.glb
+    """
+    from rig.face import build_head
+    from rig.face.export import CORRECTIVES, write_head
+
+    if out.suffix.lower() != ".glb":
+        raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")
+    if out.exists() and not force:
+        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    head = build_head(int(identity) if identity.lstrip("-").isdigit() else identity)
+    names = write_head(out, head).names
+    words().print(
+        f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "
+        f"and {len(CORRECTIVES)} correctives"
+    )
