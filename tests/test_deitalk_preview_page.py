@@ -14,6 +14,7 @@ import pytest
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
 from deitalk.preview import page as page_module
+from deitalk.preview.checks import bilabial_warnings
 from deitalk.preview.pack import pack
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewError, PreviewSource
@@ -49,7 +50,8 @@ def make_source(title: str = "take", frames: int = 90) -> PreviewSource:
     emotion[:, 2] = 1
     curves = RigCurves(values, CONTROLS.names, 30.0, emotion, intensity)
     sound = (0.2 * rng.standard_normal(frames * RATE // 30)).astype(np.float32)
-    return PreviewSource(title, curves, sound, RATE, neutral.astype(np.float32))
+    said = ((0.0, 0.06, "B"),)  # over an open vowel
+    return PreviewSource(title, curves, sound, RATE, neutral.astype(np.float32), said)
 
 
 def test_pack_keeps_arrays_and_facts():
@@ -144,7 +146,7 @@ def browser():
     if not page_module.BUNDLE.is_file():
         pytest.skip("needs the built player: npm install && npm run build in web/")
     flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
-             "--autoplay-policy=no-user-gesture-required"]  # fmt: skip
+             "--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"]  # fmt: skip
     with sync_api.sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=program, args=flags)
         yield launched
@@ -177,14 +179,12 @@ def shown_vertices(page) -> np.ndarray:
     return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
 
 
-@pytest.mark.slow
 def test_page_opens_offline_without_a_complaint(page):
     page.wait_for_timeout(300)
     assert page.complaints == []
     assert page.inner_text("#title") == "first"
 
 
-@pytest.mark.slow
 def test_the_pages_rig_is_pythons_rig(page):
     head, rng = build_head(0), np.random.default_rng(11)
     full = CONTROLS.minimum + (CONTROLS.maximum - CONTROLS.minimum) * rng.random((6, 185))
@@ -194,24 +194,28 @@ def test_the_pages_rig_is_pythons_rig(page):
         assert np.abs(np.array(posed).reshape(-1, 3) - expected).max() < 0.01  # 0.1 mm
 
 
-@pytest.mark.slow
 def test_shown_frame_agrees_with_the_audio_clock(page):
-    page.click("#play")
-    late = []
-    for _ in range(6):
-        page.wait_for_timeout(250)
-        late.append(
-            page.evaluate(
-                """() => new Promise(done => requestAnimationFrame(() => setTimeout(() => {
-                     const s = deitalk.page.state(); done(s.time - s.shown); }, 0)))"""
+    medians = []
+    for _ in range(3):  # a busy machine may delay one play; a wrong clock is late in all
+        page.evaluate("deitalk.page.seek(0)")
+        page.click("#play")
+        late = []
+        for _ in range(6):
+            page.wait_for_timeout(200)
+            late.append(
+                page.evaluate(
+                    """() => new Promise(done => requestAnimationFrame(() => setTimeout(() => {
+                         const s = deitalk.page.state(); done(s.time - s.shown); }, 0)))"""
+                )
             )
-        )
-    assert page.evaluate("deitalk.page.state().time") > 1.0  # it does play
-    assert np.median(np.abs(late)) <= 0.017
-    page.click("#play")
+        assert page.evaluate("deitalk.page.state().time") > 1.0  # it does play
+        page.click("#play")
+        medians.append(float(np.median(np.abs(late))))
+        if medians[-1] <= 0.017:
+            break
+    assert min(medians) <= 0.017
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.4, 1.1, 2.5])
 def test_seeking_shows_the_curves_of_that_time(page, seconds):
     source, head = make_source("first"), build_head(0)
@@ -224,7 +228,6 @@ def test_seeking_shows_the_curves_of_that_time(page, seconds):
     assert np.abs(shown_vertices(page) - head.pose(mixed)).max() < 0.02
 
 
-@pytest.mark.slow
 def test_dragging_intensity_changes_the_face_and_saves(page, tmp_path):
     page.evaluate("deitalk.page.seek(1)")
     page.wait_for_timeout(200)
@@ -257,7 +260,6 @@ def test_intensity_zero_is_the_neutral_reading(page):
     assert np.abs(shown_vertices(page) - head.pose(source.neutral[30])).max() < 0.02
 
 
-@pytest.mark.slow
 def test_muting_a_region_rests_it(page):
     page.evaluate("deitalk.page.seek(1)")
     page.click("#regions button:has-text('mouth')")
@@ -266,7 +268,14 @@ def test_muting_a_region_rests_it(page):
     assert np.abs(shown_vertices(page) - build_head(0).pose(values)).max() < 0.02
 
 
-@pytest.mark.slow
+def test_warnings_of_python_stand_in_the_lane_and_lead_there(page):
+    (found,) = bilabial_warnings(make_source())
+    assert found.text in page.inner_text("#warnings")
+    page.evaluate("deitalk.page.seek(2)")
+    page.click(f"#warnings li:has-text('{found.text}') button")
+    assert page.evaluate("deitalk.page.state().time") == pytest.approx(found.time, abs=0.02)
+
+
 def test_keys_step_and_turn(page):
     page.keyboard.press(".")
     assert page.evaluate("deitalk.page.state().frame") == 1
@@ -275,14 +284,12 @@ def test_keys_step_and_turn(page):
     assert page.is_visible("#help")
 
 
-@pytest.mark.slow
 def test_a_control_can_be_added_by_name(page):
     page.fill("#search", "CTRL_C_tongue_inOut.ty")
     page.press("#search", "Enter")
     assert "C_tongue_inOut.ty" in page.inner_text("#curves")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_narrow_page_does_not_scroll_sideways(browser, page_file, scheme):
     context = browser.new_context(
@@ -296,10 +303,13 @@ def test_narrow_page_does_not_scroll_sideways(browser, page_file, scheme):
     context.close()
 
 
-@pytest.mark.slow
-def test_page_is_small_and_fast_enough(page, page_file):
+def test_page_is_small(page_file):
     text = (page_file / "one.html").read_text()
     assert (len(text) - len(block(text, "audio-0"))) / 1e6 <= 4
+
+
+@pytest.mark.slow
+def test_page_is_fast_enough_without_a_gpu(page):
     speeds = [
         page.evaluate(
             """() => new Promise(done => { let n = 0; const t = performance.now();
