@@ -1,0 +1,127 @@
+"""Where SDFA listens: attention over vowels and over plosives (SDFA §5.2.3, Fig. 9).
+
+The paper shows one vowel with even weights and one /b/ with all weight on its centre. Here every
+vowel and plosive of a recording is averaged, with a number for how even the weights are.
+
+Letters: T frames, L spectra of a window.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.closures import VOWELS
+from deitalk.errors import DataError, MissingError
+from rig.files import atomic_write
+
+PLOSIVES = frozenset("P B T D K G".split())
+
+Floats = NDArray[np.float32]
+Phones = Sequence[tuple[float, float, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class AttentionMap:
+    """Attention of the frames at the middle of one kind of phone.
+
+    Parameters
+    ----------
+    rows : array [shape=(K, L)]
+        A row a phone; each sums to 1.
+    phones : tuple of str
+        Their names.
+    """
+
+    rows: Floats
+    phones: tuple[str, ...]
+
+    @property
+    def mean(self) -> Floats:
+        """Mean row [shape=(L,)]."""
+        return np.asarray(self.rows.mean(axis=0), dtype=np.float32)
+
+    @property
+    def evenness(self) -> float:
+        """Mean entropy of a row over that of even weights: 1 flat, 0 all on one spectrum."""
+        safe = np.maximum(self.rows.astype(np.float64), 1e-12)
+        entropy = -(safe * np.log(safe)).sum(axis=1)
+        return float(entropy.mean() / np.log(self.rows.shape[1]))
+
+
+def attention_maps(
+    weights: Floats, phones: Phones, fps: float
+) -> tuple[AttentionMap, AttentionMap]:
+    """Rows at the middle of every vowel and of every plosive.
+
+    Parameters
+    ----------
+    weights : array [shape=(T, L)]
+        From `deitalk.sdfa.SDFA.attention_weights`.
+    phones : sequence of (start, end, phone)
+        Seconds and ARPABET names, stress digits ignored.
+    fps : float
+        Frames per second of `weights`.
+
+    Returns
+    -------
+    vowels, plosives : AttentionMap
+
+    Raises
+    ------
+    DataError
+        If the recording holds none of either.
+    """
+    maps = []
+    for kind, names in (("vowel", VOWELS), ("plosive", PLOSIVES)):
+        found = [(s, e, p.rstrip("012")) for s, e, p in phones if p.rstrip("012") in names]
+        places = [min(round((s + e) / 2 * fps), len(weights) - 1) for s, e, _ in found]
+        if not places:
+            raise DataError(f"the phones hold no {kind}; choose a longer recording")
+        maps.append(AttentionMap(weights[places], tuple(phone for *_, phone in found)))
+    return maps[0], maps[1]
+
+
+def plot_attention(
+    vowels: AttentionMap, plosives: AttentionMap, frame_rate: float, path: Path
+) -> None:
+    """Draw both kinds: a row of colour a phone, and the means below.
+
+    Parameters
+    ----------
+    vowels, plosives : AttentionMap
+        From `attention_maps`.
+    frame_rate : float
+        Spectra per second, for the axis.
+    path : Path
+        .png, .svg or .pdf.
+
+    Raises
+    ------
+    MissingError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
+    n_spectra = vowels.rows.shape[1]
+    times = (np.arange(n_spectra) - n_spectra // 2) / frame_rate * 1000
+    largest = max(float(kind.rows.max()) for kind in (vowels, plosives))
+    for column, (name, kind) in zip(
+        axes.T, (("vowels", vowels), ("plosives", plosives)), strict=True
+    ):
+        extent = (float(times[0]), float(times[-1]), len(kind.rows), 0)
+        column[0].imshow(kind.rows, aspect="auto", extent=extent, vmin=0, vmax=largest)
+        column[0].set_title(f"{name}: {len(kind.rows)}, evenness {kind.evenness:.2f}")
+        column[0].set_yticks(np.arange(len(kind.phones)) + 0.5, kind.phones, fontsize=6)
+        column[1].plot(times, kind.mean)
+        column[1].axhline(1 / n_spectra, color="0.7", lw=1)
+        column[1].set_ylim(0, largest)
+        column[1].set_xlabel("ms from the frame")
+    with atomic_write(path) as beside:
+        figure.savefig(beside, dpi=90)
