@@ -11,32 +11,37 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from deitalk.activity import speech_activity
-from deitalk.animate import Performance, animate
-from deitalk.audio import Recording, load_audio
-from deitalk.closures import (
-    ClosureScores,
-    Phones,
-    best_lag,
-    closure_scores,
-    held_closures,
-    summarise_closures,
-)
-from deitalk.data.folder import Clip, read_clips, read_phones
-from deitalk.development import ARTICULATION, lips_together, load_example
-from deitalk.emotions import EMOTIONS
+from deitalk.animate import animate
+from deitalk.audio import load_audio
+from deitalk.closures import ClosureScores, closure_scores, held_closures, summarise_closures
+from deitalk.data.folder import Clip, read_clips
+from deitalk.development import ARTICULATION, Example, lips_together, load_example
 from deitalk.errors import DataError
+from deitalk.evaluation.motion import captured_smoothness, smoothness
+from deitalk.evaluation.noise import read_noises
+from deitalk.evaluation.opening import JAW, mouth_opening, opening_in_silence
+from deitalk.evaluation.phones import (
+    GESTURES,
+    Peaks,
+    gesture_curve,
+    gesture_peaks,
+    global_lag_ms,
+    jaw_in_contact,
+    lag_scores,
+    phone_table,
+)
+from deitalk.evaluation.probes import emotion_report, follow, lively_report, noise_report
+from deitalk.evaluation.report import as_markdown
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models import DEITalk
-from rig import ControlSet
+
+__all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 
 Floats = NDArray[np.float32]
-JAW = "CTRL_C_jaw.ty"
-OPENING = (JAW, "CTRL_L_mouth_upperLipRaise.ty", "CTRL_R_mouth_upperLipRaise.ty",
-           "CTRL_L_mouth_lowerLipDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty")  # fmt: skip
-"""Mean of these is the mouth's opening."""
+PROBES = 6
 
 
 def loudness(waveform: Floats, n_frames: int) -> Floats:
@@ -50,12 +55,6 @@ def loudness(waveform: Floats, n_frames: int) -> Floats:
     return scaled
 
 
-def mouth_opening(curves: Floats, controls: ControlSet) -> Floats:
-    """Mean of jaw, upper-lip and lower-lip opening [shape=(T,)]."""
-    mean: Floats = curves[:, [controls.index(name) for name in OPENING]].mean(axis=1)
-    return mean
-
-
 class Tally:
     """What is collected clip by clip, for one group of clips."""
 
@@ -64,13 +63,17 @@ class Tally:
         self.closures: list[ClosureScores] = []
         self.baseline: list[ClosureScores] = []
         self.held: list[bool] = []
+        self.lags: dict[str, list[NDArray[np.float64]]] = {"jaw": [], "lips": []}
+        self.peaks: dict[str, list[Peaks]] = {name: [] for name in GESTURES}
 
     def summary(self) -> dict[str, Any]:
         """Means over clips, and pooled closures."""
         names = sorted({name for row in self.rows for name in row})
         out: dict[str, Any] = {"clips": len(self.rows)}
         for name in names:
-            values = np.array([row[name] for row in self.rows if np.isfinite(row.get(name, np.nan))])
+            values = np.array(
+                [row[name] for row in self.rows if np.isfinite(row.get(name, np.nan))]
+            )
             out[name] = float(values.mean()) if len(values) else float("nan")
         found = summarise_closures(self.closures, self.held)
         baseline = summarise_closures(self.baseline)
@@ -82,7 +85,13 @@ class Tally:
             "bilabials": found.n_closures,
             "vowels": found.n_vowels,
             "loudness_bilabial_window_auc": baseline.window_auc,
+            "jaw_lag_ms": global_lag_ms(self.lags["jaw"]),
+            "lips_lag_ms": global_lag_ms(self.lags["lips"]),
         }
+
+    def phones(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Per gesture and phone: number, hits and AUC."""
+        return {name: phone_table(self.peaks[name], g) for name, g in GESTURES.items()}
 
 
 def evaluate(
@@ -91,6 +100,9 @@ def evaluate(
     *,
     split: str = "test",
     most: int | None = None,
+    probes: int = PROBES,
+    noise: str | None = None,
+    captured: Path | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Any]:
     """Score a model.
@@ -98,45 +110,100 @@ def evaluate(
     Parameters
     ----------
     model : DEITalk
+        In evaluation mode.
     data : Path
         Dataset folder.
     split : str
         ``validation`` for choices, ``test`` once.
     most : int or None
         At most so many recordings of every source, evenly spread.
+    probes : int
+        Of these, so many of every English source are animated in all emotions and modified.
+    noise : str or None
+        Also in noise: a folder of recordings, or ``pink``.
+    captured : Path or None
+        Captured curves whose smoothness is shown beside ours.
     progress : callable
         Told the share done.
 
     Returns
     -------
     dict
-        ``groups``: scores per source (speakers' prefix); ``emotions``: separation of the five
-        emotions on the first recordings; the sets LPE and EPE used.
+        ``groups``: scores per source (speakers' prefix), languages but English apart;
+        ``phones``: per group, gesture and phone; ``emotions``, ``lively``, ``noise``: the
+        experiments of `deitalk.evaluation.probes`; the sets LPE and EPE used.
+
+    Raises
+    ------
+    DataError
+        If the split is empty, or there is no such noise.
     """
-    clips = _one_per_recording(read_clips(data, split))
-    if not clips:
-        raise DataError(f"{data}: no clips in the split {split!r}; splits are made by speaker")
-    groups: dict[str, list[Clip]] = {}
-    for clip in clips:
-        groups.setdefault(clip.speaker.split(":")[0], []).append(clip)
-    chosen = {name: _spread(group, most) for name, group in groups.items()}
-    total, done = sum(map(len, chosen.values())), 0
+    noises = read_noises(noise) if noise else []
+    beside = None if captured is None else captured_smoothness(captured, model.controls)
+    chosen = {name: _spread(group, most) for name, group in _groups(data, split).items()}
+    probed = {k: _spread(v, probes) for k, v in chosen.items() if " " not in k} if probes else {}
+    some = [clip for group in probed.values() for clip in group]
+    recorded = [clip for clip in some if clip.source == "recording"] or some
+    advance = _Advance(sum(map(len, chosen.values())) + 16 * len(some), progress)
     report: dict[str, Any] = {
         "split": split,
         "lpe_set": f"lip ({len(model.controls.subset('lip'))} controls of {model.controls.id})",
         "epe_set": f"upper_face ({len(model.controls.subset('upper_face'))} controls)",
         "groups": {},
+        "phones": {},
     }
     for name, group in chosen.items():
         tally = Tally()
         for clip in group:
             _score(tally, model, clip)
-            done += 1
-            progress(done / total)
+            advance()
         report["groups"][name] = tally.summary()
-    first = [clip for group in chosen.values() for clip in group[:3]]
-    report["emotions"] = emotion_distances(model, [load_audio(clip.audio) for clip in first])
+        report["phones"][name] = tally.phones()
+    report |= _probe(model, probed, advance)
+    if noises and recorded:
+        report["noise"] = noise_report(model, recorded, noises)
+    if beside is not None:
+        report["captured"] = beside
+    progress(1.0)
     return report
+
+
+def _probe(model: DEITalk, probed: dict[str, list[Clip]], advance: "_Advance") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, group in probed.items():
+        recordings = [load_audio(clip.audio) for clip in group]
+        out.setdefault("emotions", {})[name] = emotion_report(model, recordings)
+        advance(10 * len(group))
+        out.setdefault("lively", {})[name] = lively_report(model, recordings)
+        advance(6 * len(group))
+    return out
+
+
+class _Advance:
+    """Counts pieces of work."""
+
+    def __init__(self, total: int, progress: Callable[[float], None]) -> None:
+        self.total, self.done, self.progress = total, 0, progress
+
+    def __call__(self, pieces: int = 1) -> None:
+        self.done += pieces
+        self.progress(self.done / self.total)
+
+
+def _groups(data: Path, split: str) -> dict[str, list[Clip]]:
+    clips = _one_per_recording(read_clips(data, split))
+    if not clips:
+        raise DataError(f"{data}: no clips in the split {split!r}; splits are made by speaker")
+    table = pd.read_csv(data / "clips.csv", dtype=str, keep_default_na=False)
+    spoken = table["language"] if "language" in table else ["en"] * len(table)
+    languages = dict(zip(table["clip"], spoken, strict=True))
+    groups: dict[str, list[Clip]] = {}
+    for clip in clips:
+        language = languages[clip.name] or "en"
+        source = clip.speaker.split(":")[0]
+        key = source if language.startswith("en") else f"{source} {language}"
+        groups.setdefault(key, []).append(clip)
+    return groups
 
 
 def _one_per_recording(clips: Sequence[Clip]) -> list[Clip]:
@@ -155,93 +222,61 @@ def _spread(clips: list[Clip], most: int | None) -> list[Clip]:
 
 
 def _score(tally: Tally, model: DEITalk, clip: Clip) -> None:
+    """Animate one clip and collect everything that is measured on it."""
     recording = load_audio(clip.audio)
     performance = animate(recording, clip.emotion, model=model, idle=False)
-    predicted = performance.curves.values
     example = load_example(clip, model.controls)
-    target = example.curves[: len(predicted)]
-    predicted = predicted[: len(target)]
+    n_frames = min(len(performance.curves.values), len(example.curves))
+    predicted = performance.curves.values[:n_frames]
+    target = example.curves[:n_frames]
     controls = model.controls
-    level = loudness(recording.waveform, len(target))
-    lips = lips_together(predicted, controls)
+    level = loudness(recording.waveform, n_frames)
+    row = _errors(target, predicted, model) | smoothness(predicted)
+    row["loudness_jaw_r"] = correlation(target[:, controls.index(JAW)], level)
+    opening = mouth_opening(performance.curves.values, controls)
+    row["opening_in_silence"] = opening_in_silence(opening, recording.waveform, example.phones)
+    if np.isfinite(example.intensity).all():
+        row["intensity_r"] = correlation(
+            example.intensity[:n_frames], performance.predicted[:n_frames]
+        )
+        row |= follow(performance, example.intensity)
+    _contacts(tally, row, example, predicted, target, model)
+    tally.baseline.append(closure_scores(1 - level, example.phones))
+    tally.rows.append(row)
+
+
+def _errors(target: Floats, predicted: Floats, model: DEITalk) -> dict[str, float]:
+    """The paper's errors, and r of every articulation channel."""
+    controls = model.controls
     places = [controls.index(name) for name in ARTICULATION]
     rs = [correlation(target[:, i], predicted[:, i]) for i in places]
     finite = [r for r in rs if np.isfinite(r)]
-    row = {
+    channels = {f"r {n.removeprefix('CTRL_')}": r for n, r in zip(ARTICULATION, rs, strict=True)}
+    return channels | {
         "jaw_r": rs[0],
         "articulation_r": float(np.mean(finite)) if finite else float("nan"),
-        "loudness_jaw_r": correlation(target[:, places[0]], level),
         "lpe": lip_parameter_error(target, predicted, controls),
         "epe": emotion_parameter_error(target, predicted, controls),
-        "lag_frames": float(best_lag(target[:, places[0]], predicted[:, places[0]])),
-        "largest_step": float(np.abs(np.diff(predicted, axis=0)).max(initial=0)),
     }
-    row |= _silence(performance, recording, example.phones, controls)
-    heard = performance.predicted[: len(target)]
-    if np.isfinite(example.intensity).all():
-        row["intensity_r"] = correlation(example.intensity, heard)
-    tally.rows.append(row)
+
+
+def _contacts(
+    tally: Tally,
+    row: dict[str, float],
+    example: Example,
+    predicted: Floats,
+    target: Floats,
+    model: DEITalk,
+) -> None:
+    """Closures, gestures of single phones, and their timing."""
+    controls = model.controls
+    lips, aim = lips_together(predicted, controls), lips_together(target, controls)
+    jaw = controls.index(JAW)
+    row["jaw_in_contact"] = jaw_in_contact(lips, predicted[:, jaw])
     tally.closures.append(closure_scores(lips, example.phones))
-    tally.baseline.append(closure_scores(1 - level, example.phones))
     tally.held += held_closures(lips, example.phones)
-
-
-def _silence(
-    performance: Performance, recording: Recording, phones: Phones, controls: ControlSet
-) -> dict[str, float]:
-    """Mouth opening in silence against its 95th percentile in speech."""
-    opening = mouth_opening(performance.curves.values, controls)
-    speaking = speech_activity(recording.waveform) > 0
-    times = np.arange(len(opening)) / 30
-    silent = np.zeros(len(opening), bool)
-    for start, end, name in phones:
-        if name == "SIL" and end - start > 0.6:
-            silent |= (times > start + 0.25) & (times < end - 0.15)
-    silent &= ~speaking
-    if not silent.any() or not speaking.any():
-        return {}
-    return {
-        "opening_in_silence": float(
-            opening[silent].mean() / (np.percentile(opening[speaking], 95) + 1e-9)
-        )
-    }
-
-
-def emotion_distances(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, float]:
-    """How far the faces of every two emotions are apart on the same recordings.
-
-    Euclidean distance over the controls, averaged over frames and recordings: control units.
-    """
-    faces = {
-        emotion: [animate(r, emotion, model=model, idle=False).curves.values for r in recordings]
-        for emotion in EMOTIONS
-    }
-    out = {}
-    for i, first in enumerate(EMOTIONS):
-        for second in EMOTIONS[i + 1 :]:
-            distances = [
-                np.sqrt(np.square(a - b).sum(axis=1)).mean()
-                for a, b in zip(faces[first], faces[second], strict=True)
-            ]
-            out[f"{first}-{second}"] = float(np.mean(distances))
-    return out
-
-
-def as_markdown(report: dict[str, Any]) -> str:
-    """A table of scores per group, and of the emotions' distances."""
-    names = sorted({name for group in report["groups"].values() for name in group})
-    groups = list(report["groups"])
-    lines = [
-        f"Split: {report['split']}. LPE over {report['lpe_set']}; EPE over {report['epe_set']}; "
-        "both in squared control units.",
-        "",
-        "| | " + " | ".join(groups) + " |",
-        "|---|" + "---|" * len(groups),
-    ]
-    for name in names:
-        cells = [report["groups"][group].get(name) for group in groups]
-        shown = ["–" if cell is None else f"{cell:.4g}" for cell in cells]
-        lines.append(f"| {name} | " + " | ".join(shown) + " |")
-    lines += ["", "Distance of the faces of two emotions (control units):", ""]
-    lines += [f"- {pair}: {value:.3f}" for pair, value in report["emotions"].items()]
-    return "\n".join(lines) + "\n"
+    tally.lags["jaw"].append(lag_scores(target[:, jaw], predicted[:, jaw]))
+    tally.lags["lips"].append(lag_scores(aim, lips))
+    for name, gesture in GESTURES.items():
+        curve = gesture_curve(predicted, controls, gesture)
+        tally.peaks[name].append(gesture_peaks(curve, example.phones, gesture))

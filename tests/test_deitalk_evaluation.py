@@ -173,7 +173,7 @@ def test_captured_curves_are_measured_or_refused(tmp_path: Path):
     write_curves(tmp_path / "a.csv", RigCurves(values, CONTROLS.names, fps=30))
     assert captured_smoothness(tmp_path / "a.csv", CONTROLS)["largest_step"] < 0.11
     write_curves(tmp_path / "b.csv", RigCurves(values * 0, CONTROLS.names, fps=30))
-    with pytest.raises(DataError, match="no control of .* moves"):
+    with pytest.raises(DataError, match="moves; give a take"):
         captured_smoothness(tmp_path / "b.csv", CONTROLS)
 
 

@@ -1,0 +1,218 @@
+"""Experiments on a few recordings: other emotions, livelier takes, noise.
+
+Everything goes through `deitalk.animate.animate`, as a user's recording would, blinks left out.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.activity import speech_activity
+from deitalk.animate import Performance, animate
+from deitalk.audio import Recording, load_audio
+from deitalk.closures import closure_scores, summarise_closures
+from deitalk.data.folder import Clip
+from deitalk.development import lips_together, load_example
+from deitalk.emotions import EMOTIONS, IntensityCurve
+from deitalk.evaluation.faces import face_distance, lip_range, recognise
+from deitalk.evaluation.liveliness import (
+    STEP_Z,
+    constant,
+    halves,
+    level_curve,
+    modified,
+    spearman,
+    wandering,
+)
+from deitalk.evaluation.noise import SNRS_DB, mix
+from deitalk.evaluation.opening import JAW, mouth_opening
+from deitalk.metrics import correlation
+from deitalk.models import DEITalk
+from rig import ControlSet
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
+"""Intensity 1 throughout: a strong performance."""
+LIVELY_EMOTION = "happy"
+
+
+def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """Every recording in every emotion: distances, recognition, range of the lips.
+
+    Returns
+    -------
+    dict
+        ``distances`` (pair: control units), ``named`` (asked: {named: share}), ``recognised``
+        (share), ``neutral_stays`` (share), and ``range`` and ``range_strong`` (emotion: median
+        factor on the neutral range of the mouth's opening), as heard and at intensity 1.
+    """
+    controls = model.controls
+    faces: dict[str, list[Floats]] = {emotion: [] for emotion in EMOTIONS}
+    named: dict[str, list[str]] = {emotion: [] for emotion in EMOTIONS}
+    ranges: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
+    strong: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
+    for recording in recordings:
+        speaking = speech_activity(recording.waveform) > 0
+        for emotion in EMOTIONS:
+            curves = _act(recording, emotion, model).curves.values
+            faces[emotion].append(curves)
+            named[emotion].append(recognise(curves, speaking, controls))
+            ranges[emotion].append(lip_range(mouth_opening(curves, controls), speaking))
+            full = _act(recording, emotion, model, FULL).curves.values
+            strong[emotion].append(lip_range(mouth_opening(full, controls), speaking))
+    right = [name == emotion for emotion in EMOTIONS for name in named[emotion]]
+    return {
+        "recordings": len(recordings),
+        "distances": _distances(faces),
+        "named": {e: {o: named[e].count(o) / len(named[e]) for o in EMOTIONS} for e in EMOTIONS},
+        "recognised": float(np.mean(right)),
+        "neutral_stays": float(np.mean([name == "neutral" for name in named["neutral"]])),
+        "range": _factors(ranges, ranges["neutral"]),
+        "range_strong": _factors(strong, ranges["neutral"]),
+    }
+
+
+def _act(
+    recording: Recording, emotion: str, model: DEITalk, curve: IntensityCurve | None = None
+) -> Performance:
+    return animate(recording, emotion, model=model, intensity_curve=curve, idle=False)
+
+
+def _distances(faces: dict[str, list[Floats]]) -> dict[str, float]:
+    return {
+        f"{first}-{second}": float(
+            np.mean([face_distance(a, b) for a, b in zip(faces[first], faces[second], strict=True)])
+        )
+        for i, first in enumerate(EMOTIONS)
+        for second in EMOTIONS[i + 1 :]
+    }
+
+
+def _factors(ranges: dict[str, list[float]], neutral: list[float]) -> dict[str, float]:
+    base = np.array(neutral)
+    known = base > 1e-3
+    if not known.any():
+        return {}
+    return {
+        emotion: float(np.median(np.array(values)[known] / base[known]))
+        for emotion, values in ranges.items()
+        if emotion != "neutral"
+    }
+
+
+def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Livelier against duller takes of the same recordings.
+
+    Returns
+    -------
+    dict
+        ``opens`` and ``expresses``: share of pairs in which the livelier one has the wider mean
+        opening, and the stronger mean expression; ``within_``: one half of a recording livelier
+        than the other, and the same half duller (level is heard relative to the recording);
+        ``whole_``: the whole of it. ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean
+        Spearman with a random contour applied to the recording, within speech.
+    """
+    pairs: dict[str, list[bool]] = {}
+    rhos: dict[str, list[float]] = {}
+    for seed, recording in enumerate(recordings):
+        _compare_whole(model, recording, pairs)
+        _compare_halves(model, recording, pairs)
+        take, z = wandering(recording, seed)
+        performance = _act(take, LIVELY_EMOTION, model)
+        for name, value in follow(performance, z).items():
+            rhos.setdefault(name, []).append(value)
+    shares = {name: float(np.mean(values)) for name, values in pairs.items()}
+    counts = {"pairs_whole": len(recordings), "pairs_within": 2 * len(recordings)}
+    return counts | shares | {name: _mean(values) for name, values in rhos.items()}
+
+
+def follow(performance: Performance, label: Floats) -> dict[str, float]:
+    """Spearman of intensity, saliency and level with a label, within speech."""
+    waveform = performance.recording.waveform
+    within = speech_activity(waveform) > 0
+    n = min(len(within), len(label))
+    level = level_curve(waveform, len(within))
+    tracks = {
+        "intensity_rho": performance.predicted,
+        "saliency_rho": performance.saliency,
+        "level_rho": level,
+    }
+    return {name: spearman(label[:n], track[:n], within[:n]) for name, track in tracks.items()}
+
+
+def _compare_whole(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
+    opened, expressed = [], []
+    for z in (STEP_Z, -STEP_Z):
+        take, _ = modified(recording, constant(z, recording.duration))
+        performance = _act(take, LIVELY_EMOTION, model)
+        speaking = speech_activity(take.waveform) > 0
+        opened.append(_opening(performance, speaking, model.controls))
+        expressed.append(_expression(performance, speaking))
+    pairs.setdefault("whole_opens", []).append(opened[0] > opened[1])
+    pairs.setdefault("whole_expresses", []).append(expressed[0] > expressed[1])
+
+
+def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
+    opened, expressed = np.zeros((2, 2)), np.zeros((2, 2))
+    for row, z in enumerate((STEP_Z, -STEP_Z)):
+        take, contour = modified(recording, halves(z, recording.duration))
+        performance = _act(take, LIVELY_EMOTION, model)
+        speaking = speech_activity(take.waveform) > 0
+        for half, sign in enumerate((1, -1)):
+            mask = speaking & (contour * sign * z > 0)
+            opened[row, half] = _opening(performance, mask, model.controls)
+            expressed[row, half] = _expression(performance, mask)
+    for name, values in (("within_opens", opened), ("within_expresses", expressed)):
+        better = [values[0, 0] > values[1, 0], values[1, 1] > values[0, 1]]
+        pairs.setdefault(name, []).extend(bool(b) for b in better)
+
+
+def _opening(performance: Performance, mask: Mask, controls: ControlSet) -> float:
+    return _mean(mouth_opening(performance.curves.values, controls)[mask])
+
+
+def _expression(performance: Performance, mask: Mask) -> float:
+    """How far the face is from its neutral reading: control units, mean of the frames."""
+    away = performance.curves.values - performance.neutral.values
+    return _mean(np.sqrt(np.square(away).sum(axis=1))[mask])
+
+
+def noise_report(
+    model: DEITalk,
+    clips: Sequence[Clip],
+    noises: Sequence[Floats],
+    progress: Callable[[], None] = lambda: None,
+) -> dict[str, dict[str, float]]:
+    """Bilabials and jaw, clean and in noise; keys are ``clean`` and decibels."""
+    steps: tuple[float | None, ...] = (None, *SNRS_DB)
+    examples = [(load_audio(clip.audio), load_example(clip, model.controls)) for clip in clips]
+    report = {}
+    for snr in steps:
+        scores, jaws = [], []
+        for i, (recording, example) in enumerate(examples):
+            heard = recording
+            if snr is not None:
+                noisy = mix(recording.waveform, noises[i % len(noises)], snr)
+                heard = replace(recording, waveform=noisy)
+            curves = _act(heard, example.emotion, model).curves.values[: len(example.curves)]
+            scores.append(closure_scores(lips_together(curves, model.controls), example.phones))
+            place = model.controls.index(JAW)
+            jaws.append(correlation(example.curves[: len(curves), place], curves[:, place]))
+            progress()
+        found = summarise_closures(scores)
+        report["clean" if snr is None else f"{snr:g} dB"] = {
+            "bilabial_window_auc": found.window_auc,
+            "bilabial_hits_at_5_percent": found.hit_rate,
+            "jaw_r": _mean(jaws),
+        }
+    return report
+
+
+def _mean(values: "Sequence[float] | Floats") -> float:
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    return float(finite.mean()) if len(finite) else float("nan")
