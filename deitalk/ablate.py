@@ -1,0 +1,231 @@
+"""What does each part earn? Train variants with several seeds and score them: ``deitalk ablate``.
+
+A variant is a file of a few lines: a base configuration and overrides (``configs/ablations/``).
+Every run has its own folder and goes on where it stopped::
+
+    OUT/<variant>/seed0/      a run folder (see `deitalk.run_folder`)
+    OUT/<variant>/seed0/report.json    its evaluation; a run that has one is done
+    OUT/ablations.json, OUT/ablations.md
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from deitalk.checkpoint import load_model
+from deitalk.config import Config, load_config
+from deitalk.errors import ConfigError, DataError
+from deitalk.evaluate import evaluate
+from deitalk.evaluation.report import as_json
+from deitalk.train import train
+from rig.files import atomic_write
+
+METRICS = {
+    "lpe": "LPE", "epe": "EPE", "bilabial_window_auc": "bilabial AUC",
+    "bilabial_hits_at_5_percent": "bilabials found", "jaw_r": "jaw r",
+    "articulation_r": "mean r", "intensity_rho": "intensity Spearman",
+    "jerk_per_speed": "jerk / speed", "recognised": "emotions named",
+}  # fmt: skip
+"""Rows of the evaluation that the table shows, and what it calls them."""
+FULL = "full"
+"""The variant that comes first in the table."""
+Says = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One configuration to train."""
+
+    name: str
+    base: Path
+    overrides: tuple[str, ...]
+
+    def config(self, seed: int, steps: int | None) -> Config:
+        """Configuration of one run."""
+        run = [f"name={self.name}", f"train.seed={seed}"]
+        if steps is not None:
+            run += [f"train.steps={steps}"]
+        config = load_config(self.base, [*self.overrides, *run])
+        if not isinstance(config, Config):
+            raise ConfigError(f"{self.base}: SDFA has no ablations here; base on a DEITalk config")
+        return config
+
+
+def read_variants(folder: Path) -> list[Variant]:
+    """Variants of a folder, `FULL` first.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or a file is not a base and a list of overrides.
+    """
+    files = sorted(folder.glob("*.yaml"), key=lambda path: (path.stem != FULL, path.stem))
+    if not files:
+        raise ConfigError(f"{folder}: holds no .yaml; each gives a base and overrides")
+    return [_variant(path) for path in files]
+
+
+def _variant(path: Path) -> Variant:
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from None
+    if not isinstance(tree, dict) or set(tree) != {"base", "overrides"}:
+        raise ConfigError(f"{path}: needs two keys, base (a file) and overrides (a list)")
+    base, overrides = tree["base"], tree["overrides"]
+    if not isinstance(base, str) or not isinstance(overrides, list):
+        raise ConfigError(f"{path}: base={base!r} must be a file, overrides={overrides!r} a list")
+    variant = Variant(path.stem, path.parent / base, tuple(map(str, overrides)))
+    variant.config(0, None)  # a wrong key is known before hours of training
+    return variant
+
+
+def ablate(
+    variants: Sequence[Variant],
+    data: Path,
+    out: Path,
+    *,
+    steps: int | None = None,
+    seeds: int = 3,
+    split: str = "test",
+    most: int | None = None,
+    probes: int = 2,
+    says: Says = lambda run, share: None,
+) -> dict[str, Any]:
+    """Train and evaluate every variant with every seed; what is done is not done again.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        From `read_variants`.
+    data : Path
+        Dataset folder.
+    out : Path
+        Folder of the runs and of the table.
+    steps : int or None
+        Steps of every run; None: as configured.
+    seeds : int
+        Runs of every variant.
+    split, most, probes
+        As for `deitalk.evaluate.evaluate`.
+    says : callable
+        Told the run and the share of its training that is done.
+
+    Returns
+    -------
+    dict
+        Variant: {source: {metric: {mean, sd, n}}}; written to `out` too.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If `out` holds runs with other settings, or the data lacks a split.
+    """
+    table = {}
+    for variant in variants:
+        reports = []
+        for seed in range(seeds):
+            folder = out / variant.name / f"seed{seed}"
+            config = variant.config(seed, steps)
+            asked = {"data": str(data.resolve()), "split": split, "most": most, "probes": probes}
+            reports.append(_report(folder, config, data, asked, says))
+        table[variant.name] = _summary(reports)
+        _write(out, table, split, seeds)
+    return table
+
+
+def _report(
+    folder: Path, config: Config, data: Path, asked: dict[str, Any], says: Says
+) -> dict[str, Any]:
+    """The evaluation of one run: read, or made."""
+    path = folder / "report.json"
+    name = f"{folder.parent.name} {folder.name}"
+    if path.is_file():
+        return _finished(path, config, asked)
+    _train(folder, config, data, lambda share: says(name, share))
+    options = {key: asked[key] for key in ("split", "most", "probes")}
+    report = evaluate(load_model(folder / "best"), data, **options)
+    with atomic_write(path) as beside:
+        beside.write_text(as_json(report | {"asked": asked}), encoding="utf-8")
+    loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return loaded
+
+
+def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, Any]:
+    """A report that is there, if it answers what is asked now."""
+    report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    if load_config(path.parent / "config.yaml") != config or report.get("asked") != asked:
+        raise DataError(
+            f"{path.parent}: was trained or evaluated with other settings; "
+            "ask for the same, or name another folder"
+        )
+    return report
+
+
+def _train(folder: Path, config: Config, data: Path, says: Callable[[float], None]) -> None:
+    is_begun = (folder / "state.pt").is_file()
+    if not is_begun:  # what was killed before its first checkpoint begins again
+        (folder / "metrics.csv").unlink(missing_ok=True)
+    train(
+        config,
+        data,
+        folder,
+        resume=is_begun,
+        progress=lambda step, total, values: says(step / total),
+    )
+
+
+def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Mean and standard deviation over the seeds, per source."""
+    return {
+        source: {metric: _spread(reports, source, metric) for metric in METRICS}
+        for source in reports[0]["groups"]
+    }
+
+
+def _spread(reports: Sequence[dict[str, Any]], source: str, metric: str) -> dict[str, float]:
+    values = [_value(report, source, metric) for report in reports]
+    finite = [value for value in values if value is not None]
+    if not finite:
+        return {"mean": float("nan"), "sd": float("nan"), "n": 0}
+    sd = float(np.std(finite, ddof=1)) if len(finite) > 1 else float("nan")
+    return {"mean": float(np.mean(finite)), "sd": sd, "n": len(finite)}
+
+
+def _value(report: dict[str, Any], source: str, metric: str) -> float | None:
+    groups = report.get("emotions", {}) if metric == "recognised" else report["groups"]
+    value: float | None = groups.get(source, {}).get(metric)
+    return value
+
+
+def _write(out: Path, table: dict[str, Any], split: str, seeds: int) -> None:
+    with atomic_write(out / "ablations.json") as beside:
+        beside.write_text(as_json(table), encoding="utf-8")
+    with atomic_write(out / "ablations.md") as beside:
+        beside.write_text(as_markdown(table, split, seeds), encoding="utf-8")
+
+
+def as_markdown(table: dict[str, Any], split: str, seeds: int) -> str:
+    """One table a source: variants down, metrics across, mean ± standard deviation."""
+    lines = [f"Split: {split}; {seeds} seeds, mean ± standard deviation."]
+    sources = list(dict.fromkeys(source for scores in table.values() for source in scores))
+    for source in sources:
+        lines += ["", f"## {source}", "", "| | " + " | ".join(METRICS.values()) + " |"]
+        lines.append("|---" * (len(METRICS) + 1) + "|")
+        for name, scores in table.items():
+            cells = [_cell(scores.get(source, {}).get(metric)) for metric in METRICS]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(score: dict[str, float] | None) -> str:
+    if score is None or not score["n"]:
+        return "–"
+    shown = f"{score['mean']:.3g}"
+    return shown if score["n"] < 2 else f"{shown} ± {score['sd']:.2g}"

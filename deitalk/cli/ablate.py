@@ -1,0 +1,62 @@
+"""`deitalk ablate`: train variants of a configuration and compare them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.words import bar, words
+
+
+def ablate(
+    data: Annotated[Path, typer.Option(help="Dataset folder.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the runs and the table.")],
+    configs: Annotated[
+        Path, typer.Option(help="Folder of variants: base and overrides in each file.")
+    ] = Path("configs/ablations"),
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="This variant; may be given again.")
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Steps of every run; default: as configured.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of every variant.")] = 3,
+    split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "test",
+    most: Annotated[
+        int | None, typer.Option(min=1, help="Score at most so many recordings of every source.")
+    ] = None,
+) -> None:
+    """Train every variant with several seeds, score them, write OUT/ablations.md and .json.
+
+    Stopped, it goes on where it was: run the same line again.
+
+    Examples
+    --------
+    deitalk ablate --data corpus/ -o runs/ablations
+
+    deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
+    """
+    with words().status("loading"):
+        from deitalk.ablate import ablate as run
+        from deitalk.ablate import as_markdown, read_variants
+        from deitalk.errors import ConfigError
+
+        variants = read_variants(configs)
+    unknown = set(only or ()) - {variant.name for variant in variants}
+    if unknown:
+        names = ", ".join(variant.name for variant in variants)
+        raise ConfigError(f"--only {sorted(unknown)[0]}: no such variant; there are {names}")
+    chosen = [variant for variant in variants if not only or variant.name in only]
+    with bar("ablations") as progress:
+        order = [f"{variant.name} seed{seed}" for variant in chosen for seed in range(seeds)]
+        table = run(
+            chosen,
+            data,
+            out,
+            steps=steps,
+            seeds=seeds,
+            split=split,
+            most=most,
+            says=lambda name, share: progress((order.index(name) + share) / len(order)),
+        )
+    typer.echo(as_markdown(table, split, seeds), nl=False)

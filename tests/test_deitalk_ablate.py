@@ -1,0 +1,122 @@
+"""Ablations: variants are read, trained, scored and gone on with."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from dataset import write_dataset
+
+import deitalk.ablate
+from deitalk.ablate import Variant, ablate, as_markdown, read_variants
+from deitalk.config import Config, load_config
+from deitalk.errors import ConfigError, DataError
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+def flat(tree: dict, prefix: str = "") -> dict:
+    out = {}
+    for key, value in tree.items():
+        out |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def differences(variant: Variant) -> set[str]:
+    base, ours = (flat(c.model_dump()) for c in (load_config(variant.base), variant.config(0, 7)))
+    return {key for key in base if base[key] != ours[key]} - {"name", "train.steps"}
+
+
+def test_every_variant_changes_what_its_name_says():
+    variants = {variant.name: variant for variant in read_variants(CONFIGS / "ablations")}
+    assert next(iter(variants)) == "full"
+    changed = {name: differences(variant) for name, variant in variants.items()}
+    weights = "loss.control_weights."
+    assert changed == {
+        "full": set(),
+        "compact": set(),
+        "no_dei": {"model.intensity", "loss.contrast", "loss.intensity"},
+        "no_dpe": {"model.positions"},
+        "no_velocity": {"loss.velocity"},
+        "no_classification": {"loss.classification"},
+        "no_real_speech": {"data.real_fraction"},
+        "no_contact": {"loss.contact", weights + "lipsTogether", weights + "lipBiteD"},
+    }
+    assert variants["compact"].config(2, 7).model.frontend.kind == "wav2vec"
+    assert variants["full"].config(2, 7).train.seed == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "needs two keys"),
+        ("base: a.yaml", "needs two keys"),
+        ("base: 3\noverrides: []", "must be a file"),
+        ("base: absent.yaml\noverrides: []", "cannot be read"),
+        ("base: base.yaml\noverrides: [loss.velocty=0]", "unknown key"),
+        ("base: sdfa.yaml\noverrides: []", "SDFA has no ablations"),
+        (": :", "cannot be read as YAML"),
+    ],
+)
+def test_a_wrong_variant_is_one_line(tmp_path, text, message):
+    (tmp_path / "base.yaml").write_text("")
+    (tmp_path / "sdfa.yaml").write_text("kind: sdfa")
+    folder = tmp_path / "variants"
+    folder.mkdir()
+    (folder / "a.yaml").write_text(text.replace("base: ", "base: ../"))
+    if "base: 3" in text:
+        (folder / "a.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_variants(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_variants_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="holds no"):
+        read_variants(tmp_path)
+
+
+def test_train_score_and_go_on(tmp_path, monkeypatch):
+    data = write_dataset(tmp_path / "data", 2, 2)
+    table = pd.read_csv(data / "clips.csv")
+    table["split"] = ["train", "train", "validation", "test"]
+    table.to_csv(data / "clips.csv", index=False)
+    variants = [
+        Variant("full", CONFIGS / "tiny.yaml", ()),
+        Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
+    ]
+    out = tmp_path / "runs"
+    (out / "still/seed0").mkdir(parents=True)
+    (out / "still/seed0/metrics.csv").write_text("killed before its first checkpoint")
+    runs: list[str] = []
+    asked = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
+    scores = ablate(variants, data, out, **asked, says=lambda run, _: runs.append(run))
+    assert list(dict.fromkeys(runs)) == [
+        "full seed0", "full seed1", "still seed0", "still seed1"
+    ]  # fmt: skip
+    assert scores["full"]["test"]["lpe"]["n"] == 2
+    assert scores["full"]["test"]["lpe"]["sd"] > 0
+    assert "±" in (out / "ablations.md").read_text()
+
+    (out / "still/seed1/report.json").unlink()
+    trained: list[bool] = []
+
+    def spy(*arguments, resume, **options):
+        trained.append(resume)
+        return real(*arguments, resume=resume, **options)
+
+    real = deitalk.ablate.train
+    monkeypatch.setattr("deitalk.ablate.train", spy)
+    before = (out / "ablations.json").read_text()
+    ablate(variants, data, out, **asked)
+    assert (out / "ablations.json").read_text() == before
+    assert trained == [True]  # only the run without a report, from where it was
+    with pytest.raises(DataError, match="other settings"):
+        ablate(variants, data, out, **(asked | {"steps": 3}))
+
+
+def test_table_by_hand():
+    score = {"mean": 0.5, "sd": 0.01, "n": 3}
+    text = as_markdown({"full": {"a": {"lpe": score}}, "no_dei": {"a": {}}}, "test", 3)
+    assert "| full | 0.5 ± 0.01 | – |" in text
+    assert "| no_dei | – |" in text
+    assert isinstance(load_config(CONFIGS / "mel.yaml"), Config)
