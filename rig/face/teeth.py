@@ -12,7 +12,7 @@ UPPER_HEIGHTS = np.array([0.50, 0.44, 0.49, 0.40, 0.38, 0.34])
 LOWER_HEIGHTS = np.array([0.42, 0.42, 0.43, 0.42, 0.41, 0.40])
 UPPER_BACK, LOWER_BACK = 0.58, 0.80
 """How far the middle of the front teeth lies behind the lips' rim, cm."""
-UPPER_EDGE, LOWER_EDGE = -0.22, -0.27
+UPPER_EDGE, LOWER_EDGE = -0.22, -0.36
 """Height of the incisors' biting edges below the line where the lips meet, cm."""
 
 
