@@ -45,12 +45,12 @@ class Variant:
     base: Path
     overrides: tuple[str, ...]
 
-    def config(self, seed: int, steps: int | None) -> Config:
-        """Configuration of one run."""
+    def config(self, seed: int, steps: int | None, common: Sequence[str] = ()) -> Config:
+        """Configuration of one run; `common` are overrides that every variant has."""
         run = [f"name={self.name}", f"train.seed={seed}"]
         if steps is not None:
             run += [f"train.steps={steps}"]
-        config = load_config(self.base, [*self.overrides, *run])
+        config = load_config(self.base, [*common, *self.overrides, *run])
         if not isinstance(config, Config):
             raise ConfigError(f"{self.base}: SDFA has no ablations here; base on a DEITalk config")
         return config
@@ -96,6 +96,7 @@ def ablate(
     split: str = "test",
     most: int | None = None,
     probes: int = 2,
+    overrides: Sequence[str] = (),
     says: Says = lambda run, share: None,
 ) -> dict[str, Any]:
     """Train and evaluate every variant with every seed; what is done is not done again.
@@ -114,6 +115,8 @@ def ablate(
         Runs of every variant.
     split, most, probes
         As for `deitalk.evaluate.evaluate`.
+    overrides : sequence of str
+        For all variants, such as ``data.noise_folder=noise``.
     says : callable
         Told the run and the share of its training that is done.
 
@@ -132,7 +135,7 @@ def ablate(
         reports = []
         for seed in range(seeds):
             folder = out / variant.name / f"seed{seed}"
-            config = variant.config(seed, steps)
+            config = variant.config(seed, steps, overrides)
             asked = {"data": str(data.resolve()), "split": split, "most": most, "probes": probes}
             reports.append(_report(folder, config, data, asked, says))
         table[variant.name] = _summary(reports)

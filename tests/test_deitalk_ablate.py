@@ -42,7 +42,9 @@ def test_every_variant_changes_what_its_name_says():
         "no_contact": {"loss.contact", weights + "lipsTogether", weights + "lipBiteD"},
     }
     assert variants["compact"].config(2, 7).model.frontend.kind == "wav2vec"
-    assert variants["full"].config(2, 7).train.seed == 2
+    run = variants["no_dei"].config(2, 7, ["train.batch_size=8", "loss.contrast=3"])
+    assert (run.train.seed, run.train.steps, run.train.batch_size) == (2, 7, 8)
+    assert run.loss.contrast == 0  # what the variant says wins
 
 
 @pytest.mark.parametrize(

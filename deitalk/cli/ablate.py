@@ -17,6 +17,9 @@ def ablate(
     only: Annotated[
         list[str] | None, typer.Option("--only", help="This variant; may be given again.")
     ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="For all variants: data.noise_folder=noise.")
+    ] = None,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Steps of every run; default: as configured.")
     ] = None,
@@ -57,6 +60,7 @@ def ablate(
             seeds=seeds,
             split=split,
             most=most,
+            overrides=overrides or (),
             says=lambda name, share: progress((order.index(name) + share) / len(order)),
         )
     typer.echo(as_markdown(table, split, seeds), nl=False)
