@@ -298,3 +298,13 @@ def test_command_trains_on_our_heads(tmp_path):
     scores = mesh_scores(sdfa, read_mesh_folder(run / "meshes"))
     assert math.isfinite(scores["lively_mm"]) and scores["lively_mm"] > scores["mean_mm"] > 0
     assert load_config(run / "config.yaml").train.seed == 1
+
+
+def test_command_refuses_weights_to_start_from(tmp_path):
+    arguments = ["train", str(CONFIG), "--data", str(tmp_path), "-o", str(tmp_path / "run")]
+    result = CliRunner().invoke(app, [*arguments, "--from", "default"])
+    assert isinstance(result.exception, ConfigError | CheckpointError)
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, DataError)
+    assert "neither" in str(result.exception)
+    assert not (tmp_path / "run/metrics.csv").exists()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def train(
     config: Annotated[Path, typer.Argument(help="YAML configuration, such as configs/mel.yaml.")],
-    data: Annotated[Path, typer.Option(help="Dataset folder.")],
+    data: Annotated[Path, typer.Option(help="Dataset folder; SDFA also takes meshes.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
