@@ -9,6 +9,8 @@ from dataset import waveform
 from deitalk.activity import active_level_db
 from deitalk.audio import Recording
 from deitalk.corpus.acting import style_poses
+from deitalk.corpus.build import _liveliness
+from deitalk.corpus.prosody import apply_contour, random_contour
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.evaluation.faces import face_distance, lip_range, recognise
@@ -129,11 +131,14 @@ def test_spearman_looks_within_speech():
     assert np.isnan(spearman(label, heard, np.arange(40) >= 20))
 
 
-def test_level_curve_follows_a_step_of_20_db():
+def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
     tone = np.sin(2 * np.pi * 200 * np.arange(64_000) / 16_000).astype(np.float32) * 0.3
     tone[32_000:] *= 0.1
     level = level_curve(tone, 120)
-    assert level[20] - level[100] == pytest.approx(20, abs=0.1)
+    assert level[20] - level[100] == pytest.approx(20, abs=0.5)
+    paused = np.concatenate((tone[:32_000], np.zeros(16_000, np.float32), tone[:32_000]))
+    level = level_curve(paused, 150)
+    assert level[55] == pytest.approx(level[20], abs=0.5)  # beside the pause
 
 
 def test_modified_halves_say_where_they_are():
@@ -148,9 +153,21 @@ def test_modified_halves_say_where_they_are():
 
 
 def test_wandering_is_the_same_for_one_seed():
-    first, z = wandering(recording(), 3)
-    np.testing.assert_array_equal(first.waveform, wandering(recording(), 3)[0].waveform)
+    first, z, lively = wandering(recording(), 3)
+    again = wandering(recording(), 3)
+    np.testing.assert_array_equal(first.waveform, again[0].waveform)
+    assert len(z) == len(lively) == first.n_frames
     assert np.ptp(z) > 0.1
+
+
+def test_the_label_is_the_corpus_s():
+    take, z, lively = wandering(recording(), 3)
+    contour = random_contour(recording().duration, np.random.default_rng(3))
+    moved = apply_contour(recording().waveform, contour)[1]
+    times = np.interp(np.arange(take.n_frames) / 30, moved[1], moved[0])
+    expected = _liveliness(recording().waveform, contour, times)
+    np.testing.assert_allclose(lively, expected, atol=1e-4)
+    assert np.abs(z - lively).max() > 0.02
 
 
 def test_smoothness_of_a_ramp_and_of_a_tremble():

@@ -3,7 +3,9 @@
 `deitalk.corpus.prosody.apply_contour` changes level, treble, pitch and speed along a known
 contour. Two questions: does the intensity heard follow the contour (Spearman, within speech), and
 does the livelier of two takes of one recording open and express more? The baseline for the first
-is the level of the recording on a fixed scale, smoothed like the label. Letters: T frames.
+is the level of the recording at a fixed gain, smoothed over the speech as the label is. A voice
+has liveliness of its own, so the label is the contour and that, weighted as the corpus weights
+them. Letters: T frames.
 """
 
 from dataclasses import replace
@@ -19,10 +21,13 @@ from deitalk.corpus.prosody import (
     Contour,
     apply_contour,
     contour_at,
+    prosody_index,
     random_contour,
 )
 
 Floats = NDArray[np.float32]
+NATURAL_WEIGHT = 0.6
+"""Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.build`."""
 STEP_Z = 1.2
 """Standard deviations by which a take is made livelier, or duller."""
 RAMP_SECONDS = 0.3
@@ -37,7 +42,9 @@ def spearman(label: Floats, heard: Floats, within: NDArray[np.bool_]) -> float:
 
 
 def level_curve(waveform: Floats, n_frames: int) -> Floats:
-    """Level in dB at a fixed gain, smoothed over half a second [shape=(T,)]: the baseline.
+    """Level in dB at a fixed gain, smoothed over half a second of speech [shape=(T,)].
+
+    Pauses do not count, as in the prosody index: the strongest baseline that only hears level.
 
     Parameters
     ----------
@@ -49,8 +56,13 @@ def level_curve(waveform: Floats, n_frames: int) -> Floats:
     centres = np.round(np.arange(n_frames) * 16_000 / FRAME_RATE).astype(int)
     padded = np.pad(waveform.astype(np.float64), (400, 800))
     power = np.square(padded[centres[:, None] + np.arange(800)]).mean(axis=1)
-    level = np.maximum(10 * np.log10(power + 1e-10), -60)
-    smooth: Floats = gaussian_filter1d(level, SMOOTHING_SECONDS * FRAME_RATE).astype(np.float32)
+    level = 10 * np.log10(power + 1e-10)
+    speaking = level > np.percentile(level, 95) - 25
+    sigma = SMOOTHING_SECONDS * FRAME_RATE
+    usual = level[speaking].mean() if speaking.any() else 0.0
+    total = gaussian_filter1d(np.where(speaking, level - usual, 0), sigma, mode="constant")
+    weight = gaussian_filter1d(speaking.astype(float), sigma, mode="constant")
+    smooth: Floats = (usual + total / (weight + 0.02)).astype(np.float32)
     return smooth
 
 
@@ -74,7 +86,17 @@ def halves(z: float, seconds: float) -> Contour:
     return knots, np.array([z, z, -z, -z])
 
 
-def wandering(recording: Recording, seed: int) -> tuple[Recording, Floats]:
-    """A recording along a random contour, as the corpus draws them."""
+def wandering(recording: Recording, seed: int) -> tuple[Recording, Floats, Floats]:
+    """A recording along a random contour; the contour, and the liveliness it gives [shape=(T,)].
+
+    The liveliness is the contour plus `NATURAL_WEIGHT` times the voice's own, as in the corpus.
+    """
     contour = random_contour(recording.duration, np.random.default_rng(seed))
-    return modified(recording, contour)
+    waveform, (source, moved) = apply_contour(recording.waveform, contour)
+    take = replace(recording, waveform=waveform)
+    times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
+    applied = contour_at(contour, times)
+    own = prosody_index(recording.waveform, recording.n_frames)
+    natural = np.interp(times, np.arange(recording.n_frames) / FRAME_RATE, own)
+    lively = applied + NATURAL_WEIGHT * natural
+    return take, applied.astype(np.float32), lively.astype(np.float32)

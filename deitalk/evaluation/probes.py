@@ -47,14 +47,16 @@ def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str,
     -------
     dict
         ``distances`` (pair: control units), ``named`` (asked: {named: share}), ``recognised``
-        (share), ``neutral_stays`` (share), and ``range`` and ``range_strong`` (emotion: median
-        factor on the neutral range of the mouth's opening), as heard and at intensity 1.
+        (share), ``neutral_stays`` (share), and ``range``, ``range_strong`` and ``range_jaw``
+        (emotion: median factor on the neutral range): mouth's opening as heard, the same at
+        intensity 1 throughout, and the jaw alone at intensity 1.
     """
     controls = model.controls
     faces: dict[str, list[Floats]] = {emotion: [] for emotion in EMOTIONS}
     named: dict[str, list[str]] = {emotion: [] for emotion in EMOTIONS}
     ranges: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
     strong: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
+    jaws: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
     for recording in recordings:
         speaking = speech_activity(recording.waveform) > 0
         for emotion in EMOTIONS:
@@ -64,6 +66,7 @@ def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str,
             ranges[emotion].append(lip_range(mouth_opening(curves, controls), speaking))
             full = _act(recording, emotion, model, FULL).curves.values
             strong[emotion].append(lip_range(mouth_opening(full, controls), speaking))
+            jaws[emotion].append(lip_range(full[:, controls.index(JAW)], speaking))
     right = [name == emotion for emotion in EMOTIONS for name in named[emotion]]
     return {
         "recordings": len(recordings),
@@ -73,6 +76,7 @@ def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str,
         "neutral_stays": float(np.mean([name == "neutral" for name in named["neutral"]])),
         "range": _factors(ranges, ranges["neutral"]),
         "range_strong": _factors(strong, ranges["neutral"]),
+        "range_jaw": _factors(jaws, jaws["neutral"]),
     }
 
 
@@ -114,17 +118,19 @@ def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
         opening, and the stronger mean expression; ``within_``: one half of a recording livelier
         than the other, and the same half duller (level is heard relative to the recording);
         ``whole_``: the whole of it. ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean
-        Spearman with a random contour applied to the recording, within speech.
+        Spearman with the liveliness of a recording moved along a random contour, within speech;
+        ``..._contour``: with that contour alone, against which the voice's own prosody is noise.
     """
     pairs: dict[str, list[bool]] = {}
     rhos: dict[str, list[float]] = {}
     for seed, recording in enumerate(recordings):
         _compare_whole(model, recording, pairs)
         _compare_halves(model, recording, pairs)
-        take, z = wandering(recording, seed)
+        take, contour, lively = wandering(recording, seed)
         performance = _act(take, LIVELY_EMOTION, model)
-        for name, value in follow(performance, z).items():
-            rhos.setdefault(name, []).append(value)
+        for end, label in (("", lively), ("_contour", contour)):
+            for name, value in follow(performance, label).items():
+                rhos.setdefault(name + end, []).append(value)
     shares = {name: float(np.mean(values)) for name, values in pairs.items()}
     counts = {"pairs_whole": len(recordings), "pairs_within": 2 * len(recordings)}
     return counts | shares | {name: _mean(values) for name, values in rhos.items()}

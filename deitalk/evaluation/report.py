@@ -83,7 +83,14 @@ def _emotions(groups: dict[str, Any]) -> list[str]:
             "",
             "Factor on the neutral range of the mouth's opening:",
             "",
-            *_table("", {"as heard": scores["range"], "intensity 1": scores["range_strong"]}),
+            *_table(
+                "",
+                {
+                    "as heard": scores["range"],
+                    "intensity 1": scores["range_strong"],
+                    "intensity 1, jaw alone": scores["range_jaw"],
+                },
+            ),
             "",
             "Distance of two faces (control units, Euclidean, mean of the frames):",
             "",
