@@ -47,9 +47,9 @@ def _bars(axis: Any, series: dict[str, dict[str, float]]) -> None:
         heights = [values.get(name, np.nan) for name in names]
         axis.bar(np.arange(len(names)) + i * width, heights, width, label=label)
     axis.set_xticks(np.arange(len(names)) + 0.4 - width / 2, names, rotation=40, ha="right")
-    axis.set_ylim(0, 1)
+    axis.set_ylim(0, 1.15)  # room for the legend
     if series:
-        axis.legend(fontsize=7, frameon=False)
+        axis.legend(fontsize=7, frameon=False, loc="upper center", ncols=len(series))
 
 
 def _phones(axis: Any, groups: dict[str, Any]) -> None:
@@ -78,7 +78,7 @@ def _distances(axis: Any, groups: dict[str, Any]) -> None:
         for pair, value in scores["distances"].items():
             i, j = (EMOTIONS.index(name) for name in pair.split("-"))
             matrix[[i, j], [j, i]] += value / len(groups)
-    axis.imshow(matrix, cmap="viridis")
+    axis.imshow(matrix, cmap="viridis", vmax=1.5 * matrix.max() or 1.0)
     axis.set_xticks(range(len(EMOTIONS)), EMOTIONS)
     axis.set_yticks(range(len(EMOTIONS)), EMOTIONS)
     for (i, j), value in np.ndenumerate(matrix):
