@@ -63,9 +63,8 @@ train-tiny: setup  ## Corpus of two minutes and a training of six steps, end to 
 
 pictures: setup  ## Draw docs/pictures, the embedded head in pictures
 	mkdir -p docs/pictures
-	$(BIN)/deitalk face sheet mouth --tile 170 -o docs/pictures/face-mouth.png --force
-	$(BIN)/deitalk face sheet emotions --columns 5 --tile 180 -o docs/pictures/face-emotions.png --force
-	$(BIN)/deitalk face identities -o docs/pictures/face-people.png --force
+	$(BIN)/deitalk face sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
+	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 
 figure: setup-dev  ## Draw docs/curves.png, the README's picture
 	$(BIN)/deitalk plot deitalk/samples/promise.flac --emotion happy -o docs/curves.png --force
