@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from deitalk import __version__
+from deitalk.cli.ablate import ablate
 from deitalk.cli.animate import animate
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.controls import controls
@@ -40,6 +41,7 @@ app.command()(validate)
 app.command()(retarget)
 app.command()(train)
 app.command()(evaluate)
+app.command()(ablate)
 app.command()(benchmark)
 app.add_typer(livelink_app, name="livelink")
 app.add_typer(face_app, name="face")

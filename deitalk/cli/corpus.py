@@ -69,3 +69,21 @@ def build(
         frame = building.build(out, shards, workers=workers, progress=advance)
     counts = frame.groupby("split").size().to_dict()
     words().print(f"{out}: {len(frame)} clips ({', '.join(f'{v} {k}' for k, v in counts.items())})")
+
+
+@app.command()
+def sheet(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the two pictures.")],
+    phones: Annotated[
+        str, typer.Option(help="Phones of the channel picture, such as 'SIL M AA SIL'.")
+    ] = "",
+) -> None:
+    """Draw the articulation tables: channels of a sentence, phones by emotions on a face."""
+    from deitalk.corpus import sheet as pictures
+
+    out.mkdir(parents=True, exist_ok=True)
+    names = (phones or pictures.SENTENCE).split()
+    with words().status("drawing"):
+        pictures.plot_channels(pictures.evenly_timed(names), out / "channels.png")
+        pictures.draw_faces(out / "faces.png")
+    words().print(f"{out}: channels.png, faces.png")
