@@ -105,9 +105,7 @@ def animate(
     shown = expression_gate(activity)
     times = frame_times(recording.n_frames)
     weights = track.at(times)
-    neutral, emotional, saliency, heard = _read(
-        network, recording, weights, activity, progress
-    )
+    neutral, emotional, saliency, heard = _read(network, recording, weights, activity, progress)
     clock.lap("network")
     predicted = heard * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
@@ -124,15 +122,31 @@ def animate(
             add_idle_motion(reading, network.controls, fps=30, rng=rng)
     clipped = _clamp(values, network) + 0 * _clamp(neutral, network)
     clock.lap("expression")
-    made = {"names": network.controls.names, "fps": 30.0, "control_set": network.controls.id}
     return Performance(
-        RigCurves(values, emotion=weights, intensity=applied.astype(np.float32), **made),
-        RigCurves(neutral, **made),
+        _curves(network, values, weights, applied.astype(np.float32)),
+        _curves(network, neutral),
         saliency,
         predicted,
         recording,
         clipped,
         clock.laps,
+    )
+
+
+def _curves(
+    network: "DEITalk",
+    values: Floats,
+    emotion: Floats | None = None,
+    intensity: Floats | None = None,
+) -> RigCurves:
+    controls = network.controls
+    return RigCurves(
+        values,
+        controls.names,
+        fps=30.0,
+        emotion=emotion,
+        intensity=intensity,
+        control_set=controls.id,
     )
 
 

@@ -30,7 +30,9 @@ def speechlike(seconds: float, seed: int = 0) -> NDArray[np.float32]:
     times = np.arange(min(n, 60 * 16_000)) / 16_000
     tone = np.sin(2 * np.pi * np.cumsum(120 + 20 * np.sin(2 * np.pi * 0.7 * times)) / 16_000)
     noise = rng.standard_normal(len(times))
-    rhythm = np.maximum(np.sin(2 * np.pi * 4 * times), 0) * (np.sin(2 * np.pi * 0.23 * times) > -0.8)
+    rhythm = np.maximum(np.sin(2 * np.pi * 4 * times), 0) * (
+        np.sin(2 * np.pi * 0.23 * times) > -0.8
+    )
     minute = (0.1 * rhythm * (tone + 0.2 * noise)).astype(np.float32)
     return np.resize(minute, n)
 
@@ -53,7 +55,7 @@ def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str,
     network = load_model(model)
     recording = Recording(speechlike(seconds), "speechlike noise", 16_000, 1, 0.0, ())
     animate(recording, "happy", model=network)
-    runs = []
+    runs: list[dict[str, Any]] = []
     for _ in range(repeats):
         wall, cpu = time.perf_counter(), time.process_time()
         performance = animate(recording, "happy", model=network)

@@ -77,6 +77,7 @@ class Expression:
         Parameters
         ----------
         curves : ndarray [shape=(T, C)]
+            A reading, as the network gave it.
         """
         odds_of_middle = DECIDED / (1 - DECIDED)
         for place in self.seals:

@@ -27,9 +27,11 @@ def plot(performance: Performance, path: Path, title: str) -> None:
     Parameters
     ----------
     performance : Performance
+        What `deitalk.animate.animate` gave.
     path : Path
         .png, .svg or .pdf.
     title : str
+        Printed above the waveform.
 
     Raises
     ------
@@ -41,9 +43,7 @@ def plot(performance: Performance, path: Path, title: str) -> None:
     except ImportError:
         raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
     figure = Figure(figsize=(12, 1.3 * (len(ROWS) + 1.6)), layout="constrained")
-    axes = figure.subplots(
-        len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))]
-    )
+    axes = figure.subplots(len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))])
     _waveform(axes[0], performance, title)
     times = performance.curves.times
     for axis, (label, names) in zip(axes[1:], ROWS, strict=True):

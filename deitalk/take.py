@@ -19,6 +19,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from deitalk import __version__
 from deitalk.animate import Performance
 from deitalk.audio import frame_times, write_wav
@@ -64,6 +67,7 @@ def write_take(
     folder : Path
         Must not exist unless `force`; its parent is made.
     performance : Performance
+        What `deitalk.animate.animate` gave.
     settings : dict
         What was asked for, for ``take.json``.
     model : dict
@@ -93,7 +97,9 @@ def write_take(
             _fill(beside, performance, settings, model, fps, extras)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise TakeError(f"cannot write {folder}: {reason}; free space or name another folder") from None
+        raise TakeError(
+            f"cannot write {folder}: {reason}; free space or name another folder"
+        ) from None
     return folder
 
 
@@ -127,10 +133,10 @@ def _fill(
     write_intensity_csv(
         folder / "intensity.csv",
         times=times,
-        weights=performance.curves.emotion,
+        weights=_track(performance.curves.emotion),
         saliency=performance.saliency,
         predicted=performance.predicted,
-        intensity=performance.curves.intensity,
+        intensity=_track(performance.curves.intensity),
     )
     write_wav(folder / "audio.wav", performance.recording.waveform)
     slate = Path(performance.recording.source).stem
@@ -152,6 +158,12 @@ def _fill(
         "files": files,
     }
     (folder / "take.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def _track(values: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    """A track every performance has."""
+    assert values is not None, "a performance carries its emotion and intensity"
+    return values
 
 
 def _source(performance: Performance) -> dict[str, Any]:

@@ -136,7 +136,10 @@ def test_controls_lists_and_filters():
     assert len(json.loads(run(app, ["controls", "--set", "lip", "--json"]).stdout)) == 86
     jaws = json.loads(run(app, ["controls", "jaw.ty", "--json"]).stdout)
     assert [row["control"] for row in jaws] == ["CTRL_C_jaw.ty"]
-    sizes = {r["set"]: r["controls"] for r in json.loads(run(app, ["controls", "--sets", "--json"]).stdout)}
+    sizes = {
+        r["set"]: r["controls"]
+        for r in json.loads(run(app, ["controls", "--sets", "--json"]).stdout)
+    }
     assert sizes["upper_face"] == 18
 
 

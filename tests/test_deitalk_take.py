@@ -16,7 +16,7 @@ __all__ = ["network"]
 
 
 @pytest.fixture(scope="module")
-def performance(network):  # noqa: F811
+def performance(network):
     return animate(recording(2.5), "happy", model=network)
 
 

@@ -95,7 +95,9 @@ def test_fit_equals_bounded_least_squares(rng):
     """Coupled and single shapes against scipy's solver, on raw curves below 1."""
     shapes = [arkit(**{name: 1e-3}) for name in SHAPES]
     rest = raw_controls().rest
-    poses = np.stack([1e3 * (arkit_to_raw(shape).values[0] - rest.astype(float)) for shape in shapes])
+    poses = np.stack(
+        [1e3 * (arkit_to_raw(shape).values[0] - rest.astype(float)) for shape in shapes]
+    )
     for _ in range(5):
         target = np.where(rest == 1, 1, rng.uniform(0, 0.95, 251)).astype(np.float32)
         fit = raw_to_arkit(RigCurves(target[None], raw_controls().names, control_set=RAW_ID))

@@ -28,9 +28,7 @@ def benchmark(
         result["machine"] = measures.machine()
         result["clip"] = measures.measure(model, seconds, threads, repeats)
         progress(1 / total)
-        result["table_4_clip"] = measures.measure(
-            model, measures.TABLE_4_SECONDS, threads, repeats
-        )
+        result["table_4_clip"] = measures.measure(model, measures.TABLE_4_SECONDS, threads, repeats)
         progress(2 / total)
         result["memory"] = []
         for i, length in enumerate(lengths):

@@ -22,8 +22,10 @@ def build(
     hours: Annotated[float, typer.Option(min=0, help="Hours of synthetic speech.")] = 1.0,
     recordings: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder of real speech with transcripts (LibriSpeech layout, tables, "
-                     "or clips.csv); may be given several times."),
+        typer.Option(
+            help="Folder of real speech with transcripts (LibriSpeech layout, tables, "
+            "or clips.csv); may be given several times."
+        ),
     ] = None,
     alignments: Annotated[
         Path | None, typer.Option(help="Folder that keeps phone times between builds.")

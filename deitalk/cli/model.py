@@ -30,7 +30,7 @@ def export(
     deitalk model export runs/mel/best -o my_model --data "my captures"
     """
     from deitalk.checkpoint import describe_model, load_model, model_folder, save_model
-    from deitalk.config import load_config
+    from deitalk.config import Config, load_config
     from deitalk.errors import CheckpointError
 
     if out.exists() and not force:
@@ -38,6 +38,8 @@ def export(
     config = load_config(
         model_folder(model) / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
     )
+    if not isinstance(config, Config):
+        raise CheckpointError(f"{model}: a mesh model (sdfa); only curve models are exported")
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
     out.parent.mkdir(parents=True, exist_ok=True)
     save_model(out, load_model(model), config, summary, half=True)

@@ -31,8 +31,6 @@ def plot(
         from deitalk.animate import animate
         from deitalk.plot import plot as draw
 
-        performance = animate(
-            speech, emotion, model=model, intensity=intensity, progress=progress
-        )
+        performance = animate(speech, emotion, model=model, intensity=intensity, progress=progress)
     draw(performance, out, f"{speech.name}, {emotion}")
     words().print(f"{out}")
