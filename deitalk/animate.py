@@ -162,8 +162,9 @@ def _read(
 
     n_frames = recording.n_frames
     device = next(network.parameters()).device
-    waveform = normalise_level(recording.waveform, activity=activity)
-    analysis = network.analyse(torch.from_numpy(waveform), n_frames, progress)
+    waveform = torch.from_numpy(normalise_level(recording.waveform, activity=activity))
+    analysis = network.analyse(waveform, n_frames, progress)
+    del waveform  # an hour of it is 230 MB, and the curves are yet to come
     plain = torch.zeros(n_frames, weights.shape[1], device=device)
     plain[:, 0] = 1
     neutral = network.decode(analysis, plain).cpu().numpy()
