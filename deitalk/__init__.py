@@ -11,14 +11,14 @@ __version__ = "0.1.0"
 __all__ = ["EMOTIONS", "Performance", "__version__", "animate", "load_model"]
 
 if TYPE_CHECKING:
-    from deitalk.animate import Performance, animate
     from deitalk.checkpoint import load_model
     from deitalk.emotions import EMOTIONS
+    from deitalk.pipeline import Performance, animate
 
 _HOME = {
     "EMOTIONS": "deitalk.emotions",
-    "Performance": "deitalk.animate",
-    "animate": "deitalk.animate",
+    "Performance": "deitalk.pipeline",
+    "animate": "deitalk.pipeline",
     "load_model": "deitalk.checkpoint",
 }
 
@@ -29,6 +29,4 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'deitalk' has no attribute {name!r}")
     from importlib import import_module
 
-    value = getattr(import_module(_HOME[name]), name)
-    globals()[name] = value  # the function, where a module bears the same name
-    return value
+    return getattr(import_module(_HOME[name]), name)

@@ -48,9 +48,9 @@ def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str,
     """
     import torch
 
-    from deitalk.animate import animate
     from deitalk.audio import Recording
     from deitalk.checkpoint import load_model
+    from deitalk.pipeline import animate
 
     torch.set_num_threads(threads)
     network = load_model(model)
@@ -82,7 +82,7 @@ def peak_memory(model: str, seconds: float) -> dict[str, float]:
     script = (
         "import json, sys, time\n"
         "from deitalk.benchmark import peak_megabytes, speechlike\n"
-        "from deitalk.animate import animate\n"
+        "from deitalk.pipeline import animate\n"
         "from deitalk.audio import Recording\n"
         "from deitalk.checkpoint import load_model\n"
         "network = load_model(sys.argv[1])\n"

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from deitalk.animate import animate
 from deitalk.audio import load_audio
 from deitalk.closures import ClosureScores, closure_scores, held_closures, summarise_closures
 from deitalk.data.folder import Clip, read_clips
@@ -37,6 +36,7 @@ from deitalk.evaluation.probes import emotion_report, follow, lively_report, noi
 from deitalk.evaluation.report import as_markdown
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models import DEITalk
+from deitalk.pipeline import animate
 
 __all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.animate import Performance
 from deitalk.errors import MissingError
+from deitalk.pipeline import Performance
 from rig.files import atomic_write
 
 ROWS = (
@@ -27,7 +27,7 @@ def plot(performance: Performance, path: Path, title: str) -> None:
     Parameters
     ----------
     performance : Performance
-        What `deitalk.animate.animate` gave.
+        What `deitalk.pipeline.animate` gave.
     path : Path
         .png, .svg or .pdf.
     title : str

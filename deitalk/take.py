@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk import __version__
-from deitalk.animate import Performance
 from deitalk.audio import frame_times, write_wav
 from deitalk.emotions import write_intensity_csv
 from deitalk.errors import DeitalkError
+from deitalk.pipeline import Performance
 from rig import write_curves
 from rig.exchange import write_exchange_files
 from rig.files import atomic_write
@@ -67,7 +67,7 @@ def write_take(
     folder : Path
         Must not exist unless `force`; its parent is made.
     performance : Performance
-        What `deitalk.animate.animate` gave.
+        What `deitalk.pipeline.animate` gave.
     settings : dict
         What was asked for, for ``take.json``.
     model : dict

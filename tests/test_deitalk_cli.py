@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from test_deitalk_animate import SMALL
+from test_deitalk_pipeline import SMALL
 from typer.testing import CliRunner
 
 from deitalk.benchmark import speechlike

@@ -11,7 +11,6 @@ import torch
 from conftest import SHARED
 from dataset import write_dataset
 
-from deitalk.animate import Performance
 from deitalk.checkpoint import embedded_models, load_model
 from deitalk.config import load_config
 from deitalk.data.folder import read_clips
@@ -22,6 +21,7 @@ from deitalk.evaluate import _groups, as_markdown, evaluate, loudness
 from deitalk.evaluation.picture import draw
 from deitalk.evaluation.report import as_json
 from deitalk.models import DEITalk
+from deitalk.pipeline import Performance
 from rig import RigCurves, default_controls
 
 

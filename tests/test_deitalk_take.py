@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import soundfile
-from test_deitalk_animate import network, recording
+from test_deitalk_pipeline import network, recording
 
 from deitalk import animate
 from deitalk.take import FILES, TakeError, write_take

@@ -10,7 +10,7 @@ import typer
 from deitalk.cli.words import bar, words
 
 if TYPE_CHECKING:
-    from deitalk.animate import Performance
+    from deitalk.pipeline import Performance
     from deitalk.take import Extra
 
 
@@ -68,8 +68,8 @@ def animate(
     with words().status("loading the network"):
         import torch
 
-        from deitalk.animate import animate as perform
         from deitalk.checkpoint import describe_model, load_model
+        from deitalk.pipeline import animate as perform
 
         torch.set_num_threads(threads)
         network = load_model(model, device=device)

@@ -197,7 +197,7 @@ def _source(
     try:
         find_format(source, readable=True)
     except FormatError:
-        from deitalk.animate import animate
+        from deitalk.pipeline import animate
 
         words().print(f"acting {source.name}")
         performance = animate(source, emotion, model=model, intensity=intensity)

@@ -28,7 +28,7 @@ def plot(
     if out.exists() and not force:
         raise DataError(f"{out} exists; add --force to replace it, or name another file")
     with bar("animating") as progress:
-        from deitalk.animate import animate
+        from deitalk.pipeline import animate
         from deitalk.plot import plot as draw
 
         performance = animate(speech, emotion, model=model, intensity=intensity, progress=progress)

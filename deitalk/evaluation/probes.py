@@ -1,6 +1,6 @@
 """Experiments on a few recordings: other emotions, livelier takes, noise.
 
-Everything goes through `deitalk.animate.animate`, as a user's recording would, blinks left out.
+Everything goes through `deitalk.pipeline.animate`, as a user's recording would, blinks left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.activity import speech_activity
-from deitalk.animate import Performance, animate
 from deitalk.audio import Recording, load_audio
 from deitalk.closures import closure_scores, summarise_closures
 from deitalk.data.folder import Clip
@@ -31,6 +30,7 @@ from deitalk.evaluation.noise import SNRS_DB, mix
 from deitalk.evaluation.opening import JAW, mouth_opening
 from deitalk.metrics import correlation
 from deitalk.models import DEITalk
+from deitalk.pipeline import Performance, animate
 from rig import ControlSet
 
 Floats = NDArray[np.float32]

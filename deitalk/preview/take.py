@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from deitalk.animate import Performance
 from deitalk.audio import SAMPLE_RATE
+from deitalk.pipeline import Performance
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource
 from deitalk.preview.video import render_video

@@ -81,6 +81,17 @@ def values(*args, **kwargs):
     return animate(*args, **kwargs).curves.values
 
 
+def test_the_public_name_is_the_function_whatever_was_imported_before():
+    import importlib
+
+    import deitalk
+
+    importlib.import_module("deitalk.pipeline")
+    importlib.import_module("deitalk.cli.animate")
+    assert callable(deitalk.animate)
+    assert all(hasattr(deitalk, name) for name in deitalk.__all__)
+
+
 def test_one_row_per_thirtieth_of_a_second(network):
     performance = animate(recording(2.01), "happy", model=network)
     assert len(performance.curves) == 61  # ceil(30 * 2.01)
