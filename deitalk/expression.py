@@ -26,6 +26,9 @@ STILL = 0.01
 DECIDED, DECISION = 0.38, 2.0
 """Lips-together value that becomes one half, and the factor on the distance from it, in logits."""
 
+FASTEST_CONTACT = 0.4
+"""Lips close and part by at most this a frame at 30 Hz, as fast as captured mouths move."""
+
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
@@ -84,6 +87,26 @@ class Expression:
             x = np.clip(curves[:, place], 0, 1)
             odds = (x / np.maximum(1 - x, 1e-6) / odds_of_middle) ** DECISION
             curves[:, place] = odds / (odds + 1)
+
+    def ease(self, curves: Floats) -> None:
+        """Let lips start closing early and part late rather than jump, in place.
+
+        Contacts keep their height; the frames around them are raised until no step of a
+        lips-together or lip-bite control is larger than `FASTEST_CONTACT`.
+
+        Parameters
+        ----------
+        curves : ndarray [shape=(T, C)]
+            At 30 frames per second.
+        """
+        for place in self.seals:
+            sharp = curves[:, place].copy()
+            for frames in range(1, int(1 / FASTEST_CONTACT) + 1):
+                reach = frames * FASTEST_CONTACT
+                curves[frames:, place] = np.maximum(curves[frames:, place], sharp[:-frames] - reach)
+                curves[:-frames, place] = np.maximum(
+                    curves[:-frames, place], sharp[frames:] - reach
+                )
 
     def contact(self, neutral: Floats) -> Floats:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""

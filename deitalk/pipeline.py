@@ -115,6 +115,7 @@ def animate(
     values = rules.blend(neutral, emotional, applied, predicted)
     del emotional
     for reading in (neutral, values):
+        rules.ease(reading)
         rules.quieten(reading)
         rules.rest_in_silence(reading, mouth_gate(activity), shown)
         if idle and activity.any():

@@ -158,3 +158,13 @@ def test_doubtful_contacts_are_decided_and_keep_their_order():
     # odds of 0.7 against those of 0.38 are 3.807; squared 14.49; 14.49 / 15.49 = 0.9354
     np.testing.assert_allclose(values[:, place], [0, 0.1426, 0.5, 0.9354, 1], atol=1e-3)
     np.testing.assert_allclose(values[:, jaw], 0.7)
+
+
+def test_lips_start_closing_early_and_keep_their_contact():
+    controls = default_controls()
+    values = np.tile(controls.rest, (9, 1)).astype(np.float32)
+    place = controls.index("CTRL_R_mouth_lipsTogetherD.ty")
+    values[4, place] = 1
+    Expression(controls).ease(values)
+    expected = [0, 0, 0.2, 0.6, 1, 0.6, 0.2, 0, 0]
+    np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
