@@ -91,14 +91,20 @@ def augment(
     x = _limit_band(x, rng)
     power = float(np.sqrt(np.mean(x**2)) + 1e-9)
     if rng.random() < 0.9:
-        snr_db, noise = rng.uniform(6, 50), _noise(len(x), rng, surroundings.noises, voices)
-        x = x + noise * power * 10 ** (-snr_db / 20)
+        noise = _noise(len(x), rng, surroundings.noises, voices)
+        x = x + noise * power * 10 ** (-_ratio_db(rng) / 20)
     else:
         x = x + rng.standard_normal(len(x)) * 10 ** rng.uniform(-5, -3.5)
     x = x * 10 ** (rng.uniform(-9, 7) / 20)
     if rng.random() < 0.03:
         x = np.clip(x, -0.3 * np.abs(x).max(), 0.3 * np.abs(x).max())
     return x.astype(np.float32)
+
+
+def _ratio_db(rng: np.random.Generator) -> float:
+    """Speech over noise: a third of the windows are hard to hear."""
+    low, high = (-2, 12) if rng.random() < 0.35 else (12, 48)
+    return float(rng.uniform(low, high))
 
 
 def _colour(x: Floats, rng: np.random.Generator) -> Floats:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from deitalk.activity import speech_activity
 from deitalk.closures import ClosureScores, closure_scores, summarise_closures
 from deitalk.data.folder import Clip, read_phones
 from deitalk.data.windows import cut, load_material, n_clip_frames
@@ -74,7 +75,7 @@ class DevelopmentSet:
         """Errors, correlations and closures; ``score`` is what weights are chosen by.
 
         ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
-        over `ARTICULATION`, and the r of the intensity: what a viewer notices, equally weighted.
+        over `ARTICULATION`, and the r of the intensity within speech: what a viewer notices, equally weighted.
         Data without phones or intensity is scored by the rest; an empty set by 0.
 
         Parameters
@@ -109,7 +110,7 @@ class DevelopmentSet:
             "jaw_r": rs[0],
             "mean_r": _mean(rs),
         }
-        known = np.isfinite(example.intensity)
+        known = np.isfinite(example.intensity) & (speech_activity(example.waveform) > 0)
         row["intensity_r"] = (
             correlation(example.intensity[known], strength[known])
             if strength is not None and known.any()

@@ -3,8 +3,9 @@
 Three tables are the performer: ``tables/channels.csv`` maps articulation channels to controls
 (left and right differ a little, as on any face), ``tables/styles.csv`` holds the pose of every
 emotion at full intensity with its FACS source (Ekman, Friesen and Hager 2002; EMFACS), and
-`GAINS` says how an emotion moves the mouth. Gains follow what articulographs saw: joy and anger
-widen the range of the lips 1.2 to 1.5 times, quiet sadness narrows it to 0.85 to 0.95.
+`GAINS` says how an emotion moves the mouth. Gains follow what articulographs saw: strong joy and
+anger widen the range of the lips 1.2 to 1.5 times against usual neutral speech (most of it is
+liveliness, `LOUDNESS_GAIN`), quiet sadness narrows it to 0.85 to 0.95.
 
 Letters: N frames, K channels, C controls.
 """
@@ -34,10 +35,10 @@ Floats = NDArray[np.float64]
 
 GAINS = {
     "neutral": (1.0, 1.0, 1.0),
-    "angry": (1.3, 1.35, 1.05),
-    "happy": (1.2, 1.3, 0.95),
+    "angry": (1.1, 1.05, 1.05),
+    "happy": (1.08, 1.08, 0.95),
     "sad": (0.8, 0.85, 0.95),
-    "surprised": (1.3, 1.15, 1.05),
+    "surprised": (1.2, 1.1, 1.05),
 }
 """Factor on jaw, on the lips' opening and spreading, on their rounding, at full intensity."""
 

@@ -89,6 +89,8 @@ def dominance(name: str) -> Floats:
         strength[[BITE, JAW]] = (4, 0.9)
     if target[HISS] > 0:
         strength[[JAW, HISS]] = (1.6, 2)
+    if name in ("T", "D", "N"):
+        strength[JAW] = 0.8  # a tongue at the alveolar ridge holds the jaw high
     rounded = [c for c in (FUNNEL, PURSE) if target[c] > 0.25 and name not in VOWELS]
     strength[rounded] = 1.6
     tongue = [c for c in (TIP, OUT, BACK) if target[c] > 0.4]

@@ -199,10 +199,13 @@ def split_of(speaker: str) -> str:
     """Split a speaker belongs to, for ever: 70/20/10 by a hash of the name (§4.1).
 
     Deviation: the few voices of flite and festival all train; the espeak variants and the
-    readers, of whom there are many, are divided.
+    readers, of whom there are many, are divided. A variant of espeak is one voice in whatever
+    accent or language it speaks.
     """
     if speaker.startswith(("flite:", "festival:")):
         return "train"
+    if speaker.startswith("espeak:") and "+" in speaker:
+        speaker = "espeak:+" + speaker.partition("+")[2]
     place = int.from_bytes(hashlib.sha256(speaker.encode()).digest()[:4]) / 2**32
     if place < SHARES[0]:
         return "train"
