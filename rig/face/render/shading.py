@@ -5,6 +5,7 @@ ground ambient, and a gentle shoulder. sRGB is taken as a square, which is cheap
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.face.mesh import Array, unit
 
@@ -18,27 +19,53 @@ LIGHTS = (
 WRAP = (0.38, 0.22, 0.16)
 SKY, GROUND = (0.22, 0.24, 0.27), (0.10, 0.085, 0.08)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
+Float = NDArray[np.float32]
 
 
-def shade(albedo: Array, normals: Array, to_eye: Array, gloss: Array) -> Array:
-    """Colour (n, 3) sRGB of surface points from their sRGB albedo, normal, view and gloss."""
-    n = unit(normals + 1e-12)
-    wrap = np.array(WRAP)
-    up = 0.5 + 0.5 * n[:, 1:2]
-    diffuse = np.array(GROUND) + (np.array(SKY) - np.array(GROUND)) * up
+def _column(values: tuple[float, ...]) -> Float:
+    return np.array(values, np.float32)[:, None]
+
+
+_WRAP, _SKY, _GROUND = _column(WRAP), _column(SKY), _column(GROUND)
+_TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS])).astype(np.float32)
+_LIGHT = [_column(color) for _, color in LIGHTS]
+
+
+def shade(albedo: Float, normals: Float, to_eye: Float, gloss: Float) -> Float:
+    """Colour of surface points, as the shader of `glsl` gives it.
+
+    Parameters
+    ----------
+    albedo : ndarray [shape=(3, n)]
+        sRGB in 0..1.
+    normals, to_eye : ndarray [shape=(3, n)]
+        Normals of any length, and unit vectors towards the camera.
+    gloss : ndarray [shape=(n,)]
+        0..1.
+
+    Returns
+    -------
+    color : ndarray [shape=(3, n)], float32, sRGB in 0..1
+    """
+    n = normals / np.sqrt(np.einsum("cn,cn->n", normals, normals) + np.float32(1e-12))
+    up = 0.5 + 0.5 * n[1]
+    diffuse = _GROUND + (_SKY - _GROUND) * up
     highlight = np.zeros_like(albedo)
-    power = 10 + 240 * gloss**2
-    strength = 0.16 * np.minimum(gloss, 0.28) + 0.50 * gloss**2.5
-    for direction, color in LIGHTS:
-        d = unit(np.array(direction))
-        cosine = (n @ d)[:, None]
-        lit = np.clip((cosine + wrap) / (1 + wrap), 0, 1)
-        diffuse = diffuse + np.array(color) * lit * (0.72 + 0.28 * lit)
-        half = unit(d + to_eye)
-        shine = np.clip((n * half).sum(1), 0, 1) ** power * strength * (cosine[:, 0] > 0)
-        highlight += shine[:, None] * np.array(color)
-    linear = albedo**2 * diffuse + highlight
+    power, strength = 10 + 240 * gloss**2, 0.16 * np.minimum(gloss, 0.28)
+    strength += 0.50 * gloss**2 * np.sqrt(np.maximum(gloss, 0))
+    along_eye, cosines, eyes = np.einsum("cn,cn->n", n, to_eye), _TO_LIGHT @ n, _TO_LIGHT @ to_eye
+    for cosine, eye, color in zip(cosines, eyes, _LIGHT, strict=True):
+        lit = np.clip((cosine + _WRAP) / (1 + _WRAP), 0, 1)
+        diffuse += color * lit * (0.72 + 0.28 * lit)
+        shine = _half_cosine(cosine + along_eye, eye) ** power * strength * (cosine > 0)
+        highlight += shine * color
+    linear = albedo * albedo * diffuse + highlight
     return np.asarray(np.sqrt((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1)))
+
+
+def _half_cosine(total: Float, eye: Float) -> Float:
+    """Cosine between normal and half vector: n.(d + v) / |d + v|, not below 0."""
+    return np.clip(total / np.sqrt(np.maximum(2 + 2 * eye, 1e-6)), 0, 1)
 
 
 def background(height: int) -> Array:

@@ -1,101 +1,127 @@
-"""A z-buffer rasteriser in numpy: no OpenGL, no compiled code.
+"""The same picture in numpy alone: no OpenGL, no compiled code.
 
-Triangles are grouped by the size of their bounding box; each group tests all its pixels at once.
-The nearest fragment of every pixel is then shaded.
+Four samples a pixel find the nearest face. Light is worked out once a pixel, and once more for
+each sample that sees another surface than the pixel's first sample does (multisampling).
 """
 
-import numpy as np
+from typing import TypeVar
 
-from rig.face.mesh import Array, Index, Mask, Mesh
-from rig.face.render.camera import View
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from rig.face.mesh import Array, Index, Mesh, adjacency, unit
+from rig.face.render.camera import FAR, NEAR, View
 from rig.face.render.lettering import Picture
+from rig.face.render.raster import Float, Int, Screen, front_faces, middle_of, nearest_faces, planes
 from rig.face.render.shading import background, shade
+
+T = TypeVar("T", bound=np.generic)
+STEP_CM = 0.2
+"""Samples of one part whose depths differ by more see different surfaces."""
+CHUNK = 8192
+"""Pixels shaded at a time: few enough for a processor's cache."""
 
 
 class SoftwareRenderer:
-    """Draws one mesh's poses; `supersample` squared samples a pixel."""
+    """Draws one mesh's poses."""
 
-    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View, supersample: int = 2) -> None:
-        self.mesh, self.size, self.view, self.supersample = mesh, size, view, supersample
+    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
+        self._faces, self._size = mesh.faces, size
+        self._matrix = view.matrix(size[0] / size[1])
+        self._paint = np.c_[mesh.colors, mesh.gloss].astype(np.float32)
+        self._part = _parts(mesh)
+        self._to_eye = _directions_to_eye(view, self._matrix, size)
+        rows = (background(size[1])[:, 0] * 255).astype(np.float32)
+        self._empty = np.repeat(rows, size[0], axis=0).T.copy()
+        distance = np.linalg.norm(np.subtract(view.position, view.target))
+        self._step = np.float32(STEP_CM * NEAR * FAR / (FAR - NEAR) / distance**2)
 
     def draw(self, vertices: Array, normals: Array) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
-        width, height = (n * self.supersample for n in self.size)
-        clip = np.c_[vertices, np.ones(len(vertices))] @ self.view.matrix(width / height).T
-        screen = clip[:, :3] / clip[:, 3:]
-        xy = (screen[:, :2] * [0.5, -0.5] + 0.5) * [width, height]
-        faces = self.mesh.faces[_is_front(xy, self.mesh.faces)]
-        pixel, face, bary = _visible(xy, screen[:, 2], faces, width, height)
-        corners = faces[face]
-
-        def across(values: Array) -> Array:
-            return np.asarray(np.einsum("fk,fkc->fc", bary, values[corners]))
-
-        points = across(vertices)
-        to_eye = np.array(self.view.position) - points
-        to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
-        paint = across(np.c_[self.mesh.colors, self.mesh.gloss])
-        picture = np.broadcast_to(background(height), (height, width, 3)).copy()
-        picture.reshape(-1, 3)[pixel] = shade(paint[:, :3], across(normals), to_eye, paint[:, 3])
-        k = self.supersample
-        mean = picture.reshape(height // k, k, width // k, k, 3).mean((1, 3))
-        return np.asarray(mean * 255 + 0.5, np.uint8)
+        screen = self._project(vertices)
+        faces = front_faces(screen, self._faces)
+        nearest, depths = nearest_faces(screen, faces)
+        face, depth = _by_pixel(nearest), _by_pixel(depths)
+        surfaces = _Surfaces(screen, faces, np.c_[normals, self._paint].astype(np.float32))
+        picture = self._empty.copy()
+        seen = np.flatnonzero(face[0] >= 0)
+        picture[:, seen] = self._colors(surfaces, seen, face[0, seen], 0)
+        more = np.zeros_like(picture)
+        for sample in (1, 2, 3):
+            at = self._differs(faces, face, depth, sample)
+            own, is_empty = face[sample, at], face[sample, at] < 0
+            color = np.where(is_empty, self._empty[:, at], 0)
+            color[:, ~is_empty] = self._colors(surfaces, at[~is_empty], own[~is_empty], sample)
+            more[:, at] += color - picture[:, at]
+        picture += 0.25 * more
+        return (picture.T + np.float32(0.5)).astype(np.uint8).reshape(*self._size[::-1], 3)
 
     def close(self) -> None:
         """Nothing to free."""
 
+    def _project(self, vertices: Array) -> Screen:
+        width, height = 2 * self._size[0], 2 * self._size[1]
+        clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
+        x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
+        return Screen(
+            width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
+        )
 
-def _is_front(xy: Array, faces: Index) -> Mask:
-    """Faces whose corners run counter-clockwise on a screen whose y axis points down."""
-    a, b, c = (xy[faces[:, k]] for k in range(3))
-    return np.asarray(
-        (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    )
+    def _differs(self, faces: Index, face: Int, depth: Float, sample: int) -> Index:
+        """Pixels whose sample sees another surface than sample 0 does."""
+        at = np.flatnonzero(face[sample] != face[0])
+        part = np.append(self._part[faces[:, 0]], -1)  # face -1 is the backdrop
+        is_other = part[face[sample, at]] != part[face[0, at]]
+        with np.errstate(invalid="ignore"):
+            is_other |= np.abs(depth[sample, at] - depth[0, at]) > self._step
+        return np.asarray(at[is_other])
 
-
-def _visible(
-    xy: Array, depth: Array, faces: Index, width: int, height: int
-) -> tuple[Index, Index, Array]:
-    """Pixel index, face and barycentric weights of every visible sample."""
-    corner = xy[faces]
-    low = np.floor(corner.min(1)).astype(np.int64)
-    extent = (np.ceil(corner.max(1)) - low).max(1)
-    low_in, high_in = corner.max(1), corner.min(1)
-    on_screen = (low_in > 0).all(1) & (high_in < [width, height]).all(1)
-    found = [_fragments(corner, low, np.zeros(0, np.int64), 1, width, height)]
-    smallest = 0.0
-    for box in (2, 4, 6, 9, 14, 24, 48, 96, 192, 384, 10_000):
-        group = np.flatnonzero(on_screen & (extent <= box) & (extent > smallest))
-        smallest = box
-        if len(group):
-            side = min(box, int(extent[group].max()))
-            for part in np.array_split(group, max(1, len(group) * side * side // 2_000_000)):
-                found.append(_fragments(corner, low, part, side, width, height))
-    pixel, face, bary = (np.concatenate(column) for column in zip(*found, strict=True))
-    z = (bary * depth[faces[face]]).sum(1)
-    nearest = np.full(width * height, np.inf)
-    np.minimum.at(nearest, pixel, z)
-    wins = z <= nearest[pixel]
-    return pixel[wins], face[wins], bary[wins]
+    def _colors(self, surfaces: "_Surfaces", pixels: Index, face: Int, sample: int) -> Float:
+        """Colours (3, n) 0..255 of faces seen by one sample of some pixels."""
+        width = self._size[0]
+        out = np.empty((3, len(pixels)), np.float32)
+        for start in range(0, len(pixels), CHUNK):
+            part = slice(start, start + CHUNK)
+            y, x = np.divmod(pixels[part], width)
+            values = surfaces.at(face[part], 2 * x + sample % 2, 2 * y + sample // 2)
+            out[:, part] = shade(values[3:6], values[:3], self._to_eye[:, pixels[part]], values[6])
+        return out * np.float32(255)
 
 
-def _fragments(
-    corner: Array, low: Index, group: Index, side: int, width: int, height: int
-) -> tuple[Index, Index, Array]:
-    """Samples inside the triangles of one group whose boxes are at most `side` pixels wide."""
-    step = np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="ij"), -1).reshape(-1, 2)
-    pixel = low[group][:, None] + step  # (group, side * side, 2)
-    a, b, c = (corner[group][:, k] for k in range(3))
-    ab, ac = b - a, c - a
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    safe = np.where(np.abs(area) < 1e-9, np.inf, area)[:, None]
-    ap = pixel + 0.5 - a[:, None]
-    v = (ap[..., 0] * ac[:, None, 1] - ap[..., 1] * ac[:, None, 0]) / safe
-    w = (ab[:, None, 0] * ap[..., 1] - ab[:, None, 1] * ap[..., 0]) / safe
-    u = 1 - v - w
-    inside = (u >= 0) & (v >= 0) & (w >= 0) & np.isfinite(safe)
-    inside &= (pixel >= 0).all(-1) & (pixel < [width, height]).all(-1)
-    which, where = np.nonzero(inside)
-    at = pixel[which, where]
-    bary = np.stack([u[which, where], v[which, where], w[which, where]], -1)
-    return at[:, 1] * width + at[:, 0], group[which], bary
+class _Surfaces:
+    """Vertex values spread linearly over each face."""
+
+    def __init__(self, screen: Screen, faces: Index, values: Float) -> None:
+        corner = faces[:, 0]
+        table = [screen.x[corner, None], screen.y[corner, None], *planes(screen, faces, values)]
+        self._table, self._count = np.concatenate(table, axis=1), values.shape[1]
+
+    def at(self, face: Int, column: Index, row: Index) -> Float:
+        """Values (k, n) of faces (n,) at samples."""
+        entry = np.ascontiguousarray(self._table[face].T)
+        x, y = middle_of(column) - entry[0], middle_of(row) - entry[1]
+        first, per_x, per_y = entry[2:].reshape(3, self._count, -1)
+        return np.asarray(first + per_x * x + per_y * y)
+
+
+def _by_pixel(grid: NDArray[T]) -> NDArray[T]:
+    """Samples (2 h, 2 w) as (4, h * w), so that the four of a pixel share a column."""
+    height, width = grid.shape
+    quads = grid.reshape(height // 2, 2, width // 2, 2).transpose(1, 3, 0, 2)
+    return np.ascontiguousarray(quads).reshape(4, -1)
+
+
+def _parts(mesh: Mesh) -> Int:
+    """Number (V,) of the connected piece each vertex belongs to."""
+    return connected_components(adjacency(mesh.faces, len(mesh.vertices)))[1].astype(np.int32)
+
+
+def _directions_to_eye(view: View, matrix: Array, size: tuple[int, int]) -> Float:
+    """Unit vectors (3, height * width) from what each pixel shows towards the camera."""
+    width, height = size
+    x, y = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height
+    far = np.stack(np.broadcast_arrays(2 * x - 1, 1 - 2 * y, 1.0, 1.0), -1).reshape(-1, 4)
+    point = far @ np.linalg.inv(matrix).T
+    away = np.array(view.position) - point[:, :3] / point[:, 3:]
+    return np.ascontiguousarray(unit(away).T, np.float32)
