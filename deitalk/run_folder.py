@@ -5,12 +5,16 @@
     config.yaml          every setting of the run
     metrics.csv          losses, gradient norm and learning rate, a row every 25 steps
     development.csv      development scores, a row an evaluation
+    curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
+    tensorboard/         both tables as TensorBoard's events, where they are asked for
     best/, last/         model folders
     state.pt             everything a killed run needs to go on exactly
 """
 
 import csv
+import math
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ import torch
 import yaml
 
 from deitalk.config import AnyConfig, load_config
-from deitalk.errors import ConfigError, DataError
+from deitalk.errors import ConfigError, DataError, MissingError
 from rig.files import atomic_write
 
 MAY_CHANGE = ("name", "train.workers", "train.evaluate_every")
@@ -102,6 +106,130 @@ def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:
         raise DataError(
             f"{path}: damaged, or of another model; begin a run in another folder"
         ) from None
+
+
+def go_on(out: Path, parts: dict[str, Any], *, forgets: bool) -> tuple[int, float]:
+    """Bring the parts to where a run stopped; return its step and the best score so far.
+
+    Rows and pictures beyond that step are dropped by the process that `forgets`: the run will
+    make them again.
+
+    Raises
+    ------
+    DataError
+        If ``state.pt`` is damaged or of another model.
+    """
+    numbers = restore_state(out, parts)
+    step = int(numbers["step"])
+    if forgets:
+        for name in ("metrics.csv", "development.csv"):
+            forget(out / name, step)
+        for picture in (out / "curves").glob("*.png"):
+            if picture.stem.isdecimal() and int(picture.stem) > step:
+                picture.unlink()
+    return step, float(numbers["best_score"])
+
+
+def keep(
+    out: Path,
+    parts: dict[str, Any],
+    step: int,
+    scores: dict[str, float],
+    best_score: float,
+    save: Callable[[Path, dict[str, Any]], None],
+) -> float:
+    """Write ``last/``, ``best/`` if no score was higher, and ``state.pt``.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    parts : dict
+        Modules and optimisers, for `save_state`.
+    step : int
+        Steps done.
+    scores : dict
+        Of the development set, with ``score``.
+    best_score : float
+        The highest before.
+    save : callable
+        Writes the weights to a model folder, with what is said of the training.
+
+    Returns
+    -------
+    float
+        The highest score now.
+    """
+    summary = {"step": step, "development": scores}
+    if scores["score"] >= best_score:
+        best_score = scores["score"]
+        save(out / "best", summary)
+    save(out / "last", summary)
+    save_state(out, parts, {"step": step, "best_score": best_score})
+    return best_score
+
+
+def picture_path(out: Path, step: int) -> Path:
+    """Where an evaluation's curves are drawn; names sort by step."""
+    (out / "curves").mkdir(exist_ok=True)
+    return out / "curves" / f"{step:06d}.png"
+
+
+class Journal:
+    """The numbers of a run: rows of CSV files, and TensorBoard's events where asked for.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    step : int
+        Steps done before; events beyond are hidden, as the run makes them again.
+    tensorboard : bool
+        Write events too, to ``tensorboard/``.
+
+    Raises
+    ------
+    MissingError
+        If TensorBoard is asked for and not installed.
+    """
+
+    def __init__(self, out: Path, *, step: int = 0, tensorboard: bool = False) -> None:
+        self.out = out
+        self._events: Any = None
+        if tensorboard:
+            self._events = summary_writer()(out / "tensorboard", purge_step=step + 1)
+
+    def write(self, table: str, step: int, values: dict[str, float]) -> None:
+        """Append a row to ``<table>.csv``; finite numbers become scalars ``<table>/<name>``."""
+        log(self.out / f"{table}.csv", step, values)
+        if self._events is None:
+            return
+        for name, value in values.items():
+            if math.isfinite(value):
+                self._events.add_scalar(f"{table}/{name.removeprefix('dev_')}", value, step)
+        self._events.flush()
+
+    def close(self) -> None:
+        """Finish the file of events."""
+        if self._events is not None:
+            self._events.close()
+
+
+def summary_writer() -> Any:
+    """TensorBoard's writer of events, a class.
+
+    Raises
+    ------
+    MissingError
+        If TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise MissingError(
+            "--tensorboard needs tensorboard; pip install 'deitalk[tensorboard]'"
+        ) from None
+    return SummaryWriter
 
 
 def log(path: Path, step: int, values: dict[str, float]) -> None:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,13 +16,15 @@ from torch.utils.data import DataLoader
 
 from deitalk.checkpoint import describe_model, load_model, save_model
 from deitalk.config import Config, TrainConfig
+from deitalk.curves_plot import FixedClips
 from deitalk.data.folder import Clip, read_clips
 from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.development import DevelopmentSet
+from deitalk.drawing import can_draw
 from deitalk.errors import ConfigError, DataError
 from deitalk.losses import total_loss
 from deitalk.models import DEITalk, Output
-from deitalk.run_folder import forget, log, open_folder, restore_state, save_state
+from deitalk.run_folder import Journal, go_on, keep, open_folder, picture_path, summary_writer
 from rig import ControlSet
 
 LOG_EVERY = 25
@@ -53,6 +55,21 @@ class Run:
         return {name: getattr(self, name) for name in names}
 
 
+class Witness(NamedTuple):
+    """The validation clips: those that are scored, and those that are drawn."""
+
+    development: DevelopmentSet
+    drawn: FixedClips | None
+    """None without matplotlib."""
+
+    @classmethod
+    def of(cls, data: Path, controls: ControlSet) -> "Witness":
+        """Read them from a dataset folder."""
+        clips = read_clips(data, "validation")
+        drawn = FixedClips.of(clips, controls) if clips and can_draw() else None
+        return cls(DevelopmentSet.of(clips, controls), drawn)
+
+
 def train(
     config: Config,
     data: Path,
@@ -60,9 +77,12 @@ def train(
     *,
     resume: bool = False,
     start_from: Path | None = None,
+    tensorboard: bool = False,
     progress: Progress = lambda step, total, values: None,
 ) -> dict[str, Any]:
     """Train a model.
+
+    Two validation clips are drawn at every evaluation if matplotlib is installed.
 
     Parameters
     ----------
@@ -77,6 +97,8 @@ def train(
         uninterrupted run, bit for bit.
     start_from : Path or None
         Model folder whose weights are the start (fine-tuning).
+    tensorboard : bool
+        Write TensorBoard's events to the run folder too.
     progress : callable
         Told the step, the number of steps and the values that were logged.
 
@@ -92,7 +114,11 @@ def train(
     ConfigError
         If `config` differs from the run that is resumed, or from the weights to start from, or
         the batch cannot be shared among the processes.
+    MissingError
+        If TensorBoard is asked for and not installed.
     """
+    if tensorboard:
+        summary_writer()  # known before anything is read
     accelerator = _accelerator(config.train)
     clips = read_clips(data, "train")
     open_folder(out, config, resume=resume, write=accelerator.is_main_process)
@@ -102,11 +128,16 @@ def train(
         _copy_weights(model, start_from)
     run = _start(config, model, n_steps(config, clips))
     if resume:
-        _restore(run, out, forgets=accelerator.is_main_process)
+        run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
     progress(run.step, run.total, {})
     loader = _loader(clips, run, config, accelerator)
-    development = DevelopmentSet.of(read_clips(data, "validation"), model.controls)
-    _fit(run, loader, development, config, out, accelerator, progress)
+    witness = Witness.of(data, model.controls)
+    tensorboard = tensorboard and accelerator.is_main_process
+    journal = Journal(out, step=run.step, tensorboard=tensorboard)
+    try:
+        _fit(run, loader, witness, config, journal, accelerator, progress)
+    finally:
+        journal.close()
     return dict(describe_model(out / "best")["training"])
 
 
@@ -137,13 +168,6 @@ def _copy_weights(model: DEITalk, folder: Path) -> None:
         ) from None
 
 
-def _restore(run: Run, out: Path, *, forgets: bool) -> None:
-    numbers = restore_state(out, run.parts)
-    run.step, run.best_score = int(numbers["step"]), numbers["best_score"]
-    for name in ("metrics.csv", "development.csv") if forgets else ():
-        forget(out / name, run.step)
-
-
 def _loader(clips: Sequence[Clip], run: Run, config: Config, accelerator: Any) -> DataLoader[Any]:
     """Batches from the run's step on; this process's share of each."""
     batches = Batches(
@@ -162,9 +186,9 @@ def _loader(clips: Sequence[Clip], run: Run, config: Config, accelerator: Any) -
 def _fit(
     run: Run,
     loader: DataLoader[Any],
-    development: DevelopmentSet,
+    witness: Witness,
     config: Config,
-    out: Path,
+    journal: Journal,
     accelerator: Any,
     progress: Progress,
 ) -> None:
@@ -183,11 +207,11 @@ def _fit(
         is_last = run.step == run.total
         if run.step % LOG_EVERY == 0 or is_last:
             if accelerator.is_main_process:
-                log(out / "metrics.csv", run.step, values)
+                journal.write("metrics", run.step, values)
             progress(run.step, run.total, values)
         if run.step % config.train.evaluate_every == 0 or is_last:
             if accelerator.is_main_process:
-                _evaluate(run, development, config, out)
+                _evaluate(run, witness, config, journal)
             accelerator.wait_for_everyone()
 
 
@@ -351,15 +375,16 @@ def _average(run: Run, decay: float | None) -> None:
             mean.copy_(value)
 
 
-def _evaluate(run: Run, development: DevelopmentSet, config: Config, out: Path) -> None:
-    """Score the averaged weights, keep them if none were better, and save the state."""
+def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> None:
+    """Score and draw the averaged weights, keep them if none were better, and save the state."""
     run.average.eval()
-    scores = development.score(run.average)
+    scores = witness.development.score(run.average)
     named = {f"dev_{name}": value for name, value in scores.items()}
-    log(out / "development.csv", run.step, named)
-    summary = {"step": run.step, "development": scores}
-    if scores["score"] >= run.best_score:
-        run.best_score = scores["score"]
-        save_model(out / "best", run.average, config, summary)
-    save_model(out / "last", run.average, config, summary)
-    save_state(out, run.parts, {"step": run.step, "best_score": run.best_score})
+    journal.write("development", run.step, named)
+
+    def save(folder: Path, summary: dict[str, Any]) -> None:
+        save_model(folder, run.average, config, summary)
+
+    run.best_score = keep(journal.out, run.parts, run.step, scores, run.best_score, save)
+    if witness.drawn is not None:
+        witness.drawn.draw(run.average, picture_path(journal.out, run.step))

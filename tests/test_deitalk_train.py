@@ -14,6 +14,7 @@ from dataset import write_dataset
 from deitalk.checkpoint import load_model
 from deitalk.config import Config, load_config, parse_config
 from deitalk.data.folder import read_clips
+from deitalk.drawing import can_draw
 from deitalk.errors import ConfigError, DataError
 from deitalk.models import DEITalk
 from deitalk.train import Loss, _accelerator, _start, _step, control_weights, n_steps, train
@@ -53,8 +54,9 @@ def equal(a: Path, b: Path) -> bool:
 def test_a_run_leaves_exactly_its_files(finished):
     files = sorted(str(p.relative_to(finished)) for p in finished.rglob("*") if p.is_file())
     model = ["config.yaml", "model.json", "model.safetensors"]
+    pictures = [f"curves/{step:06d}.png" for step in (3, 6)] if can_draw() else []
     assert files == sorted(
-        ["config.yaml", "development.csv", "metrics.csv", "state.pt"]
+        ["config.yaml", "development.csv", "metrics.csv", "state.pt", *pictures]
         + [f"{kind}/{name}" for kind in ("best", "last") for name in model]
     )
     assert load_config(finished / "config.yaml") == tiny("model.dropout=0.1")
@@ -162,6 +164,22 @@ def test_without_validation_clips_the_last_weights_are_the_best(data, tmp_path):
     folder = write_dataset(tmp_path / "data", n_validation=0)
     best = train(tiny(), folder, tmp_path / "run")
     assert best["step"] == 6 and equal(tmp_path / "run" / "best", tmp_path / "run" / "last")
+
+
+def test_tensorboard_is_written_where_it_is_asked_for(data, tmp_path):
+    pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train(tiny("train.steps=3"), data, tmp_path / "run", tensorboard=True)
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    events.Reload()
+    for table, column, tag in (
+        ("metrics", "total", "metrics/total"),
+        ("development", "dev_score", "development/score"),
+    ):
+        rows = pd.read_csv(tmp_path / "run" / f"{table}.csv")
+        told = [(event.step, event.value) for event in events.Scalars(tag)]
+        assert told == [(3, pytest.approx(rows[column].iloc[0], rel=1e-5))]
 
 
 def test_no_training_clips_is_one_line(tmp_path):

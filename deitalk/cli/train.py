@@ -22,6 +22,9 @@ def train(
     start_from: Annotated[
         str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
     ] = None,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
+    ] = False,
 ) -> None:
     """Train a model; the best weights by development score are in OUT/best.
 
@@ -37,12 +40,16 @@ def train(
 
     settings = load_config(config, overrides or ())
     if isinstance(settings, SDFAConfig):
-        _train_sdfa(settings, data, out, resume=resume, start_from=start_from)
+        _refuse_for_sdfa(start_from, tensorboard=tensorboard)
+        _train_sdfa(settings, data, out, resume=resume)
         return
     with words().status("loading"):
         from deitalk.checkpoint import model_folder
+        from deitalk.drawing import can_draw
         from deitalk.train import train as fit
 
+        if not can_draw():
+            words().print("without pictures in OUT/curves: pip install 'deitalk[plot]'")
         start = None if start_from is None else model_folder(start_from)
     with bar("training") as progress:
         best = fit(
@@ -51,18 +58,22 @@ def train(
             out,
             resume=resume,
             start_from=start,
+            tensorboard=tensorboard,
             progress=lambda step, total, values: progress(step / total),
         )
     _report(out, best)
 
 
-def _train_sdfa(
-    settings: "SDFAConfig", data: Path, out: Path, *, resume: bool, start_from: str | None
-) -> None:
+def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
     from deitalk.errors import ConfigError
 
     if start_from is not None:
         raise ConfigError("--from: SDFA starts from nothing; leave it out, or use --resume")
+    if tensorboard:
+        raise ConfigError("--tensorboard: SDFA writes metrics.csv only; leave it out")
+
+
+def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) -> None:
     with words().status("loading"):
         from deitalk.train_sdfa import train_sdfa as fit
     with bar("training") as progress:

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from deitalk.drawing import drawing
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import MissingError
-from rig.files import atomic_write
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
@@ -25,18 +24,12 @@ def draw(report: dict[str, Any], path: Path) -> None:
     MissingError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("pictures need matplotlib; pip install 'deitalk[plot]'") from None
-    figure = Figure(figsize=(13, 8), layout="constrained")
-    axes = figure.subplots(2, 2)
-    _phones(axes[0, 0], report["phones"])
-    _channels(axes[0, 1], report["groups"])
-    _distances(axes[1, 0], report.get("emotions", {}))
-    _noise(axes[1, 1], report.get("noise", {}))
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=100)
+    with drawing(path, (13, 8), dpi=100) as figure:
+        axes = figure.subplots(2, 2)
+        _phones(axes[0, 0], report["phones"])
+        _channels(axes[0, 1], report["groups"])
+        _distances(axes[1, 0], report.get("emotions", {}))
+        _noise(axes[1, 1], report.get("noise", {}))
 
 
 def _bars(axis: Any, series: dict[str, dict[str, float]]) -> None:

@@ -1,0 +1,57 @@
+"""One way to draw: a matplotlib figure that is written whole, or not at all."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.errors import MissingError
+from rig.files import atomic_write
+
+MOST_COLUMNS = 2000
+"""A waveform is drawn in at most so many columns."""
+
+
+def can_draw() -> bool:
+    """Whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
+
+
+@contextmanager
+def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[Any]:
+    """Yield a figure; write it to `path` when the block is done.
+
+    Parameters
+    ----------
+    path : Path
+        .png, .svg or .pdf; its folder must exist.
+    size : (float, float)
+        Width and height, inches.
+    dpi : int
+        Pixels per inch of a .png.
+
+    Raises
+    ------
+    MissingError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingError("pictures need matplotlib; pip install 'deitalk[plot]'") from None
+    figure = Figure(figsize=size, layout="constrained")
+    yield figure
+    with atomic_write(path) as beside:
+        figure.savefig(beside, dpi=dpi)
+
+
+def draw_waveform(axis: Any, waveform: NDArray[np.float32], sample_rate: int = 16_000) -> None:
+    """Draw the band between the lowest and the highest sample of every column, over seconds."""
+    step = max(len(waveform) // MOST_COLUMNS, 1)
+    blocks = waveform[: len(waveform) // step * step].reshape(-1, step)
+    times = np.arange(len(blocks)) * step / sample_rate
+    axis.fill_between(times, blocks.min(axis=1), blocks.max(axis=1), color="0.6", lw=0)
