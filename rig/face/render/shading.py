@@ -57,15 +57,15 @@ def shade(albedo: Float, normals: Float, to_eye: Float, gloss: Float) -> Float:
     for cosine, eye, color in zip(cosines, eyes, _LIGHT, strict=True):
         lit = np.clip((cosine + _WRAP) / (1 + _WRAP), 0, 1)
         diffuse += color * lit * (0.72 + 0.28 * lit)
-        shine = _half_cosine(cosine + along_eye, eye) ** power * strength * (cosine > 0)
+        shine = np.exp(power * _log_half_cosine(cosine + along_eye, eye)) * strength * (cosine > 0)
         highlight += shine * color
     linear = albedo * albedo * diffuse + highlight
     return np.asarray(np.sqrt((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1)))
 
 
-def _half_cosine(total: Float, eye: Float) -> Float:
-    """Cosine between normal and half vector: n.(d + v) / |d + v|, not below 0."""
-    return np.clip(total / np.sqrt(np.maximum(2 + 2 * eye, 1e-6)), 0, 1)
+def _log_half_cosine(total: Float, eye: Float) -> Float:
+    """Logarithm of n.(d + v) / |d + v|, of normal and half vector (exp and log beat a power)."""
+    return np.asarray(np.log(np.clip(total / np.sqrt(np.maximum(2 + 2 * eye, 1e-6)), 1e-3, 1)))
 
 
 def background(height: int) -> Array:

@@ -99,7 +99,7 @@ class _Surfaces:
 
     def at(self, face: Int, column: Index, row: Index) -> Float:
         """Values (k, n) of faces (n,) at samples."""
-        entry = np.ascontiguousarray(self._table[face].T)
+        entry = np.ascontiguousarray(self._table.take(face, axis=0).T)
         x, y = middle_of(column) - entry[0], middle_of(row) - entry[1]
         first, per_x, per_y = entry[2:].reshape(3, self._count, -1)
         return np.asarray(first + per_x * x + per_y * y)
