@@ -42,6 +42,8 @@ __all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 
 Floats = NDArray[np.float32]
 PROBES = 6
+ADULT_YEARS = 16
+"""From this age on a speaker is scored among the adults; the larynx has grown by then."""
 
 
 def loudness(waveform: Floats, n_frames: int) -> Floats:
@@ -129,7 +131,8 @@ def evaluate(
     Returns
     -------
     dict
-        ``groups``: scores per source (speakers' prefix), languages but English apart;
+        ``groups``: scores per source (speakers' prefix), languages but English apart, and
+        children apart from adults where ``clips.csv`` has ages;
         ``phones``: per group, gesture and phone; ``emotions``, ``lively``, ``noise``: the
         experiments of `deitalk.evaluation.probes`; the sets LPE and EPE used.
 
@@ -195,15 +198,19 @@ def _groups(data: Path, split: str) -> dict[str, list[Clip]]:
     if not clips:
         raise DataError(f"{data}: no clips in the split {split!r}; splits are made by speaker")
     table = pd.read_csv(data / "clips.csv", dtype=str, keep_default_na=False)
-    spoken = table["language"] if "language" in table else ["en"] * len(table)
-    languages = dict(zip(table["clip"], spoken, strict=True))
+    rows = dict(zip(table["clip"], table.to_dict("records"), strict=True))
     groups: dict[str, list[Clip]] = {}
     for clip in clips:
-        language = languages[clip.name] or "en"
-        source = clip.speaker.split(":")[0]
-        key = source if language.startswith("en") else f"{source} {language}"
-        groups.setdefault(key, []).append(clip)
-    return groups
+        groups.setdefault(_group(clip, rows[clip.name]), []).append(clip)
+    return dict(sorted(groups.items()))
+
+
+def _group(clip: Clip, row: dict[Any, str]) -> str:
+    """Name of a clip's group; one with a space is not English."""
+    name, age, language = clip.speaker.split(":")[0], row.get("age", ""), row.get("language", "")
+    if age.isdecimal():
+        name += "-adults" if int(age) >= ADULT_YEARS else "-children"
+    return f"{name} {language}" if language and not language.startswith("en") else name
 
 
 def _one_per_recording(clips: Sequence[Clip]) -> list[Clip]:

@@ -80,7 +80,7 @@ def test_two_builds_are_equal_to_the_byte_and_a_lost_shard_alone_is_made_again(t
         assert remade == path.name.startswith("espeak-001"), path
 
     clips = read_clips(first)
-    assert len(clips) == len(frame) and tuple(frame.columns) == (*COLUMNS, "split")
+    assert len(clips) == len(frame) and tuple(frame.columns) == (*COLUMNS, "split", "age")
     assert len({clip.audio for clip in clips}) == len(clips) / 2, "two emotions a recording"
     for clip in clips:
         assert read_phones(clip.phones)[0][2] == "SIL"
@@ -122,6 +122,24 @@ def test_hours_are_shared_among_the_engines_that_are_there():
     assert len({s.seed for s in shards}) == len(shards) == len({s.name for s in shards})
     assert synthetic_shards(2.0, 7, ("espeak", "flite")) == shards
     assert synthetic_shards(2.0, 8, ("espeak",))[0].seed != shards[0].seed
+
+
+def test_ages_come_with_the_recordings_into_a_folder_that_is_built_already(tmp_path):
+    found = [Recording(Path("1.wav"), "hello", "a:1"), Recording(Path("2.wav"), "hello", "a:2")]
+    shard = Shard("recording-000", "recording", 0.0, 1, tuple(found))
+    (tmp_path / "shards").mkdir()
+    row = dict.fromkeys(COLUMNS, "x")
+    rows = [row | {"clip": f"c{i}", "speaker": f"a:{i}"} for i in (1, 2)]
+    table = tmp_path / "shards" / "recording-000.csv"
+    pd.DataFrame(rows).to_csv(table, index=False)
+    build(tmp_path, [shard], workers=1)
+    before = table.read_bytes(), (tmp_path / "shards" / "plan.json").read_bytes()
+    aged = replace(shard, recordings=(found[0], replace(found[1], age=7)))
+    assert aged.fingerprint == shard.fingerprint
+    build(tmp_path, [aged], workers=1)
+    written = pd.read_csv(tmp_path / "clips.csv", dtype=str, keep_default_na=False)
+    assert written["age"].tolist() == ["", "7"]
+    assert before == (table.read_bytes(), (tmp_path / "shards" / "plan.json").read_bytes())
 
 
 def test_every_recording_is_in_one_shard():

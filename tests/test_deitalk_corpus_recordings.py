@@ -36,10 +36,10 @@ def test_tsv_layout_with_age_and_phones(tmp_path):
 def test_clips_layout_skips_rows_without_transcript(tmp_path):
     audio = _sound(tmp_path / "a.wav")
     (tmp_path / "clips.csv").write_text(
-        'clip,audio,transcript,speaker\nc1,a.wav,"Well, hello.",Ann\nc2,a.wav,,Ann\n'
+        'clip,audio,transcript,speaker,age\nc1,a.wav,"Well, hello.",Ann,41\nc2,a.wav,,Ann,41\n'
     )
     assert recordings(tmp_path, layout="clips") == [
-        Recording(audio, "Well, hello.", f"{tmp_path.name}:Ann")
+        Recording(audio, "Well, hello.", f"{tmp_path.name}:Ann", age=41)
     ]
 
 

@@ -103,13 +103,25 @@ def test_an_empty_split_is_refused(tmp_path):
         evaluate(SimpleNamespace(controls=default_controls()), folder)
 
 
-def test_groups_by_source_and_language(tmp_path):
-    folder = write_dataset(tmp_path, 0, 3)
+def test_groups_by_source_language_and_age(tmp_path):
+    folder = write_dataset(tmp_path, 0, 6)
     table = pd.read_csv(folder / "clips.csv")
-    table["language"] = ["en", "de", "en-gb"]
+    table["language"] = ["en", "de", "en-gb", "", "en", "de"]
     table.to_csv(folder / "clips.csv", index=False)
-    groups = _groups(folder, "validation")
-    assert {name: len(clips) for name, clips in groups.items()} == {"test": 2, "test de": 1}
+    groups = {name: len(clips) for name, clips in _groups(folder, "validation").items()}
+    assert groups == {"test": 4, "test de": 2}
+    table["age"] = ["15", "16", "", "40", "unknown", "6"]
+    table.to_csv(folder / "clips.csv", index=False)
+    groups = {
+        name: [c.name for c in clips] for name, clips in _groups(folder, "validation").items()
+    }
+    assert groups == {
+        "test": ["clip2", "clip4"],
+        "test-adults": ["clip3"],
+        "test-adults de": ["clip1"],
+        "test-children": ["clip0"],
+        "test-children de": ["clip5"],
+    }
 
 
 @pytest.fixture(scope="module")

@@ -131,7 +131,7 @@ def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:
 
 
 def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
-    """Join the shards' tables to ``clips.csv``."""
+    """Join the shards' tables to ``clips.csv``; splits and ages are the speakers'."""
     frame = pd.concat(
         [pd.read_csv(_table(out, shard), keep_default_na=False, dtype=str) for shard in shards]
     )
@@ -139,6 +139,8 @@ def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
         raise DataError(f"{out}: not one clip was made; no recording could be aligned")
     frame = frame.sort_values("clip")
     frame["split"] = frame["speaker"].map(split_of)
+    ages = {r.speaker: str(r.age) for s in shards for r in s.recordings if r.age is not None}
+    frame["age"] = frame["speaker"].map(lambda speaker: ages.get(speaker, ""))
     with atomic_write(out / "clips.csv") as beside:
         frame.to_csv(beside, index=False, lineterminator="\n")
     return frame

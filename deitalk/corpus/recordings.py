@@ -50,8 +50,8 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
     layout : str
         ``librispeech``: ``<speaker>/<chapter>/*.trans.txt`` beside flac files;
         ``tsv``: tables ``<source>.tsv`` with the columns path, speaker, text and optionally age
-        and phones; ``clips``: ``clips.csv`` with the columns audio, transcript and optionally clip
-        and speaker; ``auto``: whichever of them is there.
+        and phones; ``clips``: ``clips.csv`` with the columns audio, transcript and optionally clip,
+        speaker and age; ``auto``: whichever of them is there.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def _tables(folder: Path) -> Iterator[Recording]:
                 text=row["text"],
                 speaker=f"{table.stem}:{row['speaker']}",
                 canonical_phones=_canonical(row.get("phones") or ""),
-                age=int(age) if (age := (row.get("age") or "").strip()).isdigit() else None,
+                age=_age(row),
             )
 
 
@@ -141,7 +141,8 @@ def _clips(folder: Path) -> Iterator[Recording]:
         if row["transcript"]:
             speaker = row.get("speaker") or "unnamed"
             audio = _existing(folder / row["audio"], table)
-            yield Recording(audio, row["transcript"], f"{folder.resolve().name}:{speaker}")
+            name = f"{folder.resolve().name}:{speaker}"
+            yield Recording(audio, row["transcript"], name, age=_age(row))
 
 
 _READERS = {"clips": _clips, "tsv": _tables, "librispeech": _librispeech}
@@ -160,6 +161,12 @@ def _rows(table: Path, needed: tuple[str, ...], *, is_tsv: bool) -> Iterator[dic
             raise DataError(f"{table} lacks the column(s) {', '.join(absent)} in its first line")
         for row in reader:
             yield {key: (value or "").strip() for key, value in row.items() if key is not None}
+
+
+def _age(row: dict[str, str]) -> int | None:
+    """Years, where the row gives them."""
+    text = row.get("age") or ""
+    return int(text) if text.isdecimal() else None
 
 
 def _existing(path: Path, table: Path) -> Path:

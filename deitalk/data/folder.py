@@ -3,7 +3,7 @@
 ::
 
     clips.csv             clip, audio, curves, emotion, speaker, split[, voice, source, offset_s,
-                          phones, intensity, transcript]
+                          phones, intensity, transcript, language, age]
     audio/<name>.flac     any file `deitalk.audio.load_audio` reads
     curves/<clip>.npz     any file `rig.read_curves` reads, at any rate
     phones/<name>.csv     start, end, phone (seconds)             optional
