@@ -7,7 +7,7 @@ Letters: B frames, F mel bins, L spectra of a window, P speakers, N triangles, V
              -> decoder (B, 6 N), (B, 3 N) -> solve -> vertices (B, V, 3)
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -114,13 +114,16 @@ class SDFA(nn.Module):
         Deviation: a window's centre is the spectrum nearest to the frame, at most half a hop
         (4 ms) away, well within the shifts that training sees (8.3 ms).
         """
+        pieces = self.pieces(waveform, speaker)
+        return Deformation(*(torch.cat(rows) for rows in zip(*pieces, strict=True)))
+
+    @torch.no_grad()
+    def pieces(self, waveform: Any, speaker: str | int = 0) -> Iterator[Deformation]:
+        """As `predict`, some frames at a time: gradients of a minute take a gigabyte."""
         spectral, index = self._spectral(waveform)
         label = self.label(speaker).to(spectral.device)
-        parts = [
-            self.decoder(self.attend(spectral[rows])[0], label.expand(len(rows), -1))
-            for rows in torch.split(index, FRAMES_AT_ONCE)
-        ]
-        return Deformation(*(torch.cat(rows) for rows in zip(*parts, strict=True)))
+        for rows in torch.split(index, FRAMES_AT_ONCE):
+            yield self.decoder(self.attend(spectral[rows])[0], label.expand(len(rows), -1))
 
     @torch.no_grad()
     def attention_weights(self, waveform: Any) -> NDArray[np.float32]:
@@ -164,8 +167,10 @@ class SDFA(nn.Module):
         array [shape=(T, V, 3)]
             In the template's unit; frame i is at i / fps seconds.
         """
-        s, r = self.predict(waveform, speaker)
-        return self.vertices(s, r, self.template(speaker) if template is None else template)
+        mesh = self.template(speaker) if template is None else template
+        return np.concatenate(
+            [self.vertices(s, r, mesh) for s, r in self.pieces(waveform, speaker)]
+        )
 
     def vertices(self, s: Tensor, r: Tensor, template: TriMesh) -> NDArray[np.float32]:
         """Solve packed frames (T, 6 N) and (T, 3 N) for a template's vertices (T, V, 3)."""

@@ -16,6 +16,7 @@ from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
 from deitalk.cli.livelink import app as livelink_app
+from deitalk.cli.mesh import mesh
 from deitalk.cli.model import app as model_app
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
@@ -39,6 +40,7 @@ app.command()(preview)
 app.command()(convert)
 app.command()(validate)
 app.command()(retarget)
+app.command()(mesh)
 app.command()(train)
 app.command()(evaluate)
 app.command()(ablate)

@@ -1,15 +1,14 @@
 """From a take's curves and a mesh file to an animated file: what `deitalk retarget` does."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from rig.curves import RigCurves
-from rig.errors import FormatError, MeshError
-from rig.files import atomic_write
+from rig.errors import FormatError
 from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes, read_mapping
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
@@ -17,15 +16,13 @@ from rig.mesh.guess import guess_landmarks
 from rig.mesh.head import source_head
 from rig.mesh.landmarks import read_landmarks
 from rig.mesh.obj import read_obj, read_obj_folder
-from rig.mesh.ply import read_ply, write_ply_sequence
-from rig.mesh.retarget import Method, shapes_for
+from rig.mesh.ply import read_ply
+from rig.mesh.retarget import Method, carry_shapes, shapes_for, warnings_of
+from rig.mesh.sequence import check_length, check_out, principal_shapes, write_sequence
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import TriMesh
 
-Way = Literal["blendshapes", "neutral"]
-
-MAX_SEQUENCE_BYTES = 4 * 2**30
-"""Largest vertex sequence that is written; morph targets have no such limit."""
+Way = Literal["blendshapes", "neutral", "sequence"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,8 @@ class RetargetReport:
     path : Path
         The file or folder written.
     way : str
-        "blendshapes": the mesh's own shapes were driven; "neutral": shapes were made for it.
+        "blendshapes": the mesh's own shapes were driven; "neutral": shapes were made for it;
+        "sequence": a vertex sequence was carried to it.
     shapes : int
         Shapes that are driven.
     frames : int
@@ -92,7 +90,7 @@ def retarget_curves(
         With one line that says what to mend.
     """
     mesh, out = Path(mesh), Path(out)
-    _check_out(out)
+    check_out(out)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
         return _drive_glb(curves, mesh, out, mapping)
     shapes = read_shapes(mesh)
@@ -107,6 +105,65 @@ def retarget_curves(
     return RetargetReport(out, "neutral", len(made.rig.shapes.names), len(curves), None, notes)
 
 
+def retarget_sequence(
+    template: TriMesh,
+    vertices: Any,
+    mesh: Path | str,
+    out: Path | str,
+    *,
+    fps: float,
+    tolerance: float,
+    source_landmarks: Mapping[str, int] | None = None,
+    landmarks: Path | str | None = None,
+) -> RetargetReport:
+    """Put a vertex sequence of one head on a user's neutral mesh of any topology and write it.
+
+    Parameters
+    ----------
+    template : TriMesh
+        The head the sequence is of, at rest, mouth closed.
+    vertices : array [shape=(T, V, 3)]
+        Frame i is at i / fps seconds.
+    mesh : Path or str
+        As for `retarget_curves`; shapes it has are left alone.
+    out : Path or str
+        As for `retarget_curves`.
+    fps : float
+        Any rate above 0.
+    tolerance : float
+        Furthest a vertex of the template may be off before it is carried, in its unit.
+    source_landmarks : mapping of str to int, optional
+        Of the template; guessed if not given.
+    landmarks : Path or str, optional
+        Where the landmarks of the mesh are; guessed if not given.
+
+    Raises
+    ------
+    FormatError, MeshError, TopologyError
+        With one line that says what to mend.
+
+    Notes
+    -----
+    The sequence is first said by principal shapes, which are carried as any shape is: parting and
+    meeting of the lips are linear in them.
+    """
+    mesh, out = Path(mesh), Path(out)
+    check_out(out)
+    target = read_shapes(mesh)
+    found, notes = _landmarks(target, landmarks)
+    known = source_landmarks or _guessed(template)
+    shapes, weights = principal_shapes(template, vertices, tolerance)
+    carried = carry_shapes(replace(shapes, landmarks=known), target.neutral, found)
+    _write(out, carried.shapes, weights, fps)
+    notes += warnings_of(carried.registration, carried.target_pairs)
+    return RetargetReport(out, "sequence", len(shapes.names), len(weights), None, notes)
+
+
+def _guessed(mesh: TriMesh) -> Mapping[str, int]:
+    source = source_head()
+    return guess_landmarks(mesh, source.mesh, source.landmarks).landmarks
+
+
 def _landmarks(
     shapes: ShapeSet, path: Path | str | None
 ) -> tuple[Mapping[str, int], tuple[str, ...]]:
@@ -115,10 +172,9 @@ def _landmarks(
         return read_landmarks(path, shapes.neutral), ()
     if shapes.landmarks:
         return shapes.landmarks, ()
-    source = source_head()
-    guess = guess_landmarks(shapes.neutral, source.mesh, source.landmarks)
-    return guess.landmarks, (
-        f"{len(guess.landmarks)} landmarks were guessed; look at the mouth and the eyes, and give "
+    guessed = _guessed(shapes.neutral)
+    return guessed, (
+        f"{len(guessed)} landmarks were guessed; look at the mouth and the eyes, and give "
         "--landmarks if they are off",
     )
 
@@ -149,15 +205,6 @@ def read_shapes(path: Path | str) -> ShapeSet:
     if isinstance(read, TriMesh):
         return ShapeSet(read, (), np.zeros((0, *read.vertices.shape), dtype=np.float32))
     return read
-
-
-def _check_out(out: Path) -> None:
-    if out.suffix.lower() not in (".glb", ".npz", ""):
-        raise FormatError(
-            f"{out.name}: retargeting writes .glb, .npz or a folder of .ply files (no suffix)"
-        )
-    if not out.parent.is_dir():
-        raise FormatError(f"{out.parent} is not a folder; make it first")
 
 
 def _drive_glb(
@@ -205,16 +252,6 @@ def _write(out: Path, shapes: ShapeSet, weights: Any, fps: float) -> None:
     if out.suffix.lower() == ".glb":
         write_glb(out, shapes, animation=WeightAnimation(weights, fps))
         return
-    size = 4 * len(weights) * shapes.neutral.vertices.size
-    if size > MAX_SEQUENCE_BYTES:
-        raise MeshError(
-            f"{len(weights)} frames of {len(shapes.neutral.vertices)} vertices are "
-            f"{size / 2**30:.1f} GiB; write .glb, or cut the take"
-        )
+    check_length(len(weights), len(shapes.neutral.vertices))
     vertices = shapes.evaluate(weights).astype(np.float32)
-    if out.suffix.lower() == ".npz":
-        with atomic_write(out) as beside, open(beside, "wb") as file:
-            triangles = shapes.neutral.faces.astype(np.int32)
-            np.savez_compressed(file, vertices=vertices, triangles=triangles, fps=fps)
-        return
-    write_ply_sequence(out, shapes.neutral, vertices)
+    write_sequence(out, shapes.neutral, vertices, fps=fps)

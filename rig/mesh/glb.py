@@ -118,6 +118,7 @@ def write_glb(
     *,
     animation: WeightAnimation | None = None,
     colour: Sequence[float] = (0.80, 0.62, 0.53),
+    colours: NDArray[Any] | None = None,
 ) -> None:
     """Write a neutral mesh, its shapes as sparse morph targets, and their animation.
 
@@ -134,6 +135,8 @@ def write_glb(
         Weights of the shapes, in their order.
     colour : sequence of 3 floats [0 to 1]
         Linear base colour of the one material.
+    colours : array [shape=(V, 3), range 0 to 1], optional
+        Linear colours of the vertices, instead.
 
     Raises
     ------
@@ -142,7 +145,7 @@ def write_glb(
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
-    _add_mesh(builder, shapes, colour)
+    _add_mesh(builder, shapes, colour, colours)
     builder.json["nodes"] = [{"mesh": 0, "name": "face"}]
     builder.json["scenes"] = [{"nodes": [0]}]
     builder.json["scene"] = 0
@@ -151,7 +154,12 @@ def write_glb(
     write_container(path, builder.json, bytes(builder.binary))
 
 
-def _add_mesh(builder: GlbBuilder, shapes: ShapeSet, colour: Sequence[float]) -> None:
+def _add_mesh(
+    builder: GlbBuilder,
+    shapes: ShapeSet,
+    colour: Sequence[float],
+    colours: NDArray[Any] | None,
+) -> None:
     mesh, used = shapes.neutral.compact()
     normals = vertex_normals(mesh)
     targets = []
@@ -171,6 +179,10 @@ def _add_mesh(builder: GlbBuilder, shapes: ShapeSet, colour: Sequence[float]) ->
         "indices": builder.dense(mesh.faces.ravel(), "SCALAR", _INDEX_BUFFER),
         "material": 0,
     }
+    if colours is not None:
+        painted = np.asarray(colours, dtype=np.float64)[used]
+        primitive["attributes"]["COLOR_0"] = builder.dense(painted, "VEC3", _ARRAY_BUFFER)
+        colour = (1.0, 1.0, 1.0)
     described: dict[str, Any] = {"name": "face", "primitives": [primitive]}
     if targets:
         primitive["targets"] = targets

@@ -90,7 +90,7 @@ def shapes_for(
         carried.registration,
         carried.source_pairs,
         carried.target_pairs,
-        _warnings(carried.registration, carried.target_pairs),
+        warnings_of(carried.registration, carried.target_pairs),
     )
 
 
@@ -166,7 +166,8 @@ def sequence_for(registration: Registration, vertices: Any) -> Floats:
     return registration.target.vertices + transfer_gradients(registration, deltas)
 
 
-def _warnings(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
+def warnings_of(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
+    """What an artist should look at after a registration, one line each."""
     found = []
     if registration.residual > POOR_MATCH:
         found.append(

@@ -1,0 +1,162 @@
+"""`deitalk mesh`: speech in, a moving mesh out."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deitalk.cli.words import bar, words
+from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from deitalk.mesh_pipeline import MeshPerformance
+    from rig.mesh.apply import RetargetReport
+
+GLB_TOLERANCE_MM = 0.02
+"""Furthest a vertex of a GLB may be from where the model put it."""
+
+
+def mesh(
+    speech: Annotated[Path, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …).")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder for .ply files."),
+    ],
+    emotion: Annotated[str, typer.Option("--emotion", "-e", help="As for animate.")] = "neutral",
+    intensity: Annotated[
+        float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
+    ] = 1.0,
+    model: Annotated[
+        str, typer.Option(help="default, compact, or a model folder, SDFA's too.")
+    ] = "default",
+    speaker: Annotated[
+        str,
+        typer.Option(help="Name or number: who an SDFA model speaks as; else an embedded head."),
+    ] = "0",
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Your own face, any topology: as `deitalk retarget --mesh`."),
+    ] = None,
+    landmarks: Annotated[
+        Path | None, typer.Option(help="JSON or CSV of points on that mesh (guessed if not given).")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second; an SDFA model has its own.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+) -> None:
+    """Animate a mesh from a recording, vertex by vertex.
+
+    A DEITalk model acts, with emotion, an embedded head or your own mesh. An SDFA model moves its
+    speakers' templates by deformation gradients, or your own mesh along with them; it has no
+    emotion. A GLB is in metres, unless the mesh is yours; the others keep the mesh's unit.
+
+    Examples
+    --------
+    deitalk mesh speech.wav --emotion happy -o face.glb
+
+    deitalk mesh speech.wav --model runs/sdfa/best --speaker Ada -o frames/
+
+    deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
+    """
+    from rig.mesh.sequence import check_out
+
+    check_out(out)
+    if out.exists() and not force:
+        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    if landmarks is not None and mesh is None:
+        raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
+    acted: dict[str, Any] = {"emotion": emotion, "intensity": intensity, "model": model}
+    who = int(speaker) if speaker.isdigit() else speaker
+    with bar("animating") as progress:
+        from deitalk.mesh_pipeline import animate_mesh, is_sdfa
+
+        if mesh is None or is_sdfa(model):
+            performance = animate_mesh(
+                speech, speaker=who, fps=fps, device=device, progress=progress, **acted
+            )
+            summary = _write(performance, out, mesh, landmarks)
+        else:
+            summary = _on_own_mesh(speech, out, mesh, landmarks, fps, device, progress, acted)
+    _tell(out, summary | acted, as_json)
+
+
+def _write(
+    performance: "MeshPerformance", out: Path, mesh: Path | None, landmarks: Path | None
+) -> dict[str, Any]:
+    from rig.mesh.apply import retarget_sequence
+    from rig.mesh.sequence import write_sequence
+
+    tolerance = GLB_TOLERANCE_MM / performance.unit_mm
+    if mesh is not None:
+        report = retarget_sequence(
+            performance.mesh,
+            performance.vertices,
+            mesh,
+            out,
+            fps=performance.fps,
+            tolerance=tolerance,
+            source_landmarks=performance.landmarks,
+            landmarks=landmarks,
+        )
+        return _described(report, performance.fps)
+    write_sequence(
+        out,
+        performance.mesh,
+        performance.vertices,
+        fps=performance.fps,
+        tolerance=tolerance,
+        unit_metres=performance.unit_mm / 1000,
+        colours=performance.colours,
+    )
+    frames, vertices, _ = performance.vertices.shape
+    notes = list(performance.recording.warnings)
+    return {"frames": frames, "fps": performance.fps, "vertices": vertices, "notes": notes}
+
+
+def _on_own_mesh(
+    speech: Path,
+    out: Path,
+    mesh: Path,
+    landmarks: Path | None,
+    fps: float | None,
+    device: str,
+    progress: Any,
+    acted: dict[str, Any],
+) -> dict[str, Any]:
+    """Curves first, then as `deitalk retarget`."""
+    from deitalk.checkpoint import load_model
+    from deitalk.pipeline import animate
+    from rig.mesh.apply import retarget_curves
+
+    network = load_model(acted["model"], device=device)
+    performance = animate(
+        speech, acted["emotion"], model=network, intensity=acted["intensity"], progress=progress
+    )
+    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    report = retarget_curves(curves, mesh, out, landmarks=landmarks)
+    summary = _described(report, curves.fps)
+    return summary | {"notes": [*performance.recording.warnings, *summary["notes"]]}
+
+
+def _described(report: "RetargetReport", fps: float) -> dict[str, Any]:
+    return {
+        "frames": report.frames, "fps": fps, "shapes": report.shapes, "notes": list(report.notes)
+    }  # fmt: skip
+
+
+def _tell(out: Path, summary: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), **summary}))
+        return
+    for note in summary["notes"]:
+        words().print(f"note: {note}", markup=False)
+    what = "vertices" if "vertices" in summary else "shapes"
+    words().print(
+        f"{out}: {summary['frames']} frames at {summary['fps']:g} per second, "
+        f"{summary[what]} {what}",
+        markup=False,
+    )

@@ -1,0 +1,197 @@
+"""Speech to a moving mesh, by either kind of model: ``deitalk mesh``.
+
+::
+
+    DEITalk   speech, emotion -> 185 curves -> the embedded head, or a user's mesh -> vertices
+    SDFA      speech, speaker -> deformation gradients -> the speaker's template   -> vertices
+
+Deviation: neither paper gives emotion to a mesh. Here the curves are what the mesh follows, so
+emotion, intensity and the seal of the lips reach it as they reach the rig. A layer from DEITalk's
+features to gradients would have to learn again what the head does exactly.
+
+Letters: T frames, V vertices.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio import Recording, load_audio
+from deitalk.checkpoint import model_folder, read_about
+from deitalk.errors import CheckpointError, EmotionError
+from deitalk.pipeline import animate
+from rig.face import build_head
+from rig.face.identity import IDENTITIES
+from rig.formats.morph_head import srgb_to_linear
+from rig.mesh import TriMesh
+from rig.mesh.head import head_landmarks
+from rig.mesh.sequence import check_length
+
+if TYPE_CHECKING:
+    from deitalk.emotions import EmotionTrack
+    from deitalk.models import DEITalk
+    from deitalk.sdfa import SDFA
+
+Floats32 = NDArray[np.float32]
+Progress = Callable[[float], None]
+
+MAX_BYTES = 2 * 2**30
+"""Most that the vertices of one recording may take: ten minutes of a head of 10,000 at 30 Hz."""
+HEAD_UNIT_MM = 10.0
+"""The embedded head is in centimetres."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPerformance:
+    """A mesh acted to a recording.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        The face at rest.
+    vertices : array [shape=(T, V, 3)]
+        In the mesh's unit; frame i is at i / fps seconds.
+    fps : float
+        Frames per second.
+    unit_mm : float
+        Millimetres in the mesh's unit.
+    recording : Recording
+        What it was acted to.
+    landmarks : mapping of str to int or None
+        Named vertices, where they are known: the embedded heads.
+    colours : array [shape=(V, 3), range 0 to 1] or None
+        Linear vertex colours, where there are any.
+    """
+
+    mesh: TriMesh
+    vertices: Floats32
+    fps: float
+    unit_mm: float
+    recording: Recording
+    landmarks: Mapping[str, int] | None = None
+    colours: NDArray[np.float64] | None = None
+
+
+def is_sdfa(model: str | Path) -> bool:
+    """Whether a model folder's model moves meshes rather than curves; imports no torch."""
+    return read_about(model_folder(model)).get("kind") == "sdfa"
+
+
+def animate_mesh(
+    audio: "str | Path | bytes | Recording",
+    emotion: "str | Path | Mapping[str, float] | EmotionTrack" = "neutral",
+    *,
+    model: "str | Path | DEITalk | SDFA" = "default",
+    speaker: str | int = 0,
+    intensity: float = 1.0,
+    fps: float | None = None,
+    device: str = "cpu",
+    progress: Progress = lambda share: None,
+    **options: Any,
+) -> MeshPerformance:
+    """Animate a mesh from speech.
+
+    Parameters
+    ----------
+    audio : path, bytes or Recording
+        Any recording `deitalk.audio.load_audio` reads.
+    emotion, intensity
+        As for `deitalk.animate`. An SDFA model has no input for them.
+    model : str, Path, DEITalk or SDFA
+        Name, folder or loaded model of either kind.
+    speaker : str or int
+        Name or number: an embedded head for DEITalk, a style for SDFA.
+    fps : float, optional
+        Rate of the frames: 30 for DEITalk, the model's own for SDFA, which has no other.
+    device : str
+        ``cpu`` or ``cuda``; for a model that is not loaded yet.
+    progress : callable
+        Told the share of the work that is done, 0 to 1.
+    **options
+        More of `deitalk.animate`'s: idle, seed, intensity_curve.
+
+    Returns
+    -------
+    MeshPerformance
+
+    Raises
+    ------
+    DeitalkError, RigError
+        One line each: the value, the rule and the way out.
+    """
+    recording = audio if isinstance(audio, Recording) else load_audio(audio)
+    network = _loaded(model, device)
+    if type(network).__name__ == "SDFA":
+        if emotion != "neutral" or intensity != 1:
+            raise EmotionError(
+                "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk "
+                "model such as default"
+            )
+        return _by_gradients(network, recording, speaker, fps, progress)
+    rate = 30.0 if fps is None else fps
+    head = build_head(speaker)
+    check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=MAX_BYTES)
+    performance = animate(
+        recording, emotion, model=network, intensity=intensity, progress=progress, **options
+    )
+    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    return MeshPerformance(
+        TriMesh(head.mesh.vertices, head.mesh.faces),
+        head.pose(curves.values),
+        rate,
+        HEAD_UNIT_MM,
+        recording,
+        head_landmarks(head),
+        srgb_to_linear(head.mesh.colors),
+    )
+
+
+def _loaded(model: Any, device: str) -> Any:
+    if not isinstance(model, str | Path):
+        return model.eval()
+    if is_sdfa(model):
+        from deitalk.mesh_checkpoint import load_sdfa
+
+        return load_sdfa(model, device=device)
+    from deitalk.checkpoint import load_model
+
+    return load_model(model, device=device)
+
+
+def _by_gradients(
+    network: "SDFA", recording: Recording, speaker: str | int, fps: float | None, progress: Progress
+) -> MeshPerformance:
+    if fps is not None and fps != network.fps:
+        raise CheckpointError(
+            f"--fps {fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
+        )
+    mesh = network.template(speaker)
+    n_frames = ceil(recording.duration * network.fps)
+    check_length(n_frames, len(mesh.vertices), most=MAX_BYTES)
+    parts: list[Floats32] = []
+    for s, r in network.pieces(recording.waveform, speaker):
+        parts.append(network.vertices(s, r, mesh))
+        progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
+    name = speaker if isinstance(speaker, str) else network.speakers[speaker]
+    return MeshPerformance(
+        mesh,
+        np.concatenate(parts),
+        network.fps,
+        network.unit_mm,
+        recording,
+        _known_landmarks(mesh, name),
+    )
+
+
+def _known_landmarks(mesh: TriMesh, name: str) -> Mapping[str, int] | None:
+    """Landmarks of a template that is an embedded head's skin; None of another."""
+    if name not in {person.name for person in IDENTITIES}:
+        return None
+    head = build_head(name)
+    same = np.array_equal(head.skin.faces, mesh.faces)
+    return head_landmarks(head) if same else None

@@ -1,0 +1,220 @@
+"""Sequences of one mesh's vertices to files: GLB, NPZ, folders of PLY.
+
+Letters: T frames, V vertices, K shapes. NPZ and PLY hold every vertex of every frame. GLB has no
+such thing that players read, so a sequence is first said by a few morph targets and their weights.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import FormatError, MeshError, TopologyError
+from rig.files import atomic_write
+from rig.mesh.glb import WeightAnimation, write_glb
+from rig.mesh.ply import write_ply_sequence
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+MAX_SEQUENCE_BYTES = 4 * 2**30
+"""Largest vertex sequence that is written; morph targets have no such limit."""
+_FRAMES_AT_FIRST = 384
+"""Frames that principal shapes are first taken from, evenly over the sequence."""
+_FRAMES_MORE = 128
+"""Frames that are added, those told worst, until the bound holds."""
+_FRAMES_AT_ONCE = 256
+
+
+def check_out(out: Path) -> None:
+    """Refuse a name or place that no sequence can be written to.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is none of .glb, .npz and "", or the parent is no folder.
+    """
+    if out.suffix.lower() not in (".glb", ".npz", ""):
+        raise FormatError(
+            f"{out.name}: animated meshes are written as .glb, .npz or a folder of .ply files "
+            "(no suffix)"
+        )
+    if not out.parent.is_dir():
+        raise FormatError(f"{out.parent} is not a folder; make it first")
+
+
+def check_length(frames: int, vertices: int, *, most: int = MAX_SEQUENCE_BYTES) -> None:
+    """Refuse a sequence whose float32 positions take more than `most` bytes.
+
+    Raises
+    ------
+    MeshError
+        Naming frames, vertices and size.
+    """
+    size = 12 * frames * vertices
+    if size > most:
+        raise MeshError(
+            f"{frames} frames of {vertices} vertices are {size / 2**30:.1f} GiB, at most "
+            f"{most / 2**30:g} are made; cut the recording, or write curves, which stay small"
+        )
+
+
+def write_sequence(
+    out: Path | str,
+    mesh: TriMesh,
+    vertices: Any,
+    *,
+    fps: float,
+    tolerance: float = 0.0,
+    unit_metres: float = 1.0,
+    colours: Any = None,
+) -> None:
+    """Write a vertex sequence, whole or not at all.
+
+    Parameters
+    ----------
+    out : Path or str
+        ``.npz`` (`vertices` (T, V, 3) float32, `triangles` (N, 3), `fps`), a folder for PLY files,
+        or ``.glb`` (principal shapes as morph targets, and their animation).
+    mesh : TriMesh
+        The face at rest.
+    vertices : array [shape=(T, V, 3)]
+        Frame i is at i / fps seconds.
+    fps : float
+        Any rate above 0.
+    tolerance : float
+        Furthest a vertex of the GLB may be off, in the mesh's unit; 0 for a 100,000th of its size.
+    unit_metres : float
+        Metres in the mesh's unit; the GLB is in metres, the others in the mesh's unit.
+    colours : array [shape=(V, 3), range 0 to 1], optional
+        Linear vertex colours of the GLB.
+
+    Raises
+    ------
+    FormatError, MeshError, TopologyError
+    """
+    out = Path(out)
+    check_out(out)
+    if out.suffix.lower() == ".glb":
+        shapes, weights = principal_shapes(mesh, vertices, tolerance or 1e-5 * mesh.size)
+        animation = WeightAnimation(weights, fps)
+        write_glb(out, scaled(shapes, unit_metres), animation=animation, colours=colours)
+        return
+    check_length(len(vertices), len(mesh.vertices))
+    if out.suffix.lower() == "":
+        write_ply_sequence(out, mesh, vertices)
+        return
+    with atomic_write(out) as beside, open(beside, "wb") as file:
+        np.savez_compressed(
+            file,
+            vertices=np.asarray(vertices, dtype=np.float32),
+            triangles=mesh.faces.astype(np.int32),
+            fps=fps,
+        )
+
+
+def scaled(shapes: ShapeSet, factor: float) -> ShapeSet:
+    """The same shapes in another unit."""
+    neutral = shapes.neutral.with_vertices(factor * shapes.neutral.vertices)
+    return replace(shapes, neutral=neutral, deltas=np.float32(factor) * shapes.deltas)
+
+
+def principal_shapes(
+    mesh: TriMesh, vertices: Any, tolerance: float
+) -> tuple[ShapeSet, NDArray[np.float32]]:
+    """Say a sequence by as few linear shapes as keep every vertex within a bound.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        The face at rest: where it rests, all weights are 0.
+    vertices : array [shape=(T, V, 3)]
+        At least one frame.
+    tolerance : float
+        Furthest any vertex of any frame may be off, in the mesh's unit.
+
+    Returns
+    -------
+    shapes : ShapeSet
+        K principal shapes, `motion_000` first: it says most.
+    weights : array [shape=(T, K), range -1 to 1]
+        Each column reaches 1 or -1.
+
+    Raises
+    ------
+    TopologyError
+        If the frames have another vertex count.
+
+    Notes
+    -----
+    The shapes come from the frames' Gram matrix. Where a long sequence is not said within the
+    bound by evenly chosen frames, the frames told worst join them.
+    """
+    frames = np.asarray(vertices, dtype=np.float32)
+    if frames.ndim != 3 or frames.shape[1:] != mesh.vertices.shape or not len(frames):
+        raise TopologyError(
+            f"a sequence of shape {frames.shape} is not of this mesh; it must be "
+            f"(T, {len(mesh.vertices)}, 3)"
+        )
+    rest = mesh.vertices.astype(np.float32)
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES_AT_FIRST).round().astype(int))
+    while True:
+        directions = _directions(frames[chosen] - rest)
+        errors = _errors(frames, rest, directions)
+        if errors.max() <= tolerance or len(chosen) == len(frames):
+            break
+        told_worst = np.argsort(errors)[-_FRAMES_MORE:]
+        chosen = np.union1d(chosen, told_worst)
+    directions = _fewest(frames, rest, directions, tolerance)
+    weights = _coefficients(frames, rest, directions)
+    largest = np.maximum(np.abs(weights).max(axis=0, initial=0.0), 1e-12)
+    deltas = (directions * largest[:, None]).reshape(-1, *rest.shape)
+    names = tuple(f"motion_{k:03d}" for k in range(len(deltas)))
+    return ShapeSet(mesh, names, deltas), (weights / largest).astype(np.float32)
+
+
+def _directions(deltas: Floats32) -> Floats:
+    """At least one orthonormal direction [shape=(K, 3 V)] that frames span, the strongest first."""
+    flat = deltas.reshape(len(deltas), -1).astype(np.float64)
+    power, left = np.linalg.eigh(flat @ flat.T)
+    kept = np.flatnonzero(power > 1e-12 * max(float(power[-1]), 1e-30))[::-1]
+    if not len(kept):
+        return np.zeros((1, flat.shape[1]))
+    return np.asarray((left[:, kept] / np.sqrt(power[kept])).T @ flat)
+
+
+def _coefficients(frames: Floats32, rest: Floats32, directions: Floats) -> Floats:
+    """Of every frame along the directions [shape=(T, K)]."""
+    return np.concatenate(
+        [
+            (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size) @ directions.T
+            for k in range(0, len(frames), _FRAMES_AT_ONCE)
+        ]
+    )
+
+
+def _errors(frames: Floats32, rest: Floats32, directions: Floats) -> Floats:
+    """How far the worst vertex of each frame is off [shape=(T,)]."""
+    worst = np.empty(len(frames))
+    for k in range(0, len(frames), _FRAMES_AT_ONCE):
+        deltas = (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size)
+        left = deltas - (deltas @ directions.T) @ directions
+        off = np.linalg.norm(left.reshape(-1, *rest.shape), axis=-1)
+        worst[k : k + _FRAMES_AT_ONCE] = off.max(axis=1)
+    return worst
+
+
+def _fewest(frames: Floats32, rest: Floats32, directions: Floats, tolerance: float) -> Floats:
+    """The first directions that keep the bound; all of them where none do."""
+    low, high = 1, len(directions)
+    while low < high:
+        middle = (low + high) // 2
+        if _errors(frames, rest, directions[:middle]).max() <= tolerance:
+            high = middle
+        else:
+            low = middle + 1
+    return directions[:high]
