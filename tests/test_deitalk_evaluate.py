@@ -56,7 +56,7 @@ def test_every_question_is_answered(report):
     assert report["phones"]["test"]["closure"]["M"]["n"] == 2
     assert set(report["emotions"]["test"]["named"]) == set(EMOTIONS)
     assert len(report["emotions"]["test"]["distances"]) == 10
-    assert report["lively"]["test"]["pairs_within"] == 2
+    assert report["lively"]["test"]["pairs_whole"] == 1
     assert list(report["noise"]) == ["clean", "20 dB", "10 dB", "5 dB", "0 dB"]
 
 

@@ -1,6 +1,7 @@
 """Measures of the evaluation on curves made by hand."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,8 @@ from deitalk.evaluation.phones import (
     lag_scores,
     phone_table,
 )
+from deitalk.evaluation.probes import lively_report
+from deitalk.pipeline import Performance
 from rig import RigCurves, default_controls, write_curves
 
 CONTROLS = default_controls()
@@ -158,6 +161,35 @@ def test_wandering_is_the_same_for_one_seed():
     np.testing.assert_array_equal(first.waveform, again[0].waveform)
     assert len(z) == len(lively) == first.n_frames
     assert np.ptp(z) > 0.1
+
+
+def spoken(seconds: float, until: float) -> Recording:
+    """Syllables of 0.2 s every 0.3 s, up to a moment."""
+    t = np.arange(int(seconds * 16_000)) / 16_000
+    tone = np.sin(2 * np.pi * 200 * t) + 0.5 * np.sin(2 * np.pi * 700 * t)
+    tone *= (np.mod(t, 0.3) > 0.1) & (t > 0.2) & (t < until)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(t))
+    return Recording((0.05 * tone + noise).astype(np.float32), "test", 16_000, 1, 0.0)
+
+
+@pytest.mark.parametrize(("sign", "share"), [(1, 1.0), (-1, 0.0)])
+def test_takes_are_compared_where_both_speak(monkeypatch, sign, share):
+    """A face that opens with the level, or against it; the second voice is silent in its half."""
+
+    def follows_level(take, emotion, **_):
+        level = 0.5 + sign * level_curve(take.waveform, take.n_frames) / 100
+        values = np.repeat(level[:, None], len(CONTROLS.names), axis=1).astype(np.float32)
+        curves = RigCurves(values, CONTROLS.names, fps=30)
+        still = RigCurves(0 * values, CONTROLS.names, fps=30)
+        zeros = np.zeros(take.n_frames, np.float32)
+        return Performance(curves, still, zeros, zeros, take, 0)
+
+    monkeypatch.setattr("deitalk.evaluation.probes.animate", follows_level)
+    model = SimpleNamespace(controls=CONTROLS)
+    report = lively_report(model, [spoken(5, 5), spoken(6, 2.6)])  # type: ignore[arg-type]
+    assert report["pairs_whole"] == 2 and report["pairs_within"] == 2 + 1
+    for name in ("whole_opens", "whole_expresses", "within_opens", "within_expresses"):
+        assert report[name] == share, name
 
 
 def test_the_label_is_the_corpus_s():

@@ -38,6 +38,8 @@ Mask = NDArray[np.bool_]
 FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
 """Intensity 1 throughout: a strong performance."""
 LIVELY_EMOTION = "happy"
+LEAST_FRAMES = 15
+"""Half a second: a half with less speech is not compared."""
 
 
 def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, Any]:
@@ -117,9 +119,10 @@ def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
         ``opens`` and ``expresses``: share of pairs in which the livelier one has the wider mean
         opening, and the stronger mean expression; ``within_``: one half of a recording livelier
         than the other, and the same half duller (level is heard relative to the recording);
-        ``whole_``: the whole of it. ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean
-        Spearman with the liveliness of a recording moved along a random contour, within speech;
-        ``..._contour``: with that contour alone, against which the voice's own prosody is noise.
+        ``whole_``: the whole of it. ``pairs_``: how many could be compared. ``intensity_rho``,
+        ``saliency_rho``, ``level_rho``: mean Spearman with the liveliness of a recording moved
+        along a random contour, within speech; ``..._contour``: with that contour alone, against
+        which the voice's own prosody is noise.
     """
     pairs: dict[str, list[bool]] = {}
     rhos: dict[str, list[float]] = {}
@@ -132,7 +135,7 @@ def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
             for name, value in follow(performance, label).items():
                 rhos.setdefault(name + end, []).append(value)
     shares = {name: float(np.mean(values)) for name, values in pairs.items()}
-    counts = {"pairs_whole": len(recordings), "pairs_within": 2 * len(recordings)}
+    counts = {f"pairs_{kind}": len(pairs.get(f"{kind}_opens", ())) for kind in ("whole", "within")}
     return counts | shares | {name: _mean(values) for name, values in rhos.items()}
 
 
@@ -158,8 +161,14 @@ def _compare_whole(model: DEITalk, recording: Recording, pairs: dict[str, list[b
         speaking = speech_activity(take.waveform) > 0
         opened.append(_opening(performance, speaking, model.controls))
         expressed.append(_expression(performance, speaking))
-    pairs.setdefault("whole_opens", []).append(opened[0] > opened[1])
-    pairs.setdefault("whole_expresses", []).append(expressed[0] > expressed[1])
+    _count(pairs, "whole_opens", *opened)
+    _count(pairs, "whole_expresses", *expressed)
+
+
+def _count(pairs: dict[str, list[bool]], name: str, lively: float, dull: float) -> None:
+    """Whether the livelier take has more; nothing where one of the two cannot be measured."""
+    if np.isfinite(lively) and np.isfinite(dull):
+        pairs.setdefault(name, []).append(lively > dull)
 
 
 def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
@@ -173,18 +182,22 @@ def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[
             opened[row, half] = _opening(performance, mask, model.controls)
             expressed[row, half] = _expression(performance, mask)
     for name, values in (("within_opens", opened), ("within_expresses", expressed)):
-        better = [values[0, 0] > values[1, 0], values[1, 1] > values[0, 1]]
-        pairs.setdefault(name, []).extend(bool(b) for b in better)
+        _count(pairs, name, values[0, 0], values[1, 0])
+        _count(pairs, name, values[1, 1], values[0, 1])
 
 
 def _opening(performance: Performance, mask: Mask, controls: ControlSet) -> float:
-    return _mean(mouth_opening(performance.curves.values, controls)[mask])
+    return _mean_within(mouth_opening(performance.curves.values, controls), mask)
 
 
 def _expression(performance: Performance, mask: Mask) -> float:
     """How far the face is from its neutral reading: control units, mean of the frames."""
     away = performance.curves.values - performance.neutral.values
-    return _mean(np.sqrt(np.square(away).sum(axis=1))[mask])
+    return _mean_within(np.sqrt(np.square(away).sum(axis=1)), mask)
+
+
+def _mean_within(values: Floats, mask: Mask) -> float:
+    return float(values[mask].mean()) if mask.sum() >= LEAST_FRAMES else float("nan")
 
 
 def noise_report(
