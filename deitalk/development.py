@@ -110,7 +110,8 @@ class DevelopmentSet:
             "jaw_r": rs[0],
             "mean_r": _mean(rs),
         }
-        known = np.isfinite(example.intensity) & (speech_activity(example.waveform) > 0)
+        speaking = speech_activity(example.waveform)[: len(target)] > 0
+        known = np.isfinite(example.intensity) & speaking
         row["intensity_r"] = (
             correlation(example.intensity[known], strength[known])
             if strength is not None and known.any()
