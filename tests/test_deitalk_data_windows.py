@@ -4,17 +4,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 import torch
 from dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
 from torch.utils.data import DataLoader
 
+from deitalk.activity import normalise_level
+from deitalk.audio import load_audio
 from deitalk.config import DataConfig
 from deitalk.data.folder import read_clips
-from deitalk.data.windows import Batches, Material, count_windows, cut, load_material, n_clip_frames
+from deitalk.data.windows import (
+    Batches,
+    Material,
+    MaterialCache,
+    count_windows,
+    cut,
+    load_material,
+    n_clip_frames,
+)
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 
 CONTROLS = default_controls()
+SECONDS_FRAMES = int(SECONDS * 30)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +85,47 @@ def test_a_window_begins_before_curves_that_start_late():
 def test_frames_of_a_clip_are_counted_in_integers():
     assert n_clip_frames(132_800) == 249, "8.3 s: 30 * 8.3 is a little more than 249 in floats"
     assert n_clip_frames(1) == 1 and n_clip_frames(0) == 1 and n_clip_frames(16_000, 1.25) == 24
+
+
+def test_a_clip_in_memory_is_the_recording_to_16_bits(folder):
+    clip = read_clips(folder, "train")[0]
+    material = load_material(clip, CONTROLS)
+    assert material.waveform.dtype == np.int16 and material.values.dtype == np.float16
+    expected = normalise_level(load_audio(clip.audio).waveform)
+    window, *_ = cut(material, 0, SECONDS_FRAMES)
+    np.testing.assert_allclose(window, expected, rtol=0, atol=np.abs(expected).max() / 60_000)
+    # 3 s: 48000 samples of 2 bytes; 180 rows of curves of 2 bytes, times of 8, intensities of 4
+    assert material.n_bytes == 48_000 * 2 + 180 * (185 * 2 + 8 + 4)
+
+
+def test_silence_stays_silence_in_memory(tmp_path):
+    folder = write_dataset(tmp_path, 1, 0)
+    soundfile.write(folder / "audio/0.flac", np.zeros(3 * RATE), RATE, subtype="PCM_16")
+    window, *_ = cut(load_material(read_clips(folder)[0], CONTROLS), 0, SECONDS_FRAMES)
+    assert len(window) == 3 * RATE and not window.any()
+
+
+def test_memory_is_bounded_and_what_was_used_last_stays(folder, monkeypatch):
+    import deitalk.data.windows as module
+
+    clips = read_clips(folder, "train")
+    size = load_material(clips[0], CONTROLS).n_bytes
+    read: list[str] = []
+
+    def reads(clip, controls):
+        read.append(clip.name)
+        return load_material(clip, controls)
+
+    monkeypatch.setattr(module, "load_material", reads)
+    cache = MaterialCache(CONTROLS, max_bytes=2 * size)
+    for i in (0, 1, 0, 2, 0, 1):  # 2 displaces 1, not 0
+        assert cache.read(clips[i]).values.shape == (180, 185)
+        assert cache.n_bytes <= 2 * size
+    assert read == ["clip0", "clip1", "clip2", "clip1"]
+    small = MaterialCache(CONTROLS, max_bytes=1)
+    small.read(clips[0])
+    small.read(clips[0])
+    assert read[4:] == ["clip0"] and small.n_bytes == size, "one clip stays"
 
 
 def config(**changes: object) -> DataConfig:

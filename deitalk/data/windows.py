@@ -3,6 +3,7 @@
 Letters: S samples, T frames of a window (128), C controls.
 """
 
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import count
@@ -23,6 +24,9 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.features import RIG_RATE, SAMPLE_RATE
 from rig import ControlSet, read_curves
+
+CACHE_BYTES = 1_000_000_000
+"""Clips that one process keeps in memory: some 2300 of six seconds."""
 
 
 class Window(NamedTuple):
@@ -47,10 +51,17 @@ class Window(NamedTuple):
 class Material(NamedTuple):
     """A clip in memory."""
 
-    waveform: NDArray[np.float32]
+    waveform: NDArray[np.int16] | NDArray[np.float32]
+    """Level-normalised [shape=(S,)], in steps of `unit`."""
     times: NDArray[np.float64]
     values: NDArray[np.float16]
     intensity: NDArray[np.float32]
+    unit: float = 1.0
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the arrays."""
+        return sum(part.nbytes for part in self[:4])
 
 
 def n_starts(n_frames: int, config: DataConfig) -> int:
@@ -95,12 +106,16 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
         intensity = np.full(len(times), np.nan, np.float32)
     else:
         intensity = read_intensity(clip.intensity, times)
-    return Material(_waveform(str(clip.audio)), times, curves.values.astype(np.float16), intensity)
+    waveform, unit = _waveform(str(clip.audio))
+    return Material(waveform, times, curves.values.astype(np.float16), intensity, unit)
 
 
 @lru_cache(maxsize=64)
-def _waveform(path: str) -> NDArray[np.float32]:
-    return normalise_level(load_audio(path).waveform)
+def _waveform(path: str) -> tuple[NDArray[np.int16], float]:
+    """A recording at the normal level in 16 bits of its own peak, and the worth of a step."""
+    waveform = normalise_level(load_audio(path).waveform)
+    unit = float(np.abs(waveform).max(initial=0)) / 32767 or 1.0
+    return np.round(waveform / unit).astype(np.int16), unit
 
 
 def cut(
@@ -126,8 +141,8 @@ def cut(
     """
     start = round(first * speed / RIG_RATE * SAMPLE_RATE)
     length = round(n_frames / RIG_RATE * SAMPLE_RATE)
-    piece = material.waveform[start : start + round(length * speed) + 8]
-    piece = change_speed(piece, speed)[:length]
+    steps = material.waveform[start : start + round(length * speed) + 8]
+    piece = change_speed(steps.astype(np.float32) * np.float32(material.unit), speed)[:length]
     waveform = np.pad(piece, (0, length - len(piece)))
     times = (first + np.arange(n_frames)) / RIG_RATE * speed
     curves, intensity = _curves_at(material, times)
@@ -161,7 +176,7 @@ class Batches(IterableDataset[Window]):
 
     Every clip is as likely as another, whatever its length (recorded ones by
     `DataConfig.real_fraction`); within a clip the first frame is a random multiple of the stride.
-    The 4096 clips used last stay in memory.
+    The clips used last stay in memory, up to `CACHE_BYTES`.
 
     Deviation: §4.1 passes over all windows of all clips; drawing with replacement sees as many
     windows in an epoch, needs no list of them, and can be resumed at any batch.
@@ -203,6 +218,7 @@ class Batches(IterableDataset[Window]):
         self.rank, self.world = rank, world
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
+        self.cache = MaterialCache(controls)
 
     def __iter__(self) -> Iterator[Window]:
         """Yield this worker's batches, stacked."""
@@ -218,7 +234,7 @@ class Batches(IterableDataset[Window]):
         """The window of one number."""
         rng = np.random.default_rng((self.seed, number))
         clip = self._draw(rng)
-        material = _material(clip, self.controls)
+        material = self.cache.read(clip)
         config = self.config
         speed = speed_factor(rng) if config.augment else 1.0
         frames = n_clip_frames(len(material.waveform), speed)
@@ -245,16 +261,41 @@ class Batches(IterableDataset[Window]):
         return self.clips[int(places[rng.integers(len(places))])]
 
 
-@lru_cache(maxsize=4096)
-def _material(clip: Clip, controls: ControlSet) -> Material:
-    return load_material(clip, controls)
+class MaterialCache:
+    """Clips read from files, or from memory if they were used lately.
+
+    Parameters
+    ----------
+    controls : ControlSet
+        Columns of the curves.
+    max_bytes : int
+        Memory for arrays; the clip used longest ago goes first. One clip always stays.
+    """
+
+    def __init__(self, controls: ControlSet, max_bytes: int = CACHE_BYTES) -> None:
+        self.controls, self.max_bytes = controls, max_bytes
+        self.n_bytes = 0
+        self._kept: OrderedDict[Clip, Material] = OrderedDict()
+
+    def read(self, clip: Clip) -> Material:
+        """The clip's material; errors are those of `load_material`."""
+        if clip in self._kept:
+            self._kept.move_to_end(clip)
+            return self._kept[clip]
+        material = load_material(clip, self.controls)
+        self._kept[clip] = material
+        self.n_bytes += material.n_bytes
+        while self.n_bytes > self.max_bytes and len(self._kept) > 1:
+            self.n_bytes -= self._kept.popitem(last=False)[1].n_bytes
+        return material
 
 
 def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[NDArray[np.float32]]:
     """Four other voices for babble, now and then; reading them costs time."""
     if rng.random() > 0.06:
         return []
-    return [_waveform(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]
+    chosen = [_waveform(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]
+    return [steps.astype(np.float32) * np.float32(unit) for steps, unit in chosen]
 
 
 def _one_hot(emotion: str) -> Tensor:
