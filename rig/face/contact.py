@@ -17,6 +17,8 @@ _SEAL_RINGS = np.arange(-2, 10)
 _SEAL_SHARE = np.array([0.75, 1.0, 1.0, 0.95, 0.86, 0.73, 0.57, 0.41, 0.27, 0.16, 0.08, 0.03])
 _UPPER_PART = 0.38
 """The upper lip covers this share of the gap, the lower lip the rest."""
+_TUCK = 0.17
+"""How much closer than elsewhere the lower lip's rim comes to the upper teeth, cm."""
 
 
 class Arch:
@@ -40,10 +42,16 @@ class Arch:
         self.ids = np.flatnonzero(lips | ((skin.kind == FILLER) & near))
         is_lip = skin.kind[self.ids] == MOUTH
         flesh = np.where(is_lip, np.interp(ring[self.ids], [-2, 0, 2, 9], [0, 0, 0.12, 0.35]), 0.35)
-        clearance = 0.30 + flesh
+        clearance = 0.30 + flesh - (_TUCK * self._is_under(skin) if up > 0 else 0)
         self._axes = width + clearance, depth + clearance
         self._center_z, self._edge_y, self._up = center_z, edge_y, up
         self._least = np.minimum(self._ratio(v[self.ids]), 1.0)
+
+    def _is_under(self, skin: Skin) -> Array:
+        """1 at the rim of the lower lip, which F tucks under the upper teeth; 0 past its red."""
+        ring, slot = skin.ring[self.ids], skin.slot[self.ids]
+        is_lower = (skin.kind[self.ids] == MOUTH) & (slot > loops.MOUTH_COUNT // 2)
+        return np.asarray(is_lower * np.interp(ring, [-2, 0, 2, 4], [1, 1, 0.6, 0]))
 
     def _ratio(self, points: Array) -> Array:
         a, b = self._axes

@@ -10,7 +10,6 @@ Letters: K shapes, V vertices.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,9 @@ from rig.arkit import arkit_controls
 from rig.face.head import Head
 from rig.face.mesh import Array
 from rig.mapping import convert
-from rig.mesh.glb import GlbBuilder, write_container
-from rig.mesh.trimesh import TriMesh, vertex_normals
+from rig.mesh.glb import read_container, write_container, write_glb
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
 
 SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
 """ARKit's 52 blend shapes, by Apple's names."""
@@ -34,9 +34,6 @@ CORRECTIVES: dict[str, dict[str, float]] = {
     "mouthClose_half": {"jawOpen": 0.5, "mouthClose": 0.5},
 }
 """Pose in which each is fully on; `corrective_weights` fades them in and out."""
-STILL_METRES = 1e-5
-STILL_NORMAL = 2e-3
-_ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 
 
 @dataclass(frozen=True)
@@ -110,49 +107,20 @@ def write_head(path: Path | str, head: Head) -> Morphs:
     morphs : Morphs
         What was written.
     """
-    from rig.formats.morph_head import METRES_PER_CM, srgb_to_linear
+    from rig.formats.glb import in_metres
+    from rig.formats.morph_head import srgb_to_linear
 
     morphs = arkit_morphs(head)
-    rest = TriMesh(head.mesh.vertices * METRES_PER_CM, head.mesh.faces)
-    builder = GlbBuilder()
-    deltas = morphs.deltas.astype(np.float64) * METRES_PER_CM
-    primitive: dict[str, Any] = {
-        "attributes": {
-            "POSITION": builder.dense(rest.vertices, "VEC3", _ARRAY_BUFFER),
-            "NORMAL": builder.dense(vertex_normals(rest), "VEC3", _ARRAY_BUFFER),
-            "COLOR_0": builder.dense(srgb_to_linear(head.mesh.colors), "VEC3", _ARRAY_BUFFER),
-        },
-        "indices": builder.dense(rest.faces.astype(np.uint32).ravel(), "SCALAR", _INDEX_BUFFER),
-        "material": 0,
-        "targets": [_target(builder, rest, delta) for delta in deltas],
-    }
-    builder.json |= _scene(primitive, head.identity.name, morphs.names)
-    write_container(path, builder.json, bytes(builder.binary))
+    shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
+    write_glb(path, in_metres(shapes), colours=srgb_to_linear(head.mesh.colors))
+    _name_correctives(path, head.identity.name)
     return morphs
 
 
-def _target(builder: GlbBuilder, rest: TriMesh, delta: Array) -> dict[str, int]:
-    turned = vertex_normals(TriMesh(rest.vertices + delta, rest.faces)) - vertex_normals(rest)
-    return {
-        "POSITION": builder.sparse(delta, STILL_METRES),
-        "NORMAL": builder.sparse(turned, STILL_NORMAL),
-    }
-
-
-def _scene(primitive: dict[str, Any], title: str, names: tuple[str, ...]) -> dict[str, Any]:
-    surface = {"baseColorFactor": [1.0] * 4, "metallicFactor": 0.0, "roughnessFactor": 0.6}
-    extras = {
-        "targetNames": list(names),
-        "correctives": {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()},
-    }
-    mesh = {
-        "name": title, "primitives": [primitive], "weights": [0.0] * len(names), "extras": extras,
-    }  # fmt: skip
-    return {
-        "asset": {"version": "2.0", "generator": "deitalk"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": title}],
-        "meshes": [mesh],
-        "materials": [{"name": "face", "pbrMetallicRoughness": surface, "doubleSided": True}],
-    }
+def _name_correctives(path: Path | str, title: str) -> None:
+    """Say whose head a file holds, and in which pose each corrective is fully on."""
+    document, binary = read_container(path)
+    (mesh,) = document["meshes"]
+    mesh["name"] = title
+    mesh["extras"]["correctives"] = {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()}
+    write_container(path, document, binary)

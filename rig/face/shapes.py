@@ -73,7 +73,7 @@ class Shape:
     creases: tuple[Crease, ...] = ()
     is_split: bool = True
     reach: int = 5
-    """Outermost loop of the mouth whose motion `lips` states."""
+    """Outermost loop of the mouth whose motion `lips` states; it stays still without `lips`."""
 
 
 class ShapeMaker:
@@ -110,10 +110,10 @@ class ShapeMaker:
     def _solve(self, shape: Shape) -> Array:
         skin, n = self.skin, len(self.skin.vertices)
         fixed, values = self.still | self.lid, np.zeros((n, 3))
+        lips = (skin.kind == MOUTH) & (skin.ring <= shape.reach)
+        fixed = fixed | lips
         if shape.lips is not None:
-            chosen = (skin.kind == MOUTH) & (skin.ring <= shape.reach)
-            fixed = fixed | chosen
-            values[chosen] = self._lip_motion(shape.lips, chosen)
+            values[lips] = self._lip_motion(shape.lips, lips)
         for x, y, dx, dy, dz in shape.points:
             for side in (1, -1) if x else (1,):
                 near = self._nearest(x * side, y)

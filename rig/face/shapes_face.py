@@ -104,7 +104,7 @@ FACE_SHAPES: tuple[Shape, ...] = (
     Shape("lidPress", None, ((3.1, -1.8, 0, 0.08, 0.05), (3.1, 1.5, 0, -0.08, 0.05))),
     Shape(
         "noseWrinkle",
-        lambda p: (0.0 * p.u, 0.22 * (1 - p.u**2) * p.upper, 0.0 * p.u),
+        lambda p: (0.0 * p.u, 0.15 * p.bell * p.upper, 0.0 * p.u),
         (
             (1.25, -4.3, 0.10, 0.32, 0.02),
             (0, -3.9, 0, 0.10, 0),

@@ -19,7 +19,7 @@ def _share(p: LipPoints, side: str) -> Array:
 
 def _corner_pull(p: LipPoints) -> Triple:
     pull = (0.55 * p.u**2 + 0.45 * p.u**3) * p.rings(r0=1, r2=1, r5=0.80)
-    dy = 0.80 * pull + (-0.04 * p.upper - 0.08 * p.lower) * p.bell
+    dy = 0.80 * pull - 0.07 * p.bell
     thin = p.rings(m1=0.0, r0=0.0, r2=-0.10, r4=-0.06, r5=0.0) * p.bell
     return 0.66 * pull, dy + thin * (p.upper - p.lower), -0.50 * pull - 0.16 * p.bell
 
@@ -67,7 +67,7 @@ def _funnel(side: str) -> Shape:
 def _purse(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        slit = 0.03 * p.bell * p.rings(m1=1, r0=1, r2=-0.8, r3=-0.6, r5=0)
+        slit = -0.13 * p.bell * p.rings(m1=1, r0=1, r2=0.3, r3=0.0, r5=0)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
         curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.60, r6=0.42)
         return -1.28 * p.u * m, -s * slit * m, out * curl * m
@@ -90,8 +90,9 @@ def _roll(side: str, *, is_in: bool) -> Shape:
 def _bite(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s, bell = _share(p, side), _towards(side), p.bell**0.6
-        dy = s * bell * p.rings(m1=0.06, r0=0.14, r1=0.26, r2=0.34, r4=0.22, r5=0.12)
-        return -0.03 * p.u * m, dy * m, -bell * p.rings(m1=0.55, r1=0.52, r3=0.36, r5=0.1) * m
+        dy = s * bell * p.rings(m1=-0.06, r0=0.02, r1=0.20, r2=0.34, r3=0.38, r4=0.30, r5=0.16)
+        dz = -bell * p.rings(m1=0.62, r0=0.62, r1=0.52, r2=0.36, r3=0.26, r5=0.1)
+        return -0.03 * p.u * m, dy * m, dz * m
 
     return Shape(f"bite{side}", lips)
 
@@ -255,7 +256,7 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
     ),
     Shape(
         "chinCompress",
-        None,
+        lambda p: (0.0 * p.u, 0.08 * p.bell * p.lower, 0.04 * p.bell * p.lower),
         ((0, -9.9, 0, 0.22, 0.10), (0.9, -10.2, 0.05, 0.16, 0.08)),
         ((((1.6, -9.6), (0.8, -9.35), (0, -9.3)), -0.08, 0.22),),
     ),

@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.face.mesh import Array, Mesh, grid_faces, join, mirrored, painted
 
-TOOTH = np.array([0.92, 0.90, 0.84])
+TOOTH = np.array([0.85, 0.82, 0.75])
 GUM = np.array([0.66, 0.33, 0.33])
 UPPER_WIDTHS = np.array([0.76, 0.60, 0.66, 0.60, 0.58, 0.74])
 LOWER_WIDTHS = np.array([0.50, 0.54, 0.60, 0.60, 0.62, 0.76])
@@ -49,7 +49,7 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
         yaw = np.arctan2(-(z2 - z), x2 - x)
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
         place = np.array([x, edge + up * height, z])
-        shade = np.interp(z, [5.0, 8.0], [0.45, 1.0])
+        shade = np.interp(z, [5.0, 8.0], [0.45, 1.0]) * (1.0 if is_upper else 0.8)
         tooth = Mesh(
             tooth.vertices @ turn.T + place, tooth.faces, tooth.colors * shade, tooth.gloss
         )
