@@ -136,7 +136,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     low[places] = curves.values[:, columns].min(axis=0)
     high[places] = curves.values[:, columns].max(axis=0)
     speaking = speech_activity(recording.waveform) > 0
-    jaw = _jaw(curves, clip.offset_seconds, recording.duration)
+    jaw = jaw_motion(curves, clip.offset_seconds, recording.duration)
     return Measured(
         clip.name,
         curves.fps,
@@ -146,7 +146,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         tuple(name for name in controls.names if name not in set(known)),
         low,
         high,
-        _correlations(loudness(recording.waveform), jaw),
+        lag_correlations(loudness(recording.waveform), jaw),
         float(speaking.mean()),
         _open_in_silence(jaw, speaking),
         recording.clipped_fraction,
@@ -170,7 +170,7 @@ def loudness(waveform: NDArray[np.float32]) -> Floats:
     return scaled
 
 
-def _jaw(curves: RigCurves, offset: float, seconds: float) -> Floats:
+def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Floats:
     """The jaw on the audio's axis at 60 frames per second; still if there is none."""
     at = np.arange(int(seconds * RATE)) / RATE
     if JAW not in curves.names:
@@ -179,7 +179,7 @@ def _jaw(curves: RigCurves, offset: float, seconds: float) -> Floats:
     return jaw
 
 
-def _correlations(level: Floats, jaw: Floats) -> Floats:
+def lag_correlations(level: Floats, jaw: Floats) -> Floats:
     """Correlation at lags of -0.5 to 0.5 s; positive where the curves come late."""
     reach = int(MAX_LAG_SECONDS * RATE)
     n = min(len(level), len(jaw))

@@ -41,8 +41,8 @@ def offset_warnings(source: PreviewSource) -> list[Finding]:
     if not source.sample_rate:
         return []
     samples = _at_16_khz(source.samples, source.sample_rate)
-    jaw = check._jaw(source.curves, 0.0, len(samples) / SAMPLE_RATE)
-    lags = check._correlations(check.loudness(samples), jaw)
+    jaw = check.jaw_motion(source.curves, 0.0, len(samples) / SAMPLE_RATE)
+    lags = check.lag_correlations(check.loudness(samples), jaw)
     if not np.isfinite(lags).all():
         return []
     best, middle = int(lags.argmax()), len(lags) // 2
