@@ -1,4 +1,4 @@
-"""Where SDFA listens: attention over vowels and over plosives (SDFA §5.2.3, Fig. 9).
+"""Where a model listens: attention over vowels and over plosives (SDFA §5.2.3, Fig. 9).
 
 The paper shows one vowel with even weights and one /b/ with all weight on its centre. Here every
 vowel and plosive of a recording is averaged, with a number for how even the weights are.
@@ -9,6 +9,7 @@ Letters: T frames, L spectra of a window.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,11 @@ class AttentionMap:
         entropy = -(safe * np.log(safe)).sum(axis=1)
         return float(entropy.mean() / np.log(self.rows.shape[1]))
 
+    @property
+    def peak(self) -> float:
+        """Mean over rows of the largest weight; even weights have 1 / L."""
+        return float(self.rows.max(axis=1).mean())
+
 
 def attention_maps(
     weights: Floats, phones: Phones, fps: float
@@ -59,7 +65,7 @@ def attention_maps(
     Parameters
     ----------
     weights : array [shape=(T, L)]
-        From `deitalk.sdfa.SDFA.attention_weights`.
+        From `deitalk.attention.attention_of`.
     phones : sequence of (start, end, phone)
         Seconds and ARPABET names, stress digits ignored.
     fps : float
@@ -103,11 +109,7 @@ def plot_attention(
     MissingError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
-    figure = Figure(figsize=(10, 6), layout="constrained")
+    figure = _figure(10, 6)
     axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
     n_spectra = vowels.rows.shape[1]
     times = (np.arange(n_spectra) - n_spectra // 2) / frame_rate * 1000
@@ -125,3 +127,53 @@ def plot_attention(
         column[1].set_xlabel("ms from the frame")
     with atomic_write(path) as beside:
         figure.savefig(beside, dpi=90)
+
+
+def plot_clip(weights: Floats, fps: float, frame_rate: float, phones: Phones, path: Path) -> None:
+    """Draw attention along a recording: time across, the window's spectra down.
+
+    Parameters
+    ----------
+    weights : array [shape=(T, L)]
+        From `deitalk.attention.attention_of`.
+    fps, frame_rate : float
+        Frames and spectra per second.
+    phones : sequence of (start, end, phone)
+        Written along the top where they are known; may be empty.
+    path : Path
+        .png, .svg or .pdf.
+
+    Raises
+    ------
+    MissingError
+        If matplotlib is not installed.
+    """
+    seconds, n_spectra = len(weights) / fps, weights.shape[1]
+    figure = _figure(min(max(6.0, 2.2 * seconds), 60.0), 4)
+    map_axis, even_axis = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    early, late = ((k - n_spectra // 2 - 0.5) / frame_rate * 1000 for k in (0, n_spectra))
+    map_axis.imshow(
+        weights.T, aspect="auto", extent=(0, seconds, late, early), vmin=0, interpolation="nearest"
+    )
+    map_axis.axhline(0, color="w", lw=0.5, alpha=0.5)
+    map_axis.set_ylabel("ms from the frame")
+    rows = [AttentionMap(weights[i : i + 1], ("",)).evenness for i in range(len(weights))]
+    even_axis.plot(np.arange(len(weights)) / fps, rows)
+    even_axis.set(ylim=(0, 1.02), ylabel="evenness", xlabel="seconds", xlim=(0, seconds))
+    for start, end, phone in phones:
+        name = phone.rstrip("012")
+        colour = "tab:red" if name in PLOSIVES else "tab:blue" if name in VOWELS else "0.5"
+        even_axis.axvline(start, color="0.85", lw=0.5)
+        map_axis.text((start + end) / 2, early, name, ha="center", va="bottom", fontsize=6,
+                      color=colour)  # fmt: skip
+    with atomic_write(path) as beside:
+        figure.savefig(beside, dpi=90)
+
+
+def _figure(width: float, height: float) -> Any:
+    """An empty matplotlib figure, inches."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
+    return Figure(figsize=(width, height), layout="constrained")

@@ -174,8 +174,8 @@ def _by_gradients(
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=MAX_BYTES)
     parts: list[Floats32] = []
-    for s, r in network.pieces(recording.waveform, speaker):
-        parts.append(network.vertices(s, r, mesh))
+    for motion in network.pieces(recording.waveform, speaker):
+        parts.append(network.vertices(motion, mesh))
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
     name = speaker if isinstance(speaker, str) else network.speakers[speaker]
     return MeshPerformance(

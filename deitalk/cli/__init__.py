@@ -8,6 +8,7 @@ import typer
 from deitalk import __version__
 from deitalk.cli.ablate import ablate
 from deitalk.cli.animate import animate
+from deitalk.cli.attention import attention
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
@@ -36,6 +37,7 @@ app = typer.Typer(
 app.command()(animate)
 app.command()(controls)
 app.command()(plot)
+app.command()(attention)
 app.command()(preview)
 app.command()(convert)
 app.command()(validate)

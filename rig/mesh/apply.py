@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rig.curves import RigCurves
-from rig.errors import FormatError
+from rig.errors import FormatError, RigError
 from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes, read_mapping
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
@@ -186,8 +186,8 @@ def read_shapes(path: Path | str) -> ShapeSet:
 
     Raises
     ------
-    FormatError
-        If the suffix is none of these.
+    RigError
+        If the suffix is none of these, or the file holds no mesh; it names the file.
     """
     path = Path(path)
     if path.is_dir():
@@ -201,7 +201,12 @@ def read_shapes(path: Path | str) -> ShapeSet:
             f"{path.name}: meshes come as .obj, .ply, .glb, .npz or a folder of .obj files; "
             "convert it (Blender reads FBX and USD and exports .glb)"
         )
-    read: ShapeSet | TriMesh = reader(path)
+    try:
+        read: ShapeSet | TriMesh = reader(path)
+    except RigError as error:
+        if path.name in str(error):
+            raise
+        raise type(error)(f"{path.name}: {error}") from None
     if isinstance(read, TriMesh):
         return ShapeSet(read, (), np.zeros((0, *read.vertices.shape), dtype=np.float32))
     return read
