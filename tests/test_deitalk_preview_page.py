@@ -5,11 +5,12 @@ import gzip
 import io
 import json
 import re
-import shutil
 import struct
+import sys
 
 import numpy as np
 import pytest
+from browser import chromium, opened
 
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
@@ -139,18 +140,8 @@ def test_three_takes_are_too_many(tiny_player, tmp_path):
 
 @pytest.fixture(scope="module")
 def browser():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    if program is None:
-        pytest.skip("needs Debian's chromium")
-    if not page_module.BUNDLE.is_file():
-        pytest.skip("needs the built player: npm install && npm run build in web/")
-    flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
-             "--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"]  # fmt: skip
-    with sync_api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=program, args=flags)
-        yield launched
-        launched.close()
+    with chromium() as running:
+        yield running
 
 
 @pytest.fixture(scope="module")
@@ -164,15 +155,8 @@ def page_file(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, page_file):
-    context = browser.new_context(viewport={"width": 1280, "height": 860}, offline=True)
-    tab = context.new_page()
-    tab.complaints = []
-    tab.on("console", lambda m: m.type in ("error", "warning") and tab.complaints.append(m.text))
-    tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
-    tab.goto((page_file / "one.html").as_uri())
-    tab.wait_for_function("window.deitalk?.ready", timeout=60_000)
-    yield tab
-    context.close()
+    with opened(browser, page_file / "one.html") as tab:
+        yield tab
 
 
 def shown_vertices(page) -> np.ndarray:
@@ -292,15 +276,10 @@ def test_a_control_can_be_added_by_name(page):
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_narrow_page_does_not_scroll_sideways(browser, page_file, scheme):
-    context = browser.new_context(
-        viewport={"width": 390, "height": 844}, color_scheme=scheme, offline=True
-    )
-    tab = context.new_page()
-    tab.goto((page_file / "two.html").as_uri())
-    tab.wait_for_function("window.deitalk?.ready", timeout=60_000)
-    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
-    assert tab.locator("#faces canvas").count() == 2
-    context.close()
+    narrow = {"width": 390, "height": 844}
+    with opened(browser, page_file / "two.html", viewport=narrow, color_scheme=scheme) as tab:
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+        assert tab.locator("#faces canvas").count() == 2
 
 
 def test_page_is_small(page_file):
@@ -309,7 +288,7 @@ def test_page_is_small(page_file):
 
 
 @pytest.mark.slow
-def test_page_is_fast_enough_without_a_gpu(page):
+def test_page_is_fast_enough_without_a_gpu(page, capsys):
     speeds = [
         page.evaluate(
             """() => new Promise(done => { let n = 0; const t = performance.now();
@@ -319,4 +298,7 @@ def test_page_is_fast_enough_without_a_gpu(page):
         )
         for _ in range(3)
     ]
+    said = ", ".join(f"{speed:.0f}" for speed in speeds)
+    with capsys.disabled():
+        sys.stdout.write(f"\npage without a GPU: {said} frames a second\n")
     assert max(speeds) >= 8  # frames a second without a GPU, once the page has adapted

@@ -7,7 +7,7 @@ export class Clock {
   private running = false;
   rate = 1;
 
-  constructor(wav: Uint8Array | null, private readonly seconds: number) {
+  constructor(wav: Uint8Array | null, public seconds: number) {
     if (!wav) return;
     this.audio = new Audio(URL.createObjectURL(new Blob([wav as BlobPart], { type: "audio/wav" })));
     this.audio.preload = "auto";

@@ -5,6 +5,7 @@ import "uplot/dist/uPlot.min.css";
 
 import type { Take } from "./take";
 
+const HEIGHT = 170;
 const KEY = [
   "CTRL_C_jaw.ty", "CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_mouth_funnelU.ty",
   "CTRL_L_mouth_cornerPull.ty", "CTRL_L_brow_down.ty", "CTRL_L_eye_blink.ty",
@@ -47,10 +48,11 @@ export class CurveLanes {
     this.chart = new uPlot(
       {
         width: this.box.clientWidth || 300,
-        height: 170,
+        height: HEIGHT,
         padding: [8, 0, 0, 0],
         scales: { x: { time: false, range: [0, this.take.seconds] }, y: { range: [lowest - 0.03, 1.03] } },
-        axes: [axis, { ...axis, size: 0, ticks: { show: false }, values: () => [] }],
+        // the first label would be cut off: the lane is as wide as the others
+        axes: [{ ...axis, size: 26, values: (_u, times) => times.map((t) => (t ? String(t) : "")) }, { ...axis, size: 0, ticks: { show: false }, values: () => [] }],
         series: [
           { label: "s" },
           ...this.names.map((name, k) => ({
@@ -77,7 +79,7 @@ export class CurveLanes {
   }
 
   resize(): void {
-    this.chart?.setSize({ width: this.box.clientWidth, height: 170 });
+    this.chart?.setSize({ width: this.box.clientWidth, height: HEIGHT });
     this.at(this.time);
   }
 }

@@ -1,42 +1,25 @@
-/** Draws one head with three.js, with the light that Python draws it with. */
+/** Draws the embedded head with three.js, with the light that Python draws it with. */
 
 import * as THREE from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import type { Packed } from "./data";
 import { Rig } from "./rig";
+import { Viewport } from "./viewport";
 
 const es = (source: string) => source.replace("#version 330\n", "precision highp float;\n");
 
-/** Whether WebGL is drawn by the processor (SwiftShader, llvmpipe). */
-function isSoftware(): boolean {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const info = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-}
-
-export class Face {
+export class Face extends Viewport {
   readonly rig: Rig;
-  private scale: number;
-  readonly canvas = document.createElement("canvas");
-  private readonly renderer: THREE.WebGLRenderer;
-  private readonly scene = new THREE.Scene();
-  private readonly camera = new THREE.PerspectiveCamera(20, 1, 15, 140);
-  private readonly orbit: OrbitControls;
   private readonly geometry = new THREE.BufferGeometry();
   private readonly material: THREE.RawShaderMaterial;
   private readonly faces: Uint16Array;
   private readonly views: Record<string, { target: number[]; position: number[]; degrees: number }>;
 
   constructor(head: Packed) {
+    super();
     this.rig = new Rig(head);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
-    const hasGpu = !isSoftware();
-    this.scale = hasGpu ? 1 : 0.6;
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: hasGpu });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     const { shaders } = head.facts;
     this.material = new THREE.RawShaderMaterial({
@@ -56,8 +39,6 @@ export class Face {
     const mesh = new THREE.Mesh(this.geometry, this.material);
     mesh.frustumCulled = false;
     this.scene.add(this.sky(shaders), mesh);
-    this.orbit = new OrbitControls(this.camera, this.canvas);
-    this.orbit.addEventListener("change", () => this.draw());
     this.look("face");
   }
 
@@ -78,69 +59,26 @@ export class Face {
 
   look(name: string): void {
     const { target, position, degrees } = this.views[name];
-    this.camera.fov = degrees;
-    this.camera.position.set(position[0], position[1], position[2]);
-    this.orbit.target.set(target[0], target[1], target[2]);
-    this.camera.updateProjectionMatrix();
-    this.orbit.update();
-    this.draw();
-  }
-
-  resize(): void {
-    const box = this.canvas.getBoundingClientRect();
-    if (!box.width) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (this.sharp ? 1.5 : this.scale));
-    this.renderer.setSize(box.width, box.height, false);
-    this.camera.aspect = box.width / box.height;
-    this.camera.updateProjectionMatrix();
-    this.draw();
+    this.aim(new THREE.Vector3(...position), new THREE.Vector3(...target), degrees);
   }
 
   show(values: ArrayLike<number>): void {
-    this.adapt();
     this.rig.pose(values);
     this.normals();
     this.geometry.attributes.position.needsUpdate = true;
     this.geometry.attributes.normal.needsUpdate = true;
-    if (this.sharp) this.sharpen(false);
-    this.draw();
-    clearTimeout(this.idle);
-    if (this.scale < 1) this.idle = window.setTimeout(() => this.sharpen(true), 300);
+    this.redraw();
   }
 
-  private idle = 0;
-  private sharp = false;
-
-  /** A still face is drawn with all its pixels, however slow that is. */
-  private sharpen(on: boolean): void {
-    this.sharp = on;
-    this.resize();
-  }
-
-  private shownAt = 0;
-  private slow = 0;
-
-  /** Draw fewer pixels where frames take long, as without a GPU. */
-  private adapt(): void {
-    const now = performance.now(), took = now - this.shownAt;
-    this.shownAt = now;
-    if (took > 400) return;
-    this.slow = took > 70 ? this.slow + 1 : 0;
-    if (this.slow < 6 || this.scale <= 0.45) return;
-    this.slow = 0;
-    this.scale *= 0.75;
-    this.resize();
-  }
-
-  private draw(): void {
+  protected draw(): void {
     const { view, eye } = this.material.uniforms;
     this.camera.updateMatrixWorld();
     view.value.multiplyMatrices(this.camera.projectionMatrix, this.camera.matrixWorldInverse);
     eye.value.copy(this.camera.position);
-    this.renderer.render(this.scene, this.camera);
+    super.draw();
   }
 
-  /** Area-weighted vertex normals, unnormalised: the shader normalises them. */
+  /** Unit normals of the vertices, the faces' cross products summed at their corners. */
   private normals(): void {
     const v = this.rig.vertices;
     const n = this.geometry.attributes.normal.array as Float32Array;

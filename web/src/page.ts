@@ -1,0 +1,20 @@
+/** What every part of the page needs of the document. */
+
+export const $ = <T extends Element = HTMLElement>(id: string) => document.getElementById(id) as unknown as T;
+
+export function timeCode(seconds: number): string {
+  const minutes = Math.floor(seconds / 60);
+  return `${String(minutes).padStart(2, "0")}:${(seconds - 60 * minutes).toFixed(3).padStart(6, "0")}`;
+}
+
+/** A button that does one thing. */
+export function button(label: string, action: () => void): HTMLButtonElement {
+  const made = Object.assign(document.createElement("button"), { type: "button", textContent: label });
+  made.addEventListener("click", action);
+  return made;
+}
+
+/** One line of news or trouble; read aloud. */
+export function notice(line: string): void {
+  $("notice").textContent = line;
+}
