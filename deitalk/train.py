@@ -34,6 +34,10 @@ MAX_BAD_STEPS = 20
 Progress = Callable[[int, int, dict[str, float]], None]
 
 
+def _silent(step: int, total: int, values: dict[str, float]) -> None:
+    """Tell nobody."""
+
+
 @dataclass
 class Run:
     """What changes while training."""
@@ -78,7 +82,7 @@ def train(
     resume: bool = False,
     start_from: Path | None = None,
     tensorboard: bool = False,
-    progress: Progress = lambda step, total, values: None,
+    progress: Progress = _silent,
 ) -> dict[str, Any]:
     """Train a model.
 
@@ -100,7 +104,7 @@ def train(
     tensorboard : bool
         Write TensorBoard's events to the run folder too.
     progress : callable
-        Told the step, the number of steps and the values that were logged.
+        Told the step, the number of steps and the values that were logged; by one process.
 
     Returns
     -------
@@ -127,6 +131,8 @@ def train(
     if start_from is not None:
         _copy_weights(model, start_from)
     run = _start(config, model, n_steps(config, clips))
+    if not accelerator.is_main_process:
+        progress = _silent
     if resume:
         run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
     progress(run.step, run.total, {})
@@ -271,25 +277,37 @@ class Loss:
 
 
 def _across_processes(output: Output) -> Output:
-    """Embeddings of all processes' clips: contrast (Eq. 9-10) sees the whole batch.
-
-    The gradients of the gathered rows are summed over the processes and then averaged with all
-    others, which gives the gradient of one process with the whole batch.
-    """
+    """Embeddings of all processes' clips: contrast (Eq. 9-10) sees the whole batch."""
     distributed = torch.distributed
     if not (distributed.is_available() and distributed.is_initialized()):
         return output
     if output.intensity is None or output.motion_embedding is None:
         return output
-    from torch.distributed.nn.functional import all_gather as gather
-
-    all_gather: Callable[[Tensor], tuple[Tensor, ...]] = gather
-
-    speech = torch.cat(all_gather(output.intensity.embedding))
-    motion = torch.cat(all_gather(output.motion_embedding))
+    gather: Callable[[Tensor], Tensor] = _Gather.apply
+    speech, motion = gather(output.intensity.embedding), gather(output.motion_embedding)
     return output._replace(
         intensity=output.intensity._replace(embedding=speech), motion_embedding=motion
     )
+
+
+class _Gather(torch.autograd.Function):
+    """Rows (B, E) of all processes, one after another.
+
+    The gradients of the gathered rows are summed over the processes and then averaged with all
+    others, which gives the gradient of one process with the whole batch.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        parts = [torch.empty_like(rows) for _ in range(torch.distributed.get_world_size())]
+        torch.distributed.all_gather(parts, rows.contiguous())
+        return torch.cat(parts)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        gradient = gradient.clone()
+        torch.distributed.all_reduce(gradient)
+        return gradient.chunk(torch.distributed.get_world_size())[torch.distributed.get_rank()]
 
 
 def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:

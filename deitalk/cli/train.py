@@ -1,5 +1,6 @@
 """`deitalk train`: fit a model to a dataset folder."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -88,5 +89,8 @@ def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) 
 
 
 def _report(out: Path, best: dict[str, Any]) -> None:
+    """Say what was kept; of several processes, the first one says it."""
+    if os.environ.get("RANK", "0") != "0":
+        return
     scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
     words().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
