@@ -20,7 +20,7 @@ _SIDED: dict[str, tuple[tuple[Effect, ...], tuple[Effect, ...]]] = {
     "brow_raiseIn.ty": ((("browRaiseIn_", 1),), ()),
     "brow_raiseOut.ty": ((("browRaiseOut_", 1),), ()),
     "ear_up.ty": ((("ear_", 1),), ()),
-    "eye_blink.ty": ((("lid.close_", 1),), (("lid.widen_", 1),)),
+    "eye_blink.ty": ((("lid.close_", 1),), (("lid.widen_", 1), ("lid.upperUp_", 0.5))),
     "eye_lidPress.ty": ((("lidPress_", 1), ("lid.upper_", 0.22), ("lid.lower_", 0.30)), ()),
     "eye_squintInner.ty": ((("squintInner_", 1), ("lid.lower_", 0.32), ("lid.upper_", 0.12)), ()),
     "eye_cheekRaise.ty": ((("cheekRaise_", 1), ("lid.lower_", 0.36)), ()),

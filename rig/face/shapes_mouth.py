@@ -18,7 +18,7 @@ def _share(p: LipPoints, side: str) -> Array:
 
 
 def _corner_pull(p: LipPoints) -> Triple:
-    pull = (0.55 * p.u**2 + 0.45 * p.u**3) * p.rings(r0=1, r2=1, r5=0.80)
+    pull = (0.55 * p.u**2 + 0.45 * p.u**3) * p.rings(r0=1, r2=1, r5=0.78, r7=0.6)
     dy = 0.80 * pull - 0.07 * p.bell
     thin = p.rings(m1=0.0, r0=0.0, r2=-0.10, r4=-0.06, r5=0.0) * p.bell
     return 0.66 * pull, dy + thin * (p.upper - p.lower), -0.50 * pull - 0.16 * p.bell
@@ -26,7 +26,7 @@ def _corner_pull(p: LipPoints) -> Triple:
 
 def _sharp_corner_pull(p: LipPoints) -> Triple:
     sharp = p.u**4
-    return 0.50 * sharp, 0.85 * sharp + 0.05 * p.bell * p.upper, -0.40 * sharp
+    return 0.50 * sharp, 0.85 * sharp, -0.40 * sharp
 
 
 def _stretch(p: LipPoints) -> Triple:
@@ -70,7 +70,7 @@ def _purse(side: str) -> Shape:
         slit = -0.13 * p.bell * p.rings(m1=1, r0=1, r2=0.3, r3=0.0, r5=0)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
         curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.60, r6=0.42)
-        return -1.28 * p.u * m, -s * slit * m, out * curl * m
+        return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, -s * slit * m, out * curl * m
 
     return Shape(f"purse{side}", lips, reach=6)
 
@@ -199,7 +199,7 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
             (2.7, -4.6, 0.30, 0.34, 0.26),
             (4.3, -5.6, 0.42, 0.34, 0.22),
         ),
-        ((NASOLABIAL, 0.26, 0.32),),
+        ((NASOLABIAL, 0.15, 0.42),),
     ),
     Shape(
         "sharpCornerPull",
@@ -209,7 +209,7 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
             (2.7, -4.6, 0.18, 0.34, 0.22),
             (4.2, -5.8, 0.30, 0.30, 0.12),
         ),
-        ((NASOLABIAL[:4], 0.26, 0.30),),
+        ((NASOLABIAL[:4], 0.16, 0.40),),
     ),
     Shape("stretch", _stretch, ((4.1, -7.0, 0.36, -0.05, 0.0), (3.0, -9.6, 0.12, -0.14, 0.0))),
     Shape(
@@ -222,7 +222,7 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
         "cornerDepress",
         _corner_depress,
         ((1.7, -9.7, 0.04, -0.06, 0.10), (4.2, -6.0, 0.0, -0.16, -0.02)),
-        ((((2.6, -8.9), (3.1, -8.2), (3.05, -7.4)), 0.10, 0.24),),
+        ((((2.6, -8.9), (3.1, -8.2), (3.05, -7.4)), 0.08, 0.34),),
     ),
     Shape(
         "upperLipRaise",

@@ -100,7 +100,7 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Array]:
     mesh = painted(
         vertices,
         grid_faces(TONGUE_ROWS, TONGUE_COLUMNS)[:, ::-1],
-        np.array([0.74, 0.38, 0.38]),
+        np.array([0.84, 0.45, 0.46]),
         0.55,
     )
     colors = _darkened(mesh.colors, vertices)
