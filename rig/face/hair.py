@@ -117,7 +117,7 @@ def brow(identity: Identity, mirror: int = 1) -> tuple[Mesh, Array]:
     for row in np.linspace(-1, 1, around):
         spread = aim + np.stack([0 * s + 0.10 * row * (1 - s), thick * row, 0 * s], -1)
         on_skin = direction_points(spread, identity)
-        lift = 0.13 * np.sqrt(max(1 - row * row, 0)) - 0.02
+        lift = 0.12 * np.sqrt(max(1 - row * row, 0)) + 0.025
         vertices.append(on_skin + lift * unit(on_skin - [0, 1, 0]))
     grid = np.stack(vertices)
     flat = grid.reshape(-1, 3) * [mirror, 1, 1]

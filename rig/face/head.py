@@ -125,13 +125,13 @@ class Head:
             arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
         return arches
 
-    def _follow(self, vertices: Array, count: int = 6) -> _Follow:
+    def _follow(self, vertices: Array, count: int = 16, reach_cm: float = 0.45) -> _Follow:
         from scipy.spatial import cKDTree
 
         skin = self.features
         ids = np.flatnonzero((skin.kind == FILLER) | (skin.ring >= 3))
         distance, near = cKDTree(skin.vertices[ids]).query(vertices, k=count)
-        weight = 1 / (np.asarray(distance) + 0.05)
+        weight = np.exp(-((np.asarray(distance) / reach_cm) ** 2)) + 1e-9
         return _Follow(ids[near], weight / weight.sum(1, keepdims=True))
 
     def pose(self, values: ArrayLike) -> NDArray[np.float32]:

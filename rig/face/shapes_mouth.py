@@ -67,10 +67,11 @@ def _funnel(side: str) -> Shape:
 def _purse(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        slit = -0.13 * p.bell * p.rings(m1=1, r0=1, r2=0.3, r3=0.0, r5=0)
+        close = (0.20 if side == "U" else 0.06) * p.bell**0.6  # the upper lip covers its teeth
+        close = close * p.rings(m1=1, r0=1, r2=0.45, r3=0.15, r5=0)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
         curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.60, r6=0.42)
-        return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, -s * slit * m, out * curl * m
+        return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, s * close * m, out * curl * m
 
     return Shape(f"purse{side}", lips, reach=6)
 

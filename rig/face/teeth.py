@@ -86,8 +86,8 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Array]:
     s = np.linspace(0, 1, TONGUE_ROWS)
     turn = np.arange(TONGUE_COLUMNS) / TONGUE_COLUMNS * 2 * np.pi
     tip = np.sqrt(np.clip(1 - (1 - np.clip(s * 3.0, 0, 1)) ** 2, 0, 1))
-    half_width = 0.02 + 1.48 * tip * (0.72 + 0.28 * np.clip(s * 2.2, 0, 1))
-    half_height = 0.02 + 0.30 * tip + 0.34 * s
+    half_width = 0.002 + 1.48 * tip * (0.72 + 0.28 * np.clip(s * 2.2, 0, 1))
+    half_height = 0.002 + 0.30 * tip + 0.34 * s
     height = mouth_y - 0.86 + 0.42 * np.sin(np.pi * np.clip(s * 1.05, 0, 1)) - 0.5 * s**2
     groove = -0.10 * np.exp(-((np.cos(turn) / 0.22) ** 2)) * (np.sin(turn) > 0)
     y = (
