@@ -194,20 +194,62 @@ class Config(Section):
     train: TrainConfig = TrainConfig()
 
 
-class SDFAModelConfig(Section):
-    """The network of SDFA §3; defaults are Tables 1-3."""
+class SDFAMelConfig(MelConfig):
+    """SDFA's encoder, and its two ablations (SDFA §5.2.2)."""
 
-    frontend: MelConfig = Field(default_factory=MelConfig)
-    shared_size: Positive = Field(default=512, description="width of z_dec")
-    branch_sizes: tuple[Positive, Positive] = (512, 256)
-    weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
+    gathering: Literal["bilstm", "convolution"] = Field(
+        default="bilstm", description="what gathers a spectrum: Spec-BiLSTM, or convolutions"
+    )
+    summary: Literal["attention", "convolution"] = Field(
+        default="attention", description="what sums up a window: attention, or convolutions"
+    )
 
-    @field_validator("frontend")
+    @field_validator("time_stack")
     @classmethod
-    def _windows(cls, value: MelConfig) -> MelConfig:
-        if value.recurrence != "window" or value.time_stack != 1:
-            raise ValueError("SDFA sees one window a frame; use recurrence: window, time_stack: 1")
+    def _every_spectrum(cls, value: int) -> int:
+        if value != 1:
+            raise ValueError("SDFA hears every spectrum; leave it at 1")
         return value
+
+
+class KarrasConfig(Section):
+    """Convolutions over frequency, then over time (in the way of Karras et al. 2017)."""
+
+    kind: Literal["karras"] = "karras"
+    window_seconds: float = Field(default=0.016, gt=0, description="length of one spectrum")
+    frame_rate: float = Field(default=125.0, gt=0, description="spectra per second")
+    lags: Annotated[int, Field(ge=8)] = Field(default=32, description="autocorrelation numbers")
+    window_frames: Annotated[int, Field(ge=2)] = Field(default=64, description="spectra a frame")
+    formant_channels: tuple[Positive, ...] = Field(default=(72, 108, 162, 243, 256), min_length=1)
+    articulation_channels: tuple[Positive, ...] = Field(default=(256,) * 5, min_length=1)
+
+
+class VocaConfig(Section):
+    """Convolutions over a window of speech features (in the way of Cudeiro et al. 2019)."""
+
+    kind: Literal["voca"] = "voca"
+    window_seconds: float = Field(default=0.032, gt=0, description="length of one spectrum")
+    frame_rate: float = Field(default=60.0, gt=0, description="feature rows per second")
+    n_mels: Annotated[int, Field(ge=8)] = Field(default=40, description="mel bins before the DCT")
+    n_mfcc: Annotated[int, Field(ge=2)] = Field(default=26, description="cepstral coefficients")
+    window_frames: Annotated[int, Field(ge=2)] = Field(default=16, description="rows a frame")
+    channels: tuple[Positive, ...] = Field(default=(32, 32, 64, 64), min_length=1)
+
+
+class SDFAModelConfig(Section):
+    """A speech encoder and the decoder of SDFA §3.4; defaults are Tables 1-3."""
+
+    frontend: SDFAMelConfig | KarrasConfig | VocaConfig = Field(
+        default_factory=SDFAMelConfig, discriminator="kind"
+    )
+    motion: Literal["gradients", "offsets"] = Field(
+        default="gradients", description="what is predicted: deformation gradients, vertex offsets"
+    )
+    shared_size: Positive | None = Field(
+        default=512, description="width of z_dec; null: the encoder's output goes on as it is"
+    )
+    branch_sizes: tuple[Positive, ...] = (512, 256)
+    weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
 
 
 class MeshDataConfig(Section):
@@ -219,8 +261,14 @@ class MeshDataConfig(Section):
         min_length=1,
         description="embedded heads that act a dataset folder's curves",
     )
+    emotions: tuple[str, ...] | None = Field(
+        default=None, description="emotions of such a folder that are acted; null: all"
+    )
     clips: Positive | None = Field(
-        default=None, description="clips taken of such a folder's split; null: all"
+        default=None, description="clips taken of its training split, evenly spread; null: all"
+    )
+    validation_clips: Positive = Field(
+        default=24, description="clips taken of its validation split; its test split stays unseen"
     )
     augment: bool = Field(default=True, description="all of §4.3")
     basis_error_mm: float = Field(
@@ -232,23 +280,47 @@ class MeshDataConfig(Section):
 
 
 class MeshTrainConfig(Section):
-    """Adam at a constant rate (SDFA §4.4)."""
+    """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and what a CPU needs."""
 
     learning_rate: float = Field(default=1e-4, gt=0)
-    batch_size: Annotated[int, Field(ge=2, multiple_of=2)] = Field(
-        default=100, description="frames; half as many pairs of adjacent ones"
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    segment_frames: Annotated[int, Field(ge=2)] = Field(
+        default=2, description="adjacent frames drawn together; 2: the paper's pairs"
+    )
+    batch_size: Annotated[int, Field(ge=2)] = Field(
+        default=100, description="frames; a multiple of segment_frames"
     )
     epochs: float = Field(default=50, gt=0, description="passes over all training frames")
     steps: Positive | None = Field(default=None, description="stop after this many steps instead")
     gradient_clip: float | None = Field(default=None, gt=0)
+    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
     loss_decay: float = Field(
         default=0.99, gt=0, lt=1, description="of the loss terms' second moments"
+    )
+    start_encoder: str | None = Field(
+        default=None,
+        description="DEITalk model whose mel encoder is the start; it then learns at a third of "
+        "the rate; not in the paper",
+    )
+    lip_weight: float = Field(
+        default=0.0, ge=0, description="weight of the lips' rims; not in the paper"
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32", description="bfloat16: faster on CPUs with AMX, far slower elsewhere"
     )
     evaluate_every: Positive = Field(
         default=500, description="steps between evaluations and checkpoints"
     )
     seed: int = 0
-    workers: int = Field(default=0, ge=0, description="processes that prepare windows")
+    workers: int = Field(default=0, ge=0, description="processes that prepare segments")
+
+    @field_validator("batch_size")
+    @classmethod
+    def _whole_segments(cls, value: int, info: ValidationInfo) -> int:
+        segment = info.data.get("segment_frames", 1)
+        if value % segment:
+            raise ValueError(f"must be a multiple of segment_frames, {segment}")
+        return value
 
 
 class SDFAConfig(Section):
@@ -286,7 +358,8 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
 
 
 def _problem(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"] if part not in ("mel", "wav2vec"))
+    kinds = ("mel", "wav2vec", "karras", "voca")
+    key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         rule = "unknown key"

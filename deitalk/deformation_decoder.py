@@ -1,24 +1,30 @@
-"""Speech feature and speaker to packed deformation gradients (SDFA §3.4, Table 3).
+"""Speech feature and speaker to coefficients of motion, and to motion (SDFA §3.4, Table 3).
 
-Letters: B frames, P speakers, N triangles, K components of a basis. With the paper's sizes::
+Letters: B frames, P speakers, N triangles, V vertices, K components of a basis. With the paper's
+sizes::
 
     z_att 512 + speaker 8 = 520 -> 512 = z_dec
     z_dec 512 + speaker 8 = 520 -> 512 -> 256 -> K ->  6 N  (stretch s,  K = 85)
                             520 -> 512 -> 256 -> K ->  3 N  (rotation r, K = 180)
 
-Deviation: Table 3 prints 59865 for 6 N; with N = 9976 (§4.1) it is 59856.
+Deviation: Table 3 prints 59865 for 6 N; with N = 9976 (§4.1) it is 59856. A model that predicts
+vertex offsets has one branch, K -> 3 V.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from rig.mesh import Bases, GradientBasis
+from rig.mesh import GradientBasis
 
 SLOPE = 0.2
 """Leak of every leaky ReLU (Table 3)."""
+
+Coefficients = dict[str, Tensor]
+"""By branch, each [shape=(..., K)]."""
 
 
 class Deformation(NamedTuple):
@@ -30,6 +36,16 @@ class Deformation(NamedTuple):
     """Rotation vectors [shape=(B, 3 N), radians]."""
 
 
+class Offsets(NamedTuple):
+    """Vertices of B frames less the template's."""
+
+    offsets: Tensor
+    """[shape=(B, 3 V)], the templates' unit."""
+
+
+Motion = Deformation | Offsets
+
+
 class InversePCA(nn.Module):
     """The frozen last layer: coefficients of unit variance to numbers of a frame.
 
@@ -38,12 +54,12 @@ class InversePCA(nn.Module):
     size : int
         K.
     width : int
-        6 N or 3 N.
+        6 N, 3 N or 3 V.
 
     Notes
     -----
-    Buffers, not parameters: nothing trains them. `weights` are the roots of the triangles' areas
-    that the basis was fitted with; only the loss uses them.
+    Buffers, not parameters: nothing trains them. `deviations` are the weighted standard deviations
+    along the components; only the loss uses them.
 
     Paper silent: the scale of the coefficients. Components carry their standard deviation, so that
     the layer before predicts numbers of one size; zeros give the mean shape.
@@ -51,13 +67,13 @@ class InversePCA(nn.Module):
 
     mean: Tensor
     components: Tensor
-    weights: Tensor
+    deviations: Tensor
 
     def __init__(self, size: int, width: int) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("components", torch.zeros(size, width))
-        self.register_buffer("weights", torch.ones(width))
+        self.register_buffer("deviations", torch.ones(size))
 
     @classmethod
     def of(cls, basis: GradientBasis) -> "InversePCA":
@@ -65,7 +81,7 @@ class InversePCA(nn.Module):
         layer = cls(*basis.components.shape)
         layer.mean = torch.from_numpy(basis.mean.copy())
         layer.components = torch.from_numpy(basis.components.astype("float32"))
-        layer.weights = torch.from_numpy(basis.weights.copy())
+        layer.deviations = torch.from_numpy(basis.deviations.copy())
         return layer
 
     def forward(self, coefficients: Tensor) -> Tensor:
@@ -80,22 +96,21 @@ class Branch(nn.Module):
     ----------
     in_size : int
         Width of z_dec and the speaker together.
-    hidden : (int, int)
-        Widths of the two hidden layers.
+    hidden : tuple of int
+        Widths of the hidden layers; the last has tanh, those before leaky ReLU.
     last : InversePCA
         The frozen layer.
     """
 
-    def __init__(self, in_size: int, hidden: tuple[int, int], last: InversePCA) -> None:
+    def __init__(self, in_size: int, hidden: tuple[int, ...], last: InversePCA) -> None:
         super().__init__()
-        wide, narrow = hidden
-        self.coefficients = nn.Sequential(
-            nn.Linear(in_size, wide),
-            nn.LeakyReLU(SLOPE),
-            nn.Linear(wide, narrow),
-            nn.Tanh(),
-            nn.Linear(narrow, len(last.components)),
-        )
+        layers: list[nn.Module] = []
+        before = in_size
+        for i, width in enumerate(hidden):
+            is_last = i == len(hidden) - 1
+            layers += [nn.Linear(before, width), nn.Tanh() if is_last else nn.LeakyReLU(SLOPE)]
+            before = width
+        self.coefficients = nn.Sequential(*layers, nn.Linear(before, len(last.components)))
         self.inverse_pca = last
 
     def forward(self, x: Tensor) -> Tensor:
@@ -104,8 +119,8 @@ class Branch(nn.Module):
         return out
 
 
-class DeformationDecoder(nn.Module):
-    """z_att and a one-hot speaker to s and r.
+class MotionDecoder(nn.Module):
+    """z_att and a one-hot speaker to the coefficients of every branch.
 
     Parameters
     ----------
@@ -113,11 +128,11 @@ class DeformationDecoder(nn.Module):
         Width of z_att.
     n_speakers : int
         P.
-    layers : (InversePCA, InversePCA)
-        Frozen layers of stretch and of rotation.
-    shared : int
-        Width of z_dec.
-    hidden : (int, int)
+    layers : mapping of str to InversePCA
+        Frozen layers by branch: ``stretch`` and ``rotation``, or ``offsets``.
+    shared : int or None
+        Width of z_dec; None: the branches see z_att itself.
+    hidden : tuple of int
         Widths within a branch.
     normalise_weights : bool
         Weight normalisation on every layer that learns (§4.4); the frozen ones have none.
@@ -127,27 +142,43 @@ class DeformationDecoder(nn.Module):
         self,
         in_size: int,
         n_speakers: int,
-        layers: tuple[InversePCA, InversePCA],
+        layers: Mapping[str, InversePCA],
         *,
-        shared: int = 512,
-        hidden: tuple[int, int] = (512, 256),
+        shared: int | None = 512,
+        hidden: tuple[int, ...] = (512, 256),
         normalise_weights: bool = True,
     ) -> None:
         super().__init__()
-        self.shared = nn.Sequential(nn.Linear(in_size + n_speakers, shared), nn.LeakyReLU(SLOPE))
-        self.stretch = Branch(shared + n_speakers, hidden, layers[0])
-        self.rotation = Branch(shared + n_speakers, hidden, layers[1])
+        self.shared = (
+            None
+            if shared is None
+            else nn.Sequential(nn.Linear(in_size + n_speakers, shared), nn.LeakyReLU(SLOPE))
+        )
+        joined = (in_size if shared is None else shared) + n_speakers
+        self.branches = nn.ModuleDict(
+            {name: Branch(joined, hidden, layer) for name, layer in layers.items()}
+        )
         if normalise_weights:
             for module in [m for m in self.modules() if isinstance(m, nn.Linear)]:
                 weight_norm(module)
 
-    def forward(self, attended: Tensor, speaker: Tensor) -> Deformation:
-        """Map z_att (B, in_size) and one-hot speakers (B, P) to s (B, 6 N) and r (B, 3 N)."""
-        decoded = self.shared(torch.cat((attended, speaker), dim=1))
-        joined = torch.cat((decoded, speaker), dim=1)
-        return Deformation(self.stretch(joined), self.rotation(joined))
+    def forward(self, attended: Tensor, speaker: Tensor) -> Coefficients:
+        """Map z_att (..., in_size) and one-hot speakers (..., P) to coefficients (..., K)."""
+        joined = torch.cat((attended, speaker), dim=-1)
+        if self.shared is not None:
+            joined = torch.cat((self.shared(joined), speaker), dim=-1)
+        return {name: branch.coefficients(joined) for name, branch in self.branches.items()}
 
+    def expand(self, coefficients: Coefficients) -> Motion:
+        """Numbers of B frames from coefficients (B, K): the frozen layers."""
+        rows = {
+            name: branch.inverse_pca(coefficients[name]) for name, branch in self.branches.items()
+        }
+        if "offsets" in rows:
+            return Offsets(rows["offsets"])
+        return Deformation(rows["stretch"], rows["rotation"])
 
-def frozen_layers(bases: Bases) -> tuple[InversePCA, InversePCA]:
-    """The two last layers of fitted bases."""
-    return InversePCA.of(bases.stretch), InversePCA.of(bases.rotation)
+    @property
+    def deviations(self) -> dict[str, Tensor]:
+        """Weighted standard deviation of every branch's components, each [shape=(K,)]."""
+        return {name: branch.inverse_pca.deviations for name, branch in self.branches.items()}

@@ -3,7 +3,8 @@
 ::
 
     config.yaml          every setting (kind: sdfa)
-    model.safetensors    weights and the frozen bases, float16 if asked for
+    model.safetensors    weights and the frozen bases, float16 if asked for; of these only the
+                         numbers that move, which `moving` marks
     templates.npz        expressionless vertices of every speaker, and the triangles
     model.json           format version, speakers, frame rate, unit, training summary
 """
@@ -25,12 +26,20 @@ from deitalk.sdfa import SDFA
 from rig.files import atomic_write
 from rig.mesh import TriMesh
 
+FROZEN = "inverse_pca"
+"""Name of the frozen layers in the weights."""
 CONTROL_SET = "none (meshes)"
 """Stands where other models name their controls."""
 
 
 def save_sdfa(
-    folder: Path, model: SDFA, config: SDFAConfig, summary: dict[str, Any], *, half: bool = True
+    folder: Path,
+    model: SDFA,
+    config: SDFAConfig,
+    summary: dict[str, Any],
+    *,
+    half: bool = True,
+    small: bool = False,
 ) -> None:
     """Write a model folder; an existing one is replaced at once.
 
@@ -45,14 +54,18 @@ def save_sdfa(
     summary : dict
         What trained it: steps, data, scores.
     half : bool
-        Store the frozen bases in float16, which is what they were fitted in; all else stays
-        float32.
+        Store the frozen bases in float16, which is what they were fitted in.
+    small : bool
+        Store all else in float16 too.
     """
+    weights = _only_moving(
+        {name: value.detach().cpu() for name, value in model.state_dict().items()}
+    )
     weights = {
-        name: value.detach().cpu().half()
-        if half and "inverse_pca" in name
-        else value.detach().cpu()
-        for name, value in model.state_dict().items()
+        name: value.half()
+        if value.is_floating_point() and (half if FROZEN in name else small)
+        else value
+        for name, value in weights.items()
     }
     about = {
         "format_version": FORMAT_VERSION,
@@ -66,18 +79,80 @@ def save_sdfa(
         "training": summary,
     }
     meshes = [model.templates[speaker] for speaker in model.speakers]
+    vertices = np.stack([mesh.vertices for mesh in meshes])
     with atomic_write(folder) as beside:
         beside.mkdir(parents=True)
         contiguous = {name: value.contiguous() for name, value in weights.items()}
         save_file(contiguous, beside / "model.safetensors")
         np.savez_compressed(
             beside / "templates.npz",
-            vertices=np.stack([mesh.vertices for mesh in meshes]),
+            vertices=vertices.astype(np.float32) if small else vertices,
             faces=meshes[0].faces.astype(np.int32),
         )
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (beside / "config.yaml").write_text(settings)
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
+
+
+def _only_moving(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Leave out the numbers that no component moves: most of a head's scalp, neck and back."""
+    out = dict(weights)
+    for name in [name for name in weights if name.endswith(f"{FROZEN}.components")]:
+        layer = name.removesuffix(".components")
+        components, mean = weights[name], weights[f"{layer}.mean"]
+        moving = (components != 0).any(dim=0) | (mean != 0)
+        out[name], out[f"{layer}.mean"] = components[:, moving], mean[moving]
+        out[f"{layer}.moving"] = moving
+    return out
+
+
+def _all_numbers(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Undo `_only_moving`."""
+    out = dict(weights)
+    for name in [name for name in weights if name.endswith(f"{FROZEN}.moving")]:
+        layer, moving = name.removesuffix(".moving"), out.pop(name).bool()
+        for part in ("components", "mean"):
+            kept = out[f"{layer}.{part}"]
+            whole = kept.new_zeros((*kept.shape[:-1], len(moving)))
+            whole[..., moving] = kept
+            out[f"{layer}.{part}"] = whole
+    return out
+
+
+def trimmed(model: SDFA, sizes: dict[str, int]) -> SDFA:
+    """A copy of a model with the first components of its bases only (SDFA §4.4 proposes it).
+
+    Parameters
+    ----------
+    model : SDFA
+        Stays as it is.
+    sizes : dict of str to int
+        Components kept, by branch.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such branch, or it has fewer.
+    """
+    layers = {}
+    state = model.state_dict()
+    for branch, deviations in model.decoder.deviations.items():
+        size = sizes.get(branch, len(deviations))
+        if not 1 <= size <= len(deviations):
+            raise CheckpointError(f"{branch}: {size} of {len(deviations)} components; keep fewer")
+        prefix = f"decoder.branches.{branch}"
+        last = f"{prefix}.coefficients.{len(model.config.branch_sizes) * 2}."
+        for name in [n for n in state if n.startswith(last) or n.startswith(f"{prefix}.{FROZEN}")]:
+            if state[name].shape[0] == len(deviations):
+                state[name] = state[name][:size]
+        layers[branch] = InversePCA(*state[f"{prefix}.{FROZEN}.components"].shape)
+    unknown = sorted(sizes.keys() - layers.keys())
+    if unknown:
+        raise CheckpointError(f"{unknown[0]!r} is no branch; there are {', '.join(layers)}")
+    small = SDFA(model.config, layers, model.speakers, model.templates, fps=model.fps,
+                 unit_mm=model.unit_mm)  # fmt: skip
+    small.load_state_dict(state)
+    return small.eval()
 
 
 def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
@@ -93,16 +168,16 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
     config = load_config(path / "config.yaml")
     if not isinstance(config, SDFAConfig):
         raise CheckpointError(f"{path}: no SDFA model but curves; use deitalk.load_model")
-    weights = read_weights(path / "model.safetensors")
+    weights = _all_numbers(read_weights(path / "model.safetensors"))
     try:
         with np.load(path / "templates.npz", allow_pickle=False) as file:
             vertices, faces = file["vertices"], file["faces"]
-        meshes = [TriMesh(rows, faces) for rows in vertices]
+        meshes = [TriMesh(rows.astype(np.float64), faces) for rows in vertices]
         templates = dict(zip(about["speakers"], meshes, strict=True))
         layers = _empty_layers(weights)
         fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
         model = SDFA(config.model, layers, about["speakers"], templates, fps=fps, unit_mm=unit_mm)
-        model.load_state_dict({name: value.float() for name, value in weights.items()})
+        model.load_state_dict(weights)
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"{path}: files do not fit one another ({reason})") from None
@@ -113,9 +188,11 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         raise CheckpointError(f"device {device!r}: {reason}; use --device cpu") from None
 
 
-def _empty_layers(weights: dict[str, torch.Tensor]) -> tuple[InversePCA, InversePCA]:
-    stretch, rotation = (
-        weights[f"decoder.{branch}.inverse_pca.components"].shape
-        for branch in ("stretch", "rotation")
-    )
-    return InversePCA(*stretch), InversePCA(*rotation)
+def _empty_layers(weights: dict[str, torch.Tensor]) -> dict[str, InversePCA]:
+    """Frozen layers of the sizes that the weights have, by branch."""
+    end = f".{FROZEN}.components"
+    return {
+        name.removeprefix("decoder.branches.").removesuffix(end): InversePCA(*value.shape)
+        for name, value in weights.items()
+        if name.endswith(end)
+    }

@@ -1,33 +1,58 @@
-"""SDFA: speech and a speaker to the motion of a mesh (SDFA §3, Fig. 1).
+"""Speech and a speaker to the motion of a mesh: SDFA (§3, Fig. 1) and its rivals.
 
-Letters: B frames, F mel bins, L spectra of a window, P speakers, N triangles, V vertices::
+Letters: B clips or segments, T frames, C channels and F bins of a spectrum, L spectra, D features,
+P speakers, K components, N triangles, V vertices::
 
-    waveform -> mel windows (B, 3, F, L) -> spectral gathering (B, L, 256)
-             -> Time-BiLSTM (B, L, 512) -> attention (B, 512)
-             -> decoder (B, 6 N), (B, 3 N) -> solve -> vertices (B, V, 3)
+    waveform -> mel spectrogram (B, 3, F, L) -> spectral gathering (B, L, 256)
+             -> Time-BiLSTM, attention (B, T, 512)
+             -> decoder: coefficients (B, T, K) -> (T, 6 N), (T, 3 N) -> solve -> vertices (T, V, 3)
+
+With another encoder, or vertex offsets in place of gradients, it is one of the models that the
+paper compares itself with (`deitalk.frontends.karras`, `deitalk.frontends.voca`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from deitalk.activity import normalise_level
 from deitalk.audio import SAMPLE_RATE
-from deitalk.config import SDFAModelConfig
-from deitalk.data.mesh_windows import mesh_solver
-from deitalk.deformation_decoder import Deformation, DeformationDecoder, InversePCA
+from deitalk.config import KarrasConfig, SDFAMelConfig, SDFAModelConfig, VocaConfig
+from deitalk.data.mesh_bases import mesh_solver
+from deitalk.deformation_decoder import (
+    Coefficients,
+    InversePCA,
+    Motion,
+    MotionDecoder,
+    Offsets,
+)
 from deitalk.errors import CheckpointError, DataError
-from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.frontends.karras import KarrasEncoder
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
+from deitalk.frontends.voca import VocaEncoder
+from deitalk.frontends.windows import Encoder, nearest_places
 from rig.mesh import DeformationSolver, TriMesh
 
-FRAMES_AT_ONCE = 64
-"""Windows that go through the network together when predicting."""
+FRAMES_AT_ONCE = 480
+"""Frames that are heard together when predicting."""
+FRAMES_EXPANDED = 64
+"""Frames whose gradients are in memory together."""
+
+
+class Heard(NamedTuple):
+    """Features of a piece of a recording, and which rows of theirs are wanted."""
+
+    features: Tensor
+    """[shape=(1, C, F, L)]."""
+    places: Tensor
+    """Spectrum of every frame, context included."""
+    kept: slice
+    """Those of `places` that are not context."""
 
 
 class SDFA(nn.Module):
@@ -36,9 +61,9 @@ class SDFA(nn.Module):
     Parameters
     ----------
     config : SDFAModelConfig
-        Sizes.
-    layers : (InversePCA, InversePCA)
-        Frozen layers of stretch and of rotation.
+        Encoder and sizes.
+    layers : mapping of str to InversePCA
+        Frozen layers by branch, see `deitalk.deformation_decoder.MotionDecoder`.
     speakers : sequence of str
         Styles, in the order of the one-hot label.
     templates : dict of str to TriMesh
@@ -52,7 +77,7 @@ class SDFA(nn.Module):
     def __init__(
         self,
         config: SDFAModelConfig,
-        layers: tuple[InversePCA, InversePCA],
+        layers: Mapping[str, InversePCA],
         speakers: Sequence[str],
         templates: dict[str, TriMesh],
         *,
@@ -62,9 +87,9 @@ class SDFA(nn.Module):
         super().__init__()
         self.config, self.fps, self.unit_mm = config, fps, unit_mm
         self.speakers, self.templates = tuple(speakers), dict(templates)
-        self.frontend = MelFrontend(config.frontend)
-        self.decoder = DeformationDecoder(
-            self.frontend.output_size,
+        self.encoder = build_encoder(config.frontend)
+        self.decoder = MotionDecoder(
+            self.encoder.output_size,
             len(self.speakers),
             layers,
             shared=config.shared_size,
@@ -72,28 +97,16 @@ class SDFA(nn.Module):
             normalise_weights=config.weight_norm,
         )
 
-    def forward(self, mel: Tensor, speaker: Tensor) -> Deformation:
-        """Map mel windows (B, 3, F, L) and one-hot speakers (B, P) to s and r of their centres."""
-        spectral = self.frontend.spectral(mel)  # z_spec (B, L, 256)
-        attended, _ = self.attend(spectral)  # z_att (B, 512)
-        deformation: Deformation = self.decoder(attended, speaker)
-        return deformation
-
-    def attend(self, spectral: Tensor) -> tuple[Tensor, Tensor]:
-        """Articulation analysis (§3.3): z_spec (B, L, 256) to z_att (B, 512) and weights (B, L)."""
-        config = self.config.frontend
-        memory, _ = self.frontend.recurrent(spectral)
-        half = config.window_frames // 2
-        first = half - config.query_frames // 2
-        query = memory[:, first : first + config.query_frames]
-        attended, weights = self.frontend.attention.windows(memory, query)
-        if self.frontend.normalise is not None:
-            attended = self.frontend.normalise(attended + memory[:, half])
-        return attended, weights
+    def forward(self, features: Tensor, places: Tensor, speaker: Tensor) -> Coefficients:
+        """Map features (B, C, F, L), places (T,) and one-hot speakers (B, P) to (B, T, K)."""
+        heard = self.encoder(features, places)  # (B, T, D)
+        label = speaker.unsqueeze(1).expand(-1, heard.shape[1], -1)
+        coefficients: Coefficients = self.decoder(heard, label)
+        return coefficients
 
     @torch.no_grad()
-    def predict(self, waveform: Any, speaker: str | int = 0) -> Deformation:
-        """Gradients of a whole recording, frame i at i / fps seconds.
+    def predict(self, waveform: Any, speaker: str | int = 0) -> Motion:
+        """Gradients or offsets of a whole recording, frame i at i / fps seconds.
 
         Parameters
         ----------
@@ -104,49 +117,71 @@ class SDFA(nn.Module):
 
         Returns
         -------
-        Deformation
+        Deformation or Offsets
             T = ceil(fps S / 16000) frames.
 
         Notes
         -----
-        Convolutions and Spec-BiLSTM see one spectrum at a time, so they run once a spectrum, not
-        once in every window that holds it; the result is that of `forward` on each window.
+        What sees one spectrum at a time runs once a spectrum, not once in every window that holds
+        it; the result is that of every window on its own.
         Deviation: a window's centre is the spectrum nearest to the frame, at most half a hop
         (4 ms) away, well within the shifts that training sees (8.3 ms).
         """
-        pieces = self.pieces(waveform, speaker)
-        return Deformation(*(torch.cat(rows) for rows in zip(*pieces, strict=True)))
+        pieces = list(self.pieces(waveform, speaker))
+        return type(pieces[0])(*(torch.cat(rows) for rows in zip(*pieces, strict=True)))
 
     @torch.no_grad()
-    def pieces(self, waveform: Any, speaker: str | int = 0) -> Iterator[Deformation]:
+    def pieces(self, waveform: Any, speaker: str | int = 0) -> Iterator[Motion]:
         """As `predict`, some frames at a time: gradients of a minute take a gigabyte."""
-        spectral, index = self._spectral(waveform)
-        label = self.label(speaker).to(spectral.device)
-        for rows in torch.split(index, FRAMES_AT_ONCE):
-            yield self.decoder(self.attend(spectral[rows])[0], label.expand(len(rows), -1))
+        for coefficients in self.coefficients(waveform, speaker):
+            split = {k: rows.split(FRAMES_EXPANDED) for k, rows in coefficients.items()}
+            for rows in zip(*split.values(), strict=True):
+                yield self.decoder.expand(dict(zip(split, rows, strict=True)))
+
+    @torch.no_grad()
+    def coefficients(self, waveform: Any, speaker: str | int = 0) -> Iterator[Coefficients]:
+        """Coefficients (T, K) of some frames at a time, in order."""
+        label = self.label(speaker).to(self.device)
+        for features, places, kept in self.hear(waveform):
+            rows = self(features, places, label)
+            yield {name: row[0, kept] for name, row in rows.items()}
+
+    @torch.no_grad()
+    def hear(self, waveform: Any) -> Iterator[Heard]:
+        """Features of a recording, `FRAMES_AT_ONCE` frames at a time, with what is about them."""
+        sound = torch.from_numpy(normalise_level(_checked(waveform))).unsqueeze(0).to(self.device)
+        n_frames = max(int(np.ceil(sound.shape[1] / SAMPLE_RATE * self.fps - 1e-9)), 1)
+        context = round(self.encoder.context_seconds * self.fps)
+        for start in range(0, n_frames, FRAMES_AT_ONCE):
+            stop = min(start + FRAMES_AT_ONCE, n_frames)
+            begin = max(start - context, 0)
+            end = min(stop + context, n_frames)
+            places = nearest_places(end, self.fps, self.encoder.frame_rate, begin)
+            first = int(places[0]) - self.encoder.reach
+            last = int(places[-1]) + self.encoder.reach + 1
+            features = self.encoder.heard(sound, first, last)
+            kept = slice(start - begin, stop - begin)
+            yield Heard(features, (places - first).to(self.device), kept)
 
     @torch.no_grad()
     def attention_weights(self, waveform: Any) -> NDArray[np.float32]:
-        """Where each frame of a recording looks [shape=(T, L)]; rows sum to 1 (Fig. 9)."""
-        spectral, index = self._spectral(waveform)
-        rows = [self.attend(spectral[part])[1] for part in torch.split(index, FRAMES_AT_ONCE)]
-        return np.asarray(torch.cat(rows).cpu().numpy(), dtype=np.float32)
+        """Where each frame of a recording looks [shape=(T, W)]; rows sum to 1 (Fig. 9).
 
-    def _spectral(self, waveform: Any) -> tuple[Tensor, Tensor]:
-        """z_spec of every spectrum [shape=(K, 256)], and the L of each frame [shape=(T, L)]."""
+        Raises
+        ------
+        CheckpointError
+            If this model has no attention.
+        """
         config = self.config.frontend
-        sound = normalise_level(_checked(waveform))
-        n_frames = max(int(np.ceil(len(sound) / SAMPLE_RATE * self.fps - 1e-9)), 1)
-        half = config.window_frames // 2
-        times = torch.arange(n_frames, dtype=torch.float64) / self.fps
-        centres = torch.round(times * config.frame_rate).long()
-        index = centres.unsqueeze(1) + torch.arange(config.window_frames)  # 0 is half before 0 s
-        # Two spectra more at either end, for the derivatives of those that count.
-        before = round((half + 2) * SAMPLE_RATE / config.frame_rate)
-        device = next(self.parameters()).device
-        padded = F.pad(torch.from_numpy(sound).unsqueeze(0).to(device), (before, 0))
-        spectra = self.frontend.mel(padded, int(index.max()) + 5)[..., 2:-2]
-        return self.frontend.spectral(spectra)[0], index.to(device)
+        if not isinstance(self.encoder, SDFAEncoder) or (
+            isinstance(config, SDFAMelConfig) and config.summary != "attention"
+        ):
+            raise CheckpointError("this model has no attention; choose one with SDFA's encoder")
+        rows = [
+            self.encoder.attention_weights(features, places)[kept]
+            for features, places, kept in self.hear(waveform)
+        ]
+        return np.asarray(torch.cat(rows).cpu().numpy(), dtype=np.float32)
 
     def predict_mesh(
         self, waveform: Any, speaker: str | int = 0, template: TriMesh | None = None
@@ -168,14 +203,15 @@ class SDFA(nn.Module):
             In the template's unit; frame i is at i / fps seconds.
         """
         mesh = self.template(speaker) if template is None else template
-        return np.concatenate(
-            [self.vertices(s, r, mesh) for s, r in self.pieces(waveform, speaker)]
-        )
+        return np.concatenate([self.vertices(p, mesh) for p in self.pieces(waveform, speaker)])
 
-    def vertices(self, s: Tensor, r: Tensor, template: TriMesh) -> NDArray[np.float32]:
-        """Solve packed frames (T, 6 N) and (T, 3 N) for a template's vertices (T, V, 3)."""
-        solved = _solver(template).solve(s.cpu().double().numpy(), r.cpu().double().numpy())
-        return np.asarray(solved, dtype=np.float32)
+    def vertices(self, motion: Motion, template: TriMesh) -> NDArray[np.float32]:
+        """Vertices (T, V, 3) of a template in frames of gradients or offsets."""
+        if isinstance(motion, Offsets):
+            offsets = motion.offsets.cpu().numpy().reshape(-1, *template.vertices.shape)
+            return np.asarray(template.vertices + offsets, dtype=np.float32)
+        s, r = (rows.cpu().double().numpy() for rows in motion)
+        return np.asarray(_solver(template).solve(s, r), dtype=np.float32)
 
     def template(self, speaker: str | int) -> TriMesh:
         """Expressionless mesh of a speaker."""
@@ -185,6 +221,11 @@ class SDFA(nn.Module):
         """One-hot label [shape=(1, P)] of a speaker."""
         return torch.eye(len(self.speakers))[self._place(speaker)].unsqueeze(0)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return next(self.parameters()).device
+
     def _place(self, speaker: str | int) -> int:
         if isinstance(speaker, int) and 0 <= speaker < len(self.speakers):
             return speaker
@@ -193,6 +234,13 @@ class SDFA(nn.Module):
         raise CheckpointError(
             f"speaker {speaker!r} is unknown; this model knows {', '.join(self.speakers)}"
         )
+
+
+def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
+    """The encoder a configuration names."""
+    if isinstance(config, SDFAMelConfig):
+        return SDFAEncoder(config)
+    return KarrasEncoder(config) if isinstance(config, KarrasConfig) else VocaEncoder(config)
 
 
 @lru_cache(maxsize=16)

@@ -1,9 +1,10 @@
-"""Training of SDFA: mesh sequences in, a model folder out (SDFA §4). ``deitalk train sdfa.yaml``.
+"""Training of mesh models: sequences in, a model folder out (SDFA §4). ``deitalk train sdfa.yaml``.
 
 The main path is `train_sdfa`, then `_fit`, then `_step`. The run folder is that of
-`deitalk.run_folder`, with the bases and, where the data had to be built, ``meshes/`` beside them.
+`deitalk.run_folder`, with ``meshes/`` beside it where the data had to be built.
 """
 
+import copy
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,24 +13,30 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from deitalk.checkpoint import describe_model
-from deitalk.config import SDFAConfig
+from deitalk.config import MeshTrainConfig, SDFAConfig
+from deitalk.data.mesh_bases import MeshBases
 from deitalk.data.mesh_folder import MeshFolder
+from deitalk.data.mesh_segments import Segment, Segments
 from deitalk.data.mesh_sources import open_meshes
-from deitalk.data.mesh_windows import MeshBatches, MeshPair, fit_mesh_bases
-from deitalk.deformation_decoder import Deformation, frozen_layers
-from deitalk.errors import DataError
+from deitalk.deformation_decoder import InversePCA
+from deitalk.errors import ConfigError, DataError
+from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
+from deitalk.lip_reader import LipReader
 from deitalk.mesh_checkpoint import save_sdfa
-from deitalk.mesh_losses import AutomaticWeights, mesh_terms
+from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.run_folder import forget, log, open_folder, restore_state, save_state
 from deitalk.sdfa import SDFA
-from rig.mesh import read_bases, write_bases
 
 LOG_EVERY = 25
 DEVELOPMENT_CLIPS = 8
 MAX_BAD_STEPS = 20
+STARTED_RATE = 1 / 3
+"""Share of the learning rate that an encoder learns at which has learnt before."""
 
 Progress = Callable[[int, int, dict[str, float]], None]
 
@@ -39,8 +46,10 @@ class MeshRun:
     """What changes while training."""
 
     model: SDFA
+    average: SDFA
     balance: AutomaticWeights
     optimizer: torch.optim.Optimizer
+    scheduler: torch.optim.lr_scheduler.LRScheduler
     total: int
     """Steps of the whole run."""
     step: int = 0
@@ -50,7 +59,8 @@ class MeshRun:
     @property
     def parts(self) -> dict[str, Any]:
         """What ``state.pt`` keeps."""
-        return {name: getattr(self, name) for name in ("model", "balance", "optimizer")}
+        names = ("model", "average", "balance", "optimizer", "scheduler")
+        return {name: getattr(self, name) for name in names}
 
 
 def train_sdfa(
@@ -87,66 +97,166 @@ def train_sdfa(
     DataError
         If the data or the run folder is not as it must be, or gradients stay not finite.
     ConfigError
-        If `config` differs from the run that is resumed.
+        If `config` differs from the run that is resumed, or asks for lips the data lacks.
     """
     open_folder(out, config, resume=resume, write=True)
     folder = open_meshes(data, config.data, out / "meshes")
+    if config.train.lip_weight and folder.lips is None:
+        raise ConfigError(
+            f"train.lip_weight={config.train.lip_weight:g}: {data} does not say where the lips "
+            "are; set train.lip_weight=0"
+        )
     torch.manual_seed(config.train.seed)
-    run, batches = _start(config, folder, out)
+    model = _new_model(config, folder)
+    if config.train.start_encoder is not None:
+        _copy_encoder(model, config.train.start_encoder)
+    segments = _segments(config, folder, model)
+    total = _n_steps(config.train, segments)
+    run = _start(config, model, total)
     if resume:
         state = restore_state(out, run.parts)
         run.step, run.best_score = int(state["step"]), float(state["best_score"])
         for name in ("metrics.csv", "development.csv"):
             forget(out / name, run.step)
-        batches.skip = run.step
+        segments.skip = run.step
     progress(run.step, run.total, {})
-    _fit(run, batches, folder, config, out, progress)
+    loss = MeshLoss(config, folder, segments).to(run.model.device)
+    _fit(run, loss, segments, folder, config, out, progress)
     return dict(describe_model(out / "best")["training"])
 
 
-def _start(config: SDFAConfig, folder: MeshFolder, out: Path) -> tuple[MeshRun, MeshBatches]:
-    settings, speakers = config.train, folder.training_speakers
-    batches = MeshBatches(
-        folder.split("train"),
+def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
+    """The last layers of what a model predicts: ``gradients`` or ``offsets``."""
+    names = ("offsets",) if motion == "offsets" else ("stretch", "rotation")
+    return {name: InversePCA.of(getattr(bases, name)) for name in names}
+
+
+def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
+    speakers = folder.training_speakers
+    return SDFA(
+        config.model,
+        frozen_layers(folder.bases, config.model.motion),
         speakers,
+        {speaker: folder.templates[speaker] for speaker in speakers},
+        fps=folder.fps,
+        unit_mm=folder.unit_mm,
+    ).to("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _copy_encoder(model: SDFA, name: str) -> None:
+    from deitalk.checkpoint import load_model
+
+    encoder = model.encoder
+    start = load_model(name).frontend
+    try:
+        assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
+        encoder.frontend.load_state_dict(start.state_dict())
+    except (AssertionError, RuntimeError):
+        raise ConfigError(
+            f"train.start_encoder={name!r}: its encoder is not of model.frontend's sizes; copy "
+            "them from its config.yaml, or leave it out"
+        ) from None
+
+
+def _segments(config: SDFAConfig, folder: MeshFolder, model: SDFA) -> Segments:
+    settings = config.train
+    # Its own copy: the spectra are cut on the CPU, by other processes where there are workers.
+    return Segments(
+        folder.split("train"),
+        model.speakers,
         folder.fps,
-        config.model.frontend,
-        n_pairs=settings.batch_size // 2,
+        copy.deepcopy(model.encoder).cpu(),
+        n_segments=settings.batch_size // settings.segment_frames,
+        n_frames=settings.segment_frames,
         augment=config.data.augment,
         seed=settings.seed,
     )
-    bases_file = out / "bases.npz"
-    if not bases_file.is_file():
-        bases = fit_mesh_bases(folder, config.data, settings.seed)
-        write_bases(bases_file, bases)
-        for step, row in enumerate(bases.table):
-            log(out / "bases.csv", step, row)
-    layers = frozen_layers(read_bases(bases_file))
-    templates = {speaker: folder.templates[speaker] for speaker in speakers}
-    model = SDFA(
-        config.model, layers, speakers, templates, fps=folder.fps, unit_mm=folder.unit_mm
-    ).to("cuda" if torch.cuda.is_available() else "cpu")
-    optimizer = torch.optim.Adam(model.parameters(), lr=settings.learning_rate)
-    balance = AutomaticWeights(decay=settings.loss_decay)
-    total = settings.steps or math.ceil(settings.epochs * batches.n_frames / settings.batch_size)
-    return MeshRun(model, balance, optimizer, total), batches
+
+
+def _n_steps(settings: MeshTrainConfig, segments: Segments) -> int:
+    if settings.steps is not None:
+        return settings.steps
+    return max(math.ceil(settings.epochs * segments.n_frames_total / settings.batch_size), 1)
+
+
+def _start(config: SDFAConfig, model: SDFA, total: int) -> MeshRun:
+    settings = config.train
+    branches = list(model.decoder.deviations)
+    names = term_names(branches, lips=settings.lip_weight > 0)
+    balance = AutomaticWeights(names, decay=settings.loss_decay)
+    groups = (
+        (model.encoder, 1.0 if settings.start_encoder is None else STARTED_RATE),
+        (model.decoder, 1.0),
+    )
+    rates = [settings.learning_rate * share for _, share in groups]
+    optimizer = torch.optim.Adam(
+        [
+            {"params": list(part.parameters()), "lr": rate}
+            for (part, _), rate in zip(groups, rates, strict=True)
+        ]
+    )
+    scheduler: torch.optim.lr_scheduler.LRScheduler
+    if settings.schedule == "one_cycle":
+        scheduler = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer,
+            rates,
+            total_steps=total + 1,
+            pct_start=0.08,
+            cycle_momentum=False,
+            div_factor=10,
+            final_div_factor=100,
+        )
+    else:
+        scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer, factor=1.0)
+    average = copy.deepcopy(model).eval().requires_grad_(False)
+    return MeshRun(model, average, balance, optimizer, scheduler, total)
+
+
+class MeshLoss(torch.nn.Module):
+    """The terms of §4.2, and the lips where they are asked for."""
+
+    def __init__(self, config: SDFAConfig, folder: MeshFolder, segments: Segments) -> None:
+        super().__init__()
+        self.precision = config.train.precision
+        self.places = segments.places
+        self.lips: LipReader | None = None
+        if config.train.lip_weight:
+            self.lips = LipReader.fit(
+                [(clip.motion, clip.speaker) for clip in segments.clips],
+                folder,
+                motion=config.model.motion,
+            )
+
+    def forward(self, model: SDFA, batch: Segment) -> dict[str, Tensor]:
+        """Every term of one batch, not yet scaled."""
+        device = batch.features.device
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
+            rows = model(batch.features, self.places.to(device), batch.speaker)
+        rows = {name: row.float() for name, row in rows.items()}
+        target = {name: getattr(batch, name) for name in rows}
+        parts = motion_terms(rows, target, model.decoder.deviations)
+        if self.lips is not None:
+            given = self.lips(rows, batch.speaker)
+            wanted = batch.lips * model.unit_mm
+            parts[LIPS] = lip_loss(given, wanted, self.lips.rest_parting(batch.speaker))
+        return parts
 
 
 def _fit(
     run: MeshRun,
-    batches: MeshBatches,
+    loss: MeshLoss,
+    segments: Segments,
     folder: MeshFolder,
     config: SDFAConfig,
     out: Path,
     progress: Progress,
 ) -> None:
-    loader = DataLoader(batches, batch_size=None, num_workers=config.train.workers)
-    device = next(run.model.parameters()).device
-    pairs: Iterator[MeshPair] = iter(loader if run.step < run.total else ())
+    loader = DataLoader(segments, batch_size=None, num_workers=config.train.workers)
+    batches: Iterator[Segment] = iter(loader if run.step < run.total else ())
     while run.step < run.total:
-        batch = MeshPair(*(part.to(device) for part in next(pairs)))
+        batch = Segment(*(part.to(run.model.device) for part in next(batches)))
         torch.manual_seed(config.train.seed * 2**20 + run.step)
-        values = _step(run, batch, config)
+        values = _step(run, loss, batch, config.train)
         run.step += 1
         is_last = run.step == run.total
         if run.step % LOG_EVERY == 0 or is_last:
@@ -156,22 +266,21 @@ def _fit(
             _evaluate(run, folder, config, out)
 
 
-def _step(run: MeshRun, batch: MeshPair, config: SDFAConfig) -> dict[str, float]:
+def _step(
+    run: MeshRun, loss: MeshLoss, batch: Segment, settings: MeshTrainConfig
+) -> dict[str, float]:
     """One update; a batch whose gradient is not finite is left out."""
     run.model.train()
-    speakers = batch.speaker.repeat_interleave(2, dim=0)  # (2 M, P)
-    s, r = run.model(batch.mel.flatten(0, 1), speakers)
-    predicted = Deformation(s.view_as(batch.s), r.view_as(batch.r))
-    decoder = run.model.decoder
-    weights = decoder.stretch.inverse_pca.weights, decoder.rotation.inverse_pca.weights
-    parts = mesh_terms(predicted, Deformation(batch.s, batch.r), weights)
-    total = run.balance(parts)
+    parts = loss(run.model, batch)
+    total = run.balance(parts, {LIPS: settings.lip_weight})
     run.optimizer.zero_grad(set_to_none=True)
     total.backward()
-    limit = config.train.gradient_clip or math.inf
+    limit = settings.gradient_clip or math.inf
     norm = float(torch.nn.utils.clip_grad_norm_(run.model.parameters(), limit))
     if math.isfinite(norm):
         run.optimizer.step()
+        run.scheduler.step()
+        _average(run, settings.ema)
         run.bad_steps = 0
     else:
         run.bad_steps += 1
@@ -181,18 +290,38 @@ def _step(run: MeshRun, batch: MeshPair, config: SDFAConfig) -> dict[str, float]
             "train.learning_rate or set train.gradient_clip"
         )
     values = {name: float(part.detach()) for name, part in parts.items()}
-    return values | {"total": float(total.detach()), "gradient_norm": norm}
+    rate = float(run.scheduler.get_last_lr()[-1])
+    return values | {"total": float(total.detach()), "gradient_norm": norm, "learning_rate": rate}
+
+
+@torch.no_grad()
+def _average(run: MeshRun, decay: float | None) -> None:
+    """Exponential moving average of weights and buffers; a young average forgets faster."""
+    rate = 1.0 if decay is None else 1 - min(decay, (1 + run.step) / (10 + run.step))
+    frozen = {id(buffer) for branch in run.model.decoder.branches.values()
+              for buffer in branch.inverse_pca.buffers()}  # fmt: skip
+    for mean, value in zip(
+        run.average.state_dict(keep_vars=True).values(),
+        run.model.state_dict(keep_vars=True).values(),
+        strict=True,
+    ):
+        if id(value) in frozen:
+            continue
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, rate)
+        else:
+            mean.copy_(value)
 
 
 def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -> None:
-    """Score held-out sequences, keep the weights if none were better, and save the state."""
-    scores = mesh_scores(run.model, folder)
+    """Score the averaged weights, keep them if none were better, and save the state."""
+    scores = mesh_scores(run.average, folder)
     log(out / "development.csv", run.step, {f"dev_{k}": v for k, v in scores.items()})
     summary = {"step": run.step, "development": scores}
     if scores["score"] >= run.best_score:
         run.best_score = scores["score"]
-        save_sdfa(out / "best", run.model, config, summary)
-    save_sdfa(out / "last", run.model, config, summary)
+        save_sdfa(out / "best", run.average, config, summary)
+    save_sdfa(out / "last", run.average, config, summary)
     save_state(out, run.parts, {"step": run.step, "best_score": run.best_score})
 
 
@@ -213,21 +342,24 @@ def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> d
     -------
     dict
         `mean_mm`, over all vertices and frames; `lively_mm`, over the twentieth of the vertices
-        that moves most; `score`, minus the latter. A speaker that was not trained on is heard in
-        the first style and seen on his own template.
+        that moves most, or the lips' rims where they are known; `score`, minus the latter. A
+        speaker that was not trained on is heard in the first style and seen on his own template.
     """
     model.eval()
     everywhere, lively = [], []
     for clip in (folder.split(split) or folder.split("train"))[:DEVELOPMENT_CLIPS]:
         style = clip.speaker if clip.speaker in model.speakers else 0
         template = folder.templates[clip.speaker]
-        truth_s, truth_r = (torch.from_numpy(np.array(rows)) for rows in clip.gradients())
-        s, r = model.predict(clip.waveform(), style)
-        n = min(len(s), len(truth_s))
-        truth = model.vertices(truth_s[:n], truth_r[:n], template)
-        error = np.linalg.norm(model.vertices(s[:n], r[:n], template) - truth, axis=-1)
-        motion = np.linalg.norm(truth - template.vertices, axis=-1).max(axis=0)
-        most = np.argsort(motion)[-max(len(motion) // 20, 1) :]
+        offsets = folder.bases.offsets.expand(clip.motion()["offsets"])
+        truth = template.vertices + offsets.reshape(len(offsets), -1, 3)
+        given = model.predict_mesh(clip.waveform(), style, template)
+        n = min(len(given), len(truth))
+        error = np.linalg.norm(given[:n] - truth[:n], axis=-1)
+        if folder.lips is not None:
+            most = folder.lips.both
+        else:
+            motion = np.linalg.norm(truth - template.vertices, axis=-1).max(axis=0)
+            most = np.argsort(motion)[-max(len(motion) // 20, 1) :]
         everywhere.append(float(error.mean()) * folder.unit_mm)
         lively.append(float(error[:, most].mean()) * folder.unit_mm)
     return {

@@ -1,4 +1,4 @@
-"""Eq. 7-8 in closed form, and weights that give every term the same say."""
+"""Eq. 7-8 in closed form, the lips' term, and weights that give every term the same say."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,16 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deitalk.deformation_decoder import Deformation
-from deitalk.mesh_losses import TERMS, AutomaticWeights, difference_loss, mesh_terms, value_loss
+from deitalk.mesh_losses import (
+    LIPS,
+    AutomaticWeights,
+    difference_loss,
+    lip_loss,
+    motion_terms,
+    term_names,
+    value_loss,
+)
+from rig.mesh import fit_basis
 
 ONE = torch.ones(2)
 
@@ -19,34 +27,69 @@ def pairs(*numbers):
 def test_losses_by_hand():
     target = pairs(0, 0, 0, 0)
     predicted = pairs(1, 2, 3, 2)  # frame t - 1: (1, 2); frame t: (3, 2)
-    assert value_loss(predicted, target, ONE) == (1 + 4 + 9 + 4) / 4
-    assert difference_loss(predicted, target, ONE) == ((3 - 1) ** 2 + 0) / 2
-    weights = torch.tensor([2.0, 0.0])
-    assert value_loss(predicted, target, weights) == (4 * 1 + 4 * 9) / 4
-    assert difference_loss(predicted, target, weights) == 4 * 4 / 2
+    assert value_loss(predicted, target, ONE) == (1 + 4 + 9 + 4) / 2
+    assert difference_loss(predicted, target, ONE) == (3 - 1) ** 2
+    deviations = torch.tensor([2.0, 0.0])
+    assert value_loss(predicted, target, deviations) == (4 * 1 + 4 * 9) / 2
+    assert difference_loss(predicted, target, deviations) == 4 * 4
+
+
+def test_coefficients_stand_for_the_triangles():
+    """The value loss is the area-weighted squared error of the numbers themselves (Eq. 7)."""
+    rng = np.random.default_rng(0)
+    areas = rng.uniform(0.1, 3, 10)
+    frames = rng.standard_normal((50, 6)) @ rng.standard_normal((6, 60))
+    basis = fit_basis(frames, areas)
+    one, other = (basis.project(frames[k : k + 8]).reshape(4, 2, -1) for k in (0, 20))
+    given_, wanted = (basis.expand(rows) for rows in (one, other))
+    numbers = (((given_ - wanted) * basis.weights) ** 2).sum(axis=-1).mean()
+    arguments = (torch.from_numpy(rows) for rows in (one, other))
+    deviations = torch.from_numpy(basis.deviations.astype(float))
+    assert float(value_loss(*arguments, deviations)) == pytest.approx(numbers, rel=2e-3)
 
 
 @given(st.floats(-100, 100), st.integers(0, 1000))
 def test_difference_does_not_see_a_constant_offset(offset, seed):
     torch.manual_seed(seed)
     a, b = torch.randn(2, 3, 2, 4, dtype=torch.float64)
-    weights = torch.rand(4, dtype=torch.float64)
+    deviations = torch.rand(4, dtype=torch.float64)
     shift = offset * torch.randn(1, 1, 4, dtype=torch.float64)
-    before, after = (difference_loss(x, b, weights) for x in (a, a + shift))
+    before, after = (difference_loss(x, b, deviations) for x in (a, a + shift))
     assert after.item() == pytest.approx(before.item(), rel=1e-6)
     if abs(offset) > 10:
-        assert value_loss(a + shift, b, weights) > value_loss(a, b, weights)
+        assert value_loss(a + shift, b, deviations) > value_loss(a, b, deviations)
 
 
 def test_each_term_sees_its_own_branch():
-    zero = Deformation(torch.zeros(1, 2, 6), torch.zeros(1, 2, 3))
-    constant_s = Deformation(torch.ones(1, 2, 6), torch.zeros(1, 2, 3))
-    jump_r = Deformation(torch.zeros(1, 2, 6), torch.tensor([[[0.0] * 3, [2.0] * 3]]))
-    weights = torch.ones(6), torch.ones(3)
-    parts = {k: float(v) for k, v in mesh_terms(constant_s, zero, weights).items()}
-    assert parts == dict(zip(TERMS, (1, 0, 0, 0), strict=True))
-    parts = {k: float(v) for k, v in mesh_terms(jump_r, zero, weights).items()}
-    assert parts == dict(zip(TERMS, (0, 0, 2, 4), strict=True))
+    zero = {"stretch": torch.zeros(1, 2, 6), "rotation": torch.zeros(1, 2, 3)}
+    constant = zero | {"stretch": torch.ones(1, 2, 6)}
+    jump = zero | {"rotation": torch.tensor([[[0.0] * 3, [2.0] * 3]])}
+    deviations = {"stretch": torch.ones(6), "rotation": torch.ones(3)}
+    names = term_names(list(zero), lips=False)
+    parts = {k: float(v) for k, v in motion_terms(constant, zero, deviations).items()}
+    assert parts == dict(zip(names, (6, 0, 0, 0), strict=True))
+    parts = {k: float(v) for k, v in motion_terms(jump, zero, deviations).items()}
+    assert parts == dict(zip(names, (0, 0, 6, 12), strict=True))
+    assert term_names(["offsets"], lips=True) == ("offsets_value", "offsets_difference", LIPS)
+
+
+def test_lips_by_hand():
+    """One frame, one pair that touches: both 3 mm aside is 9; 1 mm apart costs 4 times 1 more."""
+    rest = torch.zeros(1, 1, 1, 3)
+    shut = torch.zeros(1, 1, 2, 3)
+    aside = shut + torch.tensor([3.0, 0, 0])
+    assert lip_loss(aside, shut, rest) == 9
+    apart = torch.tensor([[[[0.0, 0.5, 0], [0, -0.5, 0]]]])
+    assert lip_loss(apart, shut, rest) == pytest.approx(0.25 + 4 * 1)
+    wide = torch.tensor([[[[0.0, 9.0, 0], [0, 0, 0]]]])  # the same error where lips are 9 mm apart
+    assert lip_loss(wide + apart, wide, rest) == pytest.approx(0.25 + 4 * 1 / 10)
+    assert lip_loss(shut, shut, rest + 5) == 0
+
+
+def test_factors_weigh_scaled_terms():
+    balance = AutomaticWeights(("a", "b"))
+    parts = {"a": torch.tensor(4.0), "b": torch.tensor(0.3)}
+    assert balance(parts, {"b": 0.5}).item() == pytest.approx(1.5, rel=1e-6)
 
 
 def test_weights_follow_the_stated_form():

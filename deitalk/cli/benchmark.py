@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deitalk.cli.words import bar
+from deitalk.cli.words import bar, words
 
 
 def benchmark(
@@ -16,9 +16,15 @@ def benchmark(
     memory: Annotated[
         bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
     ] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Instead: SDFA's Table 4, three mesh models by stages.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Measure speed and memory on this machine."""
+    if mesh:
+        _table_4(threads, repeats, as_json=as_json)
+        return
     from deitalk import benchmark as measures
 
     lengths = (60.0, 600.0, 3600.0) if memory else ()
@@ -48,6 +54,14 @@ def benchmark(
             f"{row['clip_seconds']:g} s of audio: peak {row['megabytes']:.0f} MB, "
             f"{row['wall_seconds']:.1f} s"
         )
+
+
+def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
+    with words().status("measuring"):
+        from deitalk.mesh_timing import as_markdown, table_4
+
+        report = table_4(threads, repeats)
+    typer.echo(json.dumps(report) if as_json else as_markdown(report), nl=as_json)
 
 
 def _print_clip(clip: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """`deitalk evaluate`: score a model on a dataset folder."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,6 +26,10 @@ def evaluate(
     captured: Annotated[
         Path | None, typer.Option(help="Captured curves, to set our smoothness beside theirs.")
     ] = None,
+    transitions: Annotated[
+        bool,
+        typer.Option("--transitions", help="Mesh models: only recordings where s meets m, b, p."),
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
     ] = None,
@@ -42,14 +46,25 @@ def evaluate(
     deitalk evaluate default --data corpus/ --split test
 
     deitalk evaluate runs/mel/best --data corpus/ --most 100 --noise pink -o report.md
+
+    deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
     """
     _check_outputs(out, picture, force=force)
+    from deitalk.mesh_pipeline import is_sdfa
+
+    if is_sdfa(model):
+        _refuse_for_meshes(noise=noise, captured=captured, picture=picture)
+        report = _score_mesh(model, data, split, most, transitions=transitions)
+        from deitalk.evaluate_mesh import as_markdown as to_markdown
+
+        _write(report, to_markdown(report), out, as_json=as_json)
+        return
+    if transitions:
+        raise DataError("--transitions: for mesh models; leave it out")
     with words().status("loading"):
         from deitalk.checkpoint import load_model
         from deitalk.evaluate import evaluate as score
-        from deitalk.evaluation.report import as_json as to_json
         from deitalk.evaluation.report import as_markdown
-        from rig.files import atomic_write
 
         network = load_model(model)
     with bar("evaluating") as progress:
@@ -63,15 +78,42 @@ def evaluate(
             captured=captured,
             progress=progress,
         )
-    typer.echo(to_json(report) if as_json else as_markdown(report), nl=False)
-    if out is not None:
-        with atomic_write(out) as beside:
-            written = to_json(report) if out.suffix == ".json" else as_markdown(report)
-            beside.write_text(written, encoding="utf-8")
+    _write(report, as_markdown(report), out, as_json=as_json)
     if picture is not None:
         from deitalk.evaluation.picture import draw
 
         draw(report, picture)
+
+
+def _score_mesh(
+    model: str, data: Path, split: str, most: int | None, *, transitions: bool
+) -> dict[str, Any]:
+    with words().status("loading"):
+        from deitalk.evaluate_mesh import evaluate_mesh
+        from deitalk.mesh_checkpoint import load_sdfa
+
+        network = load_sdfa(model)
+    with bar("evaluating") as progress:
+        return evaluate_mesh(
+            network, data, split=split, most=most, transitions=transitions, progress=progress
+        )
+
+
+def _refuse_for_meshes(**options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise DataError(f"--{name}: not for mesh models; leave it out")
+
+
+def _write(report: dict[str, Any], markdown: str, out: Path | None, *, as_json: bool) -> None:
+    from deitalk.evaluation.report import as_json as to_json
+    from rig.files import atomic_write
+
+    typer.echo(to_json(report) if as_json else markdown, nl=False)
+    if out is not None:
+        with atomic_write(out) as beside:
+            written = to_json(report) if out.suffix == ".json" else markdown
+            beside.write_text(written, encoding="utf-8")
 
 
 def _check_outputs(out: Path | None, picture: Path | None, *, force: bool) -> None:

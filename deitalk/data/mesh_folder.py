@@ -1,20 +1,25 @@
-"""The mesh folder: recordings, templates and gradients of mesh sequences, ready to train on.
+"""The mesh folder: recordings, templates and the motion of mesh sequences, ready to train on.
 
 ::
 
-    mesh.json                   frames per second, millimetres in a unit
-    clips.csv                   clip, speaker, split
-    templates/<speaker>.ply     the expressionless mesh; all have the same triangles
-    audio/<clip>.flac           16 kHz
-    gradients/<clip>.s.npy      packed stretch, float16 [shape=(T, 6 N)]
-    gradients/<clip>.r.npy      packed rotation, float16 [shape=(T, 3 N)]
+    mesh.json              format version, frames per second, millimetres in a unit
+    clips.csv              clip, speaker, split
+    templates/<speaker>.ply    the expressionless mesh; all have the same triangles
+    audio/<clip>.flac      16 kHz
+    bases.npz              bases of stretch s and rotation r (`rig.mesh.basis`)
+    offsets.npz            basis of vertex offsets
+    bases.csv              what each size of them costs on held-out frames
+    lips.npz               upper, lower: facing vertices of the lips' rims; optional
+    motion/<clip>.npz      stretch (T, Ks), rotation (T, Kr), offsets (T, Ko): coefficients, float16
+                           lips (T, 2 P, 3): offsets of upper and lower rims, float32
 
-Frame i is at i / fps seconds of the recording. Gradients are computed once, when the folder is
-written: they cost some thousand times a training step's arithmetic on the same frame.
+Frame i is at i / fps seconds of the recording. Gradients cost some thousand times a training step's
+arithmetic on the same frame, so they are computed once, and only their coefficients are kept: the
+frozen last layer can give nothing else, and an hour is 0.1 GB instead of 16.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,16 +29,22 @@ from numpy.typing import NDArray
 
 from deitalk.audio import SAMPLE_RATE, load_audio
 from deitalk.data.folder import SPLITS
+from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError
 from rig.files import atomic_write
 from rig.mesh import TriMesh, pack_vertices, read_ply, write_ply
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+MOTION = ("stretch", "rotation", "offsets", "lips")
+"""Arrays of a clip's motion."""
+
+Rows = NDArray[np.float32]
+Load = Callable[[], tuple[Rows, Rows]]
 
 
 @dataclass(frozen=True, eq=False)
 class MeshSequence:
-    """A recording and the meshes that go with it.
+    """A recording and the meshes that go with it, loaded when needed.
 
     Parameters
     ----------
@@ -41,17 +52,28 @@ class MeshSequence:
         Of the clip; no path separators.
     speaker, split : str
         Whose template it moves; train, validation or test.
-    waveform : array [shape=(S,), float32]
-        16 kHz.
-    vertices : array [shape=(T, V, 3)]
-        Frame i is at i / fps seconds.
+    load : callable
+        Gives the waveform [shape=(S,), float32, 16 kHz] and the vertices [shape=(T, V, 3)],
+        frame i at i / fps seconds.
     """
 
     name: str
     speaker: str
     split: str
-    waveform: NDArray[np.float32]
-    vertices: NDArray[np.float32]
+    load: Load
+
+
+@dataclass(frozen=True)
+class Lips:
+    """Vertices that face one another across the closed mouth: upper[i] over lower[i]."""
+
+    upper: NDArray[np.int64]
+    lower: NDArray[np.int64]
+
+    @property
+    def both(self) -> NDArray[np.int64]:
+        """Upper rim, then lower rim [shape=(2 P,)]."""
+        return np.concatenate([self.upper, self.lower])
 
 
 @dataclass(frozen=True)
@@ -63,35 +85,33 @@ class MeshClip:
     speaker: str
     split: str
 
-    def waveform(self) -> NDArray[np.float32]:
+    def waveform(self) -> Rows:
         """The recording as it was stored [shape=(S,)]."""
         return load_audio(self.folder / "audio" / f"{self.name}.flac").waveform
 
-    def gradients(self) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
-        """Packed s [shape=(T, 6 N)] and r [shape=(T, 3 N)], mapped from the disk.
+    def motion(self) -> dict[str, Rows]:
+        """The arrays of `MOTION` that the folder has, by name, each [shape=(T, ...)].
 
         Raises
         ------
         DataError
-            If a file is missing or damaged, or the two do not belong together.
+            If the file is missing or damaged, or its arrays do not belong together.
         """
-        s, r = (self._array(kind) for kind in "sr")
-        if len(s) != len(r) or s.shape[1] != 2 * r.shape[1] or len(s) < 2:
-            raise DataError(
-                f"{self.folder}: gradients of {self.name!r} have shapes {s.shape} and {r.shape}; "
-                "at least two frames of (T, 6 N) and (T, 3 N) are needed; build the folder again"
-            )
-        return s, r
-
-    def _array(self, kind: str) -> NDArray[np.float16]:
-        path = self.folder / "gradients" / f"{self.name}.{kind}.npy"
+        path = self.folder / "motion" / f"{self.name}.npz"
         try:
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: np.asarray(file[name], np.float32) for name in MOTION[:3]}
+                if "lips" in file:
+                    arrays["lips"] = np.asarray(file["lips"], np.float32)
+        except (OSError, ValueError, KeyError, EOFError) as error:
             raise DataError(f"{path}: cannot be read ({error}); build the folder again") from None
-        if array.ndim != 2 or array.dtype != np.float16:
-            raise DataError(f"{path}: holds {array.dtype} {array.shape}; build the folder again")
-        return np.asarray(array)
+        lengths = {len(rows) for rows in arrays.values()}
+        if len(lengths) != 1 or min(lengths) < 2:
+            raise DataError(
+                f"{path}: holds arrays of {sorted(lengths)} frames; one length of at least 2 is "
+                "needed; build the folder again"
+            )
+        return arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +128,18 @@ class MeshFolder:
         By speaker, in alphabetical order.
     clips : tuple of MeshClip
         In the table's order.
+    bases : MeshBases
+        What the coefficients belong to.
+    lips : Lips or None
+        Rims of the lips, where they are known.
     """
 
     fps: float
     unit_mm: float
     templates: dict[str, TriMesh]
     clips: tuple[MeshClip, ...]
+    bases: MeshBases
+    lips: Lips | None
 
     def split(self, name: str) -> list[MeshClip]:
         """Clips of one split."""
@@ -128,12 +154,15 @@ class MeshFolder:
 def write_mesh_folder(
     out: Path,
     templates: Mapping[str, TriMesh],
-    sequences: Iterable[MeshSequence],
+    sequences: Sequence[MeshSequence],
     *,
     fps: float,
     unit_mm: float,
+    lips: Lips | None = None,
+    basis_frames: int = 400,
+    basis_error_mm: float = 0.5,
 ) -> None:
-    """Compute the gradients of sequences and write them, all or nothing.
+    """Fit bases to the training sequences and write everyone's coefficients, all or nothing.
 
     Parameters
     ----------
@@ -141,49 +170,95 @@ def write_mesh_folder(
         Folder to make; its parent must exist.
     templates : mapping of str to TriMesh
         Expressionless mesh of every speaker.
-    sequences : iterable of MeshSequence
-        Read one at a time.
+    sequences : sequence of MeshSequence
+        Loaded one at a time.
     fps : float
         Of all sequences.
     unit_mm : float
         Millimetres in the templates' unit.
+    lips : Lips, optional
+        Rims of the lips, the same vertices on every template.
+    basis_frames, basis_error_mm
+        As for `deitalk.data.mesh_bases.fit_mesh_bases`.
 
     Raises
     ------
     DataError
         If `out` is there already, templates differ in their triangles, or a sequence has no
-        template, an unknown split, a doubled name or fewer than two frames; or there is none.
+        template, an unknown split, a doubled name or fewer than two frames; or there is none to
+        train on.
     rig.errors.MeshError
         If a triangle has no area.
     """
-    import soundfile
-
     if out.exists():
         raise DataError(f"{out}: exists already; name another folder or remove it")
     _check_templates(templates)
-    rows: list[dict[str, str]] = []
+    _check_sequences(sequences, templates, out)
     with atomic_write(out) as beside:
-        for name in ("templates", "audio", "gradients"):
+        for name in ("templates", "audio", "motion"):
             (beside / name).mkdir(parents=True)
         for speaker, template in templates.items():
             write_ply(beside / "templates" / f"{speaker}.ply", template)
+        drawn = {
+            split: [(q.speaker, lambda q=q: _loaded(q)[1]) for q in sequences if q.split == split]
+            for split in ("train", "validation")
+        }
+        bases = fit_mesh_bases(
+            templates,
+            drawn["train"],
+            drawn["validation"] or drawn["train"],
+            n_frames=basis_frames,
+            error_mm=basis_error_mm,
+            unit_mm=unit_mm,
+        )
+        write_mesh_bases(beside, bases)
+        if lips is not None:
+            np.savez(beside / "lips.npz", upper=lips.upper, lower=lips.lower)
         for sequence in sequences:
-            _check_sequence(sequence, templates, rows)
-            s, r = pack_vertices(templates[sequence.speaker], sequence.vertices)
-            for kind, numbers in (("s", s), ("r", r)):
-                largest = np.finfo(np.float16).max
-                half = np.clip(numbers, -largest, largest).astype(np.float16)
-                np.save(beside / "gradients" / f"{sequence.name}.{kind}.npy", half)
-            quiet = sequence.waveform / max(1.0, float(np.abs(sequence.waveform).max(initial=0)))
-            soundfile.write(beside / "audio" / f"{sequence.name}.flac", quiet, SAMPLE_RATE)
-            rows.append(
-                {"clip": sequence.name, "speaker": sequence.speaker, "split": sequence.split}
-            )
-        if not rows:
-            raise DataError(f"{out}: no sequences to write; check the source's clips and splits")
+            _write_clip(beside, sequence, templates[sequence.speaker], bases, lips)
+        rows = [{"clip": q.name, "speaker": q.speaker, "split": q.split} for q in sequences]
         pd.DataFrame(rows).to_csv(beside / "clips.csv", index=False)
         about = {"format_version": FORMAT_VERSION, "fps": fps, "unit_mm": unit_mm}
         (beside / "mesh.json").write_text(json.dumps(about) + "\n")
+
+
+def _write_clip(
+    folder: Path, sequence: MeshSequence, template: TriMesh, bases: MeshBases, lips: Lips | None
+) -> None:
+    import soundfile
+
+    waveform, vertices = _loaded(sequence)
+    offsets = vertices.astype(np.float64) - template.vertices
+    s, r = _packed(template, vertices)
+    arrays = {
+        "stretch": bases.stretch.project(s).astype(np.float16),
+        "rotation": bases.rotation.project(r).astype(np.float16),
+        "offsets": bases.offsets.project(offsets.reshape(len(offsets), -1)).astype(np.float16),
+    }
+    if lips is not None:
+        arrays["lips"] = offsets[:, lips.both].astype(np.float32)
+    np.savez(folder / "motion" / f"{sequence.name}.npz", **arrays)
+    quiet = waveform / max(1.0, float(np.abs(waveform).max(initial=0)))
+    soundfile.write(folder / "audio" / f"{sequence.name}.flac", quiet, SAMPLE_RATE)
+
+
+def _packed(template: TriMesh, vertices: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As `pack_vertices`; triangles that stay where they are, most of a head, cost nothing."""
+    is_moved = (np.abs(vertices - template.vertices) > 1e-7 * template.size).any(axis=(0, 2))
+    moved = np.flatnonzero(is_moved[template.faces].any(axis=1))
+    packed = []
+    for rows in pack_vertices(TriMesh(template.vertices, template.faces[moved]), vertices):
+        whole = np.zeros((len(rows), len(template.faces), rows.shape[1] // max(len(moved), 1)))
+        whole[:, moved] = rows.reshape(len(rows), len(moved), -1)
+        packed.append(whole.reshape(len(rows), -1))
+    return packed[0], packed[1]
+
+
+def _loaded(sequence: MeshSequence) -> tuple[Rows, Rows]:
+    waveform, vertices = sequence.load()
+    if len(vertices) < 2:
+        raise DataError(f"clip {sequence.name!r}: {len(vertices)} frames; at least 2 are needed")
+    return waveform, vertices
 
 
 def _check_templates(templates: Mapping[str, TriMesh]) -> None:
@@ -199,26 +274,29 @@ def _check_templates(templates: Mapping[str, TriMesh]) -> None:
             )
 
 
-def _check_sequence(
-    sequence: MeshSequence, templates: Mapping[str, TriMesh], rows: list[dict[str, str]]
+def _check_sequences(
+    sequences: Sequence[MeshSequence], templates: Mapping[str, TriMesh], out: Path
 ) -> None:
-    name = sequence.name
-    if not name or Path(name).name != name or name.startswith("."):
-        raise DataError(f"clip {name!r}: the name must be usable as a file's")
-    if any(row["clip"] == name for row in rows):
-        raise DataError(f"clip {name!r} appears twice; names must differ")
-    if sequence.speaker not in templates:
-        raise DataError(f"clip {name!r}: speaker {sequence.speaker!r} has no template; add one")
-    if sequence.split not in SPLITS:
-        raise DataError(
-            f"clip {name!r}: split {sequence.split!r} is unknown; known are {', '.join(SPLITS)}"
-        )
-    if len(sequence.vertices) < 2:
-        raise DataError(f"clip {name!r}: {len(sequence.vertices)} frames; at least 2 are needed")
+    if not any(sequence.split == "train" for sequence in sequences):
+        raise DataError(f"{out}: no sequences to train on; check the source's clips and splits")
+    seen: set[str] = set()
+    for sequence in sequences:
+        name = sequence.name
+        if not name or Path(name).name != name or name.startswith("."):
+            raise DataError(f"clip {name!r}: the name must be usable as a file's")
+        if name in seen:
+            raise DataError(f"clip {name!r} appears twice; names must differ")
+        if sequence.speaker not in templates:
+            raise DataError(f"clip {name!r}: speaker {sequence.speaker!r} has no template; add one")
+        if sequence.split not in SPLITS:
+            raise DataError(
+                f"clip {name!r}: split {sequence.split!r} is unknown; known are {', '.join(SPLITS)}"
+            )
+        seen.add(name)
 
 
 def read_mesh_folder(folder: Path | str) -> MeshFolder:
-    """Read what `write_mesh_folder` wrote; gradients stay on the disk.
+    """Read what `write_mesh_folder` wrote; motion and recordings stay on the disk.
 
     Raises
     ------
@@ -246,4 +324,16 @@ def read_mesh_folder(folder: Path | str) -> MeshFolder:
     missing = sorted({speaker for _, speaker, _ in rows} - templates.keys())
     if missing:
         raise DataError(f"{folder}: speaker {missing[0]!r} has no template; build it again")
-    return MeshFolder(fps, unit_mm, templates, tuple(MeshClip(folder, *row) for row in rows))
+    clips = tuple(MeshClip(folder, *row) for row in rows)
+    return MeshFolder(fps, unit_mm, templates, clips, read_mesh_bases(folder), _read_lips(folder))
+
+
+def _read_lips(folder: Path) -> Lips | None:
+    path = folder / "lips.npz"
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return Lips(file["upper"].astype(np.int64), file["lower"].astype(np.int64))
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); build the folder again") from None

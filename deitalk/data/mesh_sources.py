@@ -11,7 +11,8 @@ Without ``splits.csv`` speakers are taken in the order of their names: two third
 sixth to validate, the rest to test (8 : 2 : 2 of VOCASET's twelve, as SDFA §4.1 has it).
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,17 @@ from deitalk.audio import SAMPLE_RATE, load_audio
 from deitalk.config import MeshDataConfig
 from deitalk.data.folder import SPLITS, Clip, read_clips
 from deitalk.data.mesh_folder import (
+    Lips,
     MeshFolder,
     MeshSequence,
+    Rows,
     read_mesh_folder,
     write_mesh_folder,
 )
 from deitalk.errors import DataError
 from rig import default_controls, read_curves
 from rig.face import build_head
+from rig.face.identity import resolve_identity
 from rig.mesh import TriMesh, read_ply, read_ply_sequence
 
 VOCASET_FRAMES = "unposedcleaneddata"
@@ -73,18 +77,28 @@ def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
 def build_meshes(data: Path, config: MeshDataConfig, out: Path) -> None:
     """Write the mesh folder of a folder in VOCASET's layout or of a dataset folder."""
     out.parent.mkdir(parents=True, exist_ok=True)
+    lips = None
     if (data / VOCASET_FRAMES).is_dir():
         templates = vocaset_templates(data)
         sequences, unit = vocaset_sequences(data, templates), VOCASET_UNIT_MM
     elif (data / "clips.csv").is_file():
         templates = head_templates(config.identities)
-        sequences, unit = head_sequences(data, config), HEAD_UNIT_MM
+        sequences, unit, lips = head_sequences(data, config), HEAD_UNIT_MM, head_lips()
     else:
         raise DataError(
             f"{data}: holds neither mesh.json, {VOCASET_FRAMES}/ nor clips.csv; "
             "name a mesh folder, a folder laid out as VOCASET, or a dataset folder"
         )
-    write_mesh_folder(out, templates, sequences, fps=config.fps, unit_mm=unit)
+    write_mesh_folder(
+        out,
+        templates,
+        sequences,
+        fps=config.fps,
+        unit_mm=unit,
+        lips=lips,
+        basis_frames=config.basis_frames,
+        basis_error_mm=config.basis_error_mm,
+    )
 
 
 def vocaset_templates(folder: Path) -> dict[str, TriMesh]:
@@ -101,8 +115,8 @@ def vocaset_templates(folder: Path) -> dict[str, TriMesh]:
     return found
 
 
-def vocaset_sequences(folder: Path, templates: dict[str, TriMesh]) -> Iterator[MeshSequence]:
-    """Every sentence with its recording, one at a time.
+def vocaset_sequences(folder: Path, templates: dict[str, TriMesh]) -> list[MeshSequence]:
+    """Every sentence with its recording.
 
     Raises
     ------
@@ -111,6 +125,7 @@ def vocaset_sequences(folder: Path, templates: dict[str, TriMesh]) -> Iterator[M
     """
     speakers = sorted(p.name for p in (folder / VOCASET_FRAMES).iterdir() if p.is_dir())
     splits = _splits(folder, speakers)
+    sequences = []
     for speaker in speakers:
         if speaker not in templates:
             raise DataError(f"{folder}/templates: lacks {speaker}.ply; add it")
@@ -120,12 +135,19 @@ def vocaset_sequences(folder: Path, templates: dict[str, TriMesh]) -> Iterator[M
             audio = folder / "audio" / speaker / f"{frames.name}.wav"
             if not audio.is_file():
                 raise DataError(f"{audio}: missing; every sentence needs its recording")
-            mesh, vertices = read_ply_sequence(frames)
-            if not np.array_equal(mesh.faces, templates[speaker].faces):
-                raise DataError(f"{frames}: other triangles than templates/{speaker}.ply")
-            waveform = load_audio(audio).waveform
-            name = f"{speaker}.{frames.name}"
-            yield MeshSequence(name, speaker, splits[speaker], waveform, vertices)
+            load = partial(_scanned, frames, audio, templates[speaker])
+            sequences.append(
+                MeshSequence(f"{speaker}.{frames.name}", speaker, splits[speaker], load)
+            )
+    return sequences
+
+
+def _scanned(frames: Path, audio: Path, template: TriMesh) -> tuple[Rows, Rows]:
+    """Recording and vertices of one sentence."""
+    mesh, vertices = read_ply_sequence(frames)
+    if not np.array_equal(mesh.faces, template.faces):
+        raise DataError(f"{frames}: other triangles than the speaker's template")
+    return load_audio(audio).waveform, vertices
 
 
 def _splits(folder: Path, speakers: list[str]) -> dict[str, str]:
@@ -155,19 +177,51 @@ def head_templates(identities: tuple[int, ...]) -> dict[str, TriMesh]:
     return {h.identity.name: TriMesh(h.skin.vertices, h.skin.faces) for h in heads}
 
 
-def head_sequences(data: Path, config: MeshDataConfig) -> Iterator[MeshSequence]:
-    """Curves of a dataset folder acted by the embedded heads' skins, one clip at a time.
+def head_lips() -> Lips:
+    """Rims of the embedded heads' lips; every identity has the same vertices there."""
+    return Lips(*build_head(0).features.lip_rims())
 
-    Clip k of a split is acted by identity k, then round again: every head speaks as much. All of a
-    clip is kept, so emotions too move the mesh; SDFA has no input for them, so a dataset of one
-    emotion (neutral) suits it best.
+
+def head_sequences(data: Path, config: MeshDataConfig) -> list[MeshSequence]:
+    """Curves of a dataset folder acted by the embedded heads' skins.
+
+    Clip k of a split is acted by identity k, then round again: every head speaks as much. SDFA has
+    no input for emotions, so `config.emotions` had best name one.
     """
-    for split in SPLITS:
-        for i, clip in enumerate(read_clips(data, split)[: config.clips]):
-            yield _acted(clip, config.identities[i % len(config.identities)], config.fps)
+    sequences = []
+    for split, most in (("train", config.clips), ("validation", config.validation_clips)):
+        for i, clip in enumerate(acted_clips(data, split, config.emotions, most)):
+            identity = config.identities[i % len(config.identities)]
+            sequences.append(
+                MeshSequence(
+                    clip.name.replace("/", "_"),
+                    resolve_identity(identity).name,
+                    split,
+                    partial(act, clip, identity, config.fps),
+                )
+            )
+    return sequences
 
 
-def _acted(clip: Clip, identity: int, fps: float) -> MeshSequence:
+def acted_clips(
+    data: Path, split: str, emotions: Sequence[str] | None, most: int | None
+) -> list[Clip]:
+    """Clips of a dataset folder's split with one of the emotions, at most so many, spread."""
+    clips = [c for c in read_clips(data, split) if emotions is None or c.emotion in emotions]
+    if most is None or len(clips) <= most:
+        return clips
+    places = np.linspace(0, len(clips) - 1, most).round().astype(int)
+    return [clips[i] for i in places]
+
+
+def act(clip: Clip, identity: int | str, fps: float) -> tuple[Rows, Rows]:
+    """Recording (S,) of a clip and the skin (T, V, 3) of an embedded head that acts its curves.
+
+    Raises
+    ------
+    DataError
+        If the curves lack controls.
+    """
     controls, head = default_controls(), build_head(identity)
     curves = read_curves(clip.curves)
     missing = sorted(set(controls.names) - set(curves.names))
@@ -182,6 +236,4 @@ def _acted(clip: Clip, identity: int, fps: float) -> MeshSequence:
     # Curves may start after the recording; before and after them their ends hold.
     place = np.arange(n_frames) - round(clip.offset_seconds * fps)
     held = values[np.clip(place, 0, len(values) - 1)]
-    vertices = head.pose(held)[:, head.slices["skin"]]
-    name = clip.name.replace("/", "_")
-    return MeshSequence(name, head.identity.name, clip.split, waveform, vertices)
+    return waveform, head.pose(held)[:, head.slices["skin"]]

@@ -178,7 +178,7 @@ class MelFrontend(nn.Module):
         # the positional encoding that is added to them.
         self.normalise = nn.LayerNorm(self.output_size) if config.centre else None
         if config.weight_norm:
-            _normalise_weights(self)
+            normalise_weights(self)
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
@@ -252,7 +252,7 @@ class MelFrontend(nn.Module):
         return round(spectra * SAMPLE_RATE / self.config.frame_rate)
 
 
-def _normalise_weights(module: nn.Module) -> None:
+def normalise_weights(module: nn.Module) -> None:
     """Weight normalisation on every weight (SDFA §4.4)."""
     for child in module.modules():
         if isinstance(child, nn.Conv1d | nn.Linear):

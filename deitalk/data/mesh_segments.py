@@ -1,0 +1,234 @@
+"""Mesh sequences to batches of adjacent frames, augmented as SDFA §4.3.
+
+Letters: T frames of a segment, C channels and F bins of a spectrum, L spectra, K components,
+P speakers. The paper draws pairs: T = 2.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import count
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
+
+from deitalk.activity import normalise_level
+from deitalk.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
+from deitalk.data.mesh_folder import MeshClip
+from deitalk.errors import DataError
+from deitalk.features import SAMPLE_RATE, derivative
+from deitalk.frontends.windows import Encoder
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.float32]
+
+_EDGE = 2
+"""Spectra on either side that two derivatives need."""
+
+
+class Segment(NamedTuple):
+    """Adjacent frames and what is heard about them; a batch has a leading axis B."""
+
+    features: Tensor
+    """[shape=(C, F, L)]; frame j is at spectrum `Segments.places` [j]."""
+    stretch: Tensor
+    """Coefficients [shape=(T, Ks)]."""
+    rotation: Tensor
+    offsets: Tensor
+    lips: Tensor
+    """Offsets of the lips' rims [shape=(T, 2 P, 3)], the templates' unit; empty if unknown."""
+    speaker: Tensor
+    """One-hot [shape=(P,)]."""
+
+
+class Spectra:
+    """Cut pieces of a recording's features about moments.
+
+    Parameters
+    ----------
+    encoder : Encoder
+        Whose features.
+    n_spectra : int
+        L.
+    """
+
+    def __init__(self, encoder: Encoder, n_spectra: int) -> None:
+        self.encoder, self.n_spectra = encoder, n_spectra
+        self.hop = SAMPLE_RATE / encoder.frame_rate
+        self.n_wide = int(np.ceil((n_spectra + 2 * _EDGE) / STRETCH[0])) + 2
+        """Spectra that every warp finds what it needs in."""
+        self.n_before = int(np.ceil(SAMPLE_RATE * 0.05 / self.hop))
+        """Spectra before the first one, so that its own window is inside the piece."""
+
+    def __call__(self, waveform: Rows, time: float, warp: MelWarp) -> Tensor:
+        """Features whose spectrum L // 2 is centred at `time`, in seconds [shape=(C, F, L)].
+
+        Where the encoder's features are no mel spectrogram, only the warp's stretch is kept to.
+        """
+        piece = torch.from_numpy(self._piece(waveform, time)).unsqueeze(0)
+        wide = self.encoder.features(piece, self.n_wide, self.n_before)[0]  # (C, F, W)
+        if not self.encoder.warps:
+            middle = self.n_wide // 2 - self.n_spectra // 2
+            return wide[..., middle : middle + self.n_spectra]
+        mel = warp(wide[0], self.n_spectra + 2 * _EDGE)
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)))[..., _EDGE:-_EDGE]
+
+    def _piece(self, waveform: Rows, time: float) -> Rows:
+        """Samples for `n_wide` spectra about a time; silence outside the recording."""
+        middle = self.n_before + self.n_wide // 2
+        start = round(time * SAMPLE_RATE - middle * self.hop)
+        length = round((2 * self.n_before + self.n_wide) * self.hop)
+        inside = waveform[max(start, 0) : max(start + length, 0)]
+        before = min(max(-start, 0), length)
+        return np.pad(inside, (before, length - before - len(inside))).astype(np.float32)
+
+
+class _Spoken(NamedTuple):
+    """A clip in memory."""
+
+    waveform: Rows
+    motion: dict[str, Rows]
+    speaker: int
+
+
+class Segments(IterableDataset[Segment]):
+    """Endless batches of random segments of adjacent frames.
+
+    Every segment of the split is as likely as another. All frames of a segment get one shift, one
+    choice of noise and pre-emphasis and one warp of the spectrogram (§4.3, §4.4).
+
+    Deviation: where time is squeezed or stretched, so is the motion, about the segment's middle;
+    the paper keeps the frame and changes the sound about it, which for a pair is nearly the same.
+
+    Parameters
+    ----------
+    clips : sequence of MeshClip
+        Those of one split; all are kept in memory (some 3 MB a minute).
+    speakers : tuple of str
+        Places of the one-hot label.
+    fps : float
+        Frames per second.
+    encoder : Encoder
+        Whose features are cut; its weights are not used.
+    n_segments, n_frames : int
+        Segments of a batch, T.
+    augment : bool
+        All of §4.3, or nothing.
+    seed : int
+        Segment k depends on the seed and k alone, whatever the number of workers.
+    skip : int
+        First batch: where an interrupted training goes on.
+
+    Attributes
+    ----------
+    places : Tensor [shape=(T,)]
+        Spectrum of every frame.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MeshClip],
+        speakers: tuple[str, ...],
+        fps: float,
+        encoder: Encoder,
+        *,
+        n_segments: int,
+        n_frames: int,
+        augment: bool,
+        seed: int,
+        skip: int = 0,
+    ) -> None:
+        if not clips:
+            raise DataError("no mesh sequences to train on; the data has none in this split")
+        self.fps, self.n_segments, self.n_frames = fps, n_segments, n_frames
+        self.augment, self.seed, self.skip = augment, seed, skip
+        self.n_speakers = len(speakers)
+        self.clips = [
+            _Spoken(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
+            for c in clips
+        ]
+        counts = [max(len(c.motion["stretch"]) - n_frames, 0) + 1 for c in self.clips]
+        self.starts_before = np.cumsum([0, *counts])
+        after = torch.arange(n_frames, dtype=torch.float64) - (n_frames - 1) / 2
+        around = torch.round(after / fps * encoder.frame_rate).long()
+        reach = encoder.reach + round(encoder.context_seconds / 4 * encoder.frame_rate)
+        half = int(around[-1]) + reach + 1
+        self.spectra = Spectra(encoder, 2 * half)
+        self.places = around + half
+
+    @property
+    def n_frames_total(self) -> int:
+        """Frames that an epoch passes over."""
+        return sum(len(clip.motion["stretch"]) for clip in self.clips)
+
+    def __iter__(self) -> Iterator[Segment]:
+        """Yield this worker's batches, stacked."""
+        worker = get_worker_info()
+        step, lane = (worker.num_workers, worker.id) if worker else (1, 0)
+        for batch in count(self.skip + lane, step):
+            numbers = range(batch * self.n_segments, (batch + 1) * self.n_segments)
+            segments = [self.segment(number) for number in numbers]
+            yield Segment(*(torch.stack(field) for field in zip(*segments, strict=True)))
+
+    def segment(self, number: int) -> Segment:
+        """The segment of one number."""
+        rng = np.random.default_rng((self.seed, number))
+        drawn = int(rng.integers(self.starts_before[-1]))
+        which = int(np.searchsorted(self.starts_before, drawn, side="right")) - 1
+        clip, first = self.clips[which], drawn - int(self.starts_before[which])
+        frames = first + np.arange(self.n_frames, dtype=np.float64)
+        waveform, warp, began = clip.waveform, MelWarp(), 0.0
+        if self.augment:
+            frames = frames + frame_shift(rng)
+            waveform, began = self._surroundings(waveform, float(frames.mean()) / self.fps)
+            waveform = augment_audio(waveform, rng)
+            if self.spectra.encoder.warps:
+                warp = MelWarp.draw(int(self._bins), rng)
+        middle = float(frames.mean())
+        features = self.spectra(waveform, middle / self.fps - began, warp)
+        places = middle + (frames - middle) / warp.stretch
+        label = torch.zeros(self.n_speakers)
+        label[clip.speaker] = 1
+        return Segment(features, *self._targets(clip, places), label)
+
+    @property
+    def _bins(self) -> Any:
+        return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
+
+    def _targets(self, clip: _Spoken, places: Floats) -> list[Tensor]:
+        empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
+        return [
+            torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
+            for name in ("stretch", "rotation", "offsets", "lips")
+        ]
+
+    def _surroundings(self, waveform: Rows, time: float) -> tuple[Rows, float]:
+        """What is near a moment, for the noise's sake, and the second that it begins at."""
+        reach = round(self.spectra.n_wide * self.spectra.hop)
+        start = max(round(time * SAMPLE_RATE) - reach, 0)
+        stop = max(round(time * SAMPLE_RATE) + reach, 1)
+        return waveform[start:stop], start / SAMPLE_RATE
+
+
+def between_frames(rows: Rows, places: Floats) -> Rows:
+    """Rows at fractional places, linear, held beyond the ends.
+
+    Parameters
+    ----------
+    rows : array [shape=(T, ...)]
+        Numbers of every frame.
+    places : array [shape=(K,)]
+        Frame numbers.
+
+    Returns
+    -------
+    array [shape=(K, ...)]
+    """
+    place = np.clip(places, 0, len(rows) - 1)
+    below = np.minimum(place.astype(np.int64), len(rows) - 2)
+    share = (place - below).astype(np.float32).reshape(-1, *[1] * (rows.ndim - 1))
+    out: Rows = rows[below] * (1 - share) + rows[below + 1] * share
+    return out

@@ -1,0 +1,71 @@
+"""What a mesh model hears: encoders that describe any moments of a recording.
+
+An encoder has two halves. `features` turns sound into spectra, evenly spaced, which augmentation
+may change; calling it turns spectra into a row for each given place. What depends on one spectrum
+alone is computed once a spectrum, not once in every window that holds it.
+
+Letters: B recordings, S samples, C channels, F bins, L spectra, T places, D features, W window.
+"""
+
+from abc import ABC, abstractmethod
+from fractions import Fraction
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.features import SAMPLE_RATE
+
+
+class Encoder(ABC, nn.Module):
+    """Base of the encoders.
+
+    Attributes
+    ----------
+    output_size : int
+        D.
+    frame_rate : float
+        Spectra per second; spectrum k is centred at k / frame_rate seconds.
+    reach : int
+        Spectra on either side of a place that it is heard with.
+    context_seconds : float
+        What a recurrence wants to hear beyond the first and last place; 0 without one.
+    warps : bool
+        Whether `MelWarp` may change the features: they are a mel spectrogram.
+    """
+
+    output_size: int
+    frame_rate: float
+    reach: int
+    context_seconds: float = 0.0
+    warps: bool = True
+
+    @abstractmethod
+    def features(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
+        """Map (B, S) at 16 kHz to (B, C, F, n_spectra) from spectrum `first`, silence outside."""
+
+    @abstractmethod
+    def forward(self, features: Tensor, places: Tensor) -> Tensor:
+        """Map (B, C, F, L) to rows (B, T, D) for the spectra `places` [shape=(T,)]."""
+
+    def heard(self, waveform: Tensor, first: int, last: int) -> Tensor:
+        """Features (B, C, F, last - first) of spectra first..last - 1; `first` may be negative."""
+        hop = Fraction(SAMPLE_RATE) / Fraction(self.frame_rate).limit_denominator(1000)
+        # Whole samples of silence before it, and two spectra for the derivatives.
+        before = max(2 - first, 0)
+        before += -before % hop.denominator
+        padded = F.pad(waveform, (round(before * hop), 0))
+        spectra = self.features(padded, last - first + 4, first + before - 2)
+        return spectra[..., 2:-2]
+
+
+def window_index(places: Tensor, window: int, length: int) -> Tensor:
+    """Spectra [shape=(T, W)] of the windows about places, their centre at W // 2; ends repeat."""
+    around = torch.arange(window, device=places.device) - window // 2
+    return (places.unsqueeze(1) + around).clamp(0, length - 1)
+
+
+def nearest_places(n_frames: int, fps: float, frame_rate: float, start: int = 0) -> Tensor:
+    """Spectrum nearest to each of frames start..n_frames - 1, at most half a hop away."""
+    times = torch.arange(start, n_frames, dtype=torch.float64) / fps
+    return torch.round(times * frame_rate).long()
