@@ -152,9 +152,8 @@ def _draw_curve(lane: Picture, values: Floats, color: tuple[int, int, int]) -> N
     lane[line] = color
 
 
-def label(picture: Picture, text: str, place: tuple[int, int], height: int = 11) -> Picture:
-    """`write_text` on a dark plate, so that it can be read over a face."""
+def label(picture: Picture, text: str, place: tuple[int, int], height: int = 11) -> None:
+    """Write `text` into `picture` on a dark plate, so that it can be read over a face."""
     x, y = place
     plate = picture[y - 4 : y + height + 4, x - 6 : x + text_width(text, height) + 4]
-    plate[:] = (plate * 0.35).astype(np.uint8)
-    return write_text(picture, text, place, height=height)
+    plate[:] = write_text((plate * 0.35).astype(np.uint8), text, (6, 4), height=height)

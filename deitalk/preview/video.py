@@ -127,18 +127,21 @@ def draw_frames(
             poses = head.pose(values[start : start + BATCH])
             for k, pose in enumerate(poses):
                 normals = vertex_normals(pose, head.mesh.faces)
-                faces = np.hstack([view.render(pose, normals) for view in views])
-                faces = _captioned(faces, source, panel, start + k)
-                yield np.vstack([faces, panel.at(start + k)])
+                picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
+                picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals)
+                picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals)
+                picture[FACE_HEIGHT:] = panel.at(start + k)
+                _caption(picture, source, panel.time_code(start + k), start + k)
+                yield picture
     finally:
         for view in views:
             view.close()
 
 
-def _captioned(picture: Picture, source: PreviewSource, panel: Panel, frame: int) -> Picture:
+def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int) -> None:
     """Title, time code, emotion and intensity over the faces."""
-    picture = label(picture, source.title[:40], (14, 14))
-    picture = label(picture, panel.time_code(frame), (14, FACE_HEIGHT - 24))
+    label(picture, source.title[:40], (14, 14))
+    label(picture, time_code, (14, FACE_HEIGHT - 24))
     curves = source.curves
     words = []
     if curves.emotion is not None:
@@ -146,7 +149,8 @@ def _captioned(picture: Picture, source: PreviewSource, panel: Panel, frame: int
         words.append(f"{EMOTIONS[strongest]} {curves.emotion[frame, strongest]:.0%}")
     if curves.intensity is not None:
         words.append(f"intensity {curves.intensity[frame]:.2f}")
-    return label(picture, "  ".join(words), (FACE_WIDTH + 14, 14)) if words else picture
+    if words:
+        label(picture, "  ".join(words), (FACE_WIDTH + 14, 14))
 
 
 def _encode(
@@ -188,7 +192,7 @@ def _feed(
     assert process.stdin is not None
     try:
         for done, frame in enumerate(frames, 1):
-            process.stdin.write(frame.tobytes())
+            process.stdin.write(frame.data)
             if progress is not None:
                 progress(done / total)
         process.stdin.close()
