@@ -11,7 +11,7 @@ from rig.mesh.closest import ClosestPoints, closest_barycentric
 from rig.mesh.eyelids import fit_lids
 from rig.mesh.guess import guess_landmarks
 from rig.mesh.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
-from rig.mesh.lips import lip_pairs
+from rig.mesh.lips import _along_slit, lip_pairs
 from rig.mesh.reconstruct import rigid_motion
 from rig.mesh.register import lip_labels, register
 from rig.mesh.retarget import sequence_for
@@ -251,3 +251,17 @@ def test_lips_that_share_a_landmark_are_refused(head):
     wrong = head.landmarks | {"lower_rim": head.landmarks["upper_rim"]}
     with pytest.raises(MeshError, match="landmark of the upper and of the lower lip"):
         register(head.mesh, head.landmarks, head.mesh, wrong)
+
+
+def test_one_pair_alone_makes_no_spike():
+    """Corrections are a weighted mean along the slit: even ones stay, a lone one is spread."""
+    slit = np.column_stack([np.linspace(0, 5, 51), np.zeros(51), np.zeros(51)])
+    even = np.full((1, 51, 3), 0.3)
+    np.testing.assert_allclose(_along_slit(slit, even, 0.2), even)
+    lone = np.zeros((1, 51, 3))
+    lone[0, 25, 1] = 1
+    spread = _along_slit(slit, lone, 0.2)[0, :, 1]
+    assert spread[25] < 0.35 and spread.argmax() == 25
+    np.testing.assert_allclose(spread, spread[::-1], atol=1e-12)
+    assert spread[25 + 2] / spread[25] == pytest.approx(np.exp(-1))  # 2 mm off, at the reach
+    assert spread.sum() == pytest.approx(1, abs=1e-6)

@@ -25,6 +25,8 @@ _NEAR_SLIT = 0.03
 """Lips are paired where they are this near, in widths of the mouth, or half again the gap."""
 _REPAIR_REACH = 0.08
 """How far a correction of the rim spreads over its lip, in widths of the mouth."""
+_SMOOTHING = 0.04
+"""How far corrections are averaged along the slit, in widths of the mouth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +128,7 @@ def repair_lips(
     ours = 0.5 * (rest[target_pairs.upper] + rest[target_pairs.lower])
     wanted = _inverse_distance(theirs, ours, parting)
     error = wanted - (result[:, target_pairs.upper] - result[:, target_pairs.lower])
+    error = _along_slit(ours, error, _SMOOTHING * target_pairs.width)
     for vertices, sign, side in ((target_pairs.upper, 0.5, 1), (target_pairs.lower, -0.5, -1)):
         lip = np.flatnonzero(registration.target_labels == side)
         near, reach = KDTree(rest[vertices]), _REPAIR_REACH * target_pairs.width
@@ -139,6 +142,17 @@ def repair_lips(
 def _nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
     distance, index = KDTree(points).query(queries)
     return np.asarray(distance), np.asarray(index, dtype=np.int64)
+
+
+def _along_slit(points: Floats, values: Floats, reach: float) -> Floats:
+    """Gaussian mean of values [shape=(K, P, 3)] over the pairs about each: no ripples of one pair.
+
+    Pairs near a corner see very different partings side by side; unsmoothed they stand out as
+    spikes there.
+    """
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    near = np.exp(-((apart / reach) ** 2))
+    return np.asarray(np.einsum("pq,kqc->kpc", near / near.sum(axis=1, keepdims=True), values))
 
 
 def _inverse_distance(points: Floats, queries: Floats, values: Floats) -> Floats:
