@@ -20,6 +20,7 @@ from deitalk.emotions import (
 )
 from deitalk.expression import Expression
 from deitalk.idle import add_idle_motion
+from deitalk.liveliness import heard_intensity
 from rig import RigCurves
 
 if TYPE_CHECKING:
@@ -107,12 +108,14 @@ def animate(
     weights = track.at(times)
     neutral, emotional, saliency, heard = _read(network, recording, weights, activity, progress)
     clock.lap("network")
-    predicted = heard * shown
+    strength = heard_intensity(heard, recording.waveform, activity)
+    predicted = strength * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
     rules = Expression(network.controls)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.decide(reading)
-    values = rules.blend(neutral, emotional, applied, predicted)
+        rules.enliven(reading, strength, heard)
+    values = rules.blend(neutral, emotional, applied, heard * shown)
     del emotional
     for reading in (neutral, values):
         rules.ease(reading)

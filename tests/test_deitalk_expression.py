@@ -168,3 +168,17 @@ def test_lips_start_closing_early_and_keep_their_contact():
     Expression(controls).ease(values)
     expected = [0, 0, 0.2, 0.6, 1, 0.6, 0.2, 0, 0]
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
+
+
+def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay():
+    curves = np.tile(CONTROLS.rest, (3, 1))
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    curves[:, jaw] = 0.4
+    curves[2, RULES.together] = 1
+    heard = np.full(3, 0.575, np.float32)
+    strength = np.array([0.575, 0.775, 0.775], np.float32)
+    plain = curves.copy()
+    RULES.enliven(curves, strength, heard)
+    np.testing.assert_allclose(curves[:, jaw], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
+    others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
+    np.testing.assert_array_equal(curves[:, others], plain[:, others])

@@ -1,86 +1,33 @@
 """Prosody as intensity: measured on a voice, and changed on purpose.
 
-The index that follows human ratings of arousal best without training is the mean of level, pitch
-and spectral tilt, each against the speaker's own average. `prosody_index` measures it;
-`apply_contour` moves all three along a known contour, so that the contour is an exact label.
+`deitalk.prosody` measures level, pitch and spectral tilt; `apply_contour` moves all three along a
+known contour, so that the contour is an exact label.
 
 Letters: S samples, N frames at 30 per second.
 """
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfilt
 
-from deitalk.audio import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio import SAMPLE_RATE
+from deitalk.prosody import SMOOTHING_SECONDS, measure_prosody
+from deitalk.prosody import prosody_index as index_of
+
+__all__ = ["SMOOTHING_SECONDS", "apply_contour", "contour_at", "prosody_index", "random_contour"]
 
 Floats = NDArray[np.float64]
 Audio = NDArray[np.float32]
 Contour = tuple[Floats, Floats]
 """Knots: seconds, and standard deviations of liveliness."""
 
-LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
-"""One standard deviation of each measure within a lively reading."""
-SMOOTHING_SECONDS = 0.2
-"""Sigma of the Gaussian that smooths the index: about 0.5 s wide at half its height."""
 GAIN_DB_PER_Z, SHELF_DB_PER_Z, SPEED_PER_Z = 4.5, 2.5, 0.05
 """What one standard deviation of an applied contour does to gain, treble and speed with pitch."""
 
 
 def prosody_index(waveform: Audio, n_frames: int) -> Floats:
-    """Level, pitch and tilt against the clip's own mean, in standard deviations [shape=(N,)].
-
-    Frames without speech take the index of their neighbours (weighted smoothing).
-
-    Parameters
-    ----------
-    waveform : ndarray [shape=(S,)]
-        16 kHz, any level.
-    n_frames : int
-        Frames N; frame i is at i / 30 seconds.
-    """
-    centres = np.round(np.arange(n_frames) * SAMPLE_RATE / FRAME_RATE).astype(int)
-    length = 1024
-    padded = np.pad(waveform.astype(np.float64), (length // 2, length))
-    frames = padded[centres[:, None] + np.arange(length)] * np.hanning(length)
-    spectrum = np.abs(np.fft.rfft(frames, 2 * length)) ** 2
-    level = 10 * np.log10(spectrum.mean(axis=1) + 1e-12)
-    active = level > np.percentile(level, 95) - 25
-    if active.sum() < 8:
-        return np.zeros(n_frames)
-    frequency = np.fft.rfftfreq(2 * length, 1 / SAMPLE_RATE)
-    high = spectrum[:, (frequency > 1000) & (frequency < 4000)].sum(axis=1)
-    low = spectrum[:, (frequency > 80) & (frequency < 1000)].sum(axis=1)
-    tilt = 10 * np.log10((high + 1e-12) / (low + 1e-12))
-    pitch, voiced = _pitch(spectrum)
-    voiced &= active
-    parts = [
-        _standard(level, active, LEVEL_DB),
-        _standard(tilt, active, TILT_DB),
-        _standard(pitch, voiced, PITCH_SEMITONES),
-    ]
-    index: Floats = np.mean(parts, axis=0)
-    return index
-
-
-def _pitch(power: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Semitones over 100 Hz by autocorrelation, and where it can be trusted."""
-    correlation = np.fft.irfft(power, axis=1)[:, :230]
-    correlation = correlation / (correlation[:, :1] + 1e-12)
-    lag = correlation[:, 36:].argmax(axis=1) + 36  # 70 to 444 Hz
-    strength = correlation[np.arange(len(lag)), lag]
-    return 12 * np.log2(SAMPLE_RATE / lag / 100), strength > 0.35
-
-
-def _standard(values: Floats, known: NDArray[np.bool_], spread: float) -> Floats:
-    """Smoothed deviation from the mean of the known frames; unknown frames are filled in."""
-    if known.sum() < 5:
-        return np.zeros(len(values))
-    deviation = np.where(known, values - values[known].mean(), 0.0)
-    sigma = SMOOTHING_SECONDS * FRAME_RATE
-    weight = gaussian_filter1d(known.astype(float), sigma, mode="constant")
-    smooth = gaussian_filter1d(deviation, sigma, mode="constant") / (weight + 0.02)
-    return np.clip(smooth / spread, -2.5, 2.5)
+    """`deitalk.prosody.prosody_index` of a recording [shape=(N,)]."""
+    return index_of(measure_prosody(waveform, n_frames))
 
 
 def random_contour(seconds: float, rng: np.random.Generator) -> Contour:

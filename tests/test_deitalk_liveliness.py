@@ -1,0 +1,55 @@
+"""Intensity heard in a voice: what measurement adds, and where it must change nothing."""
+
+import numpy as np
+import pytest
+from test_deitalk_prosody import voice
+
+from deitalk.activity import speech_activity
+from deitalk.liveliness import MOST_EFFORT, heard_intensity, whole_take
+from deitalk.prosody import measure_prosody
+
+
+def hear(waveform: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    return heard_intensity(strength, waveform, speech_activity(waveform))
+
+
+def test_a_brighter_take_is_heard_livelier_everywhere():
+    flat = np.full(90, 0.5, np.float32)
+    soft, loud = hear(voice(fall=1.2), flat), hear(voice(fall=0.8), flat)
+    assert (loud[5:80] > soft[5:80] + 0.03).all()
+
+
+def test_the_second_half_of_a_voice_that_rises_is_livelier():
+    waveform = voice(seconds=6)
+    waveform[3 * 16_000 :] *= 3
+    heard = hear(waveform, np.full(180, 0.5, np.float32))
+    assert heard[100:170].mean() > heard[10:80].mean() + 0.05
+
+
+def test_a_tremble_is_smoothed_and_its_mean_stays():
+    tremble = (0.5 + 0.2 * (-1.0) ** np.arange(90)).astype(np.float32)
+    steady = hear(voice(), np.full(90, 0.5, np.float32))
+    smoothed = hear(voice(), tremble)
+    assert np.abs(np.diff(smoothed[8:80])).max() < 0.02
+    assert smoothed[8:80].mean() == pytest.approx(steady[8:80].mean(), abs=0.04)
+
+
+def test_pauses_keep_what_the_network_says():
+    pause = np.zeros(3 * 16_000, np.float32)
+    waveform = np.concatenate((voice(), pause, voice()))
+    strength = np.linspace(0, 1, 270, dtype=np.float32)
+    heard = hear(waveform, strength)
+    np.testing.assert_array_equal(heard[115:160], strength[115:160])
+    assert np.abs(np.diff(heard)).max() < 0.15, "no seam beside speech"
+
+
+def test_silence_and_whispers_keep_the_network_s():
+    strength = np.linspace(0, 1, 90, dtype=np.float32)
+    np.testing.assert_array_equal(hear(np.zeros(48_000, np.float32), strength), strength)
+    assert hear(np.zeros(0, np.float32), strength[:0]).shape == (0,)
+
+
+def test_no_microphone_moves_a_take_further_than_the_limit():
+    for fall in (0.2, 5.0):
+        prosody = measure_prosody(voice(fall=fall), 90)
+        assert abs(whole_take(prosody)) <= MOST_EFFORT
