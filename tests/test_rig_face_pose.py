@@ -40,6 +40,47 @@ def rim_gaps(head, vertices: np.ndarray) -> np.ndarray:
     return skin[:, rim[MOUTH_COUNT - upper]] - skin[:, rim[upper]]
 
 
+def rim_middles(head, pose: dict[str, float]) -> np.ndarray:
+    """Upper and lower rim in the middle of the lips: (2, 3), y and z from where they meet."""
+    rim = head.features.loop(MOUTH, 0)
+    middle = head.pose(pose_values(pose))[rim[[13, 39]]].astype(float)
+    return middle - [0, head.features.anatomy.mouth_y, head._lip_z]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["brow_down", "brow_raiseIn", "brow_raiseOut", "eye_cheekRaise", "eye_squintInner",
+     "eye_faceScrunch", "eye_lidPress", "jaw_clench"],
+)  # fmt: skip
+def test_muscles_of_eyes_and_jaw_angle_leave_the_lips_alone(head, name):
+    red = np.flatnonzero((head.features.kind == MOUTH) & (head.features.ring <= 3))
+    moved = head.pose(pose_values({f"*{name}.ty": 1})) - head.mesh.vertices
+    assert np.abs(moved[red]).max() < 1e-4
+    assert np.abs(moved).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["cornerPull", "sharpCornerPull", "stretch", "cornerDepress"])
+def test_smile_and_frown_alone_keep_the_lips_closed(head, name):
+    gaps = rim_gaps(head, head.pose(pose_values({f"*mouth_{name}.ty": 1})[None]))
+    assert np.linalg.norm(gaps, axis=-1).max() < 0.05
+
+
+def test_upper_teeth_rest_on_the_lower_lip_for_f_and_stand_clear_of_it_for_m(head):
+    upper, lower = rim_middles(head, MOUTH_POSES["F V"])
+    assert lower[1] == pytest.approx(teeth.UPPER_EDGE, abs=0.08)
+    assert lower[2] == pytest.approx(-teeth.UPPER_BACK, abs=0.2)  # under them, not before them
+    assert upper[1] > teeth.UPPER_EDGE + 0.25  # and the teeth show
+    closed = rim_middles(head, MOUTH_POSES["M B P"])
+    assert closed[1, 2] > lower[2] + 0.2
+
+
+def test_pursed_upper_lip_covers_its_teeth(head):
+    upper, lower = rim_middles(head, MOUTH_POSES["UW (you)"])
+    assert upper[1] < teeth.UPPER_EDGE + 0.05
+    assert lower[1] < upper[1]
+    assert upper[2] > 0.7  # and stands out
+
+
 def test_rest_pose_is_the_neutral_head(head):
     assert np.abs(head.pose(CONTROLS.rest) - head.mesh.vertices).max() < 1e-5
 

@@ -14,10 +14,10 @@ from rig.face.topology import FILLER, MOUTH
 
 Inputs = dict[str, Array]
 _SEAL_RINGS = np.arange(-2, 10)
-_SEAL_SHARE = np.array([0.75, 1.0, 1.0, 0.95, 0.86, 0.73, 0.57, 0.41, 0.27, 0.16, 0.08, 0.03])
+_SEAL_SHARE = np.array([0.75, 1.0, 1.0, 0.93, 0.80, 0.62, 0.42, 0.27, 0.17, 0.10, 0.05, 0.02])
 _UPPER_PART = 0.38
 """The upper lip covers this share of the gap, the lower lip the rest."""
-_TUCK = 0.17
+_TUCK = 0.13
 """How much closer than elsewhere the lower lip's rim comes to the upper teeth, cm."""
 
 

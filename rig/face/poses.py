@@ -18,7 +18,7 @@ MOUTH_POSES: dict[str, dict[str, float]] = {
     "F V": {"CTRL_C_jaw.ty": 0.10, "*mouth_lipBiteD.ty": 0.8, "*mouth_upperLipRaise.ty": 0.3},
     "OW (go)": {"CTRL_C_jaw.ty": 0.30, "*mouth_funnelU.ty": 0.75, "*mouth_funnelD.ty": 0.75,
                 "*mouth_purseU.ty": 0.35, "*mouth_purseD.ty": 0.35},
-    "UW (you)": {"CTRL_C_jaw.ty": 0.13, "*mouth_purseU.ty": 1, "*mouth_purseD.ty": 1,
+    "UW (you)": {"CTRL_C_jaw.ty": 0.20, "*mouth_purseU.ty": 1, "*mouth_purseD.ty": 1,
                  "*mouth_funnelU.ty": 0.08, "*mouth_funnelD.ty": 0.12,
                  "CTRL_C_tongue_inOut.ty": 0.3},
     "SH CH": {"CTRL_C_jaw.ty": 0.06, "*mouth_funnelU.ty": 0.75, "*mouth_funnelD.ty": 0.75,

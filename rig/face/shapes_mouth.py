@@ -70,7 +70,8 @@ def _purse(side: str) -> Shape:
         close = (0.20 if side == "U" else 0.06) * p.bell**0.6  # the upper lip covers its teeth
         close = close * p.rings(m1=1, r0=1, r2=0.45, r3=0.15, r5=0)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
-        curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.60, r6=0.42)
+        far = 0.26 if side == "U" else 0.42  # the nose is near
+        curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.16 + 1.05 * far, r6=far)
         return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, s * close * m, out * curl * m
 
     return Shape(f"purse{side}", lips, reach=6)
@@ -92,7 +93,7 @@ def _bite(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s, bell = _share(p, side), _towards(side), p.bell**0.6
         dy = s * bell * p.rings(m1=-0.06, r0=0.02, r1=0.20, r2=0.34, r3=0.38, r4=0.30, r5=0.16)
-        dz = -bell * p.rings(m1=0.62, r0=0.62, r1=0.52, r2=0.36, r3=0.26, r5=0.1)
+        dz = -bell * p.rings(m1=0.56, r0=0.55, r1=0.50, r2=0.36, r3=0.26, r5=0.1)
         return -0.03 * p.u * m, dy * m, dz * m
 
     return Shape(f"bite{side}", lips)
