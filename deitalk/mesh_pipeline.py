@@ -113,7 +113,7 @@ def animate_mesh(
     progress : callable
         Told the share of the work that is done, 0 to 1.
     **options
-        More of `deitalk.animate`'s: idle, seed, intensity_curve.
+        More of `deitalk.animate`'s: intensity_curve, idle, seed.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def animate_mesh(
     recording = audio if isinstance(audio, Recording) else load_audio(audio)
     network = _loaded(model, device)
     if type(network).__name__ == "SDFA":
-        if emotion != "neutral" or intensity != 1:
+        if emotion != "neutral" or intensity != 1 or options.get("intensity_curve") is not None:
             raise EmotionError(
                 "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk "
                 "model such as default"

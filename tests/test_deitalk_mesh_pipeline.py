@@ -148,7 +148,7 @@ def test_sdfa_moves_its_speaker_s_template(sdfa_folder, speech):
 
 
 def test_sdfa_has_no_emotion_and_one_rate(sdfa_folder, speech):
-    for asked in ({"emotion": "happy"}, {"intensity": 0.5}):
+    for asked in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": "a.csv"}):
         with pytest.raises(EmotionError, match="no emotion and no intensity"):
             animate_mesh(speech, model=sdfa_folder, **asked)
     with pytest.raises(CheckpointError, match="--fps 60: this SDFA model makes 30"):

@@ -27,6 +27,9 @@ def mesh(
     intensity: Annotated[
         float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
     ] = 1.0,
+    intensity_curve: Annotated[
+        Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
+    ] = None,
     model: Annotated[
         str, typer.Option(help="default, compact, or a model folder, SDFA's too.")
     ] = "default",
@@ -69,7 +72,10 @@ def mesh(
         raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
-    acted: dict[str, Any] = {"emotion": emotion, "intensity": intensity, "model": model}
+    curve = None if intensity_curve is None else str(intensity_curve)
+    acted: dict[str, Any] = {
+        "emotion": emotion, "intensity": intensity, "intensity_curve": curve, "model": model
+    }  # fmt: skip
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
         from deitalk.mesh_pipeline import animate_mesh, is_sdfa
@@ -133,9 +139,7 @@ def _on_own_mesh(
     from rig.mesh.apply import retarget_curves
 
     network = load_model(acted["model"], device=device)
-    performance = animate(
-        speech, acted["emotion"], model=network, intensity=acted["intensity"], progress=progress
-    )
+    performance = animate(speech, **(acted | {"model": network}), progress=progress)
     curves = performance.curves if fps is None else performance.curves.resample(fps)
     report = retarget_curves(curves, mesh, out, landmarks=landmarks)
     summary = _described(report, curves.fps)
