@@ -12,9 +12,27 @@ from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
 from rig.face.render.shading import glsl, glsl_background
 
+SUPERSAMPLE = 1.5
+"""Side of the picture that is drawn, by the side of the one that is given back.
+
+Mesa's software driver, where most videos are made, takes 45 ms for a frame of video this way and
+62 ms with four samples a pixel.
+"""
+_WHOLE = """#version 330
+out vec2 place;
+void main() {
+  vec2 p = vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1);
+  place = 0.5 * p + 0.5; gl_Position = vec4(p, 0, 1);
+}
+"""
+_SHRINK = """#version 330
+in vec2 place; uniform sampler2D large; out vec4 color_;
+void main() { color_ = texture(large, place); }
+"""
+
 
 class OpenGLRenderer:
-    """Draws one mesh's poses on the GPU (or Mesa's software driver) with 4x antialiasing.
+    """Draws one mesh's poses on the GPU (or Mesa's software driver), supersampled.
 
     Raises
     ------
@@ -37,11 +55,13 @@ class OpenGLRenderer:
              (context.buffer(paint.tobytes()), "4f", "paint")],
             index,
         )  # fmt: skip
-        self._many = context.framebuffer(
-            [context.renderbuffer(size, 4, samples=4)],
-            context.depth_renderbuffer(size, samples=4),
-        )
+        large = (round(SUPERSAMPLE * size[0]), round(SUPERSAMPLE * size[1]))
+        self._large = context.texture(large, 4)  # read with linear filtering, moderngl's default
+        self._large.repeat_x = self._large.repeat_y = False
+        self._many = context.framebuffer([self._large], context.depth_renderbuffer(large))
         self._one = context.framebuffer([context.renderbuffer(size, 4)])
+        shrink = context.program(vertex_shader=_WHOLE, fragment_shader=_SHRINK)
+        self._shrink = context.vertex_array(shrink, [])
         sky_vertex, sky_fragment = glsl_background()
         sky = context.program(vertex_shader=sky_vertex, fragment_shader=sky_fragment)
         self._sky = context.vertex_array(sky, [])
@@ -60,14 +80,17 @@ class OpenGLRenderer:
         self._sky.render(vertices=3)
         context.enable(context.CULL_FACE)
         self._array.render()
-        context.disable(context.CULL_FACE)
-        context.copy_framebuffer(self._one, self._many)
+        context.disable(context.CULL_FACE | context.DEPTH_TEST)
+        self._one.use()
+        self._large.use(0)
+        self._shrink.render(vertices=3)
         raw = np.frombuffer(self._one.read(components=3, alignment=1), np.uint8)
         return np.ascontiguousarray(raw.reshape(height, width, 3)[::-1])
 
     def close(self) -> None:
         """Free this renderer's buffers; the context stays for the next one."""
-        for thing in (self._array, self._points, self._many, self._one, self._sky, self._program):
+        for thing in (self._array, self._points, self._many, self._large, self._one, self._sky,
+                      self._shrink, self._program):  # fmt: skip
             thing.release()
 
 
