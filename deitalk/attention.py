@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from deitalk.activity import normalise_level, speech_activity
-from deitalk.attention_plot import AttentionMap, attention_maps
+from deitalk.attention_plot import PLOSIVES, AttentionMap, attention_at
 from deitalk.audio import load_audio
 from deitalk.checkpoint import load_model, model_folder, read_about
+from deitalk.closures import VOWELS
 from deitalk.data.folder import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.features import RIG_RATE, nearest_spectra
@@ -164,4 +165,8 @@ def corpus_attention(
 def _maps(network: Any, clip: Clip) -> tuple[AttentionMap, AttentionMap]:
     assert clip.phones is not None
     heard = attention_of(network, load_audio(clip.audio).waveform)
-    return attention_maps(heard.weights, read_phones(clip.phones), heard.fps)
+    phones = read_phones(clip.phones)
+    vowels, plosives = (
+        attention_at(heard.weights, phones, heard.fps, names) for names in (VOWELS, PLOSIVES)
+    )
+    return vowels, plosives

@@ -6,7 +6,7 @@ vowel and plosive of a recording is averaged, with a number for how even the wei
 Letters: T frames, L spectra of a window.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,14 +80,18 @@ def attention_maps(
     DataError
         If the recording holds none of either.
     """
-    maps = []
-    for kind, names in (("vowel", VOWELS), ("plosive", PLOSIVES)):
-        found = [(s, e, p.rstrip("012")) for s, e, p in phones if p.rstrip("012") in names]
-        places = [min(round((s + e) / 2 * fps), len(weights) - 1) for s, e, _ in found]
-        if not places:
+    vowels, plosives = (attention_at(weights, phones, fps, names) for names in (VOWELS, PLOSIVES))
+    for kind, found in (("vowel", vowels), ("plosive", plosives)):
+        if not found.phones:
             raise DataError(f"the phones hold no {kind}; choose a longer recording")
-        maps.append(AttentionMap(weights[places], tuple(phone for *_, phone in found)))
-    return maps[0], maps[1]
+    return vowels, plosives
+
+
+def attention_at(weights: Floats, phones: Phones, fps: float, names: Set[str]) -> AttentionMap:
+    """Rows at the middle of every phone of some names; there may be none."""
+    found = [(s, e, p.rstrip("012")) for s, e, p in phones if p.rstrip("012") in names]
+    places = [min(round((s + e) / 2 * fps), len(weights) - 1) for s, e, _ in found]
+    return AttentionMap(weights[places], tuple(phone for *_, phone in found))
 
 
 def plot_attention(

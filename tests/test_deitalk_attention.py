@@ -104,7 +104,7 @@ def dataset(tmp_path):
         write_curves(folder / "curves" / f"{clip}.npz", rest)
         write_wav(folder / "audio" / f"{recording}.wav", speech())
         (folder / "phones" / f"{recording}.csv").write_text(
-            "start,end,phone\n0,0.3,SIL\n0.3,0.6,AA1\n0.6,0.7,P\n0.7,1.4,SIL\n"
+            "start,end,phone\n0,0.3,SIL\n0.3,0.6,AA1\n0.6,0.72,P\n0.72,1.4,SIL\n"
         )
         rows.append({
             "clip": clip, "audio": f"audio/{recording}.wav", "curves": f"curves/{clip}.npz",
@@ -118,9 +118,12 @@ def dataset(tmp_path):
 def test_a_recording_counts_once_however_many_clips_act_it(dataset):
     vowels, plosives = corpus_attention(network(), dataset)
     assert (vowels.phones, plosives.phones) == (("AA", "AA"), ("P", "P"))
-    row = attention_of(network(), speech()).weights[round(0.65 * 30)]
+    row = attention_of(network(), speech()).weights[round(0.66 * 30)]
     np.testing.assert_allclose(plosives.rows[0], row, atol=1e-3)  # 16 bit on the disk
     assert len(corpus_attention(network(), dataset, n_clips=1)[0].phones) == 1
+    (dataset / "phones" / "b.csv").write_text("start,end,phone\n0.3,0.6,IY1\n")
+    vowels, plosives = corpus_attention(network(), dataset)
+    assert (vowels.phones, plosives.phones) == (("AA", "IY"), ("P",))
     with pytest.raises(DataError, match="no clip of split 'test' has phones"):
         corpus_attention(network(), dataset, split="test")
 
