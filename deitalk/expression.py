@@ -23,8 +23,11 @@ CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
 STILL = 0.01
 """Openings below this are the network's murmur, not speech."""
 
-DECIDED, DECISION = 0.38, 2.0
-"""Lips-together value that becomes one half, and the factor on the distance from it, in logits."""
+DECIDED, DECISION = 0.33, 3.0
+"""Lips-together value that becomes one half, and the factor on the distance from it, in logits.
+
+Chosen on validation speakers: of the bilabials found, 92 % are held at 0.9 for two frames, and 2 %
+of the vowels shut the lips. Both rise together: at (0.27, 4) it is 99 % and 4.5 %."""
 
 LIVELINESS_GAIN, USUAL = 0.45, 0.575
 """A livelier moment opens more, by this factor on the intensity above the usual one."""
@@ -76,10 +79,10 @@ class Expression:
     def decide(self, curves: Floats) -> None:
         """Make contacts of what the network only believes, in place.
 
-        A network trained on squared errors answers a doubtful /b/ with 0.7: lips that almost meet
+        A network trained on squared errors answers a doubtful /b/ with 0.5: lips that almost meet
         and say nothing. An S-curve moves the lips-together and lip-bite controls away from the
-        middle: 0.2 becomes 0.14, 0.7 becomes 0.94; 0 and 1 stay. It is strictly rising, so the
-        order of any two frames remains.
+        middle: 0.2 becomes 0.12, 0.5 becomes 0.89, 0.7 becomes 0.99; 0 and 1 stay. It is strictly
+        rising, so the order of any two frames remains.
 
         Parameters
         ----------
