@@ -146,18 +146,33 @@ def test_the_groups_hold_what_they_say():
     assert (CONTROLS.rest[RULES.opening] == 0).all()  # quieten draws them towards 0
 
 
-def test_doubtful_contacts_are_decided_and_keep_their_order():
-    controls = default_controls()
-    rules = Expression(controls)
-    values = np.tile(controls.rest, (5, 1)).astype(np.float32)
-    place = controls.index("CTRL_L_mouth_lipsTogetherU.ty")
-    jaw = controls.index("CTRL_C_jaw.ty")
-    values[:, place] = [0, 0.2, 0.33, 0.5, 1]
-    values[:, jaw] = 0.7
-    rules.decide(values)
-    # odds of 0.5 against those of 0.33 are 2.0303; cubed 8.369; 8.369 / 9.369 = 0.8933
-    np.testing.assert_allclose(values[:, place], [0, 0.1156, 0.5, 0.8933, 1], atol=1e-3)
+def decided(curve: list[float]) -> np.ndarray:
+    values = np.tile(CONTROLS.rest, (len(curve), 1)).astype(np.float32)
+    place, jaw = (CONTROLS.index(n) for n in ("CTRL_L_mouth_lipsTogetherU.ty", "CTRL_C_jaw.ty"))
+    values[:, place], values[:, jaw] = curve, 0.7
+    RULES.decide(values)
     np.testing.assert_allclose(values[:, jaw], 0.7)
+    return values[:, place]
+
+
+@pytest.mark.parametrize(
+    ("height", "expected"),
+    # odds of 0.5 against those of 0.33 are 2.0303; cubed 8.369; 8.369 / 9.369 = 0.8933
+    [(0, 0), (0.2, 0.1156), (0.33, 0.5), (0.5, 0.8933), (1, 1)],
+)
+def test_a_doubtful_contact_is_decided(height, expected):
+    np.testing.assert_allclose(decided([height] * 3), expected, atol=1e-3)
+
+
+def test_lips_part_between_two_contacts():
+    """Half a peak: odds 1 against 7 / 3, cubed 0.0787, so 0.073 of what the peak becomes."""
+    first, between, second = decided([0.9, 0.45, 0.9])
+    assert first == second > 0.99
+    assert between == pytest.approx(0.073 * first, abs=1e-3)
+
+
+def test_deciding_nothing():
+    assert decided([]).shape == (0,)
 
 
 def test_lips_start_closing_early_and_keep_their_contact():
