@@ -51,8 +51,7 @@ SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue
 def _decided(values: Floats, middle: float) -> Floats:
     """S-curve from 0 to 1 that makes one half of `middle`."""
     odds = (values / np.maximum(1 - values, 1e-6) * (1 - middle) / middle) ** DECISION
-    decided: Floats = odds / (odds + 1)
-    return decided
+    return np.asarray(odds / (odds + 1), np.float32)
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class Expression:
             return
         values = np.clip(curves[:, self.seals], 0, 1)
         peaks: Floats = maximum_filter1d(values, PEAK_FRAMES, axis=0)
-        shares: Floats = values / np.maximum(peaks, np.float32(1e-6))
+        shares = np.asarray(values / np.maximum(peaks, 1e-6), np.float32)
         curves[:, self.seals] = _decided(peaks, DECIDED) * _decided(shares, SHOULDER)
 
     def enliven(self, curves: Floats, strength: Floats, heard: Floats) -> None:
