@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from deitalk.models import DEITalk
 
 FORMAT_VERSION = 1
-EMBEDDED = ("default", "compact")
+EMBEDDED = ("default",)
 """Models that come with the package; `embedded_models` lists those that are there."""
 MAX_BYTES = 4 * 1024**3
 
@@ -137,7 +137,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     Parameters
     ----------
     name_or_path : str or Path
-        ``default``, ``compact``, or a folder that `save_model` wrote.
+        ``default``, or a folder that `save_model` wrote.
     device : str
         ``cpu`` or ``cuda``.
 

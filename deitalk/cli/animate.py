@@ -35,7 +35,7 @@ def animate(
     intensity_curve: Annotated[
         Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
     ] = None,
-    model: Annotated[str, typer.Option(help="default, compact, or a model folder.")] = "default",
+    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,

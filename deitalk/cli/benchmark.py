@@ -9,7 +9,7 @@ from deitalk.cli.words import bar, words
 
 
 def benchmark(
-    model: Annotated[str, typer.Option(help="default, compact, or a model folder.")] = "default",
+    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
     seconds: Annotated[float, typer.Option(min=0.1, help="Length of the clip.")] = 30.0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 1,
     repeats: Annotated[int, typer.Option(min=1, help="Runs; the best counts.")] = 3,

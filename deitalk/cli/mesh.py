@@ -31,7 +31,7 @@ def mesh(
         Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
     ] = None,
     model: Annotated[
-        str, typer.Option(help="default, compact, or a model folder, SDFA's too.")
+        str, typer.Option(help="default, or a model folder, SDFA's too.")
     ] = "default",
     speaker: Annotated[
         str,

@@ -14,7 +14,7 @@ def plot(
     out: Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")],
     emotion: Annotated[str, typer.Option("--emotion", "-e", help="As for animate.")] = "neutral",
     intensity: Annotated[float, typer.Option(help="Factor on the intensity heard.")] = 1.0,
-    model: Annotated[str, typer.Option(help="default, compact, or a model folder.")] = "default",
+    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
     force: Annotated[bool, typer.Option("--force", help="Replace the picture.")] = False,
 ) -> None:
     """Draw key curves and the intensity against the waveform.
