@@ -250,6 +250,11 @@ class SDFAModelConfig(Section):
     )
     branch_sizes: tuple[Positive, ...] = (512, 256)
     weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
+    seal_mm: float = Field(
+        default=0.0,
+        ge=0,
+        description="embedded heads: lips no further apart are brought together; not in the paper",
+    )
 
 
 class MeshDataConfig(Section):

@@ -107,7 +107,7 @@ class Tally:
         self.errors: dict[str, list[Floats]] = {}
         self.gaps: dict[str, list[float]] = {
             f"{who}_{kind}": []
-            for who in ("model", "truth")
+            for who in ("model", "unsealed", "truth")
             for kind in ("bilabial", "after_s", "vowel")
         }
 
@@ -116,7 +116,7 @@ class Tally:
         out: dict[str, float] = {"clips": float(self.clips)}
         out |= {name: float(np.concatenate(rows).mean()) for name, rows in self.errors.items()}
         for name, gaps in self.gaps.items():
-            if not name.startswith("truth"):
+            if name.startswith("model"):
                 out[f"{name.removeprefix('model_')}s"] = float(len(gaps))
             label = name.removeprefix("model_")
             out[f"{label}_closed"] = (
@@ -159,7 +159,8 @@ def evaluate_mesh(
         all vertices and over the lips' rims; `still_mm`, what lips that never move would score;
         `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`; `bilabial_gap_mm`,
         median; `after_s...`, of those that follow an /s/; `vowel...`, of vowels, which should stay
-        open; `truth_...`, the same of the truth.
+        open; `unsealed_...`, the same without the model's seal (`deitalk.lip_seal`), if it has
+        one; `truth_...`, of the truth.
 
     Raises
     ------
@@ -207,9 +208,14 @@ def _has_transition(clip: Clip) -> bool:
 
 def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips: Lips) -> None:
     waveform, truth = act(clip, speaker, model.fps)
-    given = model.predict_mesh(waveform, speaker)
-    n_frames = min(len(given), len(truth))
-    given, truth = given[:n_frames], truth[:n_frames]
+    seal, model.seal = model.seal, None
+    try:
+        unsealed = model.predict_mesh(waveform, speaker)
+    finally:
+        model.seal = seal
+    n_frames = min(len(unsealed), len(truth))
+    unsealed, truth = unsealed[:n_frames], truth[:n_frames]
+    given = unsealed if seal is None else seal(unsealed)
     error = model.unit_mm * np.linalg.norm(given - truth, axis=-1)
     rest = model.template(speaker).vertices
     still = model.unit_mm * np.linalg.norm(truth[:, lips.both] - rest[lips.both], axis=-1)
@@ -220,7 +226,7 @@ def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips
     }
     phones = read_phones(clip.phones) if clip.phones else []
     found = {}
-    for who, vertices in (("model", given), ("truth", truth)):
+    for who, vertices in (("model", given), ("unsealed", unsealed), ("truth", truth)):
         gaps = smallest_gaps(lip_gap(vertices, lips, model.unit_mm), phones, model.fps)
         for kind, values in zip(("bilabial", "after_s", "vowel"), gaps, strict=True):
             found[f"{who}_{kind}"] = values
@@ -236,9 +242,15 @@ ROWS = {
     "clips": "clips", "lips_mm": "lips, mean error, mm", "still_mm": "lips that never move, mm",
     "mesh_mm": "all vertices, mean error, mm", "bilabials": "p b m",
     "bilabial_closed": "p b m closed to 1 mm", "bilabial_gap_mm": "p b m, median gap, mm",
+    "unsealed_bilabial_closed": "p b m closed, before the seal",
+    "unsealed_bilabial_gap_mm": "p b m, median gap before the seal, mm",
     "truth_bilabial_closed": "p b m closed, truth", "after_ss": "p b m after s",
     "after_s_closed": "p b m after s closed", "after_s_gap_mm": "p b m after s, median gap, mm",
-    "vowels": "vowels", "vowel_closed": "vowels closed", "vowel_gap_mm": "vowels, median gap, mm",
+    "unsealed_after_s_closed": "p b m after s closed, before the seal",
+    "unsealed_after_s_gap_mm": "p b m after s, median gap before the seal, mm",
+    "vowels": "vowels", "vowel_closed": "vowels closed",
+    "unsealed_vowel_closed": "vowels closed, before the seal",
+    "vowel_gap_mm": "vowels, median gap, mm",
     "truth_vowel_closed": "vowels closed, truth", "truth_vowel_gap_mm": "vowels, median gap, truth",
 }  # fmt: skip
 

@@ -119,42 +119,6 @@ def _all_numbers(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return out
 
 
-def trimmed(model: SDFA, sizes: dict[str, int]) -> SDFA:
-    """A copy of a model with the first components of its bases only (SDFA §4.4 proposes it).
-
-    Parameters
-    ----------
-    model : SDFA
-        Stays as it is.
-    sizes : dict of str to int
-        Components kept, by branch.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such branch, or it has fewer.
-    """
-    layers = {}
-    state = model.state_dict()
-    for branch, deviations in model.decoder.deviations.items():
-        size = sizes.get(branch, len(deviations))
-        if not 1 <= size <= len(deviations):
-            raise CheckpointError(f"{branch}: {size} of {len(deviations)} components; keep fewer")
-        prefix = f"decoder.branches.{branch}"
-        last = f"{prefix}.coefficients.{len(model.config.branch_sizes) * 2}."
-        for name in [n for n in state if n.startswith(last) or n.startswith(f"{prefix}.{FROZEN}")]:
-            if state[name].shape[0] == len(deviations):
-                state[name] = state[name][:size]
-        layers[branch] = InversePCA(*state[f"{prefix}.{FROZEN}.components"].shape)
-    unknown = sorted(sizes.keys() - layers.keys())
-    if unknown:
-        raise CheckpointError(f"{unknown[0]!r} is no branch; there are {', '.join(layers)}")
-    small = SDFA(model.config, layers, model.speakers, model.templates, fps=model.fps,
-                 unit_mm=model.unit_mm)  # fmt: skip
-    small.load_state_dict(state)
-    return small.eval()
-
-
 def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
     """Read a model, ready to predict.
 

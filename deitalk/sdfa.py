@@ -31,11 +31,13 @@ from deitalk.deformation_decoder import (
     MotionDecoder,
     Offsets,
 )
-from deitalk.errors import CheckpointError, DataError
+from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.frontends.karras import KarrasEncoder
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.frontends.voca import VocaEncoder
 from deitalk.frontends.windows import Encoder, nearest_places
+from deitalk.lip_seal import LipSeal
+from rig.face import build_head
 from rig.mesh import DeformationSolver, TriMesh
 
 FRAMES_AT_ONCE = 480
@@ -96,6 +98,7 @@ class SDFA(nn.Module):
             hidden=config.branch_sizes,
             normalise_weights=config.weight_norm,
         )
+        self.seal = _seal(config.seal_mm, self.templates, unit_mm)
 
     def forward(self, features: Tensor, places: Tensor, speaker: Tensor) -> Coefficients:
         """Map features (B, C, F, L), places (T,) and one-hot speakers (B, P) to (B, T, K)."""
@@ -209,9 +212,11 @@ class SDFA(nn.Module):
         """Vertices (T, V, 3) of a template in frames of gradients or offsets."""
         if isinstance(motion, Offsets):
             offsets = motion.offsets.cpu().numpy().reshape(-1, *template.vertices.shape)
-            return np.asarray(template.vertices + offsets, dtype=np.float32)
-        s, r = (rows.cpu().double().numpy() for rows in motion)
-        return np.asarray(_solver(template).solve(s, r), dtype=np.float32)
+            moved = np.asarray(template.vertices + offsets, dtype=np.float32)
+        else:
+            s, r = (rows.cpu().double().numpy() for rows in motion)
+            moved = np.asarray(_solver(template).solve(s, r), dtype=np.float32)
+        return moved if self.seal is None else self.seal(moved)
 
     def template(self, speaker: str | int) -> TriMesh:
         """Expressionless mesh of a speaker."""
@@ -241,6 +246,17 @@ def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
     if isinstance(config, SDFAMelConfig):
         return SDFAEncoder(config)
     return KarrasEncoder(config) if isinstance(config, KarrasConfig) else VocaEncoder(config)
+
+
+def _seal(reach_mm: float, templates: Mapping[str, TriMesh], unit_mm: float) -> LipSeal | None:
+    if reach_mm == 0:
+        return None
+    faces = build_head(0).skin.faces
+    if not all(np.array_equal(mesh.faces, faces) for mesh in templates.values()):
+        raise ConfigError(
+            f"model.seal_mm={reach_mm:g}: only the embedded heads' lips are known; set it to 0"
+        )
+    return LipSeal.of_heads(reach_mm, unit_mm)
 
 
 @lru_cache(maxsize=16)

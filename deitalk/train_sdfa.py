@@ -4,7 +4,6 @@ The main path is `train_sdfa`, then `_fit`, then `_step`. The run folder is that
 `deitalk.run_folder`, with ``meshes/`` beside it where the data had to be built.
 """
 
-import copy
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from deitalk.lip_reader import LipReader
 from deitalk.mesh_checkpoint import save_sdfa
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.run_folder import forget, log, open_folder, restore_state, save_state
-from deitalk.sdfa import SDFA
+from deitalk.sdfa import SDFA, build_encoder
 
 LOG_EVERY = 25
 DEVELOPMENT_CLIPS = 8
@@ -112,7 +111,7 @@ def train_sdfa(
         _copy_encoder(model, config.train.start_encoder)
     segments = _segments(config, folder, model)
     total = _n_steps(config.train, segments)
-    run = _start(config, model, total)
+    run = _start(config, model, _new_model(config, folder), total)
     if resume:
         state = restore_state(out, run.parts)
         run.step, run.best_score = int(state["step"]), float(state["best_score"])
@@ -160,12 +159,11 @@ def _copy_encoder(model: SDFA, name: str) -> None:
 
 def _segments(config: SDFAConfig, folder: MeshFolder, model: SDFA) -> Segments:
     settings = config.train
-    # Its own copy: the spectra are cut on the CPU, by other processes where there are workers.
     return Segments(
         folder.split("train"),
         model.speakers,
         folder.fps,
-        copy.deepcopy(model.encoder).cpu(),
+        build_encoder(config.model.frontend),  # of its own: spectra are cut on the CPU
         n_segments=settings.batch_size // settings.segment_frames,
         n_frames=settings.segment_frames,
         augment=config.data.augment,
@@ -179,7 +177,7 @@ def _n_steps(settings: MeshTrainConfig, segments: Segments) -> int:
     return max(math.ceil(settings.epochs * segments.n_frames_total / settings.batch_size), 1)
 
 
-def _start(config: SDFAConfig, model: SDFA, total: int) -> MeshRun:
+def _start(config: SDFAConfig, model: SDFA, average: SDFA, total: int) -> MeshRun:
     settings = config.train
     branches = list(model.decoder.deviations)
     names = term_names(branches, lips=settings.lip_weight > 0)
@@ -208,7 +206,8 @@ def _start(config: SDFAConfig, model: SDFA, total: int) -> MeshRun:
         )
     else:
         scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer, factor=1.0)
-    average = copy.deepcopy(model).eval().requires_grad_(False)
+    average.load_state_dict(model.state_dict())
+    average.eval().requires_grad_(False)
     return MeshRun(model, average, balance, optimizer, scheduler, total)
 
 

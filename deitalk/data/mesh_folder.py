@@ -277,8 +277,6 @@ def _check_templates(templates: Mapping[str, TriMesh]) -> None:
 def _check_sequences(
     sequences: Sequence[MeshSequence], templates: Mapping[str, TriMesh], out: Path
 ) -> None:
-    if not any(sequence.split == "train" for sequence in sequences):
-        raise DataError(f"{out}: no sequences to train on; check the source's clips and splits")
     seen: set[str] = set()
     for sequence in sequences:
         name = sequence.name
@@ -293,6 +291,8 @@ def _check_sequences(
                 f"clip {name!r}: split {sequence.split!r} is unknown; known are {', '.join(SPLITS)}"
             )
         seen.add(name)
+    if not any(sequence.split == "train" for sequence in sequences):
+        raise DataError(f"{out}: no sequences to train on; check the source's clips and splits")
 
 
 def read_mesh_folder(folder: Path | str) -> MeshFolder:
