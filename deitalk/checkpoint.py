@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from deitalk.models import DEITalk
 
 FORMAT_VERSION = 1
-EMBEDDED = ("default",)
+EMBEDDED = ("default", "sdfa")
 """Models that come with the package; `embedded_models` lists those that are there."""
 MAX_BYTES = 4 * 1024**3
 
@@ -150,11 +150,13 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     from deitalk.models import DEITalk
 
     folder = model_folder(name_or_path)
-    controls = default_controls()
-    _check_controls(folder, controls)
     config = load_config(folder / "config.yaml")
     if not isinstance(config, Config):
-        raise CheckpointError(f"{folder}: an SDFA model moves meshes; use deitalk.mesh_checkpoint")
+        raise CheckpointError(
+            f"{name_or_path}: an SDFA model moves meshes, not controls; use deitalk mesh --model"
+        )
+    controls = default_controls()
+    _check_controls(folder, controls)
     weights = read_weights(folder / "model.safetensors")
     model = DEITalk(config.model, controls, pretrained=False)
     try:
