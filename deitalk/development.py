@@ -75,8 +75,8 @@ class DevelopmentSet:
         """Errors, correlations and closures; ``score`` is what weights are chosen by.
 
         ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
-        over `ARTICULATION`, and the r of the intensity within speech: what a viewer notices, equally weighted.
-        Data without phones or intensity is scored by the rest; an empty set by 0.
+        over `ARTICULATION`, and the r of the intensity within speech: what a viewer notices,
+        equally weighted. Data without phones or intensity is scored by the rest; an empty set by 0.
 
         Parameters
         ----------

@@ -30,9 +30,7 @@ def mesh(
     intensity_curve: Annotated[
         Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
     ] = None,
-    model: Annotated[
-        str, typer.Option(help="default, or a model folder, SDFA's too.")
-    ] = "default",
+    model: Annotated[str, typer.Option(help="default, or a model folder, SDFA's too.")] = "default",
     speaker: Annotated[
         str,
         typer.Option(help="Name or number: who an SDFA model speaks as; else an embedded head."),
