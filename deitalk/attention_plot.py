@@ -9,14 +9,13 @@ Letters: T frames, L spectra of a window.
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.closures import VOWELS
-from deitalk.errors import DataError, MissingError
-from rig.files import atomic_write
+from deitalk.drawing import drawing
+from deitalk.errors import DataError
 
 PLOSIVES = frozenset("P B T D K G".split())
 
@@ -113,24 +112,22 @@ def plot_attention(
     MissingError
         If matplotlib is not installed.
     """
-    figure = _figure(10, 6)
-    axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
-    n_spectra = vowels.rows.shape[1]
-    times = (np.arange(n_spectra) - n_spectra // 2) / frame_rate * 1000
-    largest = max(float(kind.rows.max()) for kind in (vowels, plosives))
-    for column, (name, kind) in zip(
-        axes.T, (("vowels", vowels), ("plosives", plosives)), strict=True
-    ):
-        extent = (float(times[0]), float(times[-1]), len(kind.rows), 0)
-        column[0].imshow(kind.rows, aspect="auto", extent=extent, vmin=0, vmax=largest)
-        column[0].set_title(f"{name}: {len(kind.rows)}, evenness {kind.evenness:.2f}")
-        column[0].set_yticks(np.arange(len(kind.phones)) + 0.5, kind.phones, fontsize=6)
-        column[1].plot(times, kind.mean)
-        column[1].axhline(1 / n_spectra, color="0.7", lw=1)
-        column[1].set_ylim(0, largest)
-        column[1].set_xlabel("ms from the frame")
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=90)
+    with drawing(path, (10, 6)) as figure:
+        axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
+        n_spectra = vowels.rows.shape[1]
+        times = (np.arange(n_spectra) - n_spectra // 2) / frame_rate * 1000
+        largest = max(float(kind.rows.max()) for kind in (vowels, plosives))
+        for column, (name, kind) in zip(
+            axes.T, (("vowels", vowels), ("plosives", plosives)), strict=True
+        ):
+            extent = (float(times[0]), float(times[-1]), len(kind.rows), 0)
+            column[0].imshow(kind.rows, aspect="auto", extent=extent, vmin=0, vmax=largest)
+            column[0].set_title(f"{name}: {len(kind.rows)}, evenness {kind.evenness:.2f}")
+            column[0].set_yticks(np.arange(len(kind.phones)) + 0.5, kind.phones, fontsize=6)
+            column[1].plot(times, kind.mean)
+            column[1].axhline(1 / n_spectra, color="0.7", lw=1)
+            column[1].set_ylim(0, largest)
+            column[1].set_xlabel("ms from the frame")
 
 
 def plot_clip(weights: Floats, fps: float, frame_rate: float, phones: Phones, path: Path) -> None:
@@ -153,31 +150,24 @@ def plot_clip(weights: Floats, fps: float, frame_rate: float, phones: Phones, pa
         If matplotlib is not installed.
     """
     seconds, n_spectra = len(weights) / fps, weights.shape[1]
-    figure = _figure(min(max(6.0, 2.2 * seconds), 60.0), 4)
-    map_axis, even_axis = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    early, late = ((k - n_spectra // 2 - 0.5) / frame_rate * 1000 for k in (0, n_spectra))
-    map_axis.imshow(
-        weights.T, aspect="auto", extent=(0, seconds, late, early), vmin=0, interpolation="nearest"
-    )
-    map_axis.axhline(0, color="w", lw=0.5, alpha=0.5)
-    map_axis.set_ylabel("ms from the frame")
-    rows = [AttentionMap(weights[i : i + 1], ("",)).evenness for i in range(len(weights))]
-    even_axis.plot(np.arange(len(weights)) / fps, rows)
-    even_axis.set(ylim=(0, 1.02), ylabel="evenness", xlabel="seconds", xlim=(0, seconds))
-    for start, end, phone in phones:
-        name = phone.rstrip("012")
-        colour = "tab:red" if name in PLOSIVES else "tab:blue" if name in VOWELS else "0.5"
-        even_axis.axvline(start, color="0.85", lw=0.5)
-        map_axis.text((start + end) / 2, early, name, ha="center", va="bottom", fontsize=6,
-                      color=colour)  # fmt: skip
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=90)
-
-
-def _figure(width: float, height: float) -> Any:
-    """An empty matplotlib figure, inches."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
-    return Figure(figsize=(width, height), layout="constrained")
+    with drawing(path, (min(max(6.0, 2.2 * seconds), 60.0), 4)) as figure:
+        map_axis, even_axis = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        early, late = ((k - n_spectra // 2 - 0.5) / frame_rate * 1000 for k in (0, n_spectra))
+        map_axis.imshow(
+            weights.T,
+            aspect="auto",
+            extent=(0, seconds, late, early),
+            vmin=0,
+            interpolation="nearest",
+        )
+        map_axis.axhline(0, color="w", lw=0.5, alpha=0.5)
+        map_axis.set_ylabel("ms from the frame")
+        rows = [AttentionMap(weights[i : i + 1], ("",)).evenness for i in range(len(weights))]
+        even_axis.plot(np.arange(len(weights)) / fps, rows)
+        even_axis.set(ylim=(0, 1.02), ylabel="evenness", xlabel="seconds", xlim=(0, seconds))
+        for start, end, phone in phones:
+            name = phone.rstrip("012")
+            colour = "tab:red" if name in PLOSIVES else "tab:blue" if name in VOWELS else "0.5"
+            even_axis.axvline(start, color="0.85", lw=0.5)
+            map_axis.text((start + end) / 2, early, name, ha="center", va="bottom", fontsize=6,
+                          color=colour)  # fmt: skip

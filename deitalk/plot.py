@@ -3,11 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from deitalk.errors import MissingError
+from deitalk.drawing import draw_waveform, drawing
 from deitalk.pipeline import Performance
-from rig.files import atomic_write
 
 ROWS = (
     ("jaw", ("CTRL_C_jaw.ty",)),
@@ -38,32 +35,24 @@ def plot(performance: Performance, path: Path, title: str) -> None:
     MissingError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
-    figure = Figure(figsize=(12, 1.3 * (len(ROWS) + 1.6)), layout="constrained")
-    axes = figure.subplots(len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))])
-    _waveform(axes[0], performance, title)
-    times = performance.curves.times
-    for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
-        for name in names:
-            short = name.removeprefix("CTRL_").removesuffix(".ty")
-            axis.plot(times, performance.curves[name], lw=1.2, label=short)
-        axis.set_ylabel(label, rotation=0, ha="right", va="center")
-        axis.set_ylim(-0.05, 1.05)
-        axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
-    axes[-1].set_xlabel("seconds")
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=90)
+    with drawing(path, (12, 1.3 * (len(ROWS) + 1.6))) as figure:
+        axes = figure.subplots(
+            len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))]
+        )
+        _waveform(axes[0], performance, title)
+        times = performance.curves.times
+        for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
+            for name in names:
+                short = name.removeprefix("CTRL_").removesuffix(".ty")
+                axis.plot(times, performance.curves[name], lw=1.2, label=short)
+            axis.set_ylabel(label, rotation=0, ha="right", va="center")
+            axis.set_ylim(-0.05, 1.05)
+            axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
+        axes[-1].set_xlabel("seconds")
 
 
 def _waveform(axis: Any, performance: Performance, title: str) -> None:
-    waveform = performance.recording.waveform
-    step = max(len(waveform) // 6000, 1)
-    blocks = waveform[: len(waveform) // step * step].reshape(-1, step)
-    times = np.arange(len(blocks)) * step / 16_000
-    axis.fill_between(times, blocks.min(axis=1), blocks.max(axis=1), color="0.6", lw=0)
+    draw_waveform(axis, performance.recording.waveform)
     strength = axis.twinx()
     strength.plot(performance.curves.times, performance.curves.intensity, color="crimson")
     strength.set_ylim(0, 1.05)

@@ -14,11 +14,11 @@ from deitalk.corpus.acting import act
 from deitalk.corpus.articulation import CHANNELS, articulate
 from deitalk.corpus.phones import PHONES
 from deitalk.corpus.utterance import Phone
+from deitalk.drawing import drawing
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import DataError, MissingError
+from deitalk.errors import DataError
 from rig import default_controls
 from rig.face.render.renderer import Backend
-from rig.files import atomic_write
 
 SENTENCE = "SIL B OY Z F IY V AA M T UH N SH UW SIL DH AX W AO M P S L IY P IH NG F AE M L IY SIL"
 """Phones of the default picture: contacts, rounding, hisses and diphthongs."""
@@ -64,29 +64,23 @@ def plot_channels(phones: Sequence[Phone], path: Path) -> None:
     MissingError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("plots need matplotlib; pip install 'deitalk[plot]'") from None
     n_frames = int(np.ceil(phones[-1].end * FPS))
     channels = articulate(phones, n_frames, FPS)
     times = np.arange(n_frames) / FPS
-    figure = Figure(figsize=(14, 0.75 * len(CHANNELS) + 0.8), layout="constrained")
-    axes = figure.subplots(len(CHANNELS), 1, sharex=True)
-    for axis, name, values in zip(axes, CHANNELS, channels.T, strict=True):
-        axis.fill_between(times, values, color="C0", alpha=0.4, lw=0)
-        axis.plot(times, values, color="C0", lw=1)
-        axis.set_ylim(0, 1.05)
-        axis.set_yticks([])
-        axis.set_ylabel(name, rotation=0, ha="right", va="center")
+    with drawing(path, (14, 0.75 * len(CHANNELS) + 0.8)) as figure:
+        axes = figure.subplots(len(CHANNELS), 1, sharex=True)
+        for axis, name, values in zip(axes, CHANNELS, channels.T, strict=True):
+            axis.fill_between(times, values, color="C0", alpha=0.4, lw=0)
+            axis.plot(times, values, color="C0", lw=1)
+            axis.set_ylim(0, 1.05)
+            axis.set_yticks([])
+            axis.set_ylabel(name, rotation=0, ha="right", va="center")
+            for phone in phones:
+                axis.axvline(phone.start, color="0.85", lw=0.6, zorder=0)
         for phone in phones:
-            axis.axvline(phone.start, color="0.85", lw=0.6, zorder=0)
-    for phone in phones:
-        middle = (phone.start + phone.end) / 2
-        axes[0].text(middle, 1.12, phone.name, ha="center", fontsize=8)
-    axes[-1].set_xlabel("seconds")
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=90)
+            middle = (phone.start + phone.end) / 2
+            axes[0].text(middle, 1.12, phone.name, ha="center", fontsize=8)
+        axes[-1].set_xlabel("seconds")
 
 
 def phone_pose(name: str, emotion: str, intensity: float) -> np.ndarray:
