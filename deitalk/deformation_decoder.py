@@ -12,7 +12,7 @@ vertex offsets has one branch, K -> 3 V.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -138,6 +138,9 @@ class MotionDecoder(nn.Module):
         Weight normalisation on every layer that learns (§4.4); the frozen ones have none.
     """
 
+    branches: Mapping[str, Branch]
+    """An `nn.ModuleDict`, whose own type forgets what its modules are."""
+
     def __init__(
         self,
         in_size: int,
@@ -155,9 +158,8 @@ class MotionDecoder(nn.Module):
             else nn.Sequential(nn.Linear(in_size + n_speakers, shared), nn.LeakyReLU(SLOPE))
         )
         joined = (in_size if shared is None else shared) + n_speakers
-        self.branches = nn.ModuleDict(
-            {name: Branch(joined, hidden, layer) for name, layer in layers.items()}
-        )
+        branches = {name: Branch(joined, hidden, layer) for name, layer in layers.items()}
+        self.branches = cast("Mapping[str, Branch]", nn.ModuleDict(branches))
         if normalise_weights:
             for module in [m for m in self.modules() if isinstance(m, nn.Linear)]:
                 weight_norm(module)

@@ -80,16 +80,19 @@ class LipReader(nn.Module):
             rest = folder.templates[speaker].vertices
             partings.append(folder.unit_mm * (rest[folder.lips.upper] - rest[folder.lips.lower]))
         residual = float(np.sqrt((np.concatenate(errors) ** 2).sum(axis=1).mean()))
-        stacked = (torch.from_numpy(np.stack(x)).float() for x in (maps, partings))
-        return cls(*stacked, names, residual)
+        return cls(_stacked(maps), _stacked(partings), names, residual)
 
     def forward(self, coefficients: Coefficients, speaker: Tensor) -> Tensor:
         """Map coefficients (B, T, K) and one-hot speakers (B, P) to rims (B, T, 2 P, 3), mm."""
         rows = torch.cat([coefficients[name] for name in self.names], dim=-1)
         rows = torch.cat((rows, torch.ones_like(rows[..., :1])), dim=-1)
         out = torch.bmm(rows, self.maps[speaker.argmax(dim=1)])
-        return out.unflatten(-1, (-1, 3))
+        return torch.unflatten(out, -1, (-1, 3))
 
     def rest_parting(self, speaker: Tensor) -> Tensor:
         """Upper less lower rim of the templates [shape=(B, 1, P, 3)], mm."""
         return self.partings[speaker.argmax(dim=1)].unsqueeze(1)
+
+
+def _stacked(rows: list[NDArray[np.float64]]) -> Tensor:
+    return torch.from_numpy(np.stack(rows)).float()

@@ -77,7 +77,7 @@ def lip_loss(predicted: Tensor, target: Tensor, rest_parting: Tensor) -> Tensor:
     place = (predicted - target).square().sum(dim=-1).mean()
     given, wanted = (upper - lower for upper, lower in
                      (rims.chunk(2, dim=2) for rims in (predicted, target)))  # fmt: skip
-    gap = (wanted + rest_parting).norm(dim=-1)
+    gap: Tensor = (wanted + rest_parting).norm(dim=-1)
     weight = 1 / (1 + gap / SEAL_MM)
     parting = ((given - wanted).square().sum(dim=-1) * weight).mean()
     return place + 4 * parting

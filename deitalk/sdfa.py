@@ -137,7 +137,7 @@ class SDFA(nn.Module):
     def pieces(self, waveform: Any, speaker: str | int = 0) -> Iterator[Motion]:
         """As `predict`, some frames at a time: gradients of a minute take a gigabyte."""
         for coefficients in self.coefficients(waveform, speaker):
-            split = {k: rows.split(FRAMES_EXPANDED) for k, rows in coefficients.items()}
+            split = {k: torch.split(rows, FRAMES_EXPANDED) for k, rows in coefficients.items()}
             for rows in zip(*split.values(), strict=True):
                 yield self.decoder.expand(dict(zip(split, rows, strict=True)))
 

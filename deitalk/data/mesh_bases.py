@@ -148,7 +148,8 @@ def fit_mesh_bases(
             if p99 <= error_mm:
                 break
         small += cut
-    return MeshBases(*small, table=tuple(table))
+    small_stretch, small_rotation, small_offsets = small
+    return MeshBases(small_stretch, small_rotation, small_offsets, tuple(table))
 
 
 def _first(templates: Mapping[str, TriMesh]) -> Floats:

@@ -22,6 +22,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -230,7 +231,7 @@ def _write_clip(
     waveform, vertices = _loaded(sequence)
     offsets = vertices.astype(np.float64) - template.vertices
     s, r = _packed(template, vertices)
-    arrays = {
+    arrays: dict[str, Any] = {
         "stretch": bases.stretch.project(s).astype(np.float16),
         "rotation": bases.rotation.project(r).astype(np.float16),
         "offsets": bases.offsets.project(offsets.reshape(len(offsets), -1)).astype(np.float16),
@@ -244,7 +245,8 @@ def _write_clip(
 
 def _packed(template: TriMesh, vertices: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """As `pack_vertices`; triangles that stay where they are, most of a head, cost nothing."""
-    is_moved = (np.abs(vertices - template.vertices) > 1e-7 * template.size).any(axis=(0, 2))
+    is_off = np.abs(vertices - template.vertices) > 1e-7 * template.size
+    is_moved: NDArray[np.bool_] = np.asarray(is_off.any(axis=(0, 2)))
     moved = np.flatnonzero(is_moved[template.faces].any(axis=1))
     packed = []
     for rows in pack_vertices(TriMesh(template.vertices, template.faces[moved]), vertices):

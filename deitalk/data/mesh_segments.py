@@ -16,7 +16,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from deitalk.activity import normalise_level
 from deitalk.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
-from deitalk.data.mesh_folder import MeshClip
+from deitalk.data.mesh_folder import MOTION, MeshClip
 from deitalk.errors import DataError
 from deitalk.features import SAMPLE_RATE, derivative
 from deitalk.frontends.windows import Encoder
@@ -192,18 +192,18 @@ class Segments(IterableDataset[Segment]):
         places = middle + (frames - middle) / warp.stretch
         label = torch.zeros(self.n_speakers)
         label[clip.speaker] = 1
-        return Segment(features, *self._targets(clip, places), label)
+        return Segment(features=features, **self._targets(clip, places), speaker=label)
 
     @property
     def _bins(self) -> Any:
         return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
 
-    def _targets(self, clip: _Spoken, places: Floats) -> list[Tensor]:
+    def _targets(self, clip: _Spoken, places: Floats) -> dict[str, Tensor]:
         empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
-        return [
-            torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
-            for name in ("stretch", "rotation", "offsets", "lips")
-        ]
+        return {
+            name: torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
+            for name in MOTION
+        }
 
     def _surroundings(self, waveform: Rows, time: float) -> tuple[Rows, float]:
         """What is near a moment, for the noise's sake, and the second that it begins at."""

@@ -1,13 +1,19 @@
 """SDFA's speech encoder at any frame rate, and the two ablations of its parts (SDFA §5.2.2)."""
 
 from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config import SDFAMelConfig
-from deitalk.frontends.mel_bilstm import MelFrontend, normalise_weights
+from deitalk.frontends.mel_bilstm import (
+    MelFrontend,
+    SpectralGathering,
+    TemporalAttention,
+    normalise_weights,
+)
 from deitalk.frontends.windows import Encoder, window_index
 
 WINDOWS_AT_ONCE = 64
@@ -33,10 +39,12 @@ class SDFAEncoder(Encoder):
         self.reach = config.window_frames // 2
         if config.recurrence == "segment":
             self.context_seconds = CONTEXT_SECONDS
+        # The stand-ins are called as what they stand in for, and share no more with it.
         if config.gathering == "convolution":
-            self.frontend.spectral = ConvolutionGathering(config)
+            self.frontend.spectral = cast("SpectralGathering", ConvolutionGathering(config))
         if config.summary == "convolution":
-            self.frontend.attention = ConvolutionSummary(self.output_size, config.window_frames)
+            summary = ConvolutionSummary(self.output_size, config.window_frames)
+            self.frontend.attention = cast("TemporalAttention", summary)
         if config.weight_norm:
             for part, kind in ((self.frontend.spectral, ConvolutionGathering),
                                (self.frontend.attention, ConvolutionSummary)):  # fmt: skip
@@ -82,9 +90,9 @@ class SDFAEncoder(Encoder):
         index = window_index(places, self.config.window_frames, len(spectral))
         if self.config.recurrence == "segment":
             memory = self.frontend.recurrent(spectral)[0]
-            parts = [self._attend(memory[part])[1] for part in index.split(WINDOWS_AT_ONCE)]
+            parts = [self._attend(memory[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)]
         else:
-            parts = [self.attend(spectral[part])[1] for part in index.split(WINDOWS_AT_ONCE)]
+            parts = [self.attend(spectral[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)]
         return torch.cat(parts)
 
     def _centred(self, attended: Tensor, centre: Tensor) -> Tensor:
@@ -155,7 +163,8 @@ class ConvolutionSummary(nn.Module):
     def _all(self, memory: Tensor) -> Tensor:
         x = memory.transpose(1, 2)
         for layer in self.layers:
-            wide = layer.dilation[0]
+            assert isinstance(layer, nn.Conv1d)
+            (wide,) = layer.dilation
             x = F.leaky_relu(layer(F.pad(x, (wide, wide))), 0.2)
         return x.transpose(1, 2)
 
