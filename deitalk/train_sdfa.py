@@ -28,7 +28,7 @@ from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.lip_reader import LipReader
 from deitalk.mesh_checkpoint import save_sdfa
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
-from deitalk.run_folder import forget, log, open_folder, restore_state, save_state
+from deitalk.run_folder import go_on, keep, log, open_folder
 from deitalk.sdfa import SDFA, build_encoder
 
 LOG_EVERY = 25
@@ -113,10 +113,7 @@ def train_sdfa(
     total = _n_steps(config.train, segments)
     run = _start(config, model, _new_model(config, folder), total)
     if resume:
-        state = restore_state(out, run.parts)
-        run.step, run.best_score = int(state["step"]), float(state["best_score"])
-        for name in ("metrics.csv", "development.csv"):
-            forget(out / name, run.step)
+        run.step, run.best_score = go_on(out, run.parts, forgets=True)
         segments.skip = run.step
     progress(run.step, run.total, {})
     loss = MeshLoss(config, folder, segments).to(run.model.device)
@@ -316,12 +313,14 @@ def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -
     """Score the averaged weights, keep them if none were better, and save the state."""
     scores = mesh_scores(run.average, folder)
     log(out / "development.csv", run.step, {f"dev_{k}": v for k, v in scores.items()})
-    summary = {"step": run.step, "development": scores}
-    if scores["score"] >= run.best_score:
-        run.best_score = scores["score"]
-        save_sdfa(out / "best", run.average, config, summary)
-    save_sdfa(out / "last", run.average, config, summary)
-    save_state(out, run.parts, {"step": run.step, "best_score": run.best_score})
+    run.best_score = keep(
+        out,
+        run.parts,
+        run.step,
+        scores,
+        run.best_score,
+        lambda folder, summary: save_sdfa(folder, run.average, config, summary),
+    )
 
 
 def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> dict[str, float]:
