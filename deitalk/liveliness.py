@@ -46,7 +46,8 @@ def heard_intensity(strength: Floats, waveform: Floats, activity: Floats) -> Flo
     Returns
     -------
     ndarray [shape=(T,), range 0 to 1]
-        In speech at least 0.15; away from it, `strength`.
+        In speech at least 0.15. A pause goes from what was before it to what follows; before the
+        speech and after it, `strength`, but no more than the nearest speech.
 
     Notes
     -----
@@ -60,8 +61,9 @@ def heard_intensity(strength: Floats, waveform: Floats, activity: Floats) -> Flo
     z = _smoothed(_liveliness(strength), speaking)
     z += INDEX_WEIGHT * prosody_index(prosody) + whole_take(prosody)
     mended = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
+    pauses = _through_pauses(mended, strength, speaking)
     counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
-    heard: Floats = (strength + counts * (mended - strength)).astype(np.float32)
+    heard: Floats = (pauses + counts * (mended - pauses)).astype(np.float32)
     return heard
 
 
@@ -76,6 +78,16 @@ def _liveliness(strength: Floats) -> NDArray[np.float64]:
     share = np.clip((strength.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
     z: NDArray[np.float64] = np.log(share / (1 - share)) / STEEPNESS
     return z
+
+
+def _through_pauses(
+    mended: NDArray[np.float64], strength: Floats, speaking: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Intensity of the frames without speech: nobody is livelier for saying nothing."""
+    frames, spoken = np.arange(len(strength)), np.flatnonzero(speaking)
+    held: NDArray[np.float64] = np.interp(frames, spoken, mended[spoken])
+    outside = (frames < spoken[0]) | (frames > spoken[-1])
+    return np.where(outside, np.minimum(held, strength), held)
 
 
 def _smoothed(z: NDArray[np.float64], speaking: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -34,13 +34,25 @@ def test_a_tremble_is_smoothed_and_its_mean_stays():
     assert smoothed[8:80].mean() == pytest.approx(steady[8:80].mean(), abs=0.04)
 
 
-def test_pauses_keep_what_the_network_says():
+def test_a_pause_goes_from_what_was_before_it_to_what_follows():
     pause = np.zeros(3 * 16_000, np.float32)
     waveform = np.concatenate((voice(), pause, voice()))
-    strength = np.linspace(0, 1, 270, dtype=np.float32)
+    strength = np.full(270, 0.3, np.float32)
+    strength[100:170], strength[180:] = 0.95, 0.6  # a network may hear anything in silence
     heard = hear(waveform, strength)
-    np.testing.assert_array_equal(heard[115:160], strength[115:160])
+    middle = heard[120:150]
+    assert heard[60:75].mean() < middle[0] < middle[-1] < heard[195:210].mean()
     assert np.abs(np.diff(heard)).max() < 0.15, "no seam beside speech"
+
+
+def test_silence_around_speech_is_no_livelier_than_it():
+    silence = np.zeros(32_000, np.float32)
+    strength = np.full(210, 0.9, np.float32)
+    strength[60:150], strength[:20] = 0.4, 0.0
+    heard = hear(np.concatenate((silence, voice(), silence)), strength)
+    assert heard[25:50].max() < heard[75:135].max() + 0.05
+    assert heard[170:].max() < heard[75:135].max() + 0.05
+    np.testing.assert_array_equal(heard[:15], 0)
 
 
 def test_silence_and_whispers_keep_the_network_s():
