@@ -238,7 +238,7 @@ def test_windows_by_segments_equal_the_whole_clip():
 @torch.no_grad()
 def test_progress_ends_at_one():
     told = []
-    frontend(**SEGMENT).encode(noise(40)[0], 1200, progress=told.append)
+    frontend(**SEGMENT).encode(noise(80)[0], 2400, progress=told.append)
     assert told == pytest.approx([0.4, 0.8, 1.0])
 
 

@@ -15,10 +15,10 @@ from torch.nn.utils.parametrizations import weight_norm
 from deitalk.config import MelConfig
 from deitalk.features import SAMPLE_RATE, MelSpectrogram, nearest_spectra
 
-SEGMENT_FRAMES = 480
-"""Rig frames the Time-BiLSTM runs over at once on a clip (16 s)."""
-CONTEXT_FRAMES = 128
-"""Rig frames of context on either side of a segment, computed and thrown away (4.3 s). A slow test
+SEGMENT_FRAMES = 960
+"""Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
+CONTEXT_FRAMES = 256
+"""Rig frames of context on either side of a segment, computed and thrown away (8.5 s). A slow test
 holds the default weights to 1e-3 of the range between segments and one run over ten minutes; with
 half as much context they miss it."""
 
