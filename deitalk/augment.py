@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
+from scipy.interpolate import CubicSpline
 
 from deitalk.audio import SAMPLE_RATE
 
@@ -102,8 +103,8 @@ def augment(
 
 
 def _ratio_db(rng: np.random.Generator) -> float:
-    """Speech over noise: a third of the windows are hard to hear."""
-    low, high = (-2, 12) if rng.random() < 0.35 else (12, 48)
+    """Speech over noise: half of the windows are hard to hear."""
+    low, high = (-3, 14) if rng.random() < 0.5 else (14, 48)
     return float(rng.uniform(low, high))
 
 
@@ -158,19 +159,53 @@ def _limit_band(x: Floats, rng: np.random.Generator) -> Floats:
 def _noise(
     n: int, rng: np.random.Generator, noises: Sequence[Audio], voices: Sequence[Audio]
 ) -> Floats:
-    """Coloured, recorded or babble, at power 1."""
+    """Babble, recorded or made, at power 1; it may come and go."""
     kind = rng.random()
     if kind < 0.15 and len(voices) >= 4:
         chosen = [voices[int(rng.integers(len(voices)))] for _ in range(4)]
         noise = np.sum([_piece(voice, n, rng) for voice in chosen], axis=0)
-    elif kind < 0.5 and noises:
+    elif kind < 0.35 and noises:
         noise = _piece(noises[int(rng.integers(len(noises)))], n, rng)
+    elif kind < 0.85:
+        noise = _hiss(n, rng)
     else:
-        spectrum = fft.rfft(rng.standard_normal(fft.next_fast_len(n, real=True)))
-        spectrum *= (np.arange(len(spectrum)) + 1.0) ** -rng.choice((0.0, 0.5, 0.75, 1.0))
-        noise = fft.irfft(spectrum)[:n]
+        noise = _tone(n, rng)
+    if rng.random() < 0.4:
+        noise = noise * 10 ** (_wandering(n, rng, rng.uniform(1, 8)) * rng.uniform(3, 12) / 20)
     scaled: Floats = noise / (noise.std() + 1e-9)
     return scaled
+
+
+def _hiss(n: int, rng: np.random.Generator) -> Floats:
+    """Noise of a random colour: a slope of up to 6 dB an octave, and hills of up to 20 dB."""
+    spectrum = fft.rfft(rng.standard_normal(fft.next_fast_len(n, real=True)))
+    octaves = np.log2(np.arange(len(spectrum)) + 1.0)
+    gain_db = -6.02 * rng.uniform(0, 1) * octaves
+    if rng.random() < 0.6:
+        for _ in range(rng.integers(1, 5)):
+            place, width = octaves[-1] - rng.uniform(0, 7), rng.uniform(0.2, 1.2)
+            gain_db += rng.uniform(-20, 20) * np.exp(-(((octaves - place) / width) ** 2))
+    hiss: Floats = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
+    return hiss
+
+
+def _tone(n: int, rng: np.random.Generator) -> Floats:
+    """Harmonics of a pitch that wanders: engines, horns, animals."""
+    pitch = np.exp(rng.uniform(np.log(60), np.log(900)))
+    glide = 2 ** (rng.uniform(0, 0.6) * _wandering(n, rng, rng.uniform(0.5, 3)))
+    phase = 2 * np.pi * np.cumsum(pitch * glide) / SAMPLE_RATE
+    harmonics = range(1, int(min(7000 / (pitch * glide.max()), 12)) + 1)
+    fall = rng.uniform(0.3, 1.5)
+    tone: Floats = np.sum([np.sin(k * phase) * k**-fall for k in harmonics], axis=0)
+    return tone
+
+
+def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Floats:
+    """A smooth random course, most of it within -1 to 1, that turns some `hertz` times a second."""
+    knots = max(int(n / SAMPLE_RATE * hertz), 1) + 3
+    places = np.linspace(0, knots - 1, n)
+    course: Floats = CubicSpline(np.arange(knots), 0.6 * rng.standard_normal(knots))(places)
+    return np.clip(course, -1.5, 1.5)
 
 
 def _piece(recording: Audio, n: int, rng: np.random.Generator) -> Floats:

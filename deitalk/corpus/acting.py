@@ -99,7 +99,7 @@ def _lean(controls: ControlSet) -> Floats:
     for side, sign in (("CTRL_L_", 1), ("CTRL_R_", -1)):
         for i, name in enumerate(controls.names):
             if name.startswith(side) and name[len(side) :] not in _CONJUGATE:
-                lean[i] = sign * (0.06 if any(base in name for base in _CORNERS) else 0.02)
+                lean[i] = sign * (0.03 if any(base in name for base in _CORNERS) else 0.02)
     return lean
 
 
