@@ -18,6 +18,7 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
+    model_validator,
 )
 
 from deitalk.errors import ConfigError
@@ -140,6 +141,11 @@ class LossConfig(Section):
     contact: float = Field(
         default=0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
     )
+    distillation: float = Field(
+        default=1.0,
+        ge=0,
+        description="weight of the distance to the features of train.teacher; not in the paper",
+    )
     control_weights: dict[str, Annotated[float, Field(ge=0)]] = Field(
         default_factory=dict, description="weight of a control or subset in Eq. 12-13 (default 1)"
     )
@@ -158,6 +164,9 @@ class DataConfig(Section):
         ge=0,
         le=1,
         description="share of windows from recorded (not synthetic) speech",
+    )
+    cache_gigabytes: float = Field(
+        default=1.0, gt=0, description="clips a loading process keeps in memory; 0.4 an hour"
     )
 
 
@@ -182,6 +191,10 @@ class TrainConfig(Section):
     )
     seed: int = 0
     workers: int = Field(default=0, ge=0, description="processes that prepare windows")
+    teacher: str | None = Field(
+        default=None,
+        description="model (name or folder) whose speech features are learnt; not in the paper",
+    )
 
 
 class Config(Section):
@@ -236,10 +249,17 @@ class VocaConfig(Section):
     channels: tuple[Positive, ...] = Field(default=(32, 32, 64, 64), min_length=1)
 
 
+class DEITalkFeaturesConfig(Section):
+    """What a trained DEITalk model has made of speech and emotion; the model stays as it is."""
+
+    kind: Literal["deitalk"] = "deitalk"
+    model: str = Field(default="default", description="name or folder of the DEITalk model")
+
+
 class SDFAModelConfig(Section):
     """A speech encoder and the decoder of SDFA §3.4; defaults are Tables 1-3."""
 
-    frontend: SDFAMelConfig | KarrasConfig | VocaConfig = Field(
+    frontend: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig = Field(
         default_factory=SDFAMelConfig, discriminator="kind"
     )
     motion: Literal["gradients", "offsets"] = Field(
@@ -337,6 +357,17 @@ class SDFAConfig(Section):
     data: MeshDataConfig = MeshDataConfig()
     train: MeshTrainConfig = MeshTrainConfig()
 
+    @model_validator(mode="after")
+    def _features_are_computed_once(self) -> "SDFAConfig":
+        if self.model.frontend.kind != "deitalk":
+            return self
+        if self.data.fps != 30 or self.data.augment or self.train.start_encoder is not None:
+            raise ValueError(
+                "model.frontend.kind=deitalk needs data.fps=30, data.augment=false and no "
+                "train.start_encoder: its features are computed once, 30 a second"
+            )
+        return self
+
 
 AnyConfig = Config | SDFAConfig
 
@@ -363,7 +394,7 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
 
 
 def _problem(item: Any) -> str:
-    kinds = ("mel", "wav2vec", "karras", "voca")
+    kinds = ("mel", "wav2vec", "karras", "voca", "deitalk")
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":

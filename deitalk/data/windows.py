@@ -25,9 +25,6 @@ from deitalk.errors import DataError
 from deitalk.features import RIG_RATE, SAMPLE_RATE
 from rig import ControlSet, read_curves
 
-CACHE_BYTES = 1_000_000_000
-"""Clips that one process keeps in memory: some 2300 of six seconds."""
-
 
 class Window(NamedTuple):
     """One training example; a batch has the same fields with a leading axis."""
@@ -176,7 +173,8 @@ class Batches(IterableDataset[Window]):
 
     Every clip is as likely as another, whatever its length (recorded ones by
     `DataConfig.real_fraction`); within a clip the first frame is a random multiple of the stride.
-    The clips used last stay in memory, up to `CACHE_BYTES`.
+    The clips used last stay in memory, `DataConfig.cache_gigabytes`
+    of them.
 
     Deviation: §4.1 passes over all windows of all clips; drawing with replacement sees as many
     windows in an epoch, needs no list of them, and can be resumed at any batch.
@@ -218,7 +216,7 @@ class Batches(IterableDataset[Window]):
         self.rank, self.world = rank, world
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
-        self.cache = MaterialCache(controls)
+        self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
 
     def __iter__(self) -> Iterator[Window]:
         """Yield this worker's batches, stacked."""
@@ -272,7 +270,7 @@ class MaterialCache:
         Memory for arrays; the clip used longest ago goes first. One clip always stays.
     """
 
-    def __init__(self, controls: ControlSet, max_bytes: int = CACHE_BYTES) -> None:
+    def __init__(self, controls: ControlSet, max_bytes: int) -> None:
         self.controls, self.max_bytes = controls, max_bytes
         self.n_bytes = 0
         self._kept: OrderedDict[Clip, Material] = OrderedDict()
