@@ -4,7 +4,8 @@ import numpy as np
 
 from rig.face.identity import Identity
 from rig.face.mesh import Array, Mesh, grid_faces, join, painted, smoothstep, unit
-from rig.face.sdf import project
+from rig.face.sdf import cast
+from rig.face.skin import direction_points
 
 _COLUMNS, _ROWS = 112, 18
 _AXIS = np.array([0.0, 2.2, -0.9])
@@ -28,7 +29,7 @@ def hair(identity: Identity) -> Mesh:
     direction = np.stack(
         [np.cos(elevation) * np.sin(turn), np.sin(elevation), np.cos(elevation) * np.cos(turn)], -1
     )
-    on_skin = _cast(direction.reshape(-1, 3), identity).reshape(_ROWS, _COLUMNS, 3)
+    on_skin = cast(_AXIS, direction.reshape(-1, 3), identity).reshape(_ROWS, _COLUMNS, 3)
     thick = _thickness(rise[:, None], turn[None], elevation, identity)
     shell = on_skin + thick[..., None] * direction
     hem = on_skin[0] - 0.25 * direction[0]
@@ -50,18 +51,6 @@ def _lining(shell: Mesh) -> Mesh:
     return Mesh(
         shell.vertices[:count], faces, shell.colors[:count] * 0.45, shell.gloss[:count] * 0.2
     )
-
-
-def _cast(direction: Array, identity: Identity) -> Array:
-    """Points of the skull along rays from `_AXIS` (through two steps of the head's own rays)."""
-    from rig.face.sdf import CENTER
-
-    point = _AXIS + 9.0 * direction
-    for _ in range(4):
-        hit = project(unit(point - CENTER), identity)
-        distance = ((hit - _AXIS) * direction).sum(1, keepdims=True)
-        point = _AXIS + distance * direction
-    return project(unit(point - CENTER), identity)
 
 
 def _thickness(rise: Array, turn: Array, elevation: Array, identity: Identity) -> Array:
@@ -103,29 +92,19 @@ def _hanging(shell: Array, hem: Array, turn: Array, identity: Identity) -> list[
     return [np.stack([inner, *rows])]
 
 
-def brow(identity: Identity, mirror: int = 1) -> tuple[Mesh, Array]:
-    """One eyebrow lying on the skin, and each vertex's place along it (0 inner, 1 outer)."""
+def brow(identity: Identity) -> Mesh:
+    """The left eyebrow, lying on the skin."""
     columns, around = 22, 8
     s = np.linspace(0, 1, columns)
     x = (0.95 + 3.95 * s) * (0.5 + 0.5 * identity.eye_spacing)
     y = 1.72 + 0.66 * np.sin(np.pi * np.minimum(s * 0.84, 1)) - 0.36 * s**3 + identity.brow_lift_cm
     thick = 0.36 * (1 - 0.78 * s**1.6) * np.minimum(1, 0.3 + s * 4) * identity.brow_thickness
     aim = np.stack([x, y, 8.4 - 0.30 * np.maximum(x - 2.0, 0)], -1)
-    from rig.face.skin import direction_points
-
-    vertices = []
-    for row in np.linspace(-1, 1, around):
-        spread = aim + np.stack([0 * s + 0.10 * row * (1 - s), thick * row, 0 * s], -1)
-        on_skin = direction_points(spread, identity)
-        lift = 0.12 * np.sqrt(max(1 - row * row, 0)) + 0.025
-        vertices.append(on_skin + lift * unit(on_skin - [0, 1, 0]))
-    grid = np.stack(vertices)
-    flat = grid.reshape(-1, 3) * [mirror, 1, 1]
-    faces = grid_faces(around, columns, closed=False)
-    mesh = painted(
-        flat, faces if mirror > 0 else faces[:, ::-1], np.array(identity.hair) * 0.8, 0.05
-    )
-    place = np.tile(s, around)
-    blend = np.clip(np.minimum(place * 7 + 0.35, 1), 0, 1)[:, None]
-    colors = mesh.colors * blend + np.array(identity.skin) * 0.8 * (1 - blend)
-    return Mesh(flat, mesh.faces, colors, mesh.gloss), place
+    row = np.linspace(-1, 1, around)[:, None]
+    spread = aim + np.stack([0.10 * row * (1 - s), thick * row, 0 * row * s], -1)
+    on_skin = direction_points(spread.reshape(-1, 3), identity).reshape(spread.shape)
+    lift = 0.12 * np.sqrt(np.maximum(1 - row**2, 0)) + 0.025
+    vertices = (on_skin + lift[..., None] * unit(on_skin - [0, 1, 0])).reshape(-1, 3)
+    blend = np.tile(np.clip(s * 7 + 0.35, 0, 1), around)[:, None]
+    colors = np.array(identity.hair) * 0.8 * blend + np.array(identity.skin) * 0.8 * (1 - blend)
+    return painted(vertices, grid_faces(around, columns, closed=False), colors, 0.05)

@@ -108,7 +108,8 @@ class Head:
         parts["teeth_upper"] = teeth.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
         parts["teeth_lower"] = teeth.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
         parts["tongue"], self._tongue_place = teeth.tongue(place.mouth_y, self._lip_z)
-        parts["brow_L"], parts["brow_R"] = hair.brow(i)[0], hair.brow(i, -1)[0]
+        parts["brow_L"] = hair.brow(i)
+        parts["brow_R"] = mirrored(parts["brow_L"])
         parts["ear_L"] = ears.ear(i)
         parts["ear_R"] = mirrored(parts["ear_L"])
         parts["hair"] = hair.hair(i)

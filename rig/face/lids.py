@@ -67,12 +67,12 @@ class Lids:
         gap = np.where(eye.upper > 0, angle - opposite, opposite - angle)
         gap = np.maximum(gap, 0)
         close, raise_ = _lid_shares(inputs, name)
-        widen, dip = _lid_angles(inputs, name)
+        widen, dip, ride = (angle[:, None] * eye.arch for angle in _lid_angles(inputs, name))
         close = close + 0.30 * np.clip(inputs[f"lid.frown_{name}"], 0, 1)[:, None] * _inner(eye)
-        up = -(1 - _MEET) * np.clip(close, 0, 1) * gap + widen[:, None] * eye.arch
+        up = -(1 - _MEET) * np.clip(close, 0, 1) * gap + widen - ride
         room = 1 - (1 - _MEET) * np.clip(close, 0, 1)
         low = np.minimum(np.clip(np.maximum(raise_, _MEET * (close >= 1)), 0, 1), room) * gap
-        low = low - dip[:, None] * eye.arch * (1 - np.clip(close, 0, 1))
+        low = low - dip * (1 - np.clip(close, 0, 1)) - ride
         turn = np.where(eye.upper > 0, up, low)
         return turn * (eye.arch > 1e-6)
 
@@ -85,21 +85,22 @@ def _inner(eye: _Eye) -> Array:
 
 def _lid_shares(inputs: Inputs, name: str) -> tuple[Array, Array]:
     """Shares (T, 1) of the opening that the upper lid closes and the lower lid rises."""
-    get = {k: inputs[f"lid.{k}_{name}"] for k in ("close", "upper", "lower", "lookDown", "lookUp")}
+    get = {k: inputs[f"lid.{k}_{name}"] for k in ("close", "upper", "lower", "lookDown")}
     blink = np.clip(get["close"], 0, 1)
     open_ = 1 - blink
     upper = blink + open_ * (
-        0.85 * np.clip(get["upper"], 0, 1) + 0.42 * np.clip(get["lookDown"], 0, 1)
+        0.85 * np.clip(get["upper"], 0, 1) + 0.60 * np.clip(get["lookDown"], 0, 1)
     )
     lower = open_ * np.clip(get["lower"], 0, 1) * 0.8 + blink * _MEET
     return upper[:, None], lower[:, None]
 
 
-def _lid_angles(inputs: Inputs, name: str) -> tuple[Array, Array]:
-    """Extra turns (T,), radians: the upper lid upwards, the lower lid downwards."""
+def _lid_angles(inputs: Inputs, name: str) -> tuple[Array, Array, Array]:
+    """Extra turns (T,), radians: upper lid up, lower lid down, and both down with the gaze."""
     get = {k: np.clip(inputs[f"lid.{k}_{name}"], 0, 1)
            for k in ("widen", "upperUp", "lowerDown", "lookUp", "lookDown", "close")}  # fmt: skip
     open_ = 1 - get["close"]
-    widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.20 * get["lookUp"]) * open_
-    dip = 0.06 * get["widen"] + 0.16 * get["lowerDown"] + 0.16 * get["lookDown"]
-    return np.minimum(widen, 0.36), np.minimum(dip, 0.26)
+    widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.10 * get["lookUp"]) * open_
+    dip = 0.06 * get["widen"] + 0.16 * get["lowerDown"]
+    ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
+    return np.minimum(widen, 0.36), np.minimum(dip, 0.26), ride

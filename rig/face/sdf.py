@@ -106,12 +106,18 @@ def project(directions: Array, identity: Identity, samples: int = 60) -> Array:
     origin = CENTER + bend[:, None] * np.array([0, -15.5, -3.3])
     flat = np.stack([np.ones_like(bend), 1 - 0.97 * bend, np.ones_like(bend)], -1)
     ray = unit(directions * flat)
+    return cast(origin, ray, identity, samples)
+
+
+def cast(origin: Array, ray: Array, identity: Identity, samples: int = 60) -> Array:
+    """Outermost point of the skin along each ray (n, 3); `origin` is one (3,) or each ray's own."""
+    start = np.broadcast_to(origin, ray.shape)
     t = np.linspace(1.0, 30.0, samples)
-    inside = head_distance(origin[:, None] + t[:, None] * ray[:, None], identity) < 0
+    inside = head_distance(start[:, None] + t[:, None] * ray[:, None], identity) < 0
     last = samples - 2 - np.argmax(inside[:, :-1][:, ::-1], axis=1)
     low, high = t[last], t[last + 1]
     for _ in range(22):
         middle = 0.5 * (low + high)
-        is_inside = head_distance(origin + middle[:, None] * ray, identity) < 0
+        is_inside = head_distance(start + middle[:, None] * ray, identity) < 0
         low, high = np.where(is_inside, middle, low), np.where(is_inside, high, middle)
-    return np.asarray(origin + (0.5 * (low + high))[:, None] * ray)
+    return np.asarray(start + (0.5 * (low + high))[:, None] * ray)

@@ -14,7 +14,7 @@ from rig.face import loops
 from rig.face.mesh import Array, Index, Mask, smoothstep, vertex_normals
 from rig.face.skin import Skin
 from rig.face.solve import ThinPlate
-from rig.face.topology import EYE_L, EYE_R, FILLER, MOUTH
+from rig.face.topology import EYE_L, EYE_R, FILLER, MOUTH, NOSTRIL_L
 
 Number = float | Array
 Triple = tuple[Number, Number, Number]
@@ -89,6 +89,7 @@ class ShapeMaker:
         self.lid = is_eye & (skin.ring <= 1)
         far = (v[:, 1] < -13.8) | (v[:, 2] < -1.8) | (v[:, 1] > 8.2) | (np.abs(v[:, 0]) > 6.75)
         self.still = far & (skin.kind == FILLER)
+        self.nose = _nose(skin)
 
     def make(self, shape: Shape) -> dict[str, Array]:
         """Displacements by name: one for a whole shape, two for a split one."""
@@ -113,6 +114,7 @@ class ShapeMaker:
         lips = (skin.kind == MOUTH) & (skin.ring <= shape.reach)
         fixed = fixed | lips
         if shape.lips is not None:
+            fixed = fixed | self.nose
             values[lips] = self._lip_motion(shape.lips, lips)
         for x, y, dx, dy, dz in shape.points:
             for side in (1, -1) if x else (1,):
@@ -147,6 +149,14 @@ class ShapeMaker:
         roll = 0.75 * depth * np.exp(-(((signed - 2.1 * width) / (1.5 * width)) ** 2))
         front = smoothstep((v[:, 2] - 1.5) / 2) * ~self.lid * (self.skin.ring >= 0)
         return np.asarray(((groove + roll) * front)[:, None] * self.normals)
+
+
+def _nose(skin: Skin) -> Mask:
+    """Tip and bridge of the nose, which the lips pull at in vain."""
+    rim = skin.vertices[skin.loop(NOSTRIL_L, 0)]
+    x, y, z = np.abs(skin.vertices[:, 0]), skin.vertices[:, 1], skin.vertices[:, 2]
+    front = (skin.kind == FILLER) & (x < 0.8) & (z > rim[:, 2].mean() - 0.2)
+    return np.asarray(front & (y > rim[:, 1].mean()) & (y < -1.5))
 
 
 def _signed_distance(points: Array, line: Array) -> Array:

@@ -71,7 +71,7 @@ def _purse(side: str) -> Shape:
         close = close * p.rings(m1=1, r0=1, r2=0.45, r3=0.15, r5=0)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
         far = 0.26 if side == "U" else 0.42  # the nose is near
-        curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.04, r3=0.94, r5=0.16 + 1.05 * far, r6=far)
+        curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.02, r3=0.90, r5=0.25 + far, r6=0.05 + far)
         return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, s * close * m, out * curl * m
 
     return Shape(f"purse{side}", lips, reach=6)

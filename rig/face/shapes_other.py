@@ -18,7 +18,7 @@ def side_shapes(maker: ShapeMaker) -> dict[str, Array]:
     fade = np.interp(-points.ring, [1, 3, 5], [1, 0.5, 0])
     share = {"mouthSide": np.ones(lips.sum()), "lipShiftU": points.upper, "lipShiftD": points.lower}
     reach = {"mouthSide": 0.75, "lipShiftU": 0.42, "lipShiftD": 0.42}
-    fixed, shapes = maker.still | maker.lid | lips, {}
+    fixed, shapes = maker.still | maker.lid | maker.nose | lips, {}
     for name, weight in share.items():
         values = np.zeros((len(skin.vertices), 3))
         values[lips, 0] = reach[name] * weight * fade

@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.face.mesh import Array, Mesh, grid_faces, join, mirrored, painted
 
-TOOTH = np.array([0.85, 0.82, 0.75])
+TOOTH = np.array([0.83, 0.77, 0.71])
 GUM = np.array([0.66, 0.33, 0.33])
 UPPER_WIDTHS = np.array([0.76, 0.60, 0.66, 0.60, 0.58, 0.74])
 LOWER_WIDTHS = np.array([0.50, 0.54, 0.60, 0.60, 0.62, 0.76])
@@ -31,7 +31,7 @@ def _tooth(width: float, height: float, thickness: float) -> Mesh:
         [ring * np.cos(turn), np.cos(polar)[:, None] * np.ones(12), ring * np.sin(turn)], -1
     ).reshape(-1, 3)
     box = np.sign(ball) * np.abs(ball) ** 0.55 * [width / 2, height, thickness]
-    return painted(box, grid_faces(9, 12), TOOTH, 0.8)
+    return painted(box, grid_faces(9, 12), TOOTH, 0.55)
 
 
 def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
@@ -49,13 +49,19 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
         yaw = np.arctan2(-(z2 - z), x2 - x)
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
         place = np.array([x, edge + up * height, z])
-        shade = np.interp(z, [5.0, 8.0], [0.45, 1.0]) * (1.0 if is_upper else 0.8)
-        tooth = Mesh(
-            tooth.vertices @ turn.T + place, tooth.faces, tooth.colors * shade, tooth.gloss
-        )
+        vertices = tooth.vertices @ turn.T + place
+        shade = _lip_shadow(vertices, edge, up, lip_z) * (1.0 if is_upper else 0.85)
+        tooth = Mesh(vertices, tooth.faces, tooth.colors * shade[:, None], tooth.gloss)
         parts += [tooth, mirrored(tooth)]
     parts.append(_gum(edge + up * 0.98, lip_z, is_upper=is_upper))
     return join(parts)
+
+
+def _lip_shadow(vertices: Array, edge: float, up: int, lip_z: float) -> Array:
+    """Light (V,) that lips and cheeks leave to the teeth: least at the gums and at the back."""
+    from_edge, behind = up * (vertices[:, 1] - edge), lip_z - vertices[:, 2]
+    back = np.interp(behind, [0.6, 1.4, 2.8, 4.2], [1.0, 0.85, 0.6, 0.4])
+    return np.asarray(back * np.interp(from_edge, [0.1, 0.8], [1.0, 0.72]))
 
 
 def _gum(y: float, lip_z: float, *, is_upper: bool) -> Mesh:

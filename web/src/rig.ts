@@ -205,16 +205,14 @@ export class Rig {
     const get = (k: string) => inputs[`lid.${k}_${name}`];
     const unit = (k: string) => clamp(get(k));
     const blink = unit("close"), open = 1 - blink;
-    const closeAll = blink + open * (0.85 * unit("upper") + 0.42 * unit("lookDown"));
+    const closeAll = blink + open * (0.85 * unit("upper") + 0.6 * unit("lookDown"));
     const raise = open * unit("lower") * 0.8 + blink * meet;
     const widen = Math.min(
-      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.2 * unit("lookUp")) * open,
+      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.1 * unit("lookUp")) * open,
       0.36,
     );
-    const dip = Math.min(
-      0.06 * unit("widen") + 0.16 * unit("lowerDown") + 0.16 * unit("lookDown"),
-      0.26,
-    );
+    const dip = Math.min(0.06 * unit("widen") + 0.16 * unit("lowerDown"), 0.26);
+    const ride = 0.3 * unit("lookDown") - 0.1 * unit("lookUp") * open;
     const n = angle.length;
     const turn = new Float64Array(n);
     for (let k = 0; k < n; k++) {
@@ -227,8 +225,8 @@ export class Rig {
       const low = Math.min(clamp(Math.max(raise, close >= 1 ? meet : 0)), room) * gap;
       turn[k] =
         upper[k] > 0
-          ? -(1 - meet) * clamp(close) * gap + widen * arch[k]
-          : low - dip * arch[k] * (1 - clamp(close));
+          ? -(1 - meet) * clamp(close) * gap + (widen - ride) * arch[k]
+          : low - (dip * (1 - clamp(close)) + ride) * arch[k];
     }
     return turn;
   }
