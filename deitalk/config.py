@@ -99,6 +99,10 @@ class Wav2VecConfig(Section):
         default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
+    cosine_bank: bool = Field(
+        default=False,
+        description="the first layer of a new encoder begins as a mel-spaced bank of cosines",
+    )
 
 
 class ModelConfig(Section):
@@ -195,6 +199,17 @@ class TrainConfig(Section):
         default=None,
         description="model (name or folder) whose speech features are learnt; not in the paper",
     )
+    listen_only: bool = Field(
+        default=False,
+        description="learn the teacher's features alone: no labels, the rest stays the teacher's",
+    )
+
+    @field_validator("listen_only")
+    @classmethod
+    def _someone_speaks(cls, value: bool, info: ValidationInfo) -> bool:
+        if value and info.data.get("teacher") is None:
+            raise ValueError("needs a train.teacher to listen to")
+        return value
 
 
 class Config(Section):

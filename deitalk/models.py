@@ -28,6 +28,8 @@ class Output(NamedTuple):
     """[shape=(B, 5)]."""
     motion_embedding: Tensor | None
     """m_max [shape=(B, E)]; only where the captured curves were given."""
+    speech: Tensor | None = None
+    """Speech features [shape=(B, T, D)]."""
 
 
 class Analysis(NamedTuple):
@@ -118,12 +120,13 @@ class DEITalk(nn.Module):
             self.place(speech, frames, total), emotion, intensity.guidance if intensity else None
         )
         if intensity is None:
-            return Output(predicted, None, None, None)
+            return Output(predicted, None, None, None, speech)
         return Output(
             predicted,
             intensity,
             self.intensity.classify(intensity.features),
             None if curves is None else temporal_maximum(self.motion(curves)),
+            speech,
         )
 
     def place(self, speech: Tensor, frames: Tensor, total: Tensor) -> Tensor:

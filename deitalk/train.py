@@ -20,6 +20,7 @@ from deitalk.curves_plot import FixedClips
 from deitalk.data.folder import Clip, read_clips
 from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.development import DevelopmentSet
+from deitalk.distillation import Teacher, read_teacher, start_as
 from deitalk.drawing import can_draw
 from deitalk.errors import ConfigError, DataError
 from deitalk.losses import total_loss
@@ -32,6 +33,7 @@ MAX_BAD_STEPS = 20
 """Steps in a row with a gradient that is not finite before the run gives up."""
 
 Progress = Callable[[int, int, dict[str, float]], None]
+BatchLoss = Callable[[nn.Module, Window], dict[str, Tensor]]
 
 
 def _silent(step: int, total: int, values: dict[str, float]) -> None:
@@ -128,9 +130,15 @@ def train(
     open_folder(out, config, resume=resume, write=accelerator.is_main_process)
     torch.manual_seed(config.train.seed)
     model = DEITalk(config.model)
+    teacher = read_teacher(config.train.teacher, model)
+    if teacher is not None:
+        start_as(model, teacher)
+    if config.train.listen_only:
+        for part in set(model.children()) - {model.frontend}:
+            part.requires_grad_(False)
     if start_from is not None:
         _copy_weights(model, start_from)
-    run = _start(config, model, n_steps(config, clips))
+    run = _start(config, model, n_steps(config, clips), is_taught=teacher is not None)
     if not accelerator.is_main_process:
         progress = _silent
     if resume:
@@ -141,7 +149,7 @@ def train(
     tensorboard = tensorboard and accelerator.is_main_process
     journal = Journal(out, step=run.step, tensorboard=tensorboard)
     try:
-        _fit(run, loader, witness, config, journal, accelerator, progress)
+        _fit(run, loader, witness, config, journal, accelerator, progress, teacher)
     finally:
         journal.close()
     return dict(describe_model(out / "best")["training"])
@@ -197,12 +205,19 @@ def _fit(
     journal: Journal,
     accelerator: Any,
     progress: Progress,
+    teacher: DEITalk | None,
 ) -> None:
     """Step to the end of the run; log, evaluate and save on the way."""
     # Accelerate wraps the network for several processes; `run.model` stays the plain one.
-    network, run.optimizer = accelerator.prepare(run.model, run.optimizer)
+    learner = run.model.frontend if config.train.listen_only else run.model
+    network, run.optimizer = accelerator.prepare(learner, run.optimizer)
     run.average.to(accelerator.device)
-    loss = Loss(config, run.model.controls, accelerator.device)
+    taught = None if teacher is None else Teacher(teacher, accelerator)
+    loss: BatchLoss
+    if taught is not None and config.train.listen_only:
+        loss = taught.listen
+    else:
+        loss = Loss(config, run.model.controls, accelerator.device, taught)
     batches: Iterator[Window] = iter(loader if run.step < run.total else ())
     while run.step < run.total:
         batch = Window(*(part.to(accelerator.device) for part in next(batches)))
@@ -229,16 +244,16 @@ def n_steps(config: Config, clips: Sequence[Clip]) -> int:
     return max(math.ceil(config.train.epochs * windows / config.train.batch_size), 1)
 
 
-def _start(config: Config, model: DEITalk, total: int) -> Run:
+def _start(config: Config, model: DEITalk, total: int, *, is_taught: bool = False) -> Run:
     settings = config.train
-    parameters = [p for p in model.parameters() if p.requires_grad]
+    groups = _groups(model, settings.learning_rate, is_taught)
     kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
-    optimizer = kind(parameters, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    optimizer = kind(groups, weight_decay=settings.weight_decay)
     scheduler: torch.optim.lr_scheduler.LRScheduler
     if settings.schedule == "one_cycle":
         scheduler = torch.optim.lr_scheduler.OneCycleLR(
             optimizer,
-            settings.learning_rate,
+            [group["lr"] for group in groups],
             total_steps=total + 1,
             pct_start=0.08,
             cycle_momentum=False,
@@ -251,11 +266,29 @@ def _start(config: Config, model: DEITalk, total: int) -> Run:
     return Run(model, average, optimizer, scheduler, total)
 
 
+def _groups(model: DEITalk, rate: float, is_taught: bool) -> list[dict[str, Any]]:
+    """What learns, and how fast: what began as the teacher's at a third, as in `train_sdfa`."""
+    if not is_taught:
+        return [{"params": [p for p in model.parameters() if p.requires_grad], "lr": rate}]
+    frontend, rest = [], []
+    for name, parameter in model.named_parameters():
+        if parameter.requires_grad:
+            (frontend if name.startswith("frontend.") else rest).append(parameter)
+    return [{"params": frontend, "lr": rate}, {"params": rest, "lr": rate / 3}]
+
+
 class Loss:
     """The configured loss on one device."""
 
-    def __init__(self, config: Config, controls: ControlSet, device: torch.device) -> None:
+    def __init__(
+        self,
+        config: Config,
+        controls: ControlSet,
+        device: torch.device,
+        teacher: Teacher | None = None,
+    ) -> None:
         self.config = config.loss
+        self.teacher = teacher
         self.weights = control_weights(config.loss.control_weights, controls).to(device)
         self.contact = torch.tensor(
             [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
@@ -265,7 +298,7 @@ class Loss:
         """Every part of the loss of one batch."""
         curves = batch.curves if self.config.contrast else None
         output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
-        return total_loss(
+        parts = total_loss(
             _across_processes(output),
             batch.curves,
             batch.voice,
@@ -274,6 +307,11 @@ class Loss:
             weights=self.weights,
             contact_controls=self.contact,
         )
+        if self.teacher is not None:
+            distance = self.teacher.distance(batch.waveform, output.speech)
+            parts["distillation"] = distance
+            parts["total"] = parts["total"] + self.config.distillation * distance
+        return parts
 
 
 def _across_processes(output: Output) -> Output:
@@ -338,7 +376,7 @@ def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:
 def _step(
     run: Run,
     network: nn.Module,
-    loss: Loss,
+    loss: BatchLoss,
     batch: Window,
     settings: TrainConfig,
     accelerator: Any,

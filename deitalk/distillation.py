@@ -1,0 +1,108 @@
+"""Learning what a trained model hears: its speech features are a second target.
+
+Curves say little about a waveform, so an encoder that begins from nothing needs many hours of them.
+A trained model's frontend says, of the very sound the student hears, what of it moves a face: the
+squared distance to its features (feature distillation, as FitNets, Romero et al. 2015) is added to
+the loss, and what lies behind the frontend begins with the teacher's weights.
+
+Not in the papers, which begin with published wav2vec 2.0 weights where we begin with these.
+
+Letters: B batch, S samples, T rig frames, D width of the features.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.checkpoint import load_model
+from deitalk.data.windows import Window
+from deitalk.errors import ConfigError
+from deitalk.models import DEITalk
+
+
+def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
+    """Read the model that teaches `student`; None without a name.
+
+    Raises
+    ------
+    ConfigError
+        If its speech features are of another width than the student's.
+    CheckpointError
+        If there is no such model.
+    """
+    if name is None:
+        return None
+    teacher = load_model(name).requires_grad_(False)
+    width, wanted = student.frontend.output_size, teacher.frontend.output_size
+    if width != wanted:
+        raise ConfigError(
+            f"train.teacher={name!r} hears {wanted} features a frame, the model {width}; set "
+            f"model.frontend.encoder.hidden_size={wanted}, or for a mel frontend "
+            f"model.frontend.time_hidden={wanted // 2}"
+        )
+    return teacher
+
+
+@torch.no_grad()
+def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
+    """Copy the teacher's weights to all places behind the frontend where they fit.
+
+    Returns
+    -------
+    list of str
+        Names of the weights that were copied.
+    """
+    theirs = teacher.state_dict()
+    copied = []
+    for name, value in student.state_dict().items():
+        given = theirs.get(name)
+        if name.startswith("frontend.") or given is None or given.shape != value.shape:
+            continue
+        value.copy_(given)
+        copied.append(name)
+    return copied
+
+
+class Teacher:
+    """The frozen frontend of a trained model.
+
+    Parameters
+    ----------
+    model : DEITalk
+        From `read_teacher`.
+    accelerator : accelerate.Accelerator
+        Its device and precision are the teacher's too.
+    """
+
+    def __init__(self, model: DEITalk, accelerator: Any) -> None:
+        self.frontend = accelerator.prepare_model(model.frontend.eval(), evaluation_mode=True)
+
+    def distance(self, waveform: Tensor, speech: Tensor) -> Tensor:
+        """Mean squared distance of the student's features and the teacher's.
+
+        Both hear the same augmented sound, so that the student learns to hear through noise as
+        the teacher does, and no second waveform travels with the batch.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(B, S)]
+            As the student heard it.
+        speech : Tensor [shape=(B, T, D)]
+            The student's features; gradients flow into them alone.
+
+        Returns
+        -------
+        Tensor, scalar
+            In units of the teacher's features, whose variance is about 1.
+        """
+        with torch.no_grad():
+            target = self.frontend(waveform, speech.shape[1])
+        return F.mse_loss(speech.float(), target.float())
+
+    def listen(self, frontend: nn.Module, batch: Window) -> dict[str, Tensor]:
+        """The distance alone, as the loss of one batch; its curves are not looked at."""
+        speech = frontend(batch.waveform, batch.frames.shape[1])
+        distance = self.distance(batch.waveform, speech)
+        return {"distillation": distance, "total": distance}
