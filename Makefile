@@ -38,8 +38,8 @@ deitalk/preview/app/index.html: $(wildcard web/*.json web/*.ts web/*.html web/sr
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)
 
-test: setup-dev  ## Run the tests
-	$(BIN)/python -m pytest
+test: setup-dev  ## Run the tests, a file to a core
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: setup-dev  ## Run the slow tests too
 	$(BIN)/python -m pytest -m "slow or not slow"

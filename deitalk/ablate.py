@@ -11,6 +11,7 @@ Every run has its own folder and goes on where it stopped::
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import yaml
 
 from deitalk.checkpoint import load_model
 from deitalk.config import Config, load_config
+from deitalk.ears import Ears
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluate import evaluate
 from deitalk.evaluation.report import as_json
@@ -131,27 +133,35 @@ def ablate(
         If `out` holds runs with other settings, or the data lacks a split.
     """
     table = {}
+    lend = lru_cache(Ears)  # what a frozen frontend heard serves all runs
     for variant in variants:
         reports = []
         for seed in range(seeds):
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
             asked = {"data": str(data.resolve()), "split": split, "most": most, "probes": probes}
-            reports.append(_report(folder, config, data, asked, says))
+            reports.append(_report(folder, config, data, asked, says, lend))
         table[variant.name] = _summary(reports)
         _write(out, table, split, seeds)
     return table
 
 
 def _report(
-    folder: Path, config: Config, data: Path, asked: dict[str, Any], says: Says
+    folder: Path,
+    config: Config,
+    data: Path,
+    asked: dict[str, Any],
+    says: Says,
+    lend: Callable[[str], Ears],
 ) -> dict[str, Any]:
     """The evaluation of one run: read, or made."""
     path = folder / "report.json"
     name = f"{folder.parent.name} {folder.name}"
     if path.is_file():
         return _finished(path, config, asked)
-    _train(folder, config, data, lambda share: says(name, share))
+    frozen = config.train.frozen_frontend
+    ears = None if frozen is None else lend(frozen)
+    _train(folder, config, data, ears, lambda share: says(name, share))
     options = {key: asked[key] for key in ("split", "most", "probes")}
     report = evaluate(load_model(folder / "best"), data, **options)
     with atomic_write(path) as beside:
@@ -171,7 +181,9 @@ def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, An
     return report
 
 
-def _train(folder: Path, config: Config, data: Path, says: Callable[[float], None]) -> None:
+def _train(
+    folder: Path, config: Config, data: Path, ears: Ears | None, says: Callable[[float], None]
+) -> None:
     is_begun = (folder / "state.pt").is_file()
     if not is_begun:  # what was killed before its first checkpoint begins again
         (folder / "metrics.csv").unlink(missing_ok=True)
@@ -180,6 +192,7 @@ def _train(folder: Path, config: Config, data: Path, says: Callable[[float], Non
         data,
         folder,
         resume=is_begun,
+        ears=ears,
         progress=lambda step, total, values: says(step / total),
     )
 

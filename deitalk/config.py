@@ -186,6 +186,9 @@ class TrainConfig(Section):
     steps: Positive | None = Field(default=None, description="stop after this many steps instead")
     gradient_clip: float | None = Field(default=None, gt=0)
     ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    frozen_frontend: str | None = Field(
+        default=None, description="model whose frontend is taken and does not learn"
+    )
     evaluate_every: Positive = Field(
         default=500, description="steps between evaluations and checkpoints"
     )

@@ -104,7 +104,8 @@ class DEITalk(nn.Module):
         Parameters
         ----------
         waveform : Tensor [shape=(B, S)]
-            16 kHz, level-normalised; begins with the first frame of the window.
+            16 kHz, level-normalised; begins with the first frame of the window. Or what the
+            frontend has made of it already [shape=(B, T, D)].
         emotion : Tensor [shape=(B, 5)]
             Weights of the emotional styles.
         frames : Tensor [shape=(B, T)]
@@ -114,7 +115,8 @@ class DEITalk(nn.Module):
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
         """
-        speech = self.frontend(waveform, frames.shape[1])  # (B, T, D)
+        heard = waveform.dim() == 3
+        speech = waveform if heard else self.frontend(waveform, frames.shape[1])  # (B, T, D)
         intensity = self.intensity(speech) if self.config.intensity else None
         predicted = self.decoder(
             self.place(speech, frames, total), emotion, intensity.guidance if intensity else None
@@ -188,19 +190,38 @@ class DEITalk(nn.Module):
         -------
         Tensor [shape=(T, C)]
         """
+        return self._by_pieces(self.decoder, analysis, emotion, len(self.controls.names))
+
+    @torch.no_grad()
+    def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
+        """What the decoder has made of speech, style and intensity, before the curves.
+
+        The input of its last layer, from which another face than the rig can be decoded
+        (`deitalk.mesh_head`); arguments as `decode`.
+
+        Returns
+        -------
+        Tensor [shape=(T, decoder_channels)]
+        """
+        width = self.config.decoder_channels
+        return self._by_pieces(self.decoder.hidden, analysis, emotion, width)
+
+    def _by_pieces(
+        self, decode: Callable[..., Tensor], analysis: Analysis, emotion: Tensor, width: int
+    ) -> Tensor:
         total = len(analysis.speech)
-        curves = analysis.speech.new_empty(total, len(self.controls.names))
+        rows = analysis.speech.new_empty(total, width)
         for first, last, start, stop in _pieces(total, self.decoder.margin):
-            frames = torch.arange(first, last, device=curves.device).unsqueeze(0)
+            frames = torch.arange(first, last, device=rows.device).unsqueeze(0)
             speech = analysis.speech[first:last].unsqueeze(0)
             guidance = analysis.guidance
-            decoded = self.decoder(
+            decoded = decode(
                 self.place(speech, frames, frames.new_tensor([total])),
                 emotion[first:last].unsqueeze(0),
                 None if guidance is None else guidance[first:last].unsqueeze(0),
             )
-            curves[start:stop] = decoded[0, start - first : stop - first]
-        return curves
+            rows[start:stop] = decoded[0, start - first : stop - first]
+        return rows
 
 
 def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:

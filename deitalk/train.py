@@ -22,6 +22,7 @@ from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.development import DevelopmentSet
 from deitalk.distillation import Teacher, read_teacher, start_as
 from deitalk.drawing import can_draw
+from deitalk.ears import Ears
 from deitalk.errors import ConfigError, DataError
 from deitalk.losses import total_loss
 from deitalk.models import DEITalk, Output
@@ -84,6 +85,7 @@ def train(
     resume: bool = False,
     start_from: Path | None = None,
     tensorboard: bool = False,
+    ears: Ears | None = None,
     progress: Progress = _silent,
 ) -> dict[str, Any]:
     """Train a model.
@@ -105,6 +107,8 @@ def train(
         Model folder whose weights are the start (fine-tuning).
     tensorboard : bool
         Write TensorBoard's events to the run folder too.
+    ears : Ears or None
+        Those of ``train.frozen_frontend``, where several runs share what they heard.
     progress : callable
         Told the step, the number of steps and the values that were logged; by one process.
 
@@ -138,13 +142,16 @@ def train(
             part.requires_grad_(False)
     if start_from is not None:
         _copy_weights(model, start_from)
+    if config.train.frozen_frontend is not None:
+        ears = ears or Ears(config.train.frozen_frontend)
+        ears.lend_to(model)
     run = _start(config, model, n_steps(config, clips), is_taught=teacher is not None)
     if not accelerator.is_main_process:
         progress = _silent
     if resume:
         run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
     progress(run.step, run.total, {})
-    loader = _loader(clips, run, config, accelerator)
+    loader = _loader(clips, run, config, accelerator, ears)
     witness = Witness.of(data, model.controls)
     tensorboard = tensorboard and accelerator.is_main_process
     journal = Journal(out, step=run.step, tensorboard=tensorboard)
@@ -182,7 +189,9 @@ def _copy_weights(model: DEITalk, folder: Path) -> None:
         ) from None
 
 
-def _loader(clips: Sequence[Clip], run: Run, config: Config, accelerator: Any) -> DataLoader[Any]:
+def _loader(
+    clips: Sequence[Clip], run: Run, config: Config, accelerator: Any, ears: Ears | None
+) -> DataLoader[Any]:
     """Batches from the run's step on; this process's share of each."""
     batches = Batches(
         clips,
@@ -193,6 +202,7 @@ def _loader(clips: Sequence[Clip], run: Run, config: Config, accelerator: Any) -
         skip=run.step,
         rank=accelerator.process_index,
         world=accelerator.num_processes,
+        ears=ears,
     )
     return DataLoader(batches, batch_size=None, num_workers=config.train.workers)
 
@@ -386,6 +396,8 @@ def _step(
     The norm is that of the averaged gradient, so that all processes leave out the same batches.
     """
     run.model.train()
+    if settings.frozen_frontend is not None:
+        run.model.frontend.eval()
     parts = loss(network, batch)
     run.optimizer.zero_grad(set_to_none=True)
     accelerator.backward(parts["total"])

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import count
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -25,12 +25,15 @@ from deitalk.errors import DataError
 from deitalk.features import RIG_RATE, SAMPLE_RATE
 from rig import ControlSet, read_curves
 
+if TYPE_CHECKING:
+    from deitalk.ears import Ears
+
 
 class Window(NamedTuple):
     """One training example; a batch has the same fields with a leading axis."""
 
     waveform: Tensor
-    """[shape=(S,)], level-normalised (then augmented)."""
+    """[shape=(S,)], level-normalised (then augmented); with `Ears`, features [shape=(T, D)]."""
     curves: Tensor
     """[shape=(T, C)]."""
     emotion: Tensor
@@ -193,6 +196,9 @@ class Batches(IterableDataset[Window]):
         Windows of a batch, over all processes.
     skip : int
         First batch: where an interrupted training goes on.
+    ears : Ears or None
+        A frontend that does not learn: windows carry its features instead of the sound. Only
+        without augmentation.
     rank, world : int
         Share of this process when several train together: batch b is the same windows whatever
         the number of processes and workers.
@@ -208,12 +214,14 @@ class Batches(IterableDataset[Window]):
         skip: int = 0,
         rank: int = 0,
         world: int = 1,
+        ears: "Ears | None" = None,
     ) -> None:
         if not clips:
             raise DataError("no clips to train on; the dataset has none in this split")
         self.clips, self.controls, self.config = list(clips), controls, config
         self.seed, self.batch_size, self.skip = seed, batch_size, skip
         self.rank, self.world = rank, world
+        self.ears = None if config.augment else ears
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
         self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
@@ -240,8 +248,11 @@ class Batches(IterableDataset[Window]):
         waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
         if config.augment:
             waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
+        sound = torch.from_numpy(waveform)
+        if self.ears is not None:
+            sound = self._heard(clip, material, first)
         return Window(
-            torch.from_numpy(waveform),
+            sound,
             torch.from_numpy(curves),
             _one_hot(clip.emotion),
             _one_hot(clip.voice),
@@ -249,6 +260,14 @@ class Batches(IterableDataset[Window]):
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
         )
+
+    def _heard(self, clip: Clip, material: Material, first: int) -> Tensor:
+        """Features of a window at the clip's own speed [shape=(T, D)]."""
+        assert self.ears is not None
+        waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
+        stop = first + self.config.window_frames
+        n_frames = max(n_clip_frames(len(waveform)), stop)
+        return torch.from_numpy(self.ears.hear(clip, waveform, n_frames)[first:stop]).float()
 
     def _draw(self, rng: np.random.Generator) -> Clip:
         fraction = self.config.real_fraction
