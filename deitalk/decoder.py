@@ -74,6 +74,11 @@ class RigDecoder(nn.Module):
         -------
         Tensor [shape=(B, T, C)]
         """
+        curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
+        return curves
+
+    def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
+        """What the last layer reads [shape=(B, T, channels)]; arguments as `forward`."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1).expand(-1, speech.shape[1], -1)
         style = self.style(emotion)
@@ -83,5 +88,4 @@ class RigDecoder(nn.Module):
         for i, layer in enumerate(self.layers):
             out = layer(torch.cat((x, extra), dim=1))
             x = (x + out) / 2**0.5 if self.residual and i else out
-        curves: Tensor = self.output(x.transpose(1, 2))
-        return curves
+        return x.transpose(1, 2)

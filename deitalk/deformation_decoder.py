@@ -84,6 +84,11 @@ class InversePCA(nn.Module):
         layer.deviations = torch.from_numpy(basis.deviations.copy())
         return layer
 
+    def rest(self) -> Tensor:
+        """Coefficients [shape=(K,)] that come nearest to no motion at all."""
+        across = self.components @ self.components.T
+        return -torch.linalg.solve(across, self.components @ self.mean)
+
     def forward(self, coefficients: Tensor) -> Tensor:
         """Map (B, K) to (B, width)."""
         return torch.addmm(self.mean, coefficients, self.components)

@@ -18,7 +18,10 @@ from deitalk.closures import BILABIAL, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_F
 from deitalk.data.folder import Clip, read_phones
 from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
+from deitalk.mesh_expression import acted_by_curves, expression_probe, expression_table
+from deitalk.mesh_head import Direction, MeshHead
 from deitalk.sdfa import SDFA
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
@@ -31,7 +34,7 @@ CLOSED_MM = 1.0
 WINDOW_SECONDS = WIDEN_FRAMES / 30
 """A bilabial's gap is the smallest within the phone widened by so much."""
 EMOTION = "neutral"
-"""A mesh model has no input for another."""
+"""SDFA has no input for another."""
 
 
 def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Floats:
@@ -107,7 +110,7 @@ class Tally:
         self.errors: dict[str, list[Floats]] = {}
         self.gaps: dict[str, list[float]] = {
             f"{who}_{kind}": []
-            for who in ("model", "unsealed", "truth")
+            for who in ("model", "unsealed", "curves", "truth")
             for kind in ("bilabial", "after_s", "vowel")
         }
 
@@ -142,7 +145,8 @@ def evaluate_mesh(
     model : SDFA
         In evaluation mode.
     data : Path
-        Dataset folder; its neutral clips are used, the heads take turns.
+        Dataset folder; the heads take turns. Its neutral clips are used, or those of all emotions
+        where the model has them.
     split : str
         ``validation`` for choices, ``test`` once.
     most : int or None
@@ -155,39 +159,47 @@ def evaluate_mesh(
     Returns
     -------
     dict
-        ``groups``: per source of speech, and over ``all``: `mesh_mm`, `lips_mm`, mean distance over
-        all vertices and over the lips' rims; `still_mm`, what lips that never move would score;
-        `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`; `bilabial_gap_mm`,
-        median; `after_s...`, of those that follow an /s/; `vowel...`, of vowels, which should stay
-        open; `unsealed_...`, the same without the model's seal (`deitalk.lip_seal`), if it has
-        one; `truth_...`, of the truth.
+        ``groups``: per source of speech, or per emotion, and over ``all``: `mesh_mm`, `lips_mm`,
+        mean distance over all vertices and over the lips' rims; `still_mm`, what lips that never
+        move would score; `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`;
+        `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of vowels,
+        which should stay open; `unsealed_...`, the same without the model's seal
+        (`deitalk.lip_seal`), if it has one; `truth_...`, of the truth; `curves_...`, where the
+        model is a mesh head, of the rig acting the curves of the same DEITalk model.
+        ``expression``, of a mesh head: `deitalk.mesh_expression.expression_probe`.
 
     Raises
     ------
     CheckpointError
         If the model moves other faces.
     DataError
-        If the split has no neutral clips.
+        If the split has no such clips.
     """
     _check_heads(model)
     lips = head_lips()
-    clips = acted_clips(data, split, [EMOTION], None if transitions else most)
+    emotions = EMOTIONS if isinstance(model, MeshHead) else (EMOTION,)
+    clips = acted_clips(data, split, emotions, None if transitions else most)
     if transitions:
         clips = [clip for clip in clips if _has_transition(clip)][:most]
     if not clips:
-        raise DataError(f"{data}: no {EMOTION} clips in the split {split!r}; name another")
+        which = " or ".join(emotions)
+        raise DataError(f"{data}: no {which} clips in the split {split!r}; name another")
     groups: dict[str, Tally] = {"all": Tally()}
     for i, clip in enumerate(clips):
-        tallies = groups["all"], groups.setdefault(clip.source, Tally())
+        group = clip.emotion if isinstance(model, MeshHead) else clip.source
+        tallies = groups["all"], groups.setdefault(group, Tally())
         _score(tallies, model, clip, model.speakers[i % len(model.speakers)], lips)
         progress((i + 1) / len(clips))
-    return {
+    report = {
         "kind": "mesh",
         "split": split,
         "motion": model.config.motion,
         "encoder": model.config.frontend.kind,
         "groups": {name: tally.summary() for name, tally in groups.items() if tally.clips},
     }
+    if isinstance(model, MeshHead):
+        report["expression"] = expression_probe(model, [clip.audio for clip in clips])
+    return report
 
 
 def _check_heads(model: SDFA) -> None:
@@ -208,25 +220,20 @@ def _has_transition(clip: Clip) -> bool:
 
 def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips: Lips) -> None:
     waveform, truth = act(clip, speaker, model.fps)
-    seal, model.seal = model.seal, None
-    try:
-        unsealed = model.predict_mesh(waveform, speaker)
-    finally:
-        model.seal = seal
-    n_frames = min(len(unsealed), len(truth))
-    unsealed, truth = unsealed[:n_frames], truth[:n_frames]
-    given = unsealed if seal is None else seal(unsealed)
-    error = model.unit_mm * np.linalg.norm(given - truth, axis=-1)
-    rest = model.template(speaker).vertices
-    still = model.unit_mm * np.linalg.norm(truth[:, lips.both] - rest[lips.both], axis=-1)
-    rows = {
-        "mesh_mm": error.mean(axis=1),
-        "lips_mm": error[:, lips.both].mean(axis=1),
-        "still_mm": still.mean(axis=1),
-    }
+    seen = _seen(model, clip, waveform, speaker) | {"truth": truth}
+    n_frames = min(map(len, seen.values()))
+    seen = {who: vertices[:n_frames] for who, vertices in seen.items()}
+    rest = model.template(speaker).vertices[lips.both]
+    still = model.unit_mm * np.linalg.norm(seen["truth"][:, lips.both] - rest, axis=-1)
+    rows = {"still_mm": still.mean(axis=1)}
+    for who, label in (("model", ""), ("curves", "curves_")):
+        if who in seen:
+            error = model.unit_mm * np.linalg.norm(seen[who] - seen["truth"], axis=-1)
+            rows[f"{label}mesh_mm"] = error.mean(axis=1)
+            rows[f"{label}lips_mm"] = error[:, lips.both].mean(axis=1)
     phones = read_phones(clip.phones) if clip.phones else []
     found = {}
-    for who, vertices in (("model", given), ("unsealed", unsealed), ("truth", truth)):
+    for who, vertices in seen.items():
         gaps = smallest_gaps(lip_gap(vertices, lips, model.unit_mm), phones, model.fps)
         for kind, values in zip(("bilabial", "after_s", "vowel"), gaps, strict=True):
             found[f"{who}_{kind}"] = values
@@ -238,18 +245,39 @@ def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips
             tally.gaps[name] += values
 
 
+def _seen(
+    model: SDFA, clip: Clip, waveform: NDArray[np.float32], speaker: str
+) -> dict[str, NDArray[np.float32]]:
+    """Vertices (T, V, 3): the model's, those before its seal, those of the curves it decodes."""
+    direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
+    seal, model.seal = model.seal, None
+    try:
+        unsealed = model.predict_mesh(waveform, speaker, direction=direction)
+    finally:
+        model.seal = seal
+    seen = {"model": unsealed if seal is None else seal(unsealed), "unsealed": unsealed}
+    if isinstance(model, MeshHead):
+        seen["curves"] = acted_by_curves(model, clip.audio, speaker, clip.emotion)
+    return seen
+
+
 ROWS = {
     "clips": "clips", "lips_mm": "lips, mean error, mm", "still_mm": "lips that never move, mm",
-    "mesh_mm": "all vertices, mean error, mm", "bilabials": "p b m",
+    "curves_lips_mm": "lips, mean error, the rig with the same network's curves, mm",
+    "mesh_mm": "all vertices, mean error, mm",
+    "curves_mesh_mm": "all vertices, the rig with the curves, mm", "bilabials": "p b m",
     "bilabial_closed": "p b m closed to 1 mm", "bilabial_gap_mm": "p b m, median gap, mm",
     "unsealed_bilabial_closed": "p b m closed, before the seal",
     "unsealed_bilabial_gap_mm": "p b m, median gap before the seal, mm",
+    "curves_bilabial_closed": "p b m closed, the rig with the curves",
+    "curves_bilabial_gap_mm": "p b m, median gap, the rig with the curves, mm",
     "truth_bilabial_closed": "p b m closed, truth", "after_ss": "p b m after s",
     "after_s_closed": "p b m after s closed", "after_s_gap_mm": "p b m after s, median gap, mm",
     "unsealed_after_s_closed": "p b m after s closed, before the seal",
     "unsealed_after_s_gap_mm": "p b m after s, median gap before the seal, mm",
     "vowels": "vowels", "vowel_closed": "vowels closed",
     "unsealed_vowel_closed": "vowels closed, before the seal",
+    "curves_vowel_closed": "vowels closed, the rig with the curves",
     "vowel_gap_mm": "vowels, median gap, mm",
     "truth_vowel_closed": "vowels closed, truth", "truth_vowel_gap_mm": "vowels, median gap, truth",
 }  # fmt: skip
@@ -265,6 +293,9 @@ def as_markdown(report: dict[str, Any]) -> str:
         "|---" * (len(groups) + 1) + "|",
     ]
     for key, label in ROWS.items():
-        cells = [f"{scores.get(key, float('nan')):.3g}" for scores in groups.values()]
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+        values = [scores.get(key, float("nan")) for scores in groups.values()]
+        if not (key.startswith("curves") and np.isnan(values).all()):
+            lines.append(f"| {label} | " + " | ".join(f"{value:.3g}" for value in values) + " |")
+    if "expression" in report:
+        lines += ["", *expression_table(report["expression"])]
     return "\n".join(lines) + "\n"

@@ -6,10 +6,12 @@
     model.safetensors    weights and the frozen bases, float16 if asked for; of these only the
                          numbers that move, which `moving` marks
     templates.npz        expressionless vertices of every speaker, and the triangles
-    model.json           format version, speakers, frame rate, unit, training summary
+    model.json           format version, speakers, frame rate, unit, training summary; of a mesh
+                         head, the hash of the DEITalk weights whose features it decodes
 """
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ import yaml
 from safetensors.torch import save_file
 
 from deitalk.checkpoint import FORMAT_VERSION, model_folder, read_about, read_weights
-from deitalk.config import SDFAConfig, load_config
+from deitalk.config import DEITalkFeaturesConfig, SDFAConfig, SDFAModelConfig, load_config
 from deitalk.deformation_decoder import InversePCA
 from deitalk.errors import CheckpointError
+from deitalk.mesh_head import MeshHead
 from deitalk.sdfa import SDFA
 from rig.files import atomic_write
 from rig.mesh import TriMesh
@@ -30,6 +33,20 @@ FROZEN = "inverse_pca"
 """Name of the frozen layers in the weights."""
 CONTROL_SET = "none (meshes)"
 """Stands where other models name their controls."""
+
+
+def mesh_model(
+    config: SDFAModelConfig,
+    layers: Mapping[str, InversePCA],
+    speakers: Sequence[str],
+    templates: dict[str, TriMesh],
+    *,
+    fps: float,
+    unit_mm: float,
+) -> SDFA:
+    """The model a configuration asks for, its weights new; arguments as for `SDFA`."""
+    kind = MeshHead if isinstance(config.frontend, DEITalkFeaturesConfig) else SDFA
+    return kind(config, layers, speakers, templates, fps=fps, unit_mm=unit_mm)
 
 
 def save_sdfa(
@@ -78,6 +95,8 @@ def save_sdfa(
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": summary,
     }
+    if isinstance(model, MeshHead):
+        about["decodes_sha256"] = model.encoder.fingerprint
     meshes = [model.templates[speaker] for speaker in model.speakers]
     vertices = np.stack([mesh.vertices for mesh in meshes])
     with atomic_write(folder) as beside:
@@ -140,11 +159,18 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         templates = dict(zip(about["speakers"], meshes, strict=True))
         layers = _empty_layers(weights)
         fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
-        model = SDFA(config.model, layers, about["speakers"], templates, fps=fps, unit_mm=unit_mm)
+        model = mesh_model(
+            config.model, layers, about["speakers"], templates, fps=fps, unit_mm=unit_mm
+        )
         model.load_state_dict(weights)
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"{path}: files do not fit one another ({reason})") from None
+    if isinstance(model, MeshHead) and model.encoder.fingerprint != about.get("decodes_sha256"):
+        raise CheckpointError(
+            f"{path}: decodes the features of other weights than those of "
+            f"{model.encoder.config.model!r} now; train it again"
+        )
     try:
         return model.to(torch.device(device)).eval()
     except (RuntimeError, AssertionError) as error:

@@ -4,10 +4,11 @@
 
     DEITalk   speech, emotion -> 185 curves -> the embedded head, or a user's mesh -> vertices
     SDFA      speech, speaker -> deformation gradients -> the speaker's template   -> vertices
+    mesh head speech, emotion, speaker -> DEITalk's features -> gradients -> template -> vertices
 
-Deviation: neither paper gives emotion to a mesh. Here the curves are what the mesh follows, so
-emotion, intensity and the seal of the lips reach it as they reach the rig. A layer from DEITalk's
-features to gradients would have to learn again what the head does exactly.
+Deviation: neither paper gives emotion to a mesh. With curves the mesh follows what the rig would
+do, and emotion, intensity and the seal of the lips reach it as they reach the rig; a mesh head
+(`deitalk.mesh_head`) learns it, and takes the way that any captured mesh could be learnt.
 
 Letters: T frames, V vertices.
 """
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from deitalk.audio import Recording, load_audio
 from deitalk.checkpoint import model_folder, read_about
-from deitalk.errors import CheckpointError, EmotionError
+from deitalk.errors import CheckpointError
 from deitalk.pipeline import animate
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
@@ -34,6 +35,7 @@ from rig.mesh.sequence import check_length
 
 if TYPE_CHECKING:
     from deitalk.emotions import EmotionTrack
+    from deitalk.mesh_head import Direction
     from deitalk.models import DEITalk
     from deitalk.sdfa import SDFA
 
@@ -101,7 +103,7 @@ def animate_mesh(
     audio : path, bytes or Recording
         Any recording `deitalk.audio.load_audio` reads.
     emotion, intensity
-        As for `deitalk.animate`. An SDFA model has no input for them.
+        As for `deitalk.animate`. An SDFA model has no input for them, a mesh head has.
     model : str, Path, DEITalk or SDFA
         Name, folder or loaded model of either kind.
     speaker : str or int
@@ -126,13 +128,10 @@ def animate_mesh(
     """
     recording = audio if isinstance(audio, Recording) else load_audio(audio)
     network = _loaded(model, device)
-    if type(network).__name__ == "SDFA":
-        if emotion != "neutral" or intensity != 1 or options.get("intensity_curve") is not None:
-            raise EmotionError(
-                "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk "
-                "model such as default"
-            )
-        return _by_gradients(network, recording, speaker, fps, progress)
+    if hasattr(network, "predict_mesh"):
+        curve = options.get("intensity_curve")
+        direction = _direction(emotion, intensity, curve)
+        return _by_gradients(network, recording, speaker, fps, direction, progress)
     rate = 30.0 if fps is None else fps
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=MAX_BYTES)
@@ -163,8 +162,22 @@ def _loaded(model: Any, device: str) -> Any:
     return load_model(model, device=device)
 
 
+def _direction(emotion: Any, intensity: float, curve: Any) -> "Direction | None":
+    """What is asked for; None if nothing is."""
+    from deitalk.mesh_head import Direction
+
+    if emotion == "neutral" and intensity == 1 and curve is None:
+        return None
+    return Direction.of(emotion, intensity, curve)
+
+
 def _by_gradients(
-    network: "SDFA", recording: Recording, speaker: str | int, fps: float | None, progress: Progress
+    network: "SDFA",
+    recording: Recording,
+    speaker: str | int,
+    fps: float | None,
+    direction: "Direction | None",
+    progress: Progress,
 ) -> MeshPerformance:
     if fps is not None and fps != network.fps:
         raise CheckpointError(
@@ -174,7 +187,7 @@ def _by_gradients(
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=MAX_BYTES)
     parts: list[Floats32] = []
-    for motion in network.pieces(recording.waveform, speaker):
+    for motion in network.pieces(recording.waveform, speaker, direction):
         parts.append(network.vertices(motion, mesh))
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
     name = speaker if isinstance(speaker, str) else network.speakers[speaker]

@@ -54,8 +54,8 @@ def trimmed(model: SDFA, sizes: dict[str, int]) -> SDFA:
     unknown = sorted(sizes.keys() - layers.keys())
     if unknown:
         raise CheckpointError(f"{unknown[0]!r} is no branch; there are {', '.join(layers)}")
-    small = SDFA(model.config, layers, model.speakers, model.templates, fps=model.fps,
-                 unit_mm=model.unit_mm)  # fmt: skip
+    small = type(model)(model.config, layers, model.speakers, model.templates, fps=model.fps,
+                        unit_mm=model.unit_mm)  # fmt: skip
     small.load_state_dict(state)
     return small.eval()
 

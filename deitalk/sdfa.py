@@ -13,7 +13,7 @@ paper compares itself with (`deitalk.frontends.karras`, `deitalk.frontends.voca`
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,13 @@ from torch import Tensor, nn
 
 from deitalk.activity import normalise_level
 from deitalk.audio import SAMPLE_RATE
-from deitalk.config import KarrasConfig, SDFAMelConfig, SDFAModelConfig, VocaConfig
+from deitalk.config import (
+    DEITalkFeaturesConfig,
+    KarrasConfig,
+    SDFAMelConfig,
+    SDFAModelConfig,
+    VocaConfig,
+)
 from deitalk.data.mesh_bases import mesh_solver
 from deitalk.deformation_decoder import (
     Coefficients,
@@ -31,7 +37,8 @@ from deitalk.deformation_decoder import (
     MotionDecoder,
     Offsets,
 )
-from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.errors import CheckpointError, ConfigError, DataError, EmotionError
+from deitalk.frontends.deitalk_features import DEITalkFeatures
 from deitalk.frontends.karras import KarrasEncoder
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.frontends.voca import VocaEncoder
@@ -39,6 +46,9 @@ from deitalk.frontends.windows import Encoder, nearest_places
 from deitalk.lip_seal import LipSeal
 from rig.face import build_head
 from rig.mesh import DeformationSolver, TriMesh
+
+if TYPE_CHECKING:
+    from deitalk.mesh_head import Direction
 
 FRAMES_AT_ONCE = 480
 """Frames that are heard together when predicting."""
@@ -108,7 +118,9 @@ class SDFA(nn.Module):
         return coefficients
 
     @torch.no_grad()
-    def predict(self, waveform: Any, speaker: str | int = 0) -> Motion:
+    def predict(
+        self, waveform: Any, speaker: str | int = 0, direction: "Direction | None" = None
+    ) -> Motion:
         """Gradients or offsets of a whole recording, frame i at i / fps seconds.
 
         Parameters
@@ -117,6 +129,8 @@ class SDFA(nn.Module):
             16 kHz, any level.
         speaker : str or int
             Style, by name or place.
+        direction : Direction, optional
+            Emotion and intensity, which only a `deitalk.mesh_head.MeshHead` can act.
 
         Returns
         -------
@@ -130,20 +144,29 @@ class SDFA(nn.Module):
         Deviation: a window's centre is the spectrum nearest to the frame, at most half a hop
         (4 ms) away, well within the shifts that training sees (8.3 ms).
         """
-        pieces = list(self.pieces(waveform, speaker))
+        pieces = list(self.pieces(waveform, speaker, direction))
         return type(pieces[0])(*(torch.cat(rows) for rows in zip(*pieces, strict=True)))
 
     @torch.no_grad()
-    def pieces(self, waveform: Any, speaker: str | int = 0) -> Iterator[Motion]:
+    def pieces(
+        self, waveform: Any, speaker: str | int = 0, direction: "Direction | None" = None
+    ) -> Iterator[Motion]:
         """As `predict`, some frames at a time: gradients of a minute take a gigabyte."""
-        for coefficients in self.coefficients(waveform, speaker):
+        for coefficients in self.coefficients(waveform, speaker, direction):
             split = {k: torch.split(rows, FRAMES_EXPANDED) for k, rows in coefficients.items()}
             for rows in zip(*split.values(), strict=True):
                 yield self.decoder.expand(dict(zip(split, rows, strict=True)))
 
     @torch.no_grad()
-    def coefficients(self, waveform: Any, speaker: str | int = 0) -> Iterator[Coefficients]:
+    def coefficients(
+        self, waveform: Any, speaker: str | int = 0, direction: "Direction | None" = None
+    ) -> Iterator[Coefficients]:
         """Coefficients (T, K) of some frames at a time, in order."""
+        if direction is not None:
+            raise EmotionError(
+                "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk "
+                "model such as default"
+            )
         label = self.label(speaker).to(self.device)
         for features, places, kept in self.hear(waveform):
             rows = self(features, places, label)
@@ -152,7 +175,9 @@ class SDFA(nn.Module):
     @torch.no_grad()
     def hear(self, waveform: Any) -> Iterator[Heard]:
         """Features of a recording, `FRAMES_AT_ONCE` frames at a time, with what is about them."""
-        sound = torch.from_numpy(normalise_level(_checked(waveform))).unsqueeze(0).to(self.device)
+        assert isinstance(self.encoder, Encoder)
+        samples = normalise_level(checked_waveform(waveform))
+        sound = torch.from_numpy(samples).unsqueeze(0).to(self.device)
         n_frames = max(int(np.ceil(sound.shape[1] / SAMPLE_RATE * self.fps - 1e-9)), 1)
         context = round(self.encoder.context_seconds * self.fps)
         for start in range(0, n_frames, FRAMES_AT_ONCE):
@@ -187,7 +212,11 @@ class SDFA(nn.Module):
         return np.asarray(torch.cat(rows).cpu().numpy(), dtype=np.float32)
 
     def predict_mesh(
-        self, waveform: Any, speaker: str | int = 0, template: TriMesh | None = None
+        self,
+        waveform: Any,
+        speaker: str | int = 0,
+        template: TriMesh | None = None,
+        direction: "Direction | None" = None,
     ) -> NDArray[np.float32]:
         """Vertices of a whole recording (§3.5).
 
@@ -199,6 +228,8 @@ class SDFA(nn.Module):
             Style, by name or place.
         template : TriMesh, optional
             Face to move; it must have the templates' triangles. The speaker's own if not given.
+        direction : Direction, optional
+            As for `predict`.
 
         Returns
         -------
@@ -206,7 +237,8 @@ class SDFA(nn.Module):
             In the template's unit; frame i is at i / fps seconds.
         """
         mesh = self.template(speaker) if template is None else template
-        return np.concatenate([self.vertices(p, mesh) for p in self.pieces(waveform, speaker)])
+        pieces = self.pieces(waveform, speaker, direction)
+        return np.concatenate([self.vertices(piece, mesh) for piece in pieces])
 
     def vertices(self, motion: Motion, template: TriMesh) -> NDArray[np.float32]:
         """Vertices (T, V, 3) of a template in frames of gradients or offsets."""
@@ -229,7 +261,7 @@ class SDFA(nn.Module):
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return next(self.parameters()).device
+        return next(self.decoder.parameters()).device
 
     def _place(self, speaker: str | int) -> int:
         if isinstance(speaker, int) and 0 <= speaker < len(self.speakers):
@@ -241,10 +273,14 @@ class SDFA(nn.Module):
         )
 
 
-def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
+def build_encoder(
+    config: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig,
+) -> Encoder | DEITalkFeatures:
     """The encoder a configuration names."""
     if isinstance(config, SDFAMelConfig):
         return SDFAEncoder(config)
+    if isinstance(config, DEITalkFeaturesConfig):
+        return DEITalkFeatures(config)
     return KarrasEncoder(config) if isinstance(config, KarrasConfig) else VocaEncoder(config)
 
 
@@ -264,7 +300,8 @@ def _solver(template: TriMesh) -> DeformationSolver:
     return mesh_solver(template)
 
 
-def _checked(waveform: Any) -> NDArray[np.float32]:
+def checked_waveform(waveform: Any) -> NDArray[np.float32]:
+    """One row of finite samples, or DataError."""
     samples = np.asarray(waveform, dtype=np.float32)
     if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
         raise DataError(

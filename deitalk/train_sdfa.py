@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -18,15 +18,18 @@ from torch.utils.data import DataLoader
 from deitalk.checkpoint import describe_model
 from deitalk.config import MeshTrainConfig, SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
+from deitalk.data.mesh_features import FeatureSegments
 from deitalk.data.mesh_folder import MeshFolder
-from deitalk.data.mesh_segments import Segment, Segments
-from deitalk.data.mesh_sources import open_meshes
+from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
+from deitalk.data.mesh_sources import knows_lips, open_meshes
 from deitalk.deformation_decoder import InversePCA
 from deitalk.errors import ConfigError, DataError
+from deitalk.frontends.deitalk_features import DEITalkFeatures
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.lip_reader import LipReader
-from deitalk.mesh_checkpoint import save_sdfa
+from deitalk.mesh_checkpoint import mesh_model, save_sdfa
+from deitalk.mesh_head import Direction, MeshHead
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.run_folder import go_on, keep, log, open_folder
 from deitalk.sdfa import SDFA, build_encoder
@@ -99,17 +102,19 @@ def train_sdfa(
         If `config` differs from the run that is resumed, or asks for lips the data lacks.
     """
     open_folder(out, config, resume=resume, write=True)
-    folder = open_meshes(data, config.data, out / "meshes")
-    if config.train.lip_weight and folder.lips is None:
+    if config.train.lip_weight and not knows_lips(data, out / "meshes"):
         raise ConfigError(
             f"train.lip_weight={config.train.lip_weight:g}: {data} does not say where the lips "
             "are; set train.lip_weight=0"
         )
+    folder = open_meshes(data, config.data, out / "meshes")
     torch.manual_seed(config.train.seed)
     model = _new_model(config, folder)
     if config.train.start_encoder is not None:
         _copy_encoder(model, config.train.start_encoder)
     segments = _segments(config, folder, model)
+    if isinstance(segments, FeatureSegments):
+        cast("DEITalkFeatures", model.encoder).fit(segments.rows)
     total = _n_steps(config.train, segments)
     run = _start(config, model, _new_model(config, folder), total)
     if resume:
@@ -129,7 +134,7 @@ def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
 
 def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
     speakers = folder.training_speakers
-    return SDFA(
+    return mesh_model(
         config.model,
         frozen_layers(folder.bases, config.model.motion),
         speakers,
@@ -154,21 +159,21 @@ def _copy_encoder(model: SDFA, name: str) -> None:
         ) from None
 
 
-def _segments(config: SDFAConfig, folder: MeshFolder, model: SDFA) -> Segments:
-    settings = config.train
-    return Segments(
-        folder.split("train"),
-        model.speakers,
-        folder.fps,
-        build_encoder(config.model.frontend),  # of its own: spectra are cut on the CPU
-        n_segments=settings.batch_size // settings.segment_frames,
-        n_frames=settings.segment_frames,
-        augment=config.data.augment,
-        seed=settings.seed,
-    )
+def _segments(config: SDFAConfig, folder: MeshFolder, model: SDFA) -> SegmentBatches:
+    settings, clips = config.train, folder.split("train")
+    drawing = {
+        "n_segments": settings.batch_size // settings.segment_frames,
+        "n_frames": settings.segment_frames,
+        "seed": settings.seed,
+    }
+    encoder = build_encoder(config.model.frontend)  # of its own: spectra are cut on the CPU
+    if isinstance(encoder, DEITalkFeatures):
+        return FeatureSegments(clips, model.speakers, encoder, **drawing)
+    augment = config.data.augment
+    return Segments(clips, model.speakers, folder.fps, encoder, augment=augment, **drawing)
 
 
-def _n_steps(settings: MeshTrainConfig, segments: Segments) -> int:
+def _n_steps(settings: MeshTrainConfig, segments: SegmentBatches) -> int:
     if settings.steps is not None:
         return settings.steps
     return max(math.ceil(settings.epochs * segments.n_frames_total / settings.batch_size), 1)
@@ -211,7 +216,7 @@ def _start(config: SDFAConfig, model: SDFA, average: SDFA, total: int) -> MeshRu
 class MeshLoss(torch.nn.Module):
     """The terms of §4.2, and the lips where they are asked for."""
 
-    def __init__(self, config: SDFAConfig, folder: MeshFolder, segments: Segments) -> None:
+    def __init__(self, config: SDFAConfig, folder: MeshFolder, segments: SegmentBatches) -> None:
         super().__init__()
         self.precision = config.train.precision
         self.places = segments.places
@@ -241,7 +246,7 @@ class MeshLoss(torch.nn.Module):
 def _fit(
     run: MeshRun,
     loss: MeshLoss,
-    segments: Segments,
+    segments: SegmentBatches,
     folder: MeshFolder,
     config: SDFAConfig,
     out: Path,
@@ -350,7 +355,8 @@ def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> d
         template = folder.templates[clip.speaker]
         offsets = folder.bases.offsets.expand(clip.motion()["offsets"])
         truth = template.vertices + offsets.reshape(len(offsets), -1, 3)
-        given = model.predict_mesh(clip.waveform(), style, template)
+        direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
+        given = model.predict_mesh(clip.waveform(), style, template, direction)
         n = min(len(given), len(truth))
         error = np.linalg.norm(given[:n] - truth[:n], axis=-1)
         if folder.lips is not None:

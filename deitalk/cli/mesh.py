@@ -53,13 +53,16 @@ def mesh(
 
     A DEITalk model acts, with emotion, an embedded head or your own mesh. An SDFA model moves its
     speakers' templates by deformation gradients, or your own mesh along with them; it has no
-    emotion. A GLB is in metres, unless the mesh is yours; the others keep the mesh's unit.
+    emotion, unless it is a mesh head (configs/mesh_head.yaml), which decodes a DEITalk model. A GLB
+    is in metres, unless the mesh is yours; the others keep the mesh's unit.
 
     Examples
     --------
     deitalk mesh speech.wav --emotion happy -o face.glb
 
     deitalk mesh speech.wav --model runs/sdfa/best --speaker Ada -o frames/
+
+    deitalk mesh speech.wav -e happy --model runs/mesh_head/best -o face.glb
 
     deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
     """

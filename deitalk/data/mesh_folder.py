@@ -3,7 +3,7 @@
 ::
 
     mesh.json              format version, frames per second, millimetres in a unit
-    clips.csv              clip, speaker, split
+    clips.csv              clip, speaker, split, emotion (empty where it is not known)
     templates/<speaker>.ply    the expressionless mesh; all have the same triangles
     audio/<clip>.flac      16 kHz
     bases.npz              bases of stretch s and rotation r (`rig.mesh.basis`)
@@ -38,6 +38,8 @@ from rig.mesh import TriMesh, pack_vertices, read_ply, write_ply
 FORMAT_VERSION = 2
 MOTION = ("stretch", "rotation", "offsets", "lips")
 """Arrays of a clip's motion."""
+LIPS_FILE = "lips.npz"
+"""Where the rims are, if they are known."""
 
 Rows = NDArray[np.float32]
 Load = Callable[[], tuple[Rows, Rows]]
@@ -56,12 +58,15 @@ class MeshSequence:
     load : callable
         Gives the waveform [shape=(S,), float32, 16 kHz] and the vertices [shape=(T, V, 3)],
         frame i at i / fps seconds.
+    emotion : str
+        What is acted; empty if not known.
     """
 
     name: str
     speaker: str
     split: str
     load: Load
+    emotion: str = ""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,8 @@ class MeshClip:
     name: str
     speaker: str
     split: str
+    emotion: str = ""
+    """Empty if not known."""
 
     def waveform(self) -> Rows:
         """The recording as it was stored [shape=(S,)]."""
@@ -214,11 +221,12 @@ def write_mesh_folder(
         )
         write_mesh_bases(beside, bases)
         if lips is not None:
-            np.savez(beside / "lips.npz", upper=lips.upper, lower=lips.lower)
+            np.savez(beside / LIPS_FILE, upper=lips.upper, lower=lips.lower)
         for sequence in sequences:
             _write_clip(beside, sequence, templates[sequence.speaker], bases, lips)
-        rows = [{"clip": q.name, "speaker": q.speaker, "split": q.split} for q in sequences]
-        pd.DataFrame(rows).to_csv(beside / "clips.csv", index=False)
+        rows = [(q.name, q.speaker, q.split, q.emotion) for q in sequences]
+        table = pd.DataFrame(rows, columns=["clip", "speaker", "split", "emotion"])
+        table.to_csv(beside / "clips.csv", index=False)
         about = {"format_version": FORMAT_VERSION, "fps": fps, "unit_mm": unit_mm}
         (beside / "mesh.json").write_text(json.dumps(about) + "\n")
 
@@ -312,6 +320,7 @@ def read_mesh_folder(folder: Path | str) -> MeshFolder:
         fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
         table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
         rows = list(zip(table["clip"], table["speaker"], table["split"], strict=True))
+        emotions = list(table.get("emotion", [""] * len(rows)))
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{folder}: no mesh folder ({reason}); build it again") from None
@@ -326,12 +335,14 @@ def read_mesh_folder(folder: Path | str) -> MeshFolder:
     missing = sorted({speaker for _, speaker, _ in rows} - templates.keys())
     if missing:
         raise DataError(f"{folder}: speaker {missing[0]!r} has no template; build it again")
-    clips = tuple(MeshClip(folder, *row) for row in rows)
+    clips = tuple(
+        MeshClip(folder, *row, emotion) for row, emotion in zip(rows, emotions, strict=True)
+    )
     return MeshFolder(fps, unit_mm, templates, clips, read_mesh_bases(folder), _read_lips(folder))
 
 
 def _read_lips(folder: Path) -> Lips | None:
-    path = folder / "lips.npz"
+    path = folder / LIPS_FILE
     if not path.is_file():
         return None
     try:

@@ -4,6 +4,7 @@ Letters: T frames of a segment, C channels and F bins of a spectrum, L spectra, 
 P speakers. The paper draws pairs: T = 2.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from itertools import count
 from typing import Any, NamedTuple
@@ -86,37 +87,26 @@ class Spectra:
         return np.pad(inside, (before, length - before - len(inside))).astype(np.float32)
 
 
-class _Spoken(NamedTuple):
+class Spoken(NamedTuple):
     """A clip in memory."""
 
-    waveform: Rows
+    heard: Rows
+    """Waveform (S,), or features (T, D)."""
     motion: dict[str, Rows]
     speaker: int
 
 
-class Segments(IterableDataset[Segment]):
-    """Endless batches of random segments of adjacent frames.
-
-    Every segment of the split is as likely as another. All frames of a segment get one shift, one
-    choice of noise and pre-emphasis and one warp of the spectrogram (§4.3, §4.4).
-
-    Deviation: where time is squeezed or stretched, so is the motion, about the segment's middle;
-    the paper keeps the frame and changes the sound about it, which for a pair is nearly the same.
+class SegmentBatches(ABC, IterableDataset[Segment]):
+    """Endless batches of random segments of adjacent frames, each as likely as another.
 
     Parameters
     ----------
-    clips : sequence of MeshClip
-        Those of one split; all are kept in memory (some 3 MB a minute).
-    speakers : tuple of str
-        Places of the one-hot label.
-    fps : float
-        Frames per second.
-    encoder : Encoder
-        Whose features are cut; its weights are not used.
+    clips : sequence of Spoken
+        Those of one split.
+    n_speakers : int
+        P.
     n_segments, n_frames : int
         Segments of a batch, T.
-    augment : bool
-        All of §4.3, or nothing.
     seed : int
         Segment k depends on the seed and k alone, whatever the number of workers.
     skip : int
@@ -125,39 +115,28 @@ class Segments(IterableDataset[Segment]):
     Attributes
     ----------
     places : Tensor [shape=(T,)]
-        Spectrum of every frame.
+        Where in a segment's features each frame is.
     """
+
+    places: Tensor
 
     def __init__(
         self,
-        clips: Sequence[MeshClip],
-        speakers: tuple[str, ...],
-        fps: float,
-        encoder: Encoder,
+        clips: Sequence[Spoken],
+        n_speakers: int,
         *,
         n_segments: int,
         n_frames: int,
-        augment: bool,
         seed: int,
         skip: int = 0,
     ) -> None:
         if not clips:
             raise DataError("no mesh sequences to train on; the data has none in this split")
-        self.fps, self.n_segments, self.n_frames = fps, n_segments, n_frames
-        self.augment, self.seed, self.skip = augment, seed, skip
-        self.n_speakers = len(speakers)
-        self.clips = [
-            _Spoken(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
-            for c in clips
-        ]
+        self.clips, self.n_speakers = list(clips), n_speakers
+        self.n_segments, self.n_frames = n_segments, n_frames
+        self.seed, self.skip = seed, skip
         counts = [max(len(c.motion["stretch"]) - n_frames, 0) + 1 for c in self.clips]
         self.starts_before = np.cumsum([0, *counts])
-        after = torch.arange(n_frames, dtype=torch.float64) - (n_frames - 1) / 2
-        around = torch.round(after / fps * encoder.frame_rate).long()
-        reach = encoder.reach + round(encoder.context_seconds / 4 * encoder.frame_rate)
-        half = int(around[-1]) + reach + 1
-        self.spectra = Spectra(encoder, 2 * half)
-        self.places = around + half
 
     @property
     def n_frames_total(self) -> int:
@@ -173,14 +152,82 @@ class Segments(IterableDataset[Segment]):
             segments = [self.segment(number) for number in numbers]
             yield Segment(*(torch.stack(field) for field in zip(*segments, strict=True)))
 
+    @abstractmethod
     def segment(self, number: int) -> Segment:
         """The segment of one number."""
+
+    def drawn(self, number: int) -> tuple[np.random.Generator, Spoken, int]:
+        """What the segment of a number is made with: chance, its clip and its first frame."""
         rng = np.random.default_rng((self.seed, number))
         drawn = int(rng.integers(self.starts_before[-1]))
         which = int(np.searchsorted(self.starts_before, drawn, side="right")) - 1
-        clip, first = self.clips[which], drawn - int(self.starts_before[which])
+        return rng, self.clips[which], drawn - int(self.starts_before[which])
+
+    def completed(self, features: Tensor, clip: Spoken, places: Floats) -> Segment:
+        """A segment of features whose frames are at fractional places of a clip."""
+        empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
+        targets = {
+            name: torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
+            for name in MOTION
+        }
+        label = torch.zeros(self.n_speakers)
+        label[clip.speaker] = 1
+        return Segment(features=features, **targets, speaker=label)
+
+
+class Segments(SegmentBatches):
+    """Segments of spectra.
+
+    All frames of a segment get one shift, one choice of noise and pre-emphasis and one warp of the
+    spectrogram (§4.3, §4.4).
+
+    Deviation: where time is squeezed or stretched, so is the motion, about the segment's middle;
+    the paper keeps the frame and changes the sound about it, which for a pair is nearly the same.
+
+    Parameters
+    ----------
+    clips : sequence of MeshClip
+        Those of one split; all are kept in memory (some 3 MB a minute).
+    speakers : tuple of str
+        Places of the one-hot label.
+    fps : float
+        Frames per second.
+    encoder : Encoder
+        Whose features are cut; its weights are not used.
+    augment : bool
+        All of §4.3, or nothing.
+    **drawing
+        As for `SegmentBatches`.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MeshClip],
+        speakers: tuple[str, ...],
+        fps: float,
+        encoder: Encoder,
+        *,
+        augment: bool,
+        **drawing: int,
+    ) -> None:
+        spoken = [
+            Spoken(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
+            for c in clips
+        ]
+        super().__init__(spoken, len(speakers), **drawing)
+        self.fps, self.augment = fps, augment
+        after = torch.arange(self.n_frames, dtype=torch.float64) - (self.n_frames - 1) / 2
+        around = torch.round(after / fps * encoder.frame_rate).long()
+        reach = encoder.reach + round(encoder.context_seconds / 4 * encoder.frame_rate)
+        half = int(around[-1]) + reach + 1
+        self.spectra = Spectra(encoder, 2 * half)
+        self.places = around + half
+
+    def segment(self, number: int) -> Segment:
+        """The segment of one number."""
+        rng, clip, first = self.drawn(number)
         frames = first + np.arange(self.n_frames, dtype=np.float64)
-        waveform, warp, began = clip.waveform, MelWarp(), 0.0
+        waveform, warp, began = clip.heard, MelWarp(), 0.0
         if self.augment:
             frames = frames + frame_shift(rng)
             waveform, began = self._surroundings(waveform, float(frames.mean()) / self.fps)
@@ -190,20 +237,11 @@ class Segments(IterableDataset[Segment]):
         middle = float(frames.mean())
         features = self.spectra(waveform, middle / self.fps - began, warp)
         places = middle + (frames - middle) / warp.stretch
-        label = torch.zeros(self.n_speakers)
-        label[clip.speaker] = 1
-        return Segment(features=features, **self._targets(clip, places), speaker=label)
+        return self.completed(features, clip, places)
 
     @property
     def _bins(self) -> Any:
         return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
-
-    def _targets(self, clip: _Spoken, places: Floats) -> dict[str, Tensor]:
-        empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
-        return {
-            name: torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
-            for name in MOTION
-        }
 
     def _surroundings(self, waveform: Rows, time: float) -> tuple[Rows, float]:
         """What is near a moment, for the noise's sake, and the second that it begins at."""

@@ -22,6 +22,7 @@ from deitalk.audio import SAMPLE_RATE, load_audio
 from deitalk.config import MeshDataConfig
 from deitalk.data.folder import SPLITS, Clip, read_clips
 from deitalk.data.mesh_folder import (
+    LIPS_FILE,
     Lips,
     MeshFolder,
     MeshSequence,
@@ -72,6 +73,17 @@ def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
             f"set data.fps={folder.fps:g}"
         )
     return folder
+
+
+def knows_lips(data: Path, built: Path) -> bool:
+    """Whether `open_meshes` will say where the lips are: in embedded heads, before they are built.
+
+    What is neither kind of folder is left for `open_meshes` to refuse.
+    """
+    for folder in (data, built):
+        if (folder / "mesh.json").is_file():
+            return (folder / LIPS_FILE).is_file()
+    return not (data / VOCASET_FRAMES).is_dir()
 
 
 def build_meshes(data: Path, config: MeshDataConfig, out: Path) -> None:
@@ -186,7 +198,7 @@ def head_sequences(data: Path, config: MeshDataConfig) -> list[MeshSequence]:
     """Curves of a dataset folder acted by the embedded heads' skins.
 
     Clip k of a split is acted by identity k, then round again: every head speaks as much. SDFA has
-    no input for emotions, so `config.emotions` had best name one.
+    no input for emotions, so `config.emotions` had best name one; the mesh head takes all.
     """
     sequences = []
     for split, most in (("train", config.clips), ("validation", config.validation_clips)):
@@ -198,6 +210,7 @@ def head_sequences(data: Path, config: MeshDataConfig) -> list[MeshSequence]:
                     resolve_identity(identity).name,
                     split,
                     partial(act, clip, identity, config.fps),
+                    clip.emotion,
                 )
             )
     return sequences

@@ -1,0 +1,82 @@
+"""Segments of features that were computed once: what a frozen DEITalk model made of each clip.
+
+Letters: T frames of a clip or a segment, D features.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from deitalk.activity import normalise_level
+from deitalk.audio import frame_times
+from deitalk.data.mesh_folder import MeshClip, Rows
+from deitalk.data.mesh_segments import Segment, SegmentBatches, Spoken
+from deitalk.emotions import parse_emotion
+from deitalk.errors import DataError
+from deitalk.frontends.deitalk_features import DEITalkFeatures
+
+
+class FeatureSegments(SegmentBatches):
+    """Segments of a frozen model's features and the motion that belongs to them.
+
+    The recordings are heard as they are: the model has met noise and rooms in its own training.
+
+    Parameters
+    ----------
+    clips : sequence of MeshClip
+        Those of one split; the features of all are kept in memory (some 2 MB a minute).
+    speakers : tuple of str
+        Places of the one-hot label.
+    encoder : DEITalkFeatures
+        What hears them.
+    **drawing
+        As for `SegmentBatches`.
+
+    Raises
+    ------
+    DataError
+        If a clip's emotion is not known.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MeshClip],
+        speakers: tuple[str, ...],
+        encoder: DEITalkFeatures,
+        **drawing: int,
+    ) -> None:
+        spoken = [
+            Spoken(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
+            for clip in clips
+        ]
+        super().__init__(spoken, len(speakers), **drawing)
+        self.places = torch.arange(self.n_frames)
+
+    @property
+    def rows(self) -> torch.Tensor:
+        """Features of all clips, one after the other [shape=(T, D)]."""
+        return torch.from_numpy(np.concatenate([clip.heard for clip in self.clips])).float()
+
+    def segment(self, number: int) -> Segment:
+        """The segment of one number."""
+        _, clip, first = self.drawn(number)
+        frames = first + np.arange(self.n_frames, dtype=np.float64)
+        rows = clip.heard[np.clip(frames.astype(np.int64), 0, len(clip.heard) - 1)]
+        features = torch.from_numpy(rows.astype(np.float32)).T.unsqueeze(0)  # (1, D, T)
+        return self.completed(features, clip, frames)
+
+
+@torch.no_grad()
+def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Rows:
+    """Features of a clip in the emotion it is acted in [shape=(T, D), float16]."""
+    if not clip.emotion:
+        raise DataError(
+            f"{clip.folder}: clips.csv does not say which emotion {clip.name} acts; fill the "
+            "column emotion, or build the folder again from a dataset folder"
+        )
+    n_frames = len(clip.motion()["stretch"])
+    sound = torch.from_numpy(normalise_level(clip.waveform()))
+    emotion = torch.from_numpy(parse_emotion(clip.emotion).at(frame_times(n_frames)))
+    rows = encoder.read(encoder.analyse(sound, n_frames), emotion)
+    return np.asarray(rows.half().numpy())
