@@ -189,7 +189,7 @@ def test_place_in_the_clip_matters_only_with_positions():
 def test_without_intensity():
     model = build(intensity=False)
     out = model(0.1 * torch.randn(1, 16_000), styles(1), *place(30, 30))
-    assert out[1:] == (None, None, None)
+    assert (out.intensity, out.emotion_logits, out.motion_embedding) == (None, None, None)
     analysis = model.analyse(torch.randn(16_000), 30)
     assert analysis[1:] == (None, None, None)
     assert model.decode(analysis, styles(1).expand(30, -1)).shape == (30, 185)
