@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from deitalk.prosody import Prosody, measure_prosody, prosody_index, vocal_effort_db
+from deitalk.prosody import Prosody, prosody_index, vocal_effort_db
 
 Floats = NDArray[np.float32]
 
@@ -31,15 +31,15 @@ EDGE_FRAMES = 3.0
 """What is measured counts in speech and fades beside it, with this sigma."""
 
 
-def heard_intensity(strength: Floats, waveform: Floats, activity: Floats) -> Floats:
+def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Floats:
     """Intensity heard in a voice: the network's, smoothed and mended by measurement.
 
     Parameters
     ----------
     strength : ndarray [shape=(T,), range 0 to 1]
         The network's.
-    waveform : ndarray [shape=(S,)]
-        16 kHz, any level.
+    prosody : Prosody
+        Of the same T frames, from `deitalk.prosody.measure_prosody`.
     activity : ndarray [shape=(T,)]
         From `deitalk.activity.speech_activity`.
 
@@ -55,7 +55,6 @@ def heard_intensity(strength: Floats, waveform: Floats, activity: Floats) -> Flo
     clip is livelier than another.
     """
     speaking = activity > 0
-    prosody = measure_prosody(waveform, len(strength))
     if not prosody.voiced.any() or not speaking.any():
         return strength
     z = _smoothed(_liveliness(strength), speaking)
@@ -68,7 +67,12 @@ def heard_intensity(strength: Floats, waveform: Floats, activity: Floats) -> Flo
 
 
 def whole_take(prosody: Prosody) -> float:
-    """Standard deviations by which a voice is livelier than usual, from its spectral tilt."""
+    """Standard deviations by which a voice is livelier than usual, from its spectral tilt.
+
+    0 where nothing is voiced.
+    """
+    if not prosody.voiced.any():
+        return 0.0
     above = EFFORT_WEIGHT * (vocal_effort_db(prosody) - USUAL_EFFORT_DB)
     return MOST_EFFORT * float(np.tanh(above / MOST_EFFORT))
 

@@ -20,7 +20,8 @@ from deitalk.emotions import (
 )
 from deitalk.expression import Expression
 from deitalk.idle import add_idle_motion
-from deitalk.liveliness import heard_intensity
+from deitalk.liveliness import heard_intensity, whole_take
+from deitalk.prosody import measure_prosody
 from rig import RigCurves
 
 if TYPE_CHECKING:
@@ -108,13 +109,14 @@ def animate(
     weights = track.at(times)
     neutral, emotional, saliency, heard = _read(network, recording, weights, activity, progress)
     clock.lap("network")
-    strength = heard_intensity(heard, recording.waveform, activity)
+    prosody = measure_prosody(recording.waveform, recording.n_frames)
+    strength = heard_intensity(heard, prosody, activity)
     predicted = strength * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
     rules = Expression(network.controls)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.decide(reading)
-        rules.enliven(reading, strength, heard)
+        rules.enliven(reading, strength, heard, whole_take(prosody))
     values = rules.blend(neutral, emotional, applied, heard * shown)
     del emotional
     for reading in (neutral, values):

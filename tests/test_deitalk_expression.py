@@ -197,3 +197,13 @@ def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay(
     np.testing.assert_allclose(curves[:, jaw], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], plain[:, others])
+
+
+def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
+    curves = np.tile(CONTROLS.rest, (3, 1))
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    curves[:, jaw] = 0.4
+    curves[2, RULES.together] = 1
+    usual = np.full(3, 0.575, np.float32)
+    RULES.enliven(curves, usual, usual, effort=0.6)
+    np.testing.assert_allclose(curves[:, jaw], [0.46, 0.46, 0.4], rtol=1e-5)

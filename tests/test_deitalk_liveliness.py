@@ -10,7 +10,8 @@ from deitalk.prosody import measure_prosody
 
 
 def hear(waveform: np.ndarray, strength: np.ndarray) -> np.ndarray:
-    return heard_intensity(strength, waveform, speech_activity(waveform))
+    prosody = measure_prosody(waveform, len(strength))
+    return heard_intensity(strength, prosody, speech_activity(waveform))
 
 
 def test_a_brighter_take_is_heard_livelier_everywhere():
