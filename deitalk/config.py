@@ -345,6 +345,10 @@ class MeshTrainConfig(Section):
         description="DEITalk model whose mel encoder is the start; it then learns at a third of "
         "the rate; not in the paper",
     )
+    start_new: tuple[Literal["spectral", "recurrent", "attention"], ...] = Field(
+        default=(),
+        description="parts of the encoder that are not copied from it: what an ablation replaces",
+    )
     lip_weight: float = Field(
         default=0.0, ge=0, description="weight of the lips' rims; not in the paper"
     )

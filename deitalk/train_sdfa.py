@@ -5,7 +5,7 @@ The main path is `train_sdfa`, then `_fit`, then `_step`. The run folder is that
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -111,7 +111,7 @@ def train_sdfa(
     torch.manual_seed(config.train.seed)
     model = _new_model(config, folder)
     if config.train.start_encoder is not None:
-        _copy_encoder(model, config.train.start_encoder)
+        _copy_encoder(model, config.train.start_encoder, config.train.start_new)
     segments = _segments(config, folder, model)
     if isinstance(segments, FeatureSegments):
         cast("DEITalkFeatures", model.encoder).fit(segments.rows)
@@ -144,18 +144,22 @@ def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
     ).to("cuda" if torch.cuda.is_available() else "cpu")
 
 
-def _copy_encoder(model: SDFA, name: str) -> None:
+def _copy_encoder(model: SDFA, name: str, new: Sequence[str]) -> None:
+    """Copy an encoder but for its `new` parts; what a model without `centre` lacks is left out."""
     from deitalk.checkpoint import load_model
 
     encoder = model.encoder
     start = load_model(name).frontend
     try:
         assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
-        encoder.frontend.load_state_dict(start.state_dict())
+        left_out = {*new, *(() if encoder.frontend.normalise is not None else ("normalise",))}
+        weights = {k: v for k, v in start.state_dict().items() if k.split(".")[0] not in left_out}
+        missing, unexpected = encoder.frontend.load_state_dict(weights, strict=False)
+        assert not unexpected and {key.split(".")[0] for key in missing} <= set(new)
     except (AssertionError, RuntimeError):
         raise ConfigError(
             f"train.start_encoder={name!r}: its encoder is not of model.frontend's sizes; copy "
-            "them from its config.yaml, or leave it out"
+            "them from its config.yaml, name what differs in train.start_new, or leave it out"
         ) from None
 
 

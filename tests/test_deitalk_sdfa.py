@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from deitalk import sdfa as sdfa_module
 from deitalk import train_sdfa as train_module
 from deitalk.activity import normalise_level
-from deitalk.checkpoint import describe_model, load_model
+from deitalk.checkpoint import describe_model, load_model, save_model
 from deitalk.cli import app
 from deitalk.config import (
     SDFAConfig,
@@ -35,6 +35,7 @@ from deitalk.lip_seal import LipSeal
 from deitalk.mesh_checkpoint import load_sdfa, save_sdfa
 from deitalk.mesh_trim import main as trim_main
 from deitalk.mesh_trim import trimmed
+from deitalk.models import DEITalk
 from deitalk.sdfa import SDFA
 from deitalk.train_sdfa import mesh_scores, train_sdfa
 from rig.face.identity import IDENTITIES
@@ -502,6 +503,29 @@ def test_lips_that_are_not_known_cannot_be_weighed(tmp_path):
 def test_a_start_encoder_must_fit(sequences, tmp_path):
     with pytest.raises(ConfigError, match="its encoder is not of"):
         train_sdfa(tiny(start_encoder="default"), sequences, tmp_path / "run")
+
+
+def test_parts_that_an_ablation_replaces_start_new(tmp_path):
+    """All else is the start's; a part of another kind must be named."""
+    start = load_config(CONFIGS / "tiny.yaml")
+    save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
+    sizes = start.model.frontend.model_dump()
+    copy, name = train_module._copy_encoder, str(tmp_path / "m")
+    wanted = load_model(name).frontend.state_dict()
+    sdfa = model(frontend=sizes)
+    before = {k: v.clone() for k, v in sdfa.encoder.frontend.state_dict().items()}
+    copy(sdfa, name, ("attention",))
+    for key, value in sdfa.encoder.frontend.state_dict().items():
+        is_new = key.startswith("attention.")
+        assert torch.equal(value, (before if is_new else wanted)[key]), key
+    convolved = model(frontend=sizes, gathering="convolution")
+    copy(convolved, name, ("spectral",))
+    with pytest.raises(ConfigError, match=r"name what differs in train\.start_new"):
+        copy(convolved, name, ())
+    without = model(frontend=sizes, centre=False)
+    copy(without, name, ())
+    recurrent = without.encoder.frontend.recurrent.state_dict()
+    assert all(torch.equal(v, wanted[f"recurrent.{k}"]) for k, v in recurrent.items())
 
 
 def test_lip_reader_is_exact_where_motion_is_linear(sequences):
