@@ -1,4 +1,4 @@
-"""The README says what is so: its Python runs, its files and commands exist."""
+"""The README and the other pages say what is so: their code, commands and files exist."""
 
 import re
 from pathlib import Path
@@ -11,6 +11,10 @@ from deitalk.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = [
+    *(Path(name) for name in ("README.md", "MODEL_CARD.md", "configs/README.md")),
+    *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").glob("*.md"))),
+]
 
 
 def test_python_of_the_readme_runs(monkeypatch, capsys):
@@ -24,17 +28,20 @@ def test_python_of_the_readme_runs(monkeypatch, capsys):
     assert 0.2 < intensity < 0.9
 
 
-def test_files_the_readme_links_to_exist():
-    for target in re.findall(r"\]\((?!http)([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_files_the_pages_link_to_exist(page):
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text()):
+        assert (ROOT / page).parent.joinpath(target).exists(), target
 
 
-def test_commands_the_readme_types_exist_with_their_options():
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_commands_the_pages_type_exist_with_their_options(page):
     commands = get_command(app).commands
-    for line in re.findall(r"^deitalk ([^\n#]*)", README, re.M):
+    text = (ROOT / page).read_text()
+    for line in re.findall(r"(?:^|`|time )deitalk ([a-z][^\n#`]*)", text, re.M):
         words = line.split()
         command = commands[words[0]]
-        if hasattr(command, "commands"):
+        if hasattr(command, "commands") and len(words) > 1:
             command = command.commands[words[1]]
         known = {option for parameter in command.params for option in parameter.opts}
         for word in words:
@@ -42,7 +49,15 @@ def test_commands_the_readme_types_exist_with_their_options():
                 assert word.split("=")[0] in known, f"{line}: {word}"
 
 
-def test_make_targets_the_readme_names_exist():
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_tests_the_pages_name_exist(page):
+    text = (ROOT / page).read_text()
+    for file, _, word in re.findall(r"pytest (tests/\w+\.py)( -k (\w+))?", text):
+        assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_make_targets_the_pages_name_exist(page):
     makefile = (ROOT / "Makefile").read_text()
-    for target in re.findall(r"^make ([a-z-]+)", README, re.M):
+    for target in re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / page).read_text(), re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
