@@ -79,7 +79,7 @@ def validate(path: Path | str) -> Validation:
     if path.is_dir():
         return Validation(tuple(_take_folder(path)))
     if not path.exists():
-        raise FormatError(f"{path} does not exist")
+        raise FormatError(f"{path} does not exist; name a take folder or a file of curves")
     return Validation(tuple(_file(path)))
 
 

@@ -52,7 +52,7 @@ def refused(*arguments):
     done = deitalk(*arguments)
     assert done.returncode == 1, done.stderr.decode()
     assert done.stdout == b""
-    lines = done.stderr.decode().strip().splitlines()
+    lines = done.stderr.decode().splitlines()
     assert len(lines) == 1, lines
     assert lines[0].startswith("deitalk: ")
     return lines[0]
@@ -90,6 +90,9 @@ def test_animate_reads_stdin(tmp_path, model, speech):
         (["--intensity", "-1"], "-1"),
         (["--model", "no-such-model"], "no-such-model"),
         (["--intensity-curve", "no.csv"], "no.csv"),
+        (["--fps", "0"], "fps=0 must be above 0"),
+        (["-o", "take.xyz"], "no format has the suffix '.xyz'"),
+        (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
     ],
 )
 def test_animate_refuses_in_one_line(tmp_path, model, speech, options, expected):
@@ -104,6 +107,26 @@ def test_animate_does_not_overwrite(tmp_path, model, speech):
     line = refused("animate", speech, "--model", model, "-o", tmp_path / "curves.csv")
     assert "--force" in line
     assert (tmp_path / "curves.csv").read_text() == "mine"
+
+
+def test_animate_replaces_a_file_when_told_to(tmp_path, model, speech):
+    out = tmp_path / "curves.csv"
+    out.write_text("mine")
+    done = deitalk("animate", speech, "--model", model, "-o", out, "--force")
+    assert done.returncode == 0, done.stderr.decode()
+    assert len(read_curves(out)) == 45
+
+
+def test_a_mistake_is_told_before_the_network_is_loaded(tmp_path):
+    """No time is lost on torch, whose import takes seconds, nor on a model that is not there."""
+    script = (
+        "import sys; from deitalk.cli import main; "
+        f"sys.argv = ['deitalk', 'animate', 'no.wav', '-o', {str(tmp_path / 'take')!r}]\n"
+        "try: main()\n"
+        "finally: print([m for m in ('torch', 'transformers') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]" and "no.wav" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,9 @@ def test_command_refuses_what_it_cannot_do(tmp_path, shapes):
     write_glb(tmp_path / "face.glb", shapes)
     common = ("--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb")
     missing = run(tmp_path / "none.csv", *common)
-    assert "holds no curves" in str(missing.exception)
+    assert "does not exist" in str(missing.exception)
+    (tmp_path / "empty").mkdir()
+    assert "holds no curves" in str(run(tmp_path / "empty", *common).exception)
     odd = run(tmp_path / "none.csv", *common, "--method", "magic")
     assert "'magic' is unknown" in str(odd.exception)
 

@@ -3,13 +3,26 @@
 import json
 import sys
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.options import (
+    Device,
+    Emotion,
+    Force,
+    Intensity,
+    IntensityCurve,
+    Json,
+    Model,
+    Threads,
+)
+from deitalk.cli.paths import refuse_existing
 from deitalk.cli.words import bar, words
 
 if TYPE_CHECKING:
+    from deitalk.audio import Recording
     from deitalk.pipeline import Performance
     from deitalk.take import Extra
 
@@ -17,39 +30,24 @@ if TYPE_CHECKING:
 def animate(
     speech: Annotated[str, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …) or - .")],
     out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help="Take folder, or one file: .csv .json .npz …"),
+        Path, typer.Option("--out", "-o", help="Take folder, or one file: .csv .json .npz …")
     ],
-    emotion: Annotated[
-        str,
-        typer.Option(
-            "--emotion",
-            "-e",
-            help="neutral, angry, happy, sad, surprised; weights such as happy=0.7,surprised=0.3; "
-            "or a keyframed track (.csv .json .yaml).",
-        ),
-    ] = "neutral",
-    intensity: Annotated[
-        float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
-    ] = 1.0,
-    intensity_curve: Annotated[
-        Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
-    ] = None,
-    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    intensity_curve: IntensityCurve = None,
+    model: Model = "default",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
     seed: Annotated[int, typer.Option(help="Of the blinks.")] = 0,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
-    threads: Annotated[
-        int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
-    ] = 1,
+    device: Device = "cpu",
+    threads: Threads = 1,
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Animate a face from a recording.
 
@@ -59,59 +57,99 @@ def animate(
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
     """
-    from deitalk.errors import DeitalkError
-    from deitalk.take import check_target, write_take
+    _check(out, fps=fps, preview=preview, force=force)
+    asked: dict[str, Any] = {
+        "emotion": emotion,
+        "intensity": intensity,
+        "intensity_curve": intensity_curve,
+        "idle": idle,
+        "seed": seed,
+    }
+    performance = _perform(speech, model, device, threads, asked)
+    settings = asked | {"intensity_curve": intensity_curve and intensity_curve.name}
+    if out.suffix:
+        _write_file(out, performance, fps)
+    else:
+        _write_take(out, performance, settings, model, fps, preview=preview, force=force)
+    for warning in performance.recording.warnings:
+        words().print(f"note: {warning}")
+    if as_json:
+        typer.echo(json.dumps(_summary(out, performance, settings)))
+        return
+    words().print(
+        f"{out}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
+        f"emotion {emotion}, intensity {performance.predicted.mean():.2f} on average"
+    )
 
-    check_target(out, force=force)
-    if preview and out.suffix:
+
+def _check(out: Path, *, fps: float | None, preview: bool, force: bool) -> None:
+    """Refuse what could not be written, before an hour of speech is animated for it."""
+    from deitalk.errors import DeitalkError
+    from deitalk.take import check_target
+    from rig.curves import snap_fps
+    from rig.formats.table import find_format
+
+    if fps is not None:
+        snap_fps(fps)
+    if not out.suffix:
+        check_target(out, force=force)
+        return
+    find_format(out, writable=True)
+    refuse_existing(out, force=force)
+    if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
+
+
+def _perform(
+    speech: str, model: str, device: str, threads: int, asked: dict[str, Any]
+) -> "Performance":
+    began = perf_counter()
+    sound, given = _read(speech, asked)
+    reading_seconds = perf_counter() - began
     with words().status("loading the network"):
         import torch
 
-        from deitalk.checkpoint import describe_model, load_model
+        from deitalk.checkpoint import load_model
         from deitalk.pipeline import animate as perform
 
         torch.set_num_threads(threads)
         network = load_model(model, device=device)
     with bar("animating") as progress:
-        performance = perform(
-            sys.stdin.buffer.read() if speech == "-" else speech,
-            emotion,
-            model=network,
-            intensity=intensity,
-            intensity_curve=intensity_curve,
-            idle=idle,
-            seed=seed,
-            progress=progress,
-        )
-    settings = {
-        "emotion": emotion,
-        "intensity": intensity,
-        "intensity_curve": None if intensity_curve is None else intensity_curve.name,
-        "idle": idle,
-        "seed": seed,
-    }
-    if out.suffix:
-        _write_file(out, performance, fps)
-    else:
-        write_take(
-            out,
-            performance,
-            settings=settings,
-            model=describe_model(model),
-            fps=fps,
-            force=force,
-            extras=_extras(preview),
-        )
-    for warning in performance.recording.warnings:
-        words().print(f"note: {warning}")
-    if as_json:
-        typer.echo(json.dumps(_summary(out, performance, settings)))
-    else:
-        words().print(
-            f"{out}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
-            f"emotion {emotion}, intensity {performance.predicted.mean():.2f} on average"
-        )
+        performance = perform(sound, model=network, progress=progress, **given)
+    performance.timings["audio"] += reading_seconds
+    return performance
+
+
+def _read(speech: str, asked: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
+    """Read what was given before the network is loaded: a mistake shows at once."""
+    from deitalk.audio import load_audio
+    from deitalk.emotions import check_intensity, parse_emotion, read_intensity_curve
+
+    check_intensity(asked["intensity"])
+    given = asked | {"emotion": parse_emotion(asked["emotion"])}
+    if asked["intensity_curve"] is not None:
+        given["intensity_curve"] = read_intensity_curve(asked["intensity_curve"])
+    return load_audio(sys.stdin.buffer.read() if speech == "-" else speech), given
+
+
+def _write_take(
+    out: Path,
+    performance: "Performance",
+    settings: dict[str, Any],
+    model: str,
+    fps: float | None,
+    *,
+    preview: bool,
+    force: bool,
+) -> None:
+    from deitalk.checkpoint import describe_model
+    from deitalk.take import write_take
+
+    about = describe_model(model)
+    extras = _extras(preview)
+    write_take(
+        out, performance, settings=settings, model=about, fps=fps, force=force, extras=extras
+    )
 
 
 def _extras(preview: bool) -> "tuple[Extra, ...]":

@@ -5,11 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.options import Json, Model
 from deitalk.cli.words import bar, words
 
 
 def benchmark(
-    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
+    model: Model = "default",
     seconds: Annotated[float, typer.Option(min=0.1, help="Length of the clip.")] = 30.0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 1,
     repeats: Annotated[int, typer.Option(min=1, help="Runs; the best counts.")] = 3,
@@ -19,7 +20,7 @@ def benchmark(
     mesh: Annotated[
         bool, typer.Option("--mesh", help="Instead: SDFA's Table 4, three mesh models by stages.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Measure speed and memory on this machine."""
     if mesh:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.options import Force, Json
+from deitalk.cli.paths import curves_of, refuse_existing
 from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
@@ -46,8 +48,8 @@ def convert(
     list_formats: Annotated[
         bool, typer.Option("--list-formats", help="Print the formats and leave.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Convert curves between formats, rates and rigs.
 
@@ -62,32 +64,38 @@ def convert(
     deitalk convert MySlate_1_iPhone.csv shapes.csv --rig arkit
     """
     from rig import read_curves, write_curves
-    from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
-    from rig.formats.table import find_format
     from rig.mapping import convert as to_set
-    from rig.raw import RAW_ID
 
     if list_formats:
         _print_formats()
         return
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
-    if target.exists() and not force:
-        raise DeitalkError(f"{target} exists; add --force to replace it, or name another file")
-    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
-    if rig not in sets:
-        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
-    curves = read_curves(_curves_of(source), format=from_, fps=source_fps, control_set=None)
+    refuse_existing(target, force=force)
+    wanted = _control_set(rig, target, to)
+    curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         curves = curves.slice_seconds(start, end)
     if gain or offset or mirror or smooth:
         gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
-    wanted = sets[rig]
-    if wanted is not None and find_format(target, to, writable=True).control_set is None:
+    if wanted is not None:
         curves = to_set(curves, wanted)
     _tell(write_curves(target, curves, format=to, fps=fps), as_json)
+
+
+def _control_set(rig: str, target: Path, to: str | None) -> str | None:
+    """What the curves become before they are written; nothing where the format decides."""
+    from rig.arkit import ARKIT_ID
+    from rig.controls import DEFAULT_ID
+    from rig.formats.table import find_format
+    from rig.raw import RAW_ID
+
+    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
+    if rig not in sets:
+        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
+    return None if find_format(target, to, writable=True).control_set else sets[rig]
 
 
 def _edited(
@@ -115,16 +123,6 @@ def _tell(report: "WriteReport", as_json: bool) -> None:
     for note in notes:
         words().print(f"note: {note}", style="yellow")
     words().print(f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps")
-
-
-def _curves_of(source: Path) -> Path:
-    """Return the file of curves of a take, or the file itself."""
-    if not source.is_dir():
-        return source
-    for name in ("curves.json", "curves.npz", "curves.csv"):
-        if (source / name).is_file():
-            return source / name
-    raise DeitalkError(f"{source} is a folder without curves.json or curves.csv; give a file")
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.options import Force, Json
+from deitalk.cli.paths import check_picture, refuse_existing
 from deitalk.cli.words import bar, words
 from deitalk.errors import DataError
 
@@ -36,8 +38,8 @@ def evaluate(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the report: .png, .svg or .pdf.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the report.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Score lips, errors, emotions and silence, beside the loudness baseline.
 
@@ -49,35 +51,23 @@ def evaluate(
 
     deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
     """
-    _check_outputs(out, picture, force=force)
+    if out is not None:
+        refuse_existing(out, force=force)
+    if picture is not None:
+        check_picture(picture, force=force)
     from deitalk.mesh_pipeline import is_sdfa
 
     if is_sdfa(model):
         _refuse_for_meshes(noise=noise, captured=captured, picture=picture)
-        report = _score_mesh(model, data, split, most, transitions=transitions)
-        from deitalk.evaluate_mesh import as_markdown as to_markdown
-
-        _write(report, to_markdown(report), out, as_json=as_json)
+        _score_mesh(model, data, split, most, out, transitions=transitions, as_json=as_json)
         return
     if transitions:
         raise DataError("--transitions: for mesh models; leave it out")
-    with words().status("loading"):
-        from deitalk.checkpoint import load_model
-        from deitalk.evaluate import evaluate as score
-        from deitalk.evaluation.report import as_markdown
+    report = _score(
+        model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
+    )
+    from deitalk.evaluation.report import as_markdown
 
-        network = load_model(model)
-    with bar("evaluating") as progress:
-        report = score(
-            network,
-            data,
-            split=split,
-            most=most,
-            probes=probes,
-            noise=noise,
-            captured=captured,
-            progress=progress,
-        )
     _write(report, as_markdown(report), out, as_json=as_json)
     if picture is not None:
         from deitalk.evaluation.picture import draw
@@ -85,18 +75,36 @@ def evaluate(
         draw(report, picture)
 
 
-def _score_mesh(
-    model: str, data: Path, split: str, most: int | None, *, transitions: bool
-) -> dict[str, Any]:
+def _score(model: str, data: Path, **options: Any) -> dict[str, Any]:
     with words().status("loading"):
-        from deitalk.evaluate_mesh import evaluate_mesh
+        from deitalk.checkpoint import load_model
+        from deitalk.evaluate import evaluate as score
+
+        network = load_model(model)
+    with bar("evaluating") as progress:
+        return score(network, data, **options, progress=progress)
+
+
+def _score_mesh(
+    model: str,
+    data: Path,
+    split: str,
+    most: int | None,
+    out: Path | None,
+    *,
+    transitions: bool,
+    as_json: bool,
+) -> None:
+    with words().status("loading"):
+        from deitalk.evaluate_mesh import as_markdown, evaluate_mesh
         from deitalk.mesh_checkpoint import load_sdfa
 
         network = load_sdfa(model)
     with bar("evaluating") as progress:
-        return evaluate_mesh(
+        report = evaluate_mesh(
             network, data, split=split, most=most, transitions=transitions, progress=progress
         )
+    _write(report, as_markdown(report), out, as_json=as_json)
 
 
 def _refuse_for_meshes(**options: object) -> None:
@@ -114,12 +122,3 @@ def _write(report: dict[str, Any], markdown: str, out: Path | None, *, as_json: 
         with atomic_write(out) as beside:
             written = to_json(report) if out.suffix == ".json" else markdown
             beside.write_text(written, encoding="utf-8")
-
-
-def _check_outputs(out: Path | None, picture: Path | None, *, force: bool) -> None:
-    """Refuse files that exist or cannot be written, before the work begins."""
-    for path in (out, picture):
-        if path is not None and path.exists() and not force:
-            raise DataError(f"{path} exists; add --force to replace it, or name another file")
-    if picture is not None and picture.suffix not in (".png", ".svg", ".pdf"):
-        raise DataError(f"{picture}: a picture is .png, .svg or .pdf")

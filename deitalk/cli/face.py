@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.options import Force, Identity
+from deitalk.cli.paths import identity_of, refuse_existing
 from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
@@ -23,13 +25,11 @@ def sheet(
     out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")] = Path(
         "sheet.png"
     ),
-    identity: Annotated[
-        str, typer.Option(help="Number or name; see `deitalk face identities`.")
-    ] = "0",
+    identity: Identity = "0",
     columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row; 0 chooses.")] = 4,
     tile: Annotated[int, typer.Option(min=64, max=2048, help="Height of a tile, pixels.")] = 340,
     backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    force: Force = False,
 ) -> None:
     """Draw a contact sheet of the head.
 
@@ -45,10 +45,9 @@ def sheet(
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
-    if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    refuse_existing(out, force=force)
     tiles = sheet_tiles(name)
-    head = build_head(int(identity) if identity.lstrip("-").isdigit() else identity)
+    head = build_head(identity_of(identity))
     picture = draw_sheet(
         head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
         backend=backend,  # type: ignore[arg-type]
@@ -62,7 +61,7 @@ def identities(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Also draw everyone into this PNG file.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    force: Force = False,
 ) -> None:
     """List the heads that can be built, and draw them.
 
@@ -77,8 +76,7 @@ def identities(
     for number, person in enumerate(IDENTITIES):
         typer.echo(f"{number}\t{person.name}")
     if out is not None:
-        if out.exists() and not force:
-            raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+        refuse_existing(out, force=force)
         write_png(out, draw_people())
         words().print(f"{out}: {len(IDENTITIES)} heads")
 
@@ -86,10 +84,8 @@ def identities(
 @app.command()
 def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="GLB file to write.")] = Path("head.glb"),
-    identity: Annotated[
-        str, typer.Option(help="Number or name; see `deitalk face identities`.")
-    ] = "0",
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    identity: Identity = "0",
+    force: Force = False,
 ) -> None:
     """Write the head with ARKit's 52 shapes and correctives, as sparse morph targets.
 
@@ -104,9 +100,8 @@ def export(
 
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")
-    if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
-    head = build_head(int(identity) if identity.lstrip("-").isdigit() else identity)
+    refuse_existing(out, force=force)
+    head = build_head(identity_of(identity))
     names = write_head(out, head).names
     words().print(
         f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "

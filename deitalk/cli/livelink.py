@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.convert import _curves_of
+from deitalk.cli.options import Emotion, Force, Intensity, Model
+from deitalk.cli.paths import curves_of, refuse_existing
 from deitalk.cli.words import words
 from deitalk.errors import DeitalkError, MissingError
 
@@ -31,11 +32,9 @@ StartSignal = Annotated[
 @app.command()
 def send(
     source: Annotated[Path, typer.Argument(help="Take folder, file of curves, or a recording.")],
-    emotion: Annotated[
-        str, typer.Option("--emotion", "-e", help="Emotion, if the source is a recording.")
-    ] = "neutral",
-    intensity: Annotated[float, typer.Option(help="Factor on the intensity, 0 to 4.")] = 1.0,
-    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    model: Model = "default",
     host: Host = "127.0.0.1",
     port: Port = None,
     protocol: ProtocolName = "livelink",
@@ -50,7 +49,7 @@ def send(
 ) -> None:
     """Send a take, a file of curves, or a recording acted on the spot.
 
-    The face rests at the end and on Ctrl-C.
+    Emotion, intensity and model are for a recording. The face rests at the end and on Ctrl-C.
 
     Examples
     --------
@@ -88,7 +87,7 @@ def replay(
     from rig import read_curves
 
     _send(
-        read_curves(_curves_of(file), control_set=None),
+        read_curves(curves_of(file), control_set=None),
         protocol,
         host,
         port,
@@ -113,7 +112,7 @@ def receive(
     idle: Annotated[
         float | None, typer.Option(help="Stop after so many seconds without a packet.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    force: Force = False,
 ) -> None:
     """Record Live Link Face packets, from a phone or from `send`, into a CSV.
 
@@ -125,8 +124,7 @@ def receive(
     from rig.formats.livelink_csv import write_take
     from rig.livelink import Receiver
 
-    if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    refuse_existing(out, force=force)
     with Receiver(host, port) as receiver:
         words().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
         recording = receiver.record(subject=subject, seconds=seconds, idle_seconds=idle)
@@ -192,7 +190,7 @@ def _source(
         raise DeitalkError(f"{source} does not exist; give a take, a file of curves or a recording")
     if source.is_dir():
         audio = source / "audio.wav"
-        path = _curves_of(source)
+        path = curves_of(source)
         return read_curves(path, control_set=None), audio if audio.is_file() else None
     try:
         find_format(source, readable=True)

@@ -5,17 +5,18 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.options import Emotion, Force, Intensity, Model, Picture
+from deitalk.cli.paths import check_picture
 from deitalk.cli.words import bar, words
-from deitalk.errors import DataError
 
 
 def plot(
     speech: Annotated[Path, typer.Argument(help="Recording.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")],
-    emotion: Annotated[str, typer.Option("--emotion", "-e", help="As for animate.")] = "neutral",
-    intensity: Annotated[float, typer.Option(help="Factor on the intensity heard.")] = 1.0,
-    model: Annotated[str, typer.Option(help="default, or a model folder.")] = "default",
-    force: Annotated[bool, typer.Option("--force", help="Replace the picture.")] = False,
+    out: Picture,
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    model: Model = "default",
+    force: Force = False,
 ) -> None:
     """Draw key curves and the intensity against the waveform.
 
@@ -23,10 +24,7 @@ def plot(
     --------
     deitalk plot speech.wav --emotion happy -o curves.png
     """
-    if out.suffix not in (".png", ".svg", ".pdf"):
-        raise DataError(f"{out}: a picture is .png, .svg or .pdf")
-    if out.exists() and not force:
-        raise DataError(f"{out} exists; add --force to replace it, or name another file")
+    check_picture(out, force=force)
     with bar("animating") as progress:
         from deitalk.pipeline import animate
         from deitalk.plot import plot as draw

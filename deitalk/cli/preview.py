@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.options import Force, Identity
+from deitalk.cli.paths import identity_of
 from deitalk.cli.words import bar, words
 from deitalk.errors import DeitalkError
 
@@ -22,7 +24,7 @@ def preview(
         Path | None,
         typer.Option("--out", "-o", help=".mp4 or .html; both beside the source without it."),
     ] = None,
-    identity: Annotated[str, typer.Option(help="Number or name; `deitalk face identities`.")] = "0",
+    identity: Identity = "0",
     view: Annotated[
         str, typer.Option(help="Second view of the video: mouth, three_quarter, side, eyes.")
     ] = "mouth",
@@ -30,7 +32,7 @@ def preview(
     versus: Annotated[
         Path | None, typer.Option(help="A second take, beside the first in the page.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    force: Force = False,
 ) -> None:
     """Render a review video of a take, or a page to play with it.
 
@@ -54,7 +56,7 @@ def preview(
         shown.append(load_source(versus))
     for time, text in find_warnings(shown[0]):
         words().print(f"{time:6.2f} s  {text}")
-    who = int(identity) if identity.isdigit() else identity
+    who = identity_of(identity)
     for target in targets:
         if target.suffix.lower() in (".html", ".htm"):
             render_page(shown, target, identity=who, force=force)

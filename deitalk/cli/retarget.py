@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.options import Force, Json
+from deitalk.cli.paths import curves_of, refuse_existing
 from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
@@ -44,8 +46,8 @@ def retarget(
     as_neutral: Annotated[
         bool, typer.Option("--as-neutral", help="Ignore the mesh's own shapes and make new ones.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Put a take on your own face: drive its blendshapes, or make it some.
 
@@ -64,9 +66,8 @@ def retarget(
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
-    if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
-    curves = read_curves(_curves_of(take))
+    refuse_existing(out, force=force)
+    curves = read_curves(curves_of(take))
     with words().status("retargeting"):
         report = retarget_curves(
             curves,
@@ -78,17 +79,6 @@ def retarget(
             as_neutral=as_neutral,
         )
     _tell(report, as_json)
-
-
-def _curves_of(take: Path) -> Path:
-    """Return the file of curves of a take, or the file itself."""
-    found = (
-        [take / f"curves.{kind}" for kind in ("json", "npz", "csv")] if take.is_dir() else [take]
-    )
-    for path in found:
-        if path.is_file():
-            return path
-    raise DeitalkError(f"{take} holds no curves; give a take folder or a file of curves")
 
 
 def _tell(report: "RetargetReport", as_json: bool) -> None:

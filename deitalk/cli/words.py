@@ -22,12 +22,16 @@ def words() -> "Console":
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[float], None]]:
-    """Yield a function that is told the share done, 0 to 1; the bar shows up after a second."""
+    """Yield a function that is told the share done, 0 to 1; the bar shows up after a second.
+
+    Where stderr is no terminal nothing is drawn.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     began = monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=words(), transient=True) as progress:
+    hidden = not words().is_terminal
+    with Progress(*columns, console=words(), transient=True, disable=hidden) as progress:
         task = progress.add_task(title, total=1.0, visible=False)
 
         def show(share: float) -> None:

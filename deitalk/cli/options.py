@@ -1,0 +1,31 @@
+"""Options that several commands share, each said once."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Emotion = Annotated[
+    str,
+    typer.Option(
+        "--emotion",
+        "-e",
+        help="neutral, angry, happy, sad, surprised; weights such as happy=0.7,surprised=0.3; "
+        "or a keyframed track (.csv .json .yaml).",
+    ),
+]
+Intensity = Annotated[
+    float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
+]
+IntensityCurve = Annotated[
+    Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
+]
+Model = Annotated[str, typer.Option(help="default, or a model folder.")]
+Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+Threads = Annotated[
+    int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
+]
+Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
+Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
+Json = Annotated[bool, typer.Option("--json", help="Print a summary for machines.")]
