@@ -15,7 +15,7 @@ from rig.curves import RigCurves, snap_fps
 from rig.errors import FormatError
 from rig.formats.fixed_point import Block, rows
 from rig.formats.wide_csv import read_header, read_numbers
-from rig.mapping import controls_of
+from rig.mapping import controls_of, known_controls
 
 DECIMALS = 6
 """Digits of a value: half a millionth of error at most."""
@@ -77,6 +77,27 @@ def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
             f"{path} lacks {len(missing)} of the {len(controls)} controls of {controls.id}: "
             f"{shown}; add these columns, or read it with a control set of its own"
         )
+
+
+def names_of_set(
+    path: Path, set_id: str, names: Sequence[str], controls: ControlSet | None
+) -> tuple[list[str], ControlSet | None]:
+    """Names of a file that says its control set, as that set spells them, and the set.
+
+    A set that is not known is someone's own (None): its names are taken as they are.
+
+    Raises
+    ------
+    FormatError
+        If it is not the set that is wanted, or lacks some of its controls.
+    """
+    known = controls or known_controls(set_id)
+    if known is None:
+        return list(names), None
+    if set_id != known.id:
+        raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
+    require_all(path, known, names)
+    return list(known.resolve(names)), known
 
 
 def fps_of(times: NDArray[np.float64], *, where: str) -> float:

@@ -12,10 +12,9 @@ import numpy as np
 from rig.controls import ControlSet
 from rig.curves import EMOTIONS, RigCurves
 from rig.errors import CurveError, FormatError
-from rig.formats.curves_csv import DECIMALS, require_all
+from rig.formats.curves_csv import DECIMALS, names_of_set
 from rig.formats.fixed_point import Block, rows
 from rig.formats.wide_csv import check_size
-from rig.mapping import known_controls
 
 SCHEMA = "deitalk.curves/1"
 MAX_BYTES = 512 << 20
@@ -68,12 +67,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if not all(isinstance(name, str) for name in names):
         raise FormatError(f"{path}: every one of 'names' must be text")
     set_id = str(_field(path, data, "control_set", str))
-    known = controls or known_controls(set_id)
-    if known is not None:
-        if set_id != known.id:
-            raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
-        require_all(path, known, names)
-        names = list(known.resolve(names))
+    names, known = names_of_set(path, set_id, names, controls)
     _check_emotions(path, data)
     try:
         curves = RigCurves(

@@ -10,9 +10,8 @@ import numpy as np
 from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import CurveError, FormatError, RigError
-from rig.formats.curves_csv import require_all
+from rig.formats.curves_csv import names_of_set
 from rig.formats.wide_csv import MAX_BYTES, check_size
-from rig.mapping import known_controls
 
 SCHEMA = "deitalk.curves/1"
 
@@ -47,12 +46,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         rate = fps or float(data["fps"])
         if str(data["schema"]) != SCHEMA:
             raise FormatError(f"{path}: schema is {str(data['schema'])!r}; this reads {SCHEMA!r}")
-        known = controls or known_controls(set_id)
-        if known is not None:
-            if set_id != known.id:
-                raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
-            require_all(path, known, names)
-            names = list(known.resolve(names))
+        names, known = names_of_set(path, set_id, names, controls)
         curves = RigCurves(
             data["values"],
             tuple(names),
