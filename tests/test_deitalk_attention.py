@@ -14,7 +14,7 @@ from deitalk.audio import write_wav
 from deitalk.checkpoint import save_model
 from deitalk.cli import app
 from deitalk.config import parse_config
-from deitalk.errors import CheckpointError, DataError
+from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.features import nearest_spectra
 from deitalk.models import DEITalk
 
@@ -159,4 +159,4 @@ def test_command_draws_a_clip_and_a_corpus(dataset, tmp_path):
         ((dataset, "--phones", phones, "-o", tmp_path / "d.png"), "goes with one recording"),
     ):
         error = run(*arguments, *model).exception
-        assert isinstance(error, DataError) and said in str(error)
+        assert isinstance(error, DeitalkError) and said in str(error)
