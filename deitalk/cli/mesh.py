@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json
+from deitalk.cli.paths import refuse_existing
 from deitalk.cli.words import bar, words
 from deitalk.errors import DeitalkError
 
@@ -23,13 +25,9 @@ def mesh(
         Path,
         typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder for .ply files."),
     ],
-    emotion: Annotated[str, typer.Option("--emotion", "-e", help="As for animate.")] = "neutral",
-    intensity: Annotated[
-        float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
-    ] = 1.0,
-    intensity_curve: Annotated[
-        Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
-    ] = None,
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    intensity_curve: IntensityCurve = None,
     model: Annotated[str, typer.Option(help="default, or a model folder, SDFA's too.")] = "default",
     speaker: Annotated[
         str,
@@ -45,9 +43,9 @@ def mesh(
     fps: Annotated[
         float | None, typer.Option(help="Frames per second; an SDFA model has its own.")
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a summary for machines.")] = False,
+    device: Device = "cpu",
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Animate a mesh from a recording, vertex by vertex.
 
@@ -69,8 +67,7 @@ def mesh(
     from rig.mesh.sequence import check_out
 
     check_out(out)
-    if out.exists() and not force:
-        raise DeitalkError(f"{out} exists; add --force to replace it, or name another file")
+    refuse_existing(out, force=force)
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     curve = None if intensity_curve is None else str(intensity_curve)
