@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from deitalk.audio import Recording, load_audio
 from deitalk.checkpoint import model_folder, read_about
-from deitalk.errors import CheckpointError
+from deitalk.errors import CheckpointError, EmotionError
 from deitalk.pipeline import animate
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
@@ -130,7 +130,7 @@ def animate_mesh(
     network = _loaded(model, device)
     if hasattr(network, "predict_mesh"):
         curve = options.get("intensity_curve")
-        direction = _direction(emotion, intensity, curve)
+        direction = _direction(network, emotion, intensity, curve)
         return _by_gradients(network, recording, speaker, fps, direction, progress)
     rate = 30.0 if fps is None else fps
     head = build_head(speaker)
@@ -162,13 +162,16 @@ def _loaded(model: Any, device: str) -> Any:
     return load_model(model, device=device)
 
 
-def _direction(emotion: Any, intensity: float, curve: Any) -> "Direction | None":
-    """What is asked for; None if nothing is."""
-    from deitalk.mesh_head import Direction
+def _direction(network: "SDFA", emotion: Any, intensity: float, curve: Any) -> "Direction | None":
+    """What is asked of a mesh head; None of another model, of which nothing may be asked."""
+    from deitalk.mesh_head import Direction, MeshHead
+    from deitalk.sdfa import NO_EMOTION
 
-    if emotion == "neutral" and intensity == 1 and curve is None:
-        return None
-    return Direction.of(emotion, intensity, curve)
+    if isinstance(network, MeshHead):
+        return Direction.of(emotion, intensity, curve)
+    if emotion != "neutral" or intensity != 1 or curve is not None:
+        raise EmotionError(NO_EMOTION)
+    return None
 
 
 def _by_gradients(

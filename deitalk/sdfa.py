@@ -50,6 +50,10 @@ from rig.mesh import DeformationSolver, TriMesh
 if TYPE_CHECKING:
     from deitalk.mesh_head import Direction
 
+NO_EMOTION = (
+    "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk model such as "
+    "default"
+)
 FRAMES_AT_ONCE = 480
 """Frames that are heard together when predicting."""
 FRAMES_EXPANDED = 64
@@ -163,10 +167,7 @@ class SDFA(nn.Module):
     ) -> Iterator[Coefficients]:
         """Coefficients (T, K) of some frames at a time, in order."""
         if direction is not None:
-            raise EmotionError(
-                "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk "
-                "model such as default"
-            )
+            raise EmotionError(NO_EMOTION)
         label = self.label(speaker).to(self.device)
         for features, places, kept in self.hear(waveform):
             rows = self(features, places, label)
