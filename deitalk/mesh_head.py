@@ -33,6 +33,7 @@ from deitalk.emotions import (
 from deitalk.expression import LEAST_PREDICTED
 from deitalk.frontends.deitalk_features import FPS, DEITalkFeatures
 from deitalk.liveliness import heard_intensity
+from deitalk.prosody import measure_prosody
 from deitalk.sdfa import FRAMES_AT_ONCE, SDFA, checked_waveform
 
 Floats = NDArray[np.float32]
@@ -100,7 +101,7 @@ class MeshHead(SDFA):
         heard = np.ones(n_frames, np.float32)
         if analysis.strength is not None:
             heard = analysis.strength.cpu().numpy()
-        strength = heard_intensity(heard, samples, activity) * shown
+        strength = heard_intensity(heard, measure_prosody(samples, n_frames), activity) * shown
         applied = asked.intensity * (strength if asked.curve is None else asked.curve.at(times))
         scale = applied / np.maximum(heard * shown, LEAST_PREDICTED)
         readings = [self.encoder.read(analysis, each) for each in (neutral, weights)]
