@@ -57,7 +57,7 @@ def finished(data, teacher, tmp_path_factory) -> Path:
     return out
 
 
-def test_distance_is_the_mean_square_and_teaches_the_student_alone(teacher):
+def test_distance_is_that_of_places_and_of_motion_and_teaches_the_student_alone(teacher):
     config = student(teacher)
     model = read_teacher(str(teacher), DEITalk(config.model))
     assert model is not None and not any(p.requires_grad for p in model.parameters())
@@ -70,6 +70,9 @@ def test_distance_is_the_mean_square_and_teaches_the_student_alone(teacher):
     distance.backward()
     # d/dx of the mean of (x - y)^2 is 2 (x - y) / n.
     torch.testing.assert_close(speech.grad, torch.full_like(speech, 6 / speech.numel()))
+    # Errors of 1 and -1 by turns differ by 2: 1 + 4 * 2^2.
+    shaken = target + (-1.0) ** torch.arange(30).unsqueeze(1)
+    assert taught.distance(waveform, shaken).item() == pytest.approx(17, rel=1e-4)
 
 
 def test_all_that_fits_behind_the_frontend_is_the_teachers(teacher):
