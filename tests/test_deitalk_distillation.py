@@ -132,6 +132,8 @@ def test_listening_learns_no_labels_and_leaves_the_rest_alone(data, teacher, tmp
     assert sum(moved) > 0.9 * len(moved)
     with pytest.raises(ConfigError, match=r"train\.listen_only=True: needs a train.teacher"):
         load_config(TINY, ["train.listen_only=true"])
+    with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend learns"):
+        load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
 
 
 def test_a_saved_model_holds_no_teacher_and_needs_none(finished, teacher):
