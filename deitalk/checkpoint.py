@@ -56,7 +56,7 @@ def save_model(
         Store float16.
     """
     import torch
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     weights = {
         name: value.half() if half and value.dtype == torch.float32 else value
@@ -72,7 +72,8 @@ def save_model(
     }
     with atomic_write(folder) as beside:
         beside.mkdir(parents=True)
-        save_file(weights, beside / "model.safetensors")
+        # save_file would make a file that nobody else may read.
+        (beside / "model.safetensors").write_bytes(save(weights))
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (beside / "config.yaml").write_text(settings)
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")

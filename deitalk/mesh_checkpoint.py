@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from deitalk.checkpoint import FORMAT_VERSION, model_folder, read_about, read_weights
 from deitalk.config import DEITalkFeaturesConfig, SDFAConfig, SDFAModelConfig, load_config
@@ -102,7 +102,7 @@ def save_sdfa(
     with atomic_write(folder) as beside:
         beside.mkdir(parents=True)
         contiguous = {name: value.contiguous() for name, value in weights.items()}
-        save_file(contiguous, beside / "model.safetensors")
+        (beside / "model.safetensors").write_bytes(save(contiguous))
         np.savez_compressed(
             beside / "templates.npz",
             vertices=vertices.astype(np.float32) if small else vertices,

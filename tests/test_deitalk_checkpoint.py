@@ -59,6 +59,11 @@ def test_a_model_read_again_predicts_the_same_bit_for_bit(folder, model):
     assert load_config(folder / "config.yaml") == load_config(TINY)
 
 
+def test_whoever_may_read_the_card_may_read_the_weights(folder):
+    modes = {p.name: p.stat().st_mode & 0o777 for p in folder.iterdir()}
+    assert modes["model.safetensors"] == modes["model.json"]
+
+
 def test_half_precision_halves_the_file_and_changes_little(folder, config, model, tmp_path):
     save_model(tmp_path / "half", model, config, {}, half=True)
     ratio = (tmp_path / "half/model.safetensors").stat().st_size / (
