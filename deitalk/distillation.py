@@ -81,7 +81,8 @@ class Teacher:
     """
 
     def __init__(self, model: DEITalk, accelerator: Any) -> None:
-        self.frontend = accelerator.prepare_model(model.frontend.eval(), evaluation_mode=True)
+        # load_model gave it in evaluation mode: no dropout while it teaches.
+        self.frontend = accelerator.prepare_model(model.frontend, evaluation_mode=True)
 
     def distance(self, waveform: Tensor, speech: Tensor) -> Tensor:
         """Mean squared distance of the student's features and the teacher's, and of their motion.
@@ -102,7 +103,7 @@ class Teacher:
             In units of the teacher's features, whose variance is about 1.
         """
         with torch.no_grad():
-            target = self.frontend(waveform, speech.shape[1])
+            target: Tensor = self.frontend(waveform, speech.shape[1])
         error = speech.float() - target.float()
         return error.square().mean() + MOTION_WEIGHT * error.diff(dim=1).square().mean()
 

@@ -280,7 +280,8 @@ def _groups(model: DEITalk, rate: float, is_taught: bool) -> list[dict[str, Any]
     """What learns, and how fast: what began as the teacher's at a third, as in `train_sdfa`."""
     if not is_taught:
         return [{"params": [p for p in model.parameters() if p.requires_grad], "lr": rate}]
-    frontend, rest = [], []
+    frontend: list[nn.Parameter] = []
+    rest: list[nn.Parameter] = []
     for name, parameter in model.named_parameters():
         if parameter.requires_grad:
             (frontend if name.startswith("frontend.") else rest).append(parameter)

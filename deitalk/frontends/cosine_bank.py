@@ -5,8 +5,11 @@ Filters that begin at random must first become a filter bank, which takes raw au
 of the layer stays, and so does its freedom: every tap is learnt on.
 """
 
+import math
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from deitalk.errors import ConfigError
@@ -20,20 +23,21 @@ NORM = 10.0
 change a long filter little."""
 
 
-def cosine_bank(n_bands: int, kernel_size: int) -> np.ndarray:
+def cosine_bank(n_bands: int, kernel_size: int) -> NDArray[np.float64]:
     """Filters [shape=(PHASES * n_bands, kernel_size)] of length `NORM`, a band's phases together.
 
     A window is as long as its band's width wants, between half the kernel and all of it.
     """
-    ends = 2595 * np.log10(1 + np.array([LOWEST_HZ, HIGHEST_HZ]) / 700)
-    edges = 700 * (10 ** (np.linspace(*ends, n_bands + 2) / 2595) - 1)  # Hz, as mel filters have
+    low, high = (2595 * math.log10(1 + hertz / 700) for hertz in (LOWEST_HZ, HIGHEST_HZ))
+    edges = 700 * (10 ** (np.linspace(low, high, n_bands + 2) / 2595) - 1)  # Hz, of mel filters
     centres, widths = edges[1:-1, None, None], (edges[2:] - edges[:-2])[:, None, None]
     lengths = np.clip(4 * SAMPLE_RATE / widths, kernel_size / 2, kernel_size)
     time = np.arange(kernel_size) - (kernel_size - 1) / 2  # samples
     window = np.cos(np.pi * np.clip(time / lengths, -0.5, 0.5)) ** 2
     turns = centres * time / SAMPLE_RATE + np.arange(PHASES)[:, None] / PHASES
     bank = (window * np.cos(2 * np.pi * turns)).reshape(-1, kernel_size)
-    return NORM * bank / np.linalg.norm(bank, axis=1, keepdims=True)
+    filters: NDArray[np.float64] = NORM * bank / np.linalg.norm(bank, axis=1, keepdims=True)
+    return filters
 
 
 @torch.no_grad()
