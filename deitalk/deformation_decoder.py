@@ -87,7 +87,8 @@ class InversePCA(nn.Module):
     def rest(self) -> Tensor:
         """Coefficients [shape=(K,)] that come nearest to no motion at all."""
         across = self.components @ self.components.T
-        return -torch.linalg.solve(across, self.components @ self.mean)
+        nearest: Tensor = -torch.linalg.solve(across, self.components @ self.mean)
+        return nearest
 
     def forward(self, coefficients: Tensor) -> Tensor:
         """Map (B, K) to (B, width)."""

@@ -50,8 +50,8 @@ class Ears:
                 f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
                 "begin with that model's own config.yaml"
             )
-        model.frontend.load_state_dict(self._owner.frontend.state_dict())
-        model.frontend.requires_grad_(False)
+        frontend = model.get_submodule("frontend").requires_grad_(False)
+        frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
 
     def hear(self, clip: Clip, waveform: NDArray[np.float32], n_frames: int) -> NDArray[np.float16]:
         """Features of a whole clip, computed at the first call.

@@ -398,7 +398,7 @@ def _step(
     """
     run.model.train()
     if settings.frozen_frontend is not None:
-        run.model.frontend.eval()
+        run.model.get_submodule("frontend").eval()
     parts = loss(network, batch)
     run.optimizer.zero_grad(set_to_none=True)
     accelerator.backward(parts["total"])
