@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Send a face live over UDP, receive one, replay a take.")
 
 Host = Annotated[str, typer.Option(help="Where to send.")]
-Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
+Port = Annotated[
+    int | None,
+    typer.Option(min=1, max=65535, help="UDP port; the protocol's own by default."),
+]
 ProtocolName = Annotated[str, typer.Option(help="livelink, json or vmc.")]
 Subject = Annotated[str, typer.Option(help="Name that Unreal lists.")]
 Fps = Annotated[float | None, typer.Option(help="Rate to send, Hz; the source's by default.")]
@@ -104,7 +107,7 @@ def receive(
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 is the whole network.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="UDP port.")] = 11111,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port.")] = 11111,
     subject: Annotated[
         str | None, typer.Option(help="Whose packets to take; the first one's by default.")
     ] = None,
