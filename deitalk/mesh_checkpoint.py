@@ -11,7 +11,6 @@
 """
 
 import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +34,9 @@ CONTROL_SET = "none (meshes)"
 """Stands where other models name their controls."""
 
 
-def mesh_model(
-    config: SDFAModelConfig,
-    layers: Mapping[str, InversePCA],
-    speakers: Sequence[str],
-    templates: dict[str, TriMesh],
-    *,
-    fps: float,
-    unit_mm: float,
-) -> SDFA:
-    """The model a configuration asks for, its weights new; arguments as for `SDFA`."""
-    kind = MeshHead if isinstance(config.frontend, DEITalkFeaturesConfig) else SDFA
-    return kind(config, layers, speakers, templates, fps=fps, unit_mm=unit_mm)
+def mesh_kind(config: SDFAModelConfig) -> type[SDFA]:
+    """The class of model a configuration asks for: with an encoder of its own, or DEITalk's."""
+    return MeshHead if isinstance(config.frontend, DEITalkFeaturesConfig) else SDFA
 
 
 def save_sdfa(
@@ -159,7 +149,7 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         templates = dict(zip(about["speakers"], meshes, strict=True))
         layers = _empty_layers(weights)
         fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
-        model = mesh_model(
+        model = mesh_kind(config.model)(
             config.model, layers, about["speakers"], templates, fps=fps, unit_mm=unit_mm
         )
         model.load_state_dict(weights)

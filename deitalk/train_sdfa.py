@@ -28,7 +28,7 @@ from deitalk.frontends.deitalk_features import DEITalkFeatures
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.lip_reader import LipReader
-from deitalk.mesh_checkpoint import mesh_model, save_sdfa
+from deitalk.mesh_checkpoint import mesh_kind, save_sdfa
 from deitalk.mesh_head import Direction, MeshHead
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.run_folder import go_on, keep, log, open_folder
@@ -134,7 +134,7 @@ def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
 
 def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
     speakers = folder.training_speakers
-    return mesh_model(
+    return mesh_kind(config.model)(
         config.model,
         frozen_layers(folder.bases, config.model.motion),
         speakers,

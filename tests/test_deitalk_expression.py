@@ -185,25 +185,29 @@ def test_lips_start_closing_early_and_keep_their_contact():
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
 
 
-def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay():
+JAW = CONTROLS.index("CTRL_C_jaw.ty")
+
+
+def half_open() -> np.ndarray:
+    """Three frames with the jaw at 0.4; in the last the lips are closed."""
     curves = np.tile(CONTROLS.rest, (3, 1))
-    jaw = CONTROLS.index("CTRL_C_jaw.ty")
-    curves[:, jaw] = 0.4
+    curves[:, JAW] = 0.4
     curves[2, RULES.together] = 1
+    return curves
+
+
+def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay():
+    curves = half_open()
     heard = np.full(3, 0.575, np.float32)
     strength = np.array([0.575, 0.775, 0.775], np.float32)
-    plain = curves.copy()
     RULES.enliven(curves, strength, heard)
-    np.testing.assert_allclose(curves[:, jaw], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
-    np.testing.assert_array_equal(curves[:, others], plain[:, others])
+    np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
 
 
 def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
-    curves = np.tile(CONTROLS.rest, (3, 1))
-    jaw = CONTROLS.index("CTRL_C_jaw.ty")
-    curves[:, jaw] = 0.4
-    curves[2, RULES.together] = 1
+    curves = half_open()
     usual = np.full(3, 0.575, np.float32)
     RULES.enliven(curves, usual, usual, effort=0.6)
-    np.testing.assert_allclose(curves[:, jaw], [0.436, 0.436, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(curves[:, JAW], [0.436, 0.436, 0.4], rtol=1e-5)

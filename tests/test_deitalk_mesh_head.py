@@ -20,7 +20,7 @@ from deitalk.deformation_decoder import InversePCA
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluate_mesh import as_markdown, evaluate_mesh
-from deitalk.mesh_checkpoint import load_sdfa, mesh_model, save_sdfa
+from deitalk.mesh_checkpoint import load_sdfa, mesh_kind, save_sdfa
 from deitalk.mesh_head import Direction
 from deitalk.mesh_pipeline import animate_mesh
 from deitalk.models import DEITalk
@@ -76,7 +76,8 @@ def head(network, templates=None, layers=None):
             layer.mean.normal_(std=0.01)
     templates = templates or {"ann": sheet(4)}
     config = tiny(network).model
-    return mesh_model(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
+    kind = mesh_kind(config)
+    return kind(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
 
 
 def whole(model, sound, *direction):
