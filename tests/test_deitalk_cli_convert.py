@@ -199,6 +199,8 @@ def test_live_mistakes_are_one_line(curves_file, tmp_path, monkeypatch):
         (["send", tmp_path / "absent.wav"], "does not exist"),
         (["send", curves_file, "--play"], "no audio to play"),
         (["send", curves_file, "--protocol", "tcp"], "unknown protocol 'tcp'"),
+        (["send", tmp_path / "absent.wav", "--port", "99999"], "port 99999 must be 1 to 65535"),
+        (["replay", tmp_path / "absent.csv", "--port", "0"], "port 0 must be 1 to 65535"),
         (["send", curves_file, "--start-signal", "here"], "must be HOST:PORT"),
         (["receive", "-o", curves_file], "exists; add --force"),
         (["receive", "-o", tmp_path / "x.csv", "--port", 0, "--seconds", 0.1], "no packet"),

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Send a face live over UDP, receive one, replay a take.")
 
 Host = Annotated[str, typer.Option(help="Where to send.")]
-Port = Annotated[
-    int | None,
-    typer.Option(min=1, max=65535, help="UDP port; the protocol's own by default."),
-]
+Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
 ProtocolName = Annotated[str, typer.Option(help="livelink, json or vmc.")]
 Subject = Annotated[str, typer.Option(help="Name that Unreal lists.")]
 Fps = Annotated[float | None, typer.Option(help="Rate to send, Hz; the source's by default.")]
@@ -62,12 +59,12 @@ def send(
 
     deitalk livelink send take/curves.json --protocol json --loop
     """
+    signals = [_signal(start_signal)] if start_signal else []
+    port = _port(port, protocol)
     curves, audio = _source(source, emotion, intensity, model)
     if protocol == "json":
         curves = _as_rig(curves, rig)
-    started = [_player(audio)] if play else []
-    if start_signal:
-        started.append(_signal(start_signal))
+    started = [_player(audio), *signals] if play else signals
     _send(curves, protocol, host, port, subject, fps, loop, started)
 
 
@@ -89,6 +86,7 @@ def replay(
     """
     from rig import read_curves
 
+    port = _port(port, protocol)
     _send(
         read_curves(curves_of(file), control_set=None),
         protocol,
@@ -107,7 +105,7 @@ def receive(
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 is the whole network.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port.")] = 11111,
+    port: Annotated[int, typer.Option(help="UDP port.")] = 11111,
     subject: Annotated[
         str | None, typer.Option(help="Whose packets to take; the first one's by default.")
     ] = None,
@@ -144,7 +142,7 @@ def _send(
     curves: "RigCurves",
     protocol: str,
     host: str,
-    port: int | None,
+    port: int,
     subject: str,
     fps: float | None,
     loop: bool,
@@ -152,13 +150,12 @@ def _send(
 ) -> None:
     from datetime import datetime
 
-    from rig.livelink import PROTOCOLS, make_protocol
+    from rig.livelink import make_protocol
     from rig.livelink import send as transmit
 
     if fps is not None:
         curves = curves.resample(fps)
     chosen = make_protocol(protocol, subject, curves.names)
-    port = PROTOCOLS[protocol].port if port is None else port
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     since = (datetime.now().astimezone() - midnight).total_seconds()
     words().print(f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops")
@@ -179,6 +176,16 @@ def _send(
         f"{report.n_sent} frames in {report.seconds:.2f} s, {report.n_skipped} skipped, "
         f"at most {1000 * report.worst_lateness:.1f} ms late"
     )
+
+
+def _port(port: int | None, protocol: str) -> int:
+    """The port asked for, or the protocol's own; mistakes show before anything is acted."""
+    from rig.livelink import find_protocol
+
+    own = find_protocol(protocol).port
+    if port is not None and not 0 < port < 65536:
+        raise DeitalkError(f"port {port} must be 1 to 65535; leave it out for {own}")
+    return own if port is None else port
 
 
 def _source(

@@ -1,7 +1,7 @@
 """Live curves over UDP: to Unreal's Live Link, to JSON receivers, to VMC marionettes, and back."""
 
 from rig.livelink.packet import Packet, decode, encode
-from rig.livelink.protocols import PROTOCOLS, make_protocol
+from rig.livelink.protocols import PROTOCOLS, find_protocol, make_protocol
 from rig.livelink.receiver import Receiver, Recording
 from rig.livelink.sender import SendReport, send
 
@@ -13,6 +13,7 @@ __all__ = [
     "SendReport",
     "decode",
     "encode",
+    "find_protocol",
     "make_protocol",
     "send",
 ]

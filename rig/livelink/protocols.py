@@ -124,8 +124,8 @@ PROTOCOLS: dict[str, ProtocolInfo] = {
 }
 
 
-def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol:
-    """Return a protocol by its name.
+def find_protocol(name: str) -> ProtocolInfo:
+    """Return what is known of a protocol.
 
     Raises
     ------
@@ -134,4 +134,9 @@ def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol
     """
     if name not in PROTOCOLS:
         raise FormatError(f"unknown protocol {name!r}; known: {', '.join(PROTOCOLS)}")
-    return PROTOCOLS[name].make(subject, names)
+    return PROTOCOLS[name]
+
+
+def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol:
+    """Return a protocol by its name; errors are those of `find_protocol`."""
+    return find_protocol(name).make(subject, names)
