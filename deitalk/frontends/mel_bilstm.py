@@ -196,15 +196,15 @@ class MelFrontend(nn.Module):
 
         `progress` is told the share that is done, 0 to 1.
         """
-        rows = []
+        rows = waveform.new_empty(n_frames, self.output_size)
         for start in range(0, n_frames, SEGMENT_FRAMES):
             stop = min(start + SEGMENT_FRAMES, n_frames)
             first = max(start - CONTEXT_FRAMES, 0)
             last = min(stop + CONTEXT_FRAMES, n_frames)
             segment = self._frames(waveform.unsqueeze(0), first, last)
-            rows.append(segment[0, start - first : stop - first])
+            rows[start:stop] = segment[0, start - first : stop - first]
             progress(stop / n_frames)
-        return torch.cat(rows)
+        return rows
 
     def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""
