@@ -170,7 +170,7 @@ class DataConfig(Section):
         description="share of windows from recorded (not synthetic) speech",
     )
     cache_gigabytes: float = Field(
-        default=1.0, gt=0, description="clips a loading process keeps in memory; 0.4 an hour"
+        default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"
     )
 
 

@@ -65,8 +65,8 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
 
 
 MOTION_WEIGHT = 4.0
-"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Seven tenths of the
-default's features change slower than once a second (who speaks, where); lips move faster."""
+"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Features say much that
+changes slowly (who speaks, where); lips move faster."""
 
 
 class Teacher:

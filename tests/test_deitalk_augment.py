@@ -1,10 +1,12 @@
 """Augmentation: other voices, rooms and noise, but the same moments."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import soundfile
 
-from deitalk.augment import Surroundings, augment, change_speed, speed_factor
+from deitalk.augment import Surroundings, _hiss, _noise, _tone, augment, change_speed, speed_factor
 from deitalk.errors import DataError
 
 RATE = 16_000
@@ -79,3 +81,35 @@ def test_surroundings_are_read_in_a_fixed_order_and_an_empty_folder_is_named(tmp
     (empty := tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=r"empty: holds no \.wav or \.flac"):
         Surroundings.read(None, str(empty))
+
+
+def bands(sound: np.ndarray) -> np.ndarray:
+    """Level of eight octaves up to 8 kHz, dB."""
+    power = np.abs(np.fft.rfft(sound * np.hanning(len(sound)))) ** 2
+    hertz = np.fft.rfftfreq(len(sound), 1 / RATE)
+    edges = 8000 / 2.0 ** np.arange(8, -1, -1)
+    inside = [(hertz > low) & (hertz <= high) for low, high in pairwise(edges)]
+    return 10 * np.log10([power[mask].mean() + 1e-12 for mask in inside])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_noise_of_every_kind_has_power_one(seed):
+    rng = np.random.default_rng(seed)
+    voices = [np.random.default_rng(i).standard_normal(RATE).astype(np.float32) for i in range(4)]
+    noise = _noise(RATE + 17, rng, rooms().noises, voices)
+    assert noise.shape == (RATE + 17,) and noise.std() == pytest.approx(1, abs=1e-6)
+
+
+def test_hisses_are_of_many_colours():
+    tilts = [np.ptp(bands(_hiss(4 * RATE, np.random.default_rng(seed)))) for seed in range(20)]
+    assert min(tilts) < 10 and max(tilts) > 35  # from nearly white to brown, hills and all
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_tone_has_a_pitch_and_no_overtone_folds_back(seed):
+    tone = _tone(2 * RATE, np.random.default_rng(seed))
+    power = np.square(np.abs(np.fft.rfft(tone * np.hanning(len(tone)))))
+    assert power[len(power) * 39 // 40 :].sum() < 1e-4 * power.sum()  # above 7.8 kHz
+    piece = tone[RATE : RATE + 670]
+    echoes = [np.corrcoef(piece[:400], piece[lag : lag + 400])[0, 1] for lag in range(8, 270)]
+    assert max(echoes) > 0.9, "a few hundredths of a second repeat themselves"

@@ -114,5 +114,6 @@ def test_command(tmp_path):
     assert "| p b m |" in result.output
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["encoder"] == "voca" and report["groups"]["all"]["bilabials"] == 1
-    refused = CliRunner().invoke(app, [*arguments, "--noise", "pink"])
-    assert isinstance(refused.exception, DataError)
+    for wrong in (("--noise", "pink"), ("-o", str(tmp_path / "r.txt"))):
+        refused = CliRunner().invoke(app, [*arguments, *wrong])
+        assert isinstance(refused.exception, DataError)

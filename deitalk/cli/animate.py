@@ -16,7 +16,6 @@ from deitalk.cli.options import (
     IntensityCurve,
     Json,
     Model,
-    Threads,
 )
 from deitalk.cli.paths import refuse_existing
 from deitalk.cli.words import bar, words
@@ -42,7 +41,9 @@ def animate(
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
     seed: Annotated[int, typer.Option(help="Of the blinks.")] = 0,
     device: Device = "cpu",
-    threads: Threads = 1,
+    threads: Annotated[
+        int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
+    ] = 1,
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,

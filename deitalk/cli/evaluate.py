@@ -52,6 +52,8 @@ def evaluate(
     deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
     """
     if out is not None:
+        if out.suffix not in (".md", ".json"):
+            raise DataError(f"{out}: a report is .md or .json")
         refuse_existing(out, force=force)
     if picture is not None:
         check_picture(picture, force=force)

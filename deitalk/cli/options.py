@@ -22,9 +22,6 @@ IntensityCurve = Annotated[
 ]
 Model = Annotated[str, typer.Option(help="default, or a model folder.")]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
-Threads = Annotated[
-    int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
-]
 Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
