@@ -99,16 +99,29 @@ class Wav2VecConfig(Section):
         default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
-    cosine_bank: bool = Field(
-        default=False,
-        description="the first layer of a new encoder begins as a mel-spaced bank of cosines",
-    )
+
+
+class ConformerConfig(Section):
+    """Mel spectrogram and conformer blocks; not in the papers."""
+
+    kind: Literal["conformer"] = "conformer"
+    window_seconds: float = Field(default=0.032, gt=0, description="length of one spectrum")
+    n_mels: int = Field(default=80, ge=4, description="mel bins (F)")
+    stem_channels: Positive = 256
+    hidden_size: Positive = Field(default=256, description="width of a block")
+    layers: Positive = 3
+    heads: Positive = 4
+    intermediate_size: Positive = Field(default=512, description="width within a block")
+    kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
+    dropout: float = Field(default=0.1, ge=0, lt=1)
 
 
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | Wav2VecConfig = Field(default_factory=Wav2VecConfig, discriminator="kind")
+    frontend: MelConfig | Wav2VecConfig | ConformerConfig = Field(
+        default_factory=Wav2VecConfig, discriminator="kind"
+    )
     control_set: str = "metahuman-185@mh4"
     positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
     intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")

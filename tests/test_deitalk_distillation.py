@@ -27,7 +27,7 @@ ENCODER = (
 
 def student(teacher: Path | str, *overrides: str) -> Config:
     """A wav2vec encoder before tiny.yaml's decoder."""
-    frontend = f"{{kind: wav2vec, checkpoint: null, cosine_bank: true, encoder: {ENCODER}}}"
+    frontend = f"{{kind: wav2vec, checkpoint: null, encoder: {ENCODER}}}"
     mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={frontend}")
     return load_config(TINY, (*mine, f"train.teacher={teacher}", *overrides))
 

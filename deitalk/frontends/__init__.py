@@ -1,11 +1,11 @@
-"""Two ways from waveform to speech features at 30 Hz, behind one interface."""
+"""Three ways from waveform to speech features at 30 Hz, behind one interface."""
 
 from collections.abc import Callable
 from typing import Protocol
 
 from torch import Tensor
 
-from deitalk.config import MelConfig, Wav2VecConfig
+from deitalk.config import ConformerConfig, MelConfig, Wav2VecConfig
 
 
 class Frontend(Protocol):
@@ -25,12 +25,14 @@ class Frontend(Protocol):
         """
 
 
-def build_frontend(config: MelConfig | Wav2VecConfig, pretrained: bool = True) -> Frontend:
+def build_frontend(
+    config: MelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
+) -> Frontend:
     """Make the frontend a configuration names.
 
     Parameters
     ----------
-    config : MelConfig or Wav2VecConfig
+    config : MelConfig, Wav2VecConfig or ConformerConfig
         Its class chooses the frontend.
     pretrained : bool
         Read a wav2vec 2.0 checkpoint's weights; False only takes its shape (weights follow).
@@ -39,6 +41,10 @@ def build_frontend(config: MelConfig | Wav2VecConfig, pretrained: bool = True) -
         from deitalk.frontends.mel_bilstm import MelFrontend
 
         return MelFrontend(config)
+    if isinstance(config, ConformerConfig):
+        from deitalk.frontends.conformer import ConformerFrontend
+
+        return ConformerFrontend(config)
     from deitalk.frontends.wav2vec import Wav2VecFrontend
 
     return Wav2VecFrontend.build(config, pretrained=pretrained)

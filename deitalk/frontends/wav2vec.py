@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from deitalk.audio import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.frontends.cosine_bank import begin_as_cosines
 
 if TYPE_CHECKING:
     from transformers import Wav2Vec2Config
@@ -92,7 +91,7 @@ class Wav2VecFrontend(nn.Module):
             ``config.encoder`` if given; that of the published base model needs no download.
         """
         if config.checkpoint is None:
-            return cls.from_config(config.encoder, cosine_bank=config.cosine_bank)
+            return cls.from_config(config.encoder)
         if pretrained:
             return cls.from_pretrained(config.checkpoint, freeze_stem=config.freeze_stem)
         if config.encoder or config.checkpoint == PUBLISHED:
@@ -140,9 +139,7 @@ class Wav2VecFrontend(nn.Module):
         return cls(encoder.float(), freeze_stem=freeze_stem, input_scale=scale)
 
     @classmethod
-    def from_config(
-        cls, changes: Mapping[str, Any], *, freeze_stem: bool = False, cosine_bank: bool = False
-    ) -> Self:
+    def from_config(cls, changes: Mapping[str, Any], *, freeze_stem: bool = False) -> Self:
         """A new encoder with random weights: `COMPACT` with `changes`.
 
         Parameters
@@ -151,12 +148,8 @@ class Wav2VecFrontend(nn.Module):
             Keys of transformers' ``Wav2Vec2Config``.
         freeze_stem : bool
             Deviation: off, for a fixed random stem would tell the encoder little.
-        cosine_bank : bool
-            Begin the first layer as `deitalk.frontends.cosine_bank` says.
         """
-        encoder: Any = _new_encoder({**COMPACT, **changes})
-        if cosine_bank:
-            begin_as_cosines(encoder.feature_extractor.conv_layers[0].conv)
+        encoder = _new_encoder({**COMPACT, **changes})
         return cls(encoder, freeze_stem=freeze_stem, input_scale=COMPACT_SCALE)
 
     @property

@@ -1,0 +1,125 @@
+"""Conformer encoder over a mel spectrogram: the compact frontend (not in the papers).
+
+wav2vec 2.0 learns its own filters, from thousands of hours of raw audio. Where there are a few, a
+mel spectrogram stands in for its convolutional stem, and the blocks of its conformer variant (after
+Gulati et al. 2020) for its transformer: they are told to look near by, it has to learn to.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from deitalk.config import ConformerConfig
+from deitalk.errors import ConfigError
+from deitalk.features import RIG_RATE, MelSpectrogram
+
+SEGMENT_FRAMES = 64
+"""Rig frames of a clip that are encoded at once."""
+CONTEXT_FRAMES = 32
+"""Rig frames of context on either side of a segment, computed and thrown away. Together they are a
+training window of 128: the blocks know their place in it."""
+SPECTRA = 2
+"""Spectra a rig frame; the stem joins them."""
+
+
+class ConformerFrontend(nn.Module):
+    """Waveform to speech features at 30 Hz.
+
+    Spectra lie on the rig's own grid, so no row is interpolated.
+
+    Parameters
+    ----------
+    config : ConformerConfig
+
+    Attributes
+    ----------
+    output_size : int
+        Width D of a row.
+
+    Raises
+    ------
+    ConfigError
+        If the width cannot be shared among the heads.
+    """
+
+    def __init__(self, config: ConformerConfig) -> None:
+        super().__init__()
+        self.output_size = config.hidden_size
+        self.mel = MelSpectrogram(config.window_seconds, SPECTRA * RIG_RATE, config.n_mels)
+        self.stem = nn.Sequential(
+            nn.Conv1d(3 * config.n_mels, config.stem_channels, 3, padding=1),
+            nn.GELU(),
+            nn.Conv1d(config.stem_channels, config.stem_channels, 5, stride=SPECTRA, padding=2),
+            nn.GELU(),
+        )
+        self.project = nn.Sequential(
+            nn.LayerNorm(config.stem_channels),
+            nn.Linear(config.stem_channels, config.hidden_size),
+            nn.Dropout(config.dropout),
+        )
+        self.encoder = _blocks(config)
+
+    def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
+        return self._frames(waveform, 0, n_frames)
+
+    @torch.no_grad()
+    def encode(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        *,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Tensor:
+        """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow.
+
+        `progress` is told the share that is done, 0 to 1.
+        """
+        rows = waveform.new_empty(n_frames, self.output_size)
+        for start in range(0, n_frames, SEGMENT_FRAMES):
+            stop = min(start + SEGMENT_FRAMES, n_frames)
+            first, last = max(start - CONTEXT_FRAMES, 0), min(stop + CONTEXT_FRAMES, n_frames)
+            segment = self._frames(waveform.unsqueeze(0), first, last)
+            rows[start:stop] = segment[0, start - first : stop - first]
+            progress(stop / n_frames)
+        return rows
+
+    def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
+        spectra = self.mel(waveform, SPECTRA * (last - first), SPECTRA * first)  # (B, 3, F, L)
+        heard = self.stem(spectra.flatten(1, 2)).transpose(1, 2)  # (B, T, stem_channels)
+        out: Tensor = self.encoder(self.project(heard)).last_hidden_state
+        return out
+
+
+def _blocks(config: ConformerConfig) -> nn.Module:
+    from transformers import Wav2Vec2ConformerConfig
+    from transformers.models.wav2vec2_conformer.modeling_wav2vec2_conformer import (
+        Wav2Vec2ConformerEncoder,
+    )
+
+    if config.hidden_size % (2 * config.heads):
+        raise ConfigError(
+            f"model.frontend.hidden_size={config.hidden_size} must be a multiple of twice "
+            f"model.frontend.heads={config.heads} (positions turn pairs of numbers); change either"
+        )
+    settings: Any = Wav2Vec2ConformerConfig(
+        hidden_size=config.hidden_size,
+        num_hidden_layers=config.layers,
+        num_attention_heads=config.heads,
+        intermediate_size=config.intermediate_size,
+        hidden_act="silu",
+        position_embeddings_type="rotary",
+        conv_depthwise_kernel_size=config.kernel_size,
+        hidden_dropout=config.dropout,
+        activation_dropout=0.0,
+        attention_dropout=0.0,
+        conformer_conv_dropout=0.0,
+        layerdrop=0.0,
+        attn_implementation="eager",  # type: ignore[call-arg]
+    )
+    encoder: Any = Wav2Vec2ConformerEncoder(settings)  # type: ignore[no-untyped-call]
+    encoder.pos_conv_embed = nn.Identity()  # made there, and used nowhere
+    blocks: nn.Module = encoder
+    return blocks
