@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from deitalk.config import ConformerConfig
 from deitalk.errors import ConfigError
 from deitalk.features import RIG_RATE, MelSpectrogram
+from deitalk.frontends.segments import encode_in_segments
 
 SEGMENT_FRAMES = 64
 """Rig frames of a clip that are encoded at once."""
@@ -78,13 +79,9 @@ class ConformerFrontend(nn.Module):
         `progress` is told the share that is done, 0 to 1.
         """
         rows = waveform.new_empty(n_frames, self.output_size)
-        for start in range(0, n_frames, SEGMENT_FRAMES):
-            stop = min(start + SEGMENT_FRAMES, n_frames)
-            first, last = max(start - CONTEXT_FRAMES, 0), min(stop + CONTEXT_FRAMES, n_frames)
-            segment = self._frames(waveform.unsqueeze(0), first, last)
-            rows[start:stop] = segment[0, start - first : stop - first]
-            progress(stop / n_frames)
-        return rows
+        return encode_in_segments(
+            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, progress
+        )
 
     def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
         spectra = self.mel(waveform, SPECTRA * (last - first), SPECTRA * first)  # (B, 3, F, L)

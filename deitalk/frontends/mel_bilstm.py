@@ -14,6 +14,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from deitalk.config import MelConfig
 from deitalk.features import SAMPLE_RATE, MelSpectrogram, nearest_spectra
+from deitalk.frontends.segments import encode_in_segments
 
 SEGMENT_FRAMES = 960
 """Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
@@ -197,14 +198,9 @@ class MelFrontend(nn.Module):
         `progress` is told the share that is done, 0 to 1.
         """
         rows = waveform.new_empty(n_frames, self.output_size)
-        for start in range(0, n_frames, SEGMENT_FRAMES):
-            stop = min(start + SEGMENT_FRAMES, n_frames)
-            first = max(start - CONTEXT_FRAMES, 0)
-            last = min(stop + CONTEXT_FRAMES, n_frames)
-            segment = self._frames(waveform.unsqueeze(0), first, last)
-            rows[start:stop] = segment[0, start - first : stop - first]
-            progress(stop / n_frames)
-        return rows
+        return encode_in_segments(
+            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, progress
+        )
 
     def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""
