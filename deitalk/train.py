@@ -23,15 +23,14 @@ from deitalk.development import DevelopmentSet
 from deitalk.distillation import Teacher, read_teacher, start_as
 from deitalk.drawing import can_draw
 from deitalk.ears import Ears
-from deitalk.errors import ConfigError, DataError
+from deitalk.errors import ConfigError
 from deitalk.losses import total_loss
 from deitalk.models import DEITalk, Output
 from deitalk.run_folder import Journal, go_on, keep, open_folder, picture_path, summary_writer
+from deitalk.update import update
 from rig import ControlSet
 
 LOG_EVERY = 25
-MAX_BAD_STEPS = 20
-"""Steps in a row with a gradient that is not finite before the run gives up."""
 
 Progress = Callable[[int, int, dict[str, float]], None]
 BatchLoss = Callable[[nn.Module, Window], dict[str, Tensor]]
@@ -404,44 +403,10 @@ def _step(
     accelerator.backward(parts["total"])
     limit = settings.gradient_clip or math.inf
     norm = float(accelerator.clip_grad_norm_(network.parameters(), limit))
-    if math.isfinite(norm):
-        run.bad_steps = 0
-        run.optimizer.step()
-        run.scheduler.step()
-        _average(run, settings.ema)
-    else:
-        _leave_out(run)
+    update(run, norm, settings.ema)
     values = {name: float(part.detach()) for name, part in parts.items()}
     rate = float(run.scheduler.get_last_lr()[0])
     return values | {"gradient_norm": norm, "learning_rate": rate}
-
-
-@torch.no_grad()
-def _leave_out(run: Run) -> None:
-    """Undo what a bad batch did to running means; give up after too many in a row."""
-    for mean, value in zip(run.average.buffers(), run.model.buffers(), strict=True):
-        if not value.isfinite().all():
-            value.copy_(mean)
-    run.bad_steps += 1
-    if run.bad_steps >= MAX_BAD_STEPS:
-        raise DataError(
-            f"step {run.step}: {run.bad_steps} gradients in a row are not finite; lower "
-            "train.learning_rate, set train.gradient_clip, or check the data with "
-            "`deitalk data check`"
-        )
-
-
-@torch.no_grad()
-def _average(run: Run, decay: float | None) -> None:
-    """Exponential moving average of weights and buffers; a young average forgets faster."""
-    rate = 1.0 if decay is None else 1 - min(decay, (1 + run.step) / (10 + run.step))
-    for mean, value in zip(
-        run.average.state_dict().values(), run.model.state_dict().values(), strict=True
-    ):
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, rate)
-        else:
-            mean.copy_(value)
 
 
 def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> None:

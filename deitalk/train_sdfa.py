@@ -23,7 +23,7 @@ from deitalk.data.mesh_folder import MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
 from deitalk.data.mesh_sources import knows_lips, open_meshes
 from deitalk.deformation_decoder import InversePCA
-from deitalk.errors import ConfigError, DataError
+from deitalk.errors import ConfigError
 from deitalk.frontends.deitalk_features import DEITalkFeatures
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
@@ -33,10 +33,10 @@ from deitalk.mesh_head import Direction, MeshHead
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.run_folder import go_on, keep, log, open_folder
 from deitalk.sdfa import SDFA, build_encoder
+from deitalk.update import update
 
 LOG_EVERY = 25
 DEVELOPMENT_CLIPS = 8
-MAX_BAD_STEPS = 20
 STARTED_RATE = 1 / 3
 """Share of the learning rate that an encoder learns at which has learnt before."""
 
@@ -57,6 +57,11 @@ class MeshRun:
     step: int = 0
     best_score: float = -math.inf
     bad_steps: int = 0
+
+    @property
+    def frozen(self) -> frozenset[str]:
+        """Names of the bases, which are half of the weights and do not change."""
+        return frozenset(name for name in self.model.state_dict() if ".inverse_pca." in name)
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -282,40 +287,10 @@ def _step(
     total.backward()
     limit = settings.gradient_clip or math.inf
     norm = float(torch.nn.utils.clip_grad_norm_(run.model.parameters(), limit))
-    if math.isfinite(norm):
-        run.optimizer.step()
-        run.scheduler.step()
-        _average(run, settings.ema)
-        run.bad_steps = 0
-    else:
-        run.bad_steps += 1
-    if run.bad_steps >= MAX_BAD_STEPS:
-        raise DataError(
-            f"step {run.step}: {run.bad_steps} gradients in a row are not finite; lower "
-            "train.learning_rate or set train.gradient_clip"
-        )
+    update(run, norm, settings.ema, run.frozen)
     values = {name: float(part.detach()) for name, part in parts.items()}
     rate = float(run.scheduler.get_last_lr()[-1])
     return values | {"total": float(total.detach()), "gradient_norm": norm, "learning_rate": rate}
-
-
-@torch.no_grad()
-def _average(run: MeshRun, decay: float | None) -> None:
-    """Exponential moving average of weights and buffers; a young average forgets faster."""
-    rate = 1.0 if decay is None else 1 - min(decay, (1 + run.step) / (10 + run.step))
-    frozen = {id(buffer) for branch in run.model.decoder.branches.values()
-              for buffer in branch.inverse_pca.buffers()}  # fmt: skip
-    for mean, value in zip(
-        run.average.state_dict(keep_vars=True).values(),
-        run.model.state_dict(keep_vars=True).values(),
-        strict=True,
-    ):
-        if id(value) in frozen:
-            continue
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, rate)
-        else:
-            mean.copy_(value)
 
 
 def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -> None:
