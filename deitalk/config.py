@@ -215,23 +215,12 @@ class TrainConfig(Section):
         default=None,
         description="model (name or folder) whose speech features are learnt; not in the paper",
     )
-    listen_only: bool = Field(
-        default=False,
-        description="learn the teacher's features alone: no labels, the rest stays the teacher's",
-    )
 
     @field_validator("teacher")
     @classmethod
     def _there_is_someone_to_teach(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value is not None and info.data.get("frozen_frontend") is not None:
             raise ValueError("a frozen frontend learns nothing; set one of the two to null")
-        return value
-
-    @field_validator("listen_only")
-    @classmethod
-    def _someone_speaks(cls, value: bool, info: ValidationInfo) -> bool:
-        if value and info.data.get("teacher") is None:
-            raise ValueError("needs a train.teacher to listen to")
         return value
 
 

@@ -13,10 +13,9 @@ Letters: B batch, S samples, T rig frames, D width of the features.
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deitalk.checkpoint import load_model
-from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
 from deitalk.models import DEITalk
 
@@ -106,9 +105,3 @@ class Teacher:
             target: Tensor = self.frontend(waveform, speech.shape[1])
         error = speech.float() - target.float()
         return error.square().mean() + MOTION_WEIGHT * error.diff(dim=1).square().mean()
-
-    def listen(self, frontend: nn.Module, batch: Window) -> dict[str, Tensor]:
-        """The distance alone, as the loss of one batch; its curves are not looked at."""
-        speech = frontend(batch.waveform, batch.frames.shape[1])
-        distance = self.distance(batch.waveform, speech)
-        return {"distillation": distance, "total": distance}

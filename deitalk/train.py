@@ -33,7 +33,6 @@ from rig import ControlSet
 LOG_EVERY = 25
 
 Progress = Callable[[int, int, dict[str, float]], None]
-BatchLoss = Callable[[nn.Module, Window], dict[str, Tensor]]
 
 
 def _silent(step: int, total: int, values: dict[str, float]) -> None:
@@ -136,9 +135,6 @@ def train(
     teacher = read_teacher(config.train.teacher, model)
     if teacher is not None:
         start_as(model, teacher)
-    if config.train.listen_only:
-        for part in set(model.children()) - {model.frontend}:
-            part.requires_grad_(False)
     if start_from is not None:
         _copy_weights(model, start_from)
     if config.train.frozen_frontend is not None:
@@ -218,15 +214,10 @@ def _fit(
 ) -> None:
     """Step to the end of the run; log, evaluate and save on the way."""
     # Accelerate wraps the network for several processes; `run.model` stays the plain one.
-    learner = run.model.frontend if config.train.listen_only else run.model
-    network, run.optimizer = accelerator.prepare(learner, run.optimizer)
+    network, run.optimizer = accelerator.prepare(run.model, run.optimizer)
     run.average.to(accelerator.device)
     taught = None if teacher is None else Teacher(teacher, accelerator)
-    loss: BatchLoss
-    if taught is not None and config.train.listen_only:
-        loss = taught.listen
-    else:
-        loss = Loss(config, run.model.controls, accelerator.device, taught)
+    loss = Loss(config, run.model.controls, accelerator.device, taught)
     batches: Iterator[Window] = iter(loader if run.step < run.total else ())
     while run.step < run.total:
         batch = Window(*(part.to(accelerator.device) for part in next(batches)))
@@ -386,7 +377,7 @@ def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:
 def _step(
     run: Run,
     network: nn.Module,
-    loss: BatchLoss,
+    loss: "Loss",
     batch: Window,
     settings: TrainConfig,
     accelerator: Any,

@@ -1,9 +1,7 @@
 """Learning from a teacher: what is copied, what is learnt, what stays as it was."""
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -15,7 +13,6 @@ from deitalk.distillation import Teacher, read_teacher, start_as
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models import DEITalk
 from deitalk.train import _accelerator, _start, train
-from rig import read_curves, write_curves
 
 TINY = Path(__file__).resolve().parents[1] / "configs" / "tiny.yaml"
 ENCODER = (
@@ -112,26 +109,7 @@ def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
     assert added == pytest.approx(2 * totals[1]["distillation"], rel=1e-4)
 
 
-def test_listening_learns_no_labels_and_leaves_the_rest_alone(data, teacher, tmp_path):
-    blind = write_dataset(tmp_path / "blind")
-    for path in (blind / "curves").iterdir():
-        curves = read_curves(path)
-        write_curves(path, replace(curves, values=np.zeros_like(curves.values)))
-    listening = student(teacher, "train.listen_only=true")
-    for folder, out in ((data, "seeing"), (blind, "blind")):
-        train(listening, folder, tmp_path / out)
-    first, second = weights(tmp_path / "seeing" / "last"), weights(tmp_path / "blind" / "last")
-    assert all(torch.equal(first[name], second[name]) for name in first)
-    theirs = weights(teacher)
-    for name, value in first.items():
-        if not name.startswith("frontend."):
-            assert torch.equal(value, theirs[name]), name
-    torch.manual_seed(listening.train.seed)
-    start = DEITalk(listening.model).frontend.state_dict()
-    moved = [not torch.equal(value, first[f"frontend.{name}"]) for name, value in start.items()]
-    assert sum(moved) > 0.9 * len(moved)
-    with pytest.raises(ConfigError, match=r"train\.listen_only=True: needs a train.teacher"):
-        load_config(TINY, ["train.listen_only=true"])
+def test_a_frozen_frontend_has_no_teacher():
     with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend learns"):
         load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
 
