@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from deitalk.models import DEITalk
 
 FORMAT_VERSION = 1
-EMBEDDED = ("default", "sdfa")
+EMBEDDED = ("default", "compact", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 MAX_BYTES = 4 * 1024**3
 

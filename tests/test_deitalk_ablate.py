@@ -41,7 +41,7 @@ def test_every_variant_changes_what_its_name_says():
         "no_real_speech": {"data.real_fraction"},
         "no_contact": {"loss.contact", weights + "lipsTogether", weights + "lipBiteD"},
     }
-    assert variants["compact"].config(2, 7).model.frontend.kind == "wav2vec"
+    assert variants["compact"].config(2, 7).model.frontend.kind == "conformer"
     run = variants["no_dei"].config(2, 7, ["train.batch_size=8", "loss.contrast=3"])
     assert (run.train.seed, run.train.steps, run.train.batch_size) == (2, 7, 8)
     assert run.loss.contrast == 0  # what the variant says wins
