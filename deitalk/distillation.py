@@ -35,10 +35,14 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
     teacher = load_model(name).requires_grad_(False)
     width, wanted = student.frontend.output_size, teacher.frontend.output_size
     if width != wanted:
+        way_out = {
+            "mel": f"time_hidden={wanted // 2}",
+            "conformer": f"hidden_size={wanted}",
+            "wav2vec": f"encoder.hidden_size={wanted}",
+        }
         raise ConfigError(
             f"train.teacher={name!r} hears {wanted} features a frame, the model {width}; set "
-            f"model.frontend.encoder.hidden_size={wanted}, or for a mel frontend "
-            f"model.frontend.time_hidden={wanted // 2}"
+            f"model.frontend.{way_out[student.config.frontend.kind]}"
         )
     return teacher
 

@@ -15,17 +15,15 @@ from deitalk.models import DEITalk
 from deitalk.train import _accelerator, _start, train
 
 TINY = Path(__file__).resolve().parents[1] / "configs" / "tiny.yaml"
-ENCODER = (
-    "{conv_dim: [12, 16], conv_kernel: [160, 8], conv_stride: [80, 4], conv_bias: true, "
-    "feat_extract_norm: group, hidden_size: 32, num_hidden_layers: 1, num_attention_heads: 2, "
-    "intermediate_size: 32, num_conv_pos_embeddings: 8, num_conv_pos_embedding_groups: 4}"
+FRONTEND = (
+    "{kind: conformer, n_mels: 16, stem_channels: 12, hidden_size: 32, layers: 1, heads: 2, "
+    "intermediate_size: 32, kernel_size: 5}"
 )
 
 
 def student(teacher: Path | str, *overrides: str) -> Config:
-    """A wav2vec encoder before tiny.yaml's decoder."""
-    frontend = f"{{kind: wav2vec, checkpoint: null, encoder: {ENCODER}}}"
-    mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={frontend}")
+    """Conformer blocks before tiny.yaml's decoder."""
+    mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={FRONTEND}")
     return load_config(TINY, (*mine, f"train.teacher={teacher}", *overrides))
 
 
@@ -162,8 +160,10 @@ def test_what_began_as_the_teachers_learns_at_a_third(teacher):
 
 
 def test_a_teacher_that_cannot_teach_is_one_line(data, teacher, tmp_path):
-    wide = student(teacher, "model.frontend.encoder.hidden_size=48")
-    with pytest.raises(ConfigError, match=r"hears 32 features a frame, the model 48; set .*=32"):
+    wide = student(teacher, "model.frontend.hidden_size=48")
+    with pytest.raises(
+        ConfigError, match=r"32 features a frame, the model 48; set .*\.hidden_size=32"
+    ):
         train(wide, data, tmp_path / "wide")
     assert not (tmp_path / "wide" / "metrics.csv").exists()
     with pytest.raises(CheckpointError, match="nobody: no model there"):
