@@ -108,8 +108,8 @@ class ConformerConfig(Section):
     window_seconds: float = Field(default=0.032, gt=0, description="length of one spectrum")
     n_mels: int = Field(default=80, ge=4, description="mel bins (F)")
     stem_channels: Positive = 256
-    hidden_size: Positive = Field(default=256, description="width of a block")
-    layers: Positive = 3
+    hidden_size: Positive = Field(default=384, description="width of a block")
+    layers: Positive = 2
     heads: Positive = 4
     intermediate_size: Positive = Field(default=512, description="width within a block")
     kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")

@@ -7,6 +7,7 @@ The main path is `train_sdfa`, then `_fit`, then `_step`. The run folder is that
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -58,7 +59,7 @@ class MeshRun:
     best_score: float = -math.inf
     bad_steps: int = 0
 
-    @property
+    @cached_property
     def frozen(self) -> frozenset[str]:
         """Names of the bases, which are half of the weights and do not change."""
         return frozenset(name for name in self.model.state_dict() if ".inverse_pca." in name)

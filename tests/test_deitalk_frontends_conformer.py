@@ -1,5 +1,7 @@
 """Conformer frontend: rows in time, segments against the whole, shapes that cannot be."""
 
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -9,6 +11,7 @@ from deitalk.features import SAMPLE_RATE
 from deitalk.frontends import build_frontend
 from deitalk.frontends.conformer import CONTEXT_FRAMES, SEGMENT_FRAMES, ConformerFrontend
 
+COMPACT = Path(__file__).resolve().parents[1] / "configs" / "compact.yaml"
 SMALL = {"n_mels": 16, "stem_channels": 12, "hidden_size": 16, "heads": 2, "intermediate_size": 24}
 
 
@@ -106,8 +109,8 @@ def test_every_weight_learns():
     assert all(p.grad is not None and p.grad.isfinite().all() for p in model.parameters())
 
 
-def test_compact_is_built_from_its_file(tmp_path):
-    config = load_config("configs/compact.yaml")
+def test_compact_is_built_from_its_file():
+    config = load_config(COMPACT)
     built = build_frontend(config.model.frontend)
     assert isinstance(built, ConformerFrontend)
     assert built.output_size == config.model.frontend.hidden_size

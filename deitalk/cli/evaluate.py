@@ -12,7 +12,7 @@ from deitalk.errors import DataError
 
 
 def evaluate(
-    model: Annotated[str, typer.Argument(help="default, or a model folder.")] = "default",
+    model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     data: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("corpus"),
     split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "validation",
     most: Annotated[

@@ -28,7 +28,9 @@ def mesh(
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
-    model: Annotated[str, typer.Option(help="default, or a model folder, SDFA's too.")] = "default",
+    model: Annotated[
+        str, typer.Option(help="default, compact, mesh_head, sdfa, or a model folder.")
+    ] = "default",
     speaker: Annotated[
         str,
         typer.Option(help="Name or number: who an SDFA model speaks as; else an embedded head."),

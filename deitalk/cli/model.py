@@ -48,7 +48,7 @@ def export(
 
 @app.command()
 def info(
-    model: Annotated[str, typer.Argument(help="default, or a model folder.")] = "default",
+    model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Show control set, size, hash and training of a model."""

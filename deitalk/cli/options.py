@@ -20,7 +20,7 @@ Intensity = Annotated[
 IntensityCurve = Annotated[
     Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
 ]
-Model = Annotated[str, typer.Option(help="default, or a model folder.")]
+Model = Annotated[str, typer.Option(help="default, compact, or a model folder.")]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
