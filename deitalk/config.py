@@ -70,6 +70,9 @@ class MelConfig(Section):
         default=False,
         description="add the window's own centre to what it attends to, and normalise",
     )
+    rig_layers: int = Field(
+        default=0, ge=0, description="BiLSTMs along rig frames behind the attention; not in SDFA"
+    )
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
     @field_validator("recurrence")
@@ -249,6 +252,13 @@ class SDFAMelConfig(MelConfig):
     def _every_spectrum(cls, value: int) -> int:
         if value != 1:
             raise ValueError("SDFA hears every spectrum; leave it at 1")
+        return value
+
+    @field_validator("rig_layers")
+    @classmethod
+    def _no_rig(cls, value: int) -> int:
+        if value != 0:
+            raise ValueError("SDFA has no rig frames to go along; leave it at 0")
         return value
 
 

@@ -1,9 +1,10 @@
 """Learning what a trained model hears: its speech features are a second target.
 
 Curves say little about a waveform, so an encoder that begins from nothing needs many hours of them.
-A trained model's frontend says, of the very sound the student hears, what of it moves a face: the
-squared distance to its features (feature distillation, as FitNets, Romero et al. 2015) is added to
-the loss, and what lies behind the frontend begins with the teacher's weights.
+A trained model's frontend says what of a sound moves a face: the squared distance to its features
+(feature distillation, as FitNets, Romero et al. 2015) is added to the loss. The student hears the
+sound through rooms and noise, the teacher without them, so that a student of the teacher's own kind
+learns too: to hear in noise. It begins with the teacher's weights wherever they fit.
 
 Not in the papers, which begin with published wav2vec 2.0 weights where we begin with these.
 
@@ -49,7 +50,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
 
 @torch.no_grad()
 def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
-    """Copy the teacher's weights to all places behind the frontend where they fit.
+    """Copy the teacher's weights to all places where they fit; a frontend's to its own kind.
 
     Returns
     -------
@@ -57,10 +58,13 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
         Names of the weights that were copied.
     """
     theirs = teacher.state_dict()
+    alike = teacher.config.frontend.kind == student.config.frontend.kind
     copied = []
     for name, value in student.state_dict().items():
         given = theirs.get(name)
-        if name.startswith("frontend.") or given is None or given.shape != value.shape:
+        if given is None or given.shape != value.shape:
+            continue
+        if name.startswith("frontend.") and not alike:
             continue
         value.copy_(given)
         copied.append(name)
@@ -87,16 +91,16 @@ class Teacher:
         # load_model gave it in evaluation mode: no dropout while it teaches.
         self.frontend = accelerator.prepare_model(model.frontend, evaluation_mode=True)
 
-    def distance(self, waveform: Tensor, speech: Tensor) -> Tensor:
+    def distance(self, clean: Tensor, speech: Tensor) -> Tensor:
         """Mean squared distance of the student's features and the teacher's, and of their motion.
 
-        Both hear the same augmented sound, so that the student learns to hear through noise as
-        the teacher does, and no second waveform travels with the batch.
+        The teacher hears the sound before it was augmented: what it hears there is what the
+        student is to hear through rooms and noise.
 
         Parameters
         ----------
-        waveform : Tensor [shape=(B, S)]
-            As the student heard it.
+        clean : Tensor [shape=(B, S)]
+            What the student heard, before augmentation.
         speech : Tensor [shape=(B, T, D)]
             The student's features; gradients flow into them alone.
 
@@ -106,6 +110,6 @@ class Teacher:
             In units of the teacher's features, whose variance is about 1.
         """
         with torch.no_grad():
-            target: Tensor = self.frontend(waveform, speech.shape[1])
+            target: Tensor = self.frontend(clean, speech.shape[1])
         error = speech.float() - target.float()
         return error.square().mean() + MOTION_WEIGHT * error.diff(dim=1).square().mean()

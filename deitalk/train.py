@@ -198,6 +198,7 @@ def _loader(
         rank=accelerator.process_index,
         world=accelerator.num_processes,
         ears=ears,
+        clean=config.train.teacher is not None,
     )
     return DataLoader(batches, batch_size=None, num_workers=config.train.workers)
 
@@ -309,7 +310,7 @@ class Loss:
             contact_controls=self.contact,
         )
         if self.teacher is not None:
-            distance = self.teacher.distance(batch.waveform, output.speech)
+            distance = self.teacher.distance(batch.clean, output.speech)
             parts["distillation"] = distance
             parts["total"] = parts["total"] + self.config.distillation * distance
         return parts

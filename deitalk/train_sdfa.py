@@ -151,14 +151,16 @@ def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
 
 
 def _copy_encoder(model: SDFA, name: str, new: Sequence[str]) -> None:
-    """Copy an encoder but for its `new` parts; what a model without `centre` lacks is left out."""
+    """Copy an encoder but for its `new` parts; what SDFA's lacks (`centre`, `rig`) is left out."""
     from deitalk.checkpoint import load_model
 
     encoder = model.encoder
     start = load_model(name).frontend
     try:
         assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
-        left_out = {*new, *(() if encoder.frontend.normalise is not None else ("normalise",))}
+        left_out = {*new, "rig"}
+        if encoder.frontend.normalise is None:
+            left_out.add("normalise")
         weights = {k: v for k, v in start.state_dict().items() if k.split(".")[0] not in left_out}
         missing, unexpected = encoder.frontend.load_state_dict(weights, strict=False)
         assert not unexpected and {key.split(".")[0] for key in missing} <= set(new)

@@ -193,6 +193,21 @@ def test_a_window_knows_its_place(folder):
         assert 0 <= window.intensity.min() and window.intensity.max() <= 0.8 + 1e-6
 
 
+def test_a_teacher_is_given_the_sound_before_augmentation(folder, monkeypatch):
+    import deitalk.data.windows as module
+
+    monkeypatch.setattr(module, "speed_factor", lambda rng: 1.25)
+    drawn = batches(folder, clean=True)
+    for number in range(4):
+        window = drawn.window(number)
+        first, name = int(window.frames[0]), drawn._draw(np.random.default_rng((3, number))).name
+        clip = next(clip for clip in drawn.clips if clip.name == name)
+        sound = cut(load_material(clip, CONTROLS), first, 32, 1.25)[0]
+        np.testing.assert_array_equal(window.clean.numpy(), sound)
+        assert not torch.equal(window.waveform, window.clean)
+    assert len(batches(folder).window(0).clean) == 0, "nobody asked for it"
+
+
 def test_real_speech_has_the_share_it_is_given(folder):
     drawn = batches(folder, config=config(real_fraction=0.8))
     sources = [drawn._draw(np.random.default_rng(i)).source for i in range(400)]

@@ -85,6 +85,15 @@ def test_all_that_fits_behind_the_frontend_is_the_teachers(teacher):
     assert set(start_as(whole, theirs)) == behind
 
 
+def test_a_student_of_the_teachers_kind_hears_as_it_does_and_may_have_more_layers(teacher):
+    theirs = load_model(teacher)
+    deep = DEITalk(load_config(TINY, ["model.frontend.rig_layers=1"]).model).eval()
+    assert set(start_as(deep, theirs)) == set(theirs.state_dict())
+    sound = torch.randn(1, 16000) * 0.07
+    with torch.no_grad():
+        torch.testing.assert_close(deep.frontend(sound, 30), theirs.frontend(sound, 30))
+
+
 def test_the_student_comes_nearer_and_the_teacher_stays(data, teacher, tmp_path):
     before = weights(teacher)
     out = tmp_path / "run"

@@ -38,7 +38,7 @@ def frontend(gain=8.0, **settings):
             if any(part in name for part in brings) and not name.endswith(("original1", "bias")):
                 parameter *= gain if "weight_ih" in name else gain**0.5
     for module in built.modules():  # as after training: a norm that is not the identity
-        if isinstance(module, torch.nn.BatchNorm1d):
+        if isinstance(module, torch.nn.BatchNorm2d):
             module.running_mean.normal_(std=0.3)
             module.running_var.uniform_(0.5, 2)
     return built.eval()
@@ -67,9 +67,10 @@ def test_shapes_of_table_one(paper):
     for handle in handles:
         handle.remove()
     assert mel.shape == (1, 3, 128, 64)
-    # one row per spectrum, (channels, bins) in each: 32 x 128, pooled, 64 x 64, pooled, 64 x 32
+    # 64 spectra side by side, (channels, bins) in each: 32 x 128, pooled, 64 x 64, pooled, 64 x 32
     shapes = [tuple(seen[name].shape) for name in ("2", "3", "6", "7", "10")]
-    assert shapes == [(64, 32, 128), (64, 32, 64), (64, 64, 64), (64, 64, 32), (64, 64, 32)]
+    sizes = [(32, 128), (32, 64), (64, 64), (64, 32), (64, 32)]
+    assert shapes == [(1, *size, 64) for size in sizes]
     assert seen["2"].min() < 0  # leaky
     assert paper.spectral.project.in_features == 2048
     assert spectral.shape == (1, 64, 256)
@@ -250,6 +251,24 @@ def test_clips_of_a_batch_do_not_meet(settings):
     both = model(torch.cat(clips), 30)
     for row, clip in zip(both, clips, strict=True):
         torch.testing.assert_close(row, model(clip, 30)[0], atol=1e-5, rtol=0)
+
+
+def test_rig_layers_begin_as_nothing_and_then_see_beyond_the_window():
+    short = SMALL | {"frame_rate": 60, "window_frames": 16, "query_frames": 5}
+    plain, deep = frontend(**short), frontend(**short, rig_layers=2)
+    deep.load_state_dict(plain.state_dict(), strict=False)
+    early, late = noise(2.0), noise(2.0)
+    late[:, SAMPLE_RATE:] *= 3  # louder a second after the beginning
+    with torch.no_grad():
+        heard = plain(early, 60)
+        torch.testing.assert_close(deep(early, 60), heard, rtol=0, atol=0)
+        torch.testing.assert_close(plain(late, 60)[:, :15], heard[:, :15])
+        for layer in deep.rig:
+            torch.nn.init.normal_(layer.project.weight)
+        assert (deep(late, 60) - deep(early, 60))[:, :15].abs().amax() > 1e-3
+        alone = deep.rig[0](heard)  # x + W BiLSTM(x) + b
+        context = deep.rig[0].recurrent(heard)[0]
+        torch.testing.assert_close(alone, heard + context @ deep.rig[0].project.weight.T)
 
 
 @pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])

@@ -329,7 +329,7 @@ def test_unknown_speaker_is_told_the_known_ones():
 @pytest.mark.parametrize(
     ("frontend", "motion", "steps", "more"),
     [
-        (FRONTEND, "gradients", 400, {}),
+        (FRONTEND, "gradients", 400, {"schedule": "one_cycle"}),
         (SEGMENT, "gradients", 200, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
         (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
         (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),

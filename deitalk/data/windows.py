@@ -46,6 +46,8 @@ class Window(NamedTuple):
     """Frame indices in the whole clip [shape=(T,)]."""
     total: Tensor
     """Frames of the whole clip, scalar."""
+    clean: Tensor
+    """The waveform before augmentation [shape=(S,)], for a teacher; without one [shape=(0,)]."""
 
 
 class Material(NamedTuple):
@@ -199,6 +201,8 @@ class Batches(IterableDataset[Window]):
     ears : Ears or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
+    clean : bool
+        Windows carry the sound before augmentation too.
     rank, world : int
         Share of this process when several train together: batch b is the same windows whatever
         the number of processes and workers.
@@ -215,13 +219,14 @@ class Batches(IterableDataset[Window]):
         rank: int = 0,
         world: int = 1,
         ears: "Ears | None" = None,
+        clean: bool = False,
     ) -> None:
         if not clips:
             raise DataError("no clips to train on; the dataset has none in this split")
         self.clips, self.controls, self.config = list(clips), controls, config
         self.seed, self.batch_size, self.skip = seed, batch_size, skip
         self.rank, self.world = rank, world
-        self.ears = None if config.augment else ears
+        self.ears, self.clean = None if config.augment else ears, clean
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
         self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
@@ -246,6 +251,7 @@ class Batches(IterableDataset[Window]):
         frames = n_clip_frames(len(material.waveform), speed)
         first = int(rng.integers(n_starts(frames, config))) * config.stride_frames
         waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
+        clean = torch.from_numpy(waveform if self.clean else waveform[:0])
         if config.augment:
             waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
         sound = torch.from_numpy(waveform)
@@ -259,6 +265,7 @@ class Batches(IterableDataset[Window]):
             torch.from_numpy(intensity),
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
+            clean,
         )
 
     def _heard(self, clip: Clip, material: Material, first: int) -> Tensor:

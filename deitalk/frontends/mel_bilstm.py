@@ -24,6 +24,18 @@ holds the default weights to 1e-3 of the range between segments and one run over
 half as much context they miss it."""
 
 
+class FrequencyConv(nn.Conv1d):
+    """Convolution along frequency of many spectra side by side (B, C, F, L): a 3x1 kernel.
+
+    One image a clip, channels last, trains in two thirds of the time of a batch of single spectra.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, C, F, L) to (B, C', F, L)."""
+        padding = (int(self.padding[0]), 0)
+        return F.conv2d(x, self.weight.unsqueeze(-1), self.bias, padding=padding)
+
+
 class SpectralGathering(nn.Module):
     """Formant analysis, one spectrum at a time (SDFA §3.2, Table 1).
 
@@ -43,16 +55,16 @@ class SpectralGathering(nn.Module):
         super().__init__()
         first, second, third = conv_channels
         self.convolve = nn.Sequential(
-            nn.Conv1d(3, first, 3, padding=1),
-            nn.BatchNorm1d(first),
+            FrequencyConv(3, first, 3, padding=1),
+            nn.BatchNorm2d(first),
             nn.LeakyReLU(0.2),
-            nn.MaxPool1d(2),
-            nn.Conv1d(first, second, 3, padding=1),
-            nn.BatchNorm1d(second),
+            nn.MaxPool2d((2, 1)),
+            FrequencyConv(first, second, 3, padding=1),
+            nn.BatchNorm2d(second),
             nn.LeakyReLU(0.2),
-            nn.MaxPool1d(2),
-            nn.Conv1d(second, third, 1),
-            nn.BatchNorm1d(third),
+            nn.MaxPool2d((2, 1)),
+            FrequencyConv(second, third, 1),
+            nn.BatchNorm2d(third),
             nn.LeakyReLU(0.2),
         )
         self.gather = nn.LSTM(third, hidden, batch_first=True, bidirectional=True)
@@ -60,9 +72,9 @@ class SpectralGathering(nn.Module):
 
     def forward(self, mel: Tensor) -> Tensor:
         """Map (B, 3, F, L) to (B, L, out_size)."""
-        batch, channels, bins, length = mel.shape
-        x = mel.permute(0, 3, 1, 2).reshape(batch * length, channels, bins)  # a 3x1 conv sees F
-        x = self.convolve(x).transpose(1, 2)  # (B L, F / 4, third)
+        batch, _, _, length = mel.shape
+        x = self.convolve(mel.contiguous(memory_format=torch.channels_last))
+        x = x.permute(0, 3, 2, 1).flatten(0, 1)  # (B L, F / 4, third)
         x, _ = self.gather(x)
         out: Tensor = self.project(x.flatten(1)).view(batch, length, -1)
         return out
@@ -142,6 +154,35 @@ class TemporalAttention(nn.Module):
         return attended
 
 
+class RigBiLSTM(nn.Module):
+    """What is heard, again in the light of what comes before and after: x + W BiLSTM(x).
+
+    Not in the papers. Speech in noise needs more of its context than clean speech. W begins at 0,
+    so that weights without such layers can be continued with them.
+
+    Parameters
+    ----------
+    size : int
+        Width of a row, even.
+    dropout : float
+        On what the BiLSTM says.
+    """
+
+    def __init__(self, size: int, dropout: float) -> None:
+        super().__init__()
+        self.recurrent = nn.LSTM(size, size // 2, batch_first=True, bidirectional=True)
+        self.dropout = nn.Dropout(dropout)
+        self.project = nn.Linear(size, size)
+        nn.init.zeros_(self.project.weight)
+        nn.init.zeros_(self.project.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, T, size) to the same shape."""
+        context, _ = self.recurrent(x)
+        out: Tensor = x + self.project(self.dropout(context))
+        return out
+
+
 class MelFrontend(nn.Module):
     """Waveform to speech features at 30 Hz.
 
@@ -180,6 +221,9 @@ class MelFrontend(nn.Module):
         self.normalise = nn.LayerNorm(self.output_size) if config.centre else None
         if config.weight_norm:
             normalise_weights(self)
+        self.rig = nn.Sequential(  # after weight normalisation, which 0 does not survive
+            *(RigBiLSTM(self.output_size, config.dropout) for _ in range(config.rig_layers))
+        )
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
@@ -217,7 +261,8 @@ class MelFrontend(nn.Module):
         window = config.window_frames // config.time_stack
         places = (centres - begin).to(memory.device)
         attended = self.attention.along(memory, places, window)
-        return self._centred(attended, memory[:, places])
+        out: Tensor = self.rig(self._centred(attended, memory[:, places]))
+        return out
 
     def _frames_by_window(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """As printed: for every rig frame a window of spectra, a Time-BiLSTM, an attention."""
@@ -236,7 +281,8 @@ class MelFrontend(nn.Module):
         query = memory[:, middle : middle + config.query_frames]
         attended, _ = self.attention.windows(memory, query)
         attended = self._centred(attended, memory[:, half])
-        return attended.view(batch, frames, -1)
+        out: Tensor = self.rig(attended.view(batch, frames, -1))
+        return out
 
     def _centred(self, attended: Tensor, centre: Tensor) -> Tensor:
         if self.normalise is None:
