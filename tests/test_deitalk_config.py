@@ -78,6 +78,12 @@ def test_sdfa_encoder_is_the_paper_word_for_word():
     assert config.model_copy(update={"name": "deitalk"}).loss == Config().loss
 
 
+@pytest.mark.parametrize(("recipe", "model"), [("mel", "default"), ("compact", "compact")])
+def test_the_embedded_weights_can_be_continued_by_their_recipe(recipe, model):
+    embedded = FOLDER.parent / "deitalk" / "weights" / model / "config.yaml"
+    assert load_config(FOLDER / f"{recipe}.yaml").model == load_config(embedded).model
+
+
 def test_compact_fits_its_teacher():
     """The default's data and loss; what is behind the frontend can begin with its weights."""
     mel, compact = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "compact"))
