@@ -507,9 +507,9 @@ def test_a_start_encoder_must_fit(sequences, tmp_path):
 
 def test_parts_that_an_ablation_replaces_start_new(tmp_path):
     """All else is the start's; a part of another kind must be named."""
-    start = load_config(CONFIGS / "tiny.yaml")
+    start = load_config(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
-    sizes = start.model.frontend.model_dump()
+    sizes = start.model.frontend.model_dump() | {"rig_layers": 0}  # which SDFA has none of
     copy, name = train_module._copy_encoder, str(tmp_path / "m")
     wanted = load_model(name).frontend.state_dict()
     sdfa = model(frontend=sizes)

@@ -25,10 +25,7 @@ half as much context they miss it."""
 
 
 class FrequencyConv(nn.Conv1d):
-    """Convolution along frequency of many spectra side by side (B, C, F, L): a 3x1 kernel.
-
-    One image a clip, channels last, trains in two thirds of the time of a batch of single spectra.
-    """
+    """Convolution along frequency of many spectra side by side (B, C, F, L): a 3x1 kernel."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, F, L) to (B, C', F, L)."""
@@ -73,6 +70,7 @@ class SpectralGathering(nn.Module):
     def forward(self, mel: Tensor) -> Tensor:
         """Map (B, 3, F, L) to (B, L, out_size)."""
         batch, _, _, length = mel.shape
+        # One image a clip, channels last: less work than a batch of single spectra.
         x = self.convolve(mel.contiguous(memory_format=torch.channels_last))
         x = x.permute(0, 3, 2, 1).flatten(0, 1)  # (B L, F / 4, third)
         x, _ = self.gather(x)
@@ -157,8 +155,9 @@ class TemporalAttention(nn.Module):
 class RigBiLSTM(nn.Module):
     """What is heard, again in the light of what comes before and after: x + W BiLSTM(x).
 
-    Not in the papers. Speech in noise needs more of its context than clean speech. W begins at 0,
-    so that weights without such layers can be continued with them.
+    Not in the papers; meant for noise, where a sound must be guessed from its neighbours. W begins
+    at 0, so that a model without such layers can teach one with them and start it
+    (`deitalk.distillation`).
 
     Parameters
     ----------
