@@ -35,7 +35,7 @@ PEAK_FRAMES = 7
 
 LIVELINESS_GAIN, USUAL = 0.45, 0.575
 """A livelier moment opens more, by this factor on the intensity above the usual one."""
-EFFORT_GAIN = 0.15
+EFFORT_GAIN = 0.3
 """A take of more vocal effort opens more by this share for a standard deviation: loud talkers lower
 the jaw far more than the network, which hears all takes at one level, could know."""
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")

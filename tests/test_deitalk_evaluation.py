@@ -1,5 +1,6 @@
 """Measures of the evaluation on curves made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.evaluation.faces import face_distance, lip_range, recognise
 from deitalk.evaluation.liveliness import (
+    STEP_Z,
     constant,
     halves,
     level_curve,
@@ -145,12 +147,14 @@ def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
 
 
 def test_modified_halves_say_where_they_are():
-    take, z = modified(recording(), halves(1.0, 3.0))
-    assert len(z) == take.n_frames
+    take, z, frames = modified(recording(), halves(1.0, 3.0))
+    assert len(z) == len(frames) == take.n_frames
     assert z[5] == pytest.approx(1)
     assert z[-5] == pytest.approx(-1)
-    livelier, _ = modified(recording(), constant(1.0, 3.0))
-    duller, _ = modified(recording(), constant(-1.0, 3.0))
+    assert frames[0] == 0 and frames[-1] == pytest.approx(recording().n_frames - 1, abs=1)
+    assert frames[len(z) // 4] > len(z) // 4  # a lively half hurries
+    livelier = modified(recording(), constant(1.0, 3.0)).take
+    duller = modified(recording(), constant(-1.0, 3.0)).take
     assert active_level_db(livelier.waveform) > active_level_db(duller.waveform) + 8
     assert livelier.duration < duller.duration
 
@@ -190,6 +194,68 @@ def test_takes_are_compared_where_both_speak(monkeypatch, sign, share):
     assert report["pairs_whole"] == 2 and report["pairs_within"] == 2 + 1
     for name in ("whole_opens", "whole_expresses", "within_opens", "within_expresses"):
         assert report[name] == share, name
+
+
+def test_the_same_words_are_compared(monkeypatch):
+    """Every second syllable is 30 dB fainter, and a dull voice's faint ones go undetected.
+
+    The mouth opens by .01 a decibel, so the livelier take opens more wherever both say the same;
+    over what is heard of each, the dull one would open more, for its faint syllables are lost.
+    """
+
+    def decibels(waveform):
+        n = -(-len(waveform) * 30 // 16_000)
+        padded = np.pad(waveform, (0, n * 534)).astype(np.float64)
+        pieces = np.stack([padded[i * 16_000 // 30 :][:533] for i in range(n)])
+        return 10 * np.log10(np.square(pieces).mean(axis=1) + 1e-10)
+
+    def opens_by_level(take, emotion, **_):
+        opening = 1 + decibels(take.waveform)[: take.n_frames] / 100
+        values = np.repeat(opening[:, None], len(CONTROLS.names), axis=1).astype(np.float32)
+        curves = RigCurves(values, CONTROLS.names, fps=30)
+        still = RigCurves(0 * values, CONTROLS.names, fps=30)
+        zeros = np.zeros(take.n_frames, np.float32)
+        return Performance(curves, still, zeros, zeros, take, 0)
+
+    def detect(waveform):
+        return (decibels(waveform) > faint_db - 2).astype(np.float32)
+
+    said = spoken(6, 6)
+    faint = np.mod(np.arange(len(said.waveform)) / 16_000, 0.6) < 0.3
+    said = replace(said, waveform=np.where(faint, said.waveform / 31.6, said.waveform))
+    loud_db = np.percentile(decibels(said.waveform), 95)
+    faint_db = loud_db - 30
+    dull = modified(said, constant(-STEP_Z, said.duration)).take
+    assert detect(said.waveform).mean() > 1.4 * detect(dull.waveform).mean()
+    monkeypatch.setattr("deitalk.evaluation.probes.animate", opens_by_level)
+    monkeypatch.setattr("deitalk.evaluation.probes.speech_activity", detect)
+    report = lively_report(SimpleNamespace(controls=CONTROLS), [said])  # type: ignore[arg-type]
+    assert report["pairs_whole"] == 1 and report["pairs_within"] == 2
+    assert report["whole_opens"] == 1 and report["within_opens"] == 1
+
+
+def test_intensity_is_held_against_level_with_its_error(monkeypatch):
+    """Level itself lies 0 above level; upside down, twice level's correlation below it.
+
+    Of the two, the mean is -r and its standard error r, where r is level's in the second.
+    """
+    flipped = replace(spoken(6, 6), source="upside down")
+
+    def hears_level(take, emotion, **_):
+        sign = -1 if take.source == "upside down" else 1
+        curves = RigCurves(np.zeros((take.n_frames, 185)), CONTROLS.names, fps=30)
+        level = sign * level_curve(take.waveform, take.n_frames)
+        return Performance(curves, curves, level, level, take, 0)
+
+    monkeypatch.setattr("deitalk.evaluation.probes.animate", hears_level)
+    model = SimpleNamespace(controls=CONTROLS)
+    alone = lively_report(model, [flipped])  # type: ignore[arg-type]
+    both = lively_report(model, [spoken(5, 5), flipped])  # type: ignore[arg-type]
+    assert alone["above_level"] == pytest.approx(-2 * alone["level_rho"])
+    assert np.isnan(alone["above_level_error"])
+    for end in ("", "_contour"):
+        assert both[f"above_level{end}"] < 0
+        assert both[f"above_level{end}_error"] == pytest.approx(-both[f"above_level{end}"])
 
 
 def test_the_label_is_the_corpus_s():

@@ -9,6 +9,7 @@ them. Letters: T frames.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,12 +67,23 @@ def level_curve(waveform: Floats, n_frames: int) -> Floats:
     return smooth
 
 
-def modified(recording: Recording, contour: Contour) -> tuple[Recording, Floats]:
-    """A recording along a contour, and the contour's value at every frame [shape=(T,)]."""
+class Modified(NamedTuple):
+    """A recording made livelier or duller."""
+
+    take: Recording
+    z: Floats
+    """The contour at every frame of the take [shape=(T,)]."""
+    frames: NDArray[np.intp]
+    """The frame of the recording that every frame of the take was [shape=(T,)]."""
+
+
+def modified(recording: Recording, contour: Contour) -> Modified:
+    """A recording along a contour."""
     waveform, (source, moved) = apply_contour(recording.waveform, contour)
     take = replace(recording, waveform=waveform)
     times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
-    return take, contour_at(contour, times).astype(np.float32)
+    frames = np.round(times * FRAME_RATE).astype(np.intp).clip(0, recording.n_frames - 1)
+    return Modified(take, contour_at(contour, times).astype(np.float32), frames)
 
 
 def constant(z: float, seconds: float) -> Contour:

@@ -40,6 +40,8 @@ FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
 LIVELY_EMOTION = "happy"
 LEAST_FRAMES = 15
 """Half a second: a half with less speech is not compared."""
+CONTOURS = 4
+"""Random contours a recording is moved along: a few seconds of one say little."""
 
 
 def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, Any]:
@@ -119,24 +121,40 @@ def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
         ``opens`` and ``expresses``: share of pairs in which the livelier one has the wider mean
         opening, and the stronger mean expression; ``within_``: one half of a recording livelier
         than the other, and the same half duller (level is heard relative to the recording);
-        ``whole_``: the whole of it. ``pairs_``: how many could be compared. ``intensity_rho``,
-        ``saliency_rho``, ``level_rho``: mean Spearman with the liveliness of a recording moved
-        along a random contour, within speech; ``..._contour``: with that contour alone, against
-        which the voice's own prosody is noise.
+        ``whole_``: the whole of it; both over the frames that are speech in the recording, so
+        that the same words are compared (in a dull take the faint ones are lost to a speech
+        detector, and those are the narrow ones). ``pairs_``: how many could be compared.
+        ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean Spearman with the liveliness of a
+        recording moved along random contours, within speech; ``..._contour``: with that contour
+        alone, against which the voice's own prosody is noise. ``above_level``: how far intensity
+        lies above level, and ``..._error``: the standard error of that, over recordings.
     """
     pairs: dict[str, list[bool]] = {}
     rhos: dict[str, list[float]] = {}
     for seed, recording in enumerate(recordings):
         _compare_whole(model, recording, pairs)
         _compare_halves(model, recording, pairs)
-        take, contour, lively = wandering(recording, seed)
+        for name, value in _follow_contours(model, recording, seed).items():
+            rhos.setdefault(name, []).append(value)
+    shares = {name: float(np.mean(values)) for name, values in pairs.items()}
+    counts = {f"pairs_{kind}": len(pairs.get(f"{kind}_opens", ())) for kind in ("whole", "within")}
+    errors = {f"{name}_error": _error(rhos[name]) for name in rhos if name.startswith("above")}
+    return counts | shares | {name: _mean(values) for name, values in rhos.items()} | errors
+
+
+def _follow_contours(model: DEITalk, recording: Recording, seed: int) -> dict[str, float]:
+    """`follow` of one recording, averaged over its contours."""
+    rhos: dict[str, list[float]] = {}
+    for number in range(CONTOURS):
+        take, contour, lively = wandering(recording, CONTOURS * seed + number)
         performance = _act(take, LIVELY_EMOTION, model)
         for end, label in (("", lively), ("_contour", contour)):
             for name, value in follow(performance, label).items():
                 rhos.setdefault(name + end, []).append(value)
-    shares = {name: float(np.mean(values)) for name, values in pairs.items()}
-    counts = {f"pairs_{kind}": len(pairs.get(f"{kind}_opens", ())) for kind in ("whole", "within")}
-    return counts | shares | {name: _mean(values) for name, values in rhos.items()}
+    means = {name: _mean(values) for name, values in rhos.items()}
+    for end in ("", "_contour"):
+        means[f"above_level{end}"] = means[f"intensity_rho{end}"] - means[f"level_rho{end}"]
+    return means
 
 
 def follow(performance: Performance, label: Floats) -> dict[str, float]:
@@ -154,13 +172,13 @@ def follow(performance: Performance, label: Floats) -> dict[str, float]:
 
 
 def _compare_whole(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
+    spoken = speech_activity(recording.waveform) > 0
     opened, expressed = [], []
     for z in (STEP_Z, -STEP_Z):
-        take, _ = modified(recording, constant(z, recording.duration))
+        take, _, frames = modified(recording, constant(z, recording.duration))
         performance = _act(take, LIVELY_EMOTION, model)
-        speaking = speech_activity(take.waveform) > 0
-        opened.append(_opening(performance, speaking, model.controls))
-        expressed.append(_expression(performance, speaking))
+        opened.append(_opening(performance, spoken[frames], model.controls))
+        expressed.append(_expression(performance, spoken[frames]))
     _count(pairs, "whole_opens", *opened)
     _count(pairs, "whole_expresses", *expressed)
 
@@ -172,13 +190,13 @@ def _count(pairs: dict[str, list[bool]], name: str, lively: float, dull: float) 
 
 
 def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
+    spoken = speech_activity(recording.waveform) > 0
     opened, expressed = np.zeros((2, 2)), np.zeros((2, 2))
     for row, z in enumerate((STEP_Z, -STEP_Z)):
-        take, contour = modified(recording, halves(z, recording.duration))
+        take, contour, frames = modified(recording, halves(z, recording.duration))
         performance = _act(take, LIVELY_EMOTION, model)
-        speaking = speech_activity(take.waveform) > 0
         for half, sign in enumerate((1, -1)):
-            mask = speaking & (contour * sign * z > 0)
+            mask = spoken[frames] & (contour * sign * z > 0)
             opened[row, half] = _opening(performance, mask, model.controls)
             expressed[row, half] = _expression(performance, mask)
     for name, values in (("within_opens", opened), ("within_expresses", expressed)):
@@ -232,6 +250,16 @@ def noise_report(
 
 
 def _mean(values: "Sequence[float] | Floats") -> float:
-    finite = np.asarray(values, float)
-    finite = finite[np.isfinite(finite)]
+    finite = _finite(values)
     return float(finite.mean()) if len(finite) else float("nan")
+
+
+def _error(values: Sequence[float]) -> float:
+    """Standard error of a mean."""
+    finite = _finite(values)
+    return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else float("nan")
+
+
+def _finite(values: "Sequence[float] | Floats") -> NDArray[np.float64]:
+    numbers = np.asarray(values, np.float64)
+    return numbers[np.isfinite(numbers)]
