@@ -47,10 +47,10 @@ def deitalk(*arguments, stdin=None):
     )
 
 
-def refused(*arguments):
-    """Run a command that must fail with exit code 1, one line on stderr and nothing on stdout."""
+def refused(*arguments, code=1):
+    """Run a command that must fail with an exit code, one line on stderr and nothing on stdout."""
     done = deitalk(*arguments)
-    assert done.returncode == 1, done.stderr.decode()
+    assert done.returncode == code, done.stderr.decode()
     assert done.stdout == b""
     lines = done.stderr.decode().splitlines()
     assert len(lines) == 1, lines
@@ -151,6 +151,21 @@ def test_all_silence_is_a_rest_face_not_an_error(tmp_path, model):
     assert done.returncode == 0, done.stderr.decode()
     rest = default_controls().rest
     np.testing.assert_allclose(read_curves(out).values, np.tile(rest, (30, 1)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["animate"], "deitalk: Missing argument 'speech'; see `deitalk animate --help`"),
+        (["anmate"], "anmate"),
+        (["animate", "a.wav", "--emotoin", "happy"], "--emotoin"),
+        (["animate", "a.wav", "--fps", "many"], "--fps"),
+        (["livelink"], "see `deitalk livelink --help`"),
+        (["convert", "a.csv"], "a target"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected):
+    assert expected in refused(*arguments, code=2)
 
 
 def test_controls_lists_and_filters():

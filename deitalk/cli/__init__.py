@@ -1,7 +1,7 @@
 """The command line: one thin function per verb; heavy imports happen inside them."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -69,10 +69,20 @@ def _root(
     """Speech in, an acted MetaHuman face out."""
 
 
+UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer has no name for it
+
+
 def main() -> None:
-    """Run a command; what a user can mend is one line on stderr and exit code 1."""
+    """Run a command; what a user can mend is one line on stderr.
+
+    The exit code is 2 for a wrong command line, otherwise 1.
+    """
     try:
-        app()
+        sys.exit(app(prog_name="deitalk", standalone_mode=False))
+    except UsageError as error:
+        _fail(_usage(error), 2)
+    except typer.Abort:
+        _fail("stopped", 1)
     except (DeitalkError, RigError) as error:
         _fail(str(error))
     except BrokenPipeError:
@@ -83,6 +93,13 @@ def main() -> None:
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
 
 
-def _fail(message: str) -> None:
+def _usage(error: Any) -> str:
+    """What is wrong with the command line, and which command tells how it is right."""
+    problem = str(error.format_message()).rstrip(".")
+    command = error.ctx.command_path if error.ctx else "deitalk"
+    return f"{problem}; see `{command} --help`"
+
+
+def _fail(message: str, code: int = 1) -> None:
     typer.secho(f"deitalk: {message}", fg="red", err=True)
-    sys.exit(1)
+    sys.exit(code)
