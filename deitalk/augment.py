@@ -166,6 +166,7 @@ def _noise(
         noise = np.sum([_piece(voice, n, rng) for voice in chosen], axis=0)
     elif kind < 0.35 and noises:
         noise = _piece(noises[int(rng.integers(len(noises)))], n, rng)
+        noise = _coloured(noise, rng.uniform(-4, 4))
     elif kind < 0.85:
         noise = _hiss(n, rng)
     else:
@@ -177,16 +178,30 @@ def _noise(
 
 
 def _hiss(n: int, rng: np.random.Generator) -> Floats:
-    """Noise of a random colour: a slope of up to 6 dB an octave, and hills of up to 20 dB."""
-    spectrum = fft.rfft(rng.standard_normal(fft.next_fast_len(n, real=True)))
+    """Noise of a random colour: a slope of up to 6 dB an octave, and hills of up to 20 dB.
+
+    Traffic and rooms rumble, water and cloth hiss: the slope goes either way.
+    """
+    slope = -rng.uniform(0, 6) if rng.random() < 0.6 else rng.uniform(0, 6)
+    hills = rng.integers(1, 5) if rng.random() < 0.6 else 0
+    chosen = [
+        (rng.uniform(0, 7), rng.uniform(0.2, 1.2), rng.uniform(-20, 20)) for _ in range(hills)
+    ]
+    return _coloured(rng.standard_normal(n), slope, chosen)
+
+
+def _coloured(
+    noise: Floats, slope: float, hills: Sequence[tuple[float, float, float]] = ()
+) -> Floats:
+    """Turn the spectrum by `slope` dB an octave; `hills` are octaves from the top, width, dB."""
+    n = len(noise)
+    spectrum = fft.rfft(noise, fft.next_fast_len(n, real=True))
     octaves = np.log2(np.arange(len(spectrum)) + 1.0)
-    gain_db = -6.02 * rng.uniform(0, 1) * octaves
-    if rng.random() < 0.6:
-        for _ in range(rng.integers(1, 5)):
-            place, width = octaves[-1] - rng.uniform(0, 7), rng.uniform(0.2, 1.2)
-            gain_db += rng.uniform(-20, 20) * np.exp(-(((octaves - place) / width) ** 2))
-    hiss: Floats = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
-    return hiss
+    gain_db = slope * octaves
+    for below, width, height in hills:
+        gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
+    coloured: Floats = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
+    return coloured
 
 
 def _tone(n: int, rng: np.random.Generator) -> Floats:

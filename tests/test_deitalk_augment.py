@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 import soundfile
 
-from deitalk.augment import Surroundings, _hiss, _noise, _tone, augment, change_speed, speed_factor
+from deitalk.augment import (
+    Surroundings,
+    _coloured,
+    _hiss,
+    _noise,
+    _tone,
+    augment,
+    change_speed,
+    speed_factor,
+)
 from deitalk.errors import DataError
 
 RATE = 16_000
@@ -101,8 +110,27 @@ def test_noise_of_every_kind_has_power_one(seed):
 
 
 def test_hisses_are_of_many_colours():
-    tilts = [np.ptp(bands(_hiss(4 * RATE, np.random.default_rng(seed)))) for seed in range(20)]
-    assert min(tilts) < 10 and max(tilts) > 35  # from nearly white to brown, hills and all
+    """From brown over white to violet: octaves fall by up to 6 dB each, or rise, hills and all."""
+    levels = np.array([bands(_hiss(4 * RATE, np.random.default_rng(seed))) for seed in range(60)])
+    assert np.ptp(levels, axis=1).min() < 10
+    slopes = np.polyfit(np.arange(8), levels.T, 1)[0]
+    assert slopes.min() < -4 and slopes.max() > 4
+    assert 0.2 < (slopes > 0).mean() < 0.6
+
+
+@pytest.mark.parametrize("slope", [-6.0, 0.0, 4.5])
+def test_a_coloured_noise_turns_by_its_slope(slope):
+    white = np.random.default_rng(1).standard_normal(8 * RATE)
+    turned = bands(_coloured(white, slope)) - bands(white)
+    # a little more than the slope where octaves are tilted within themselves
+    np.testing.assert_allclose(np.diff(turned), slope, atol=0.4)
+
+
+def test_a_hill_stands_where_it_should():
+    white = np.random.default_rng(2).standard_normal(8 * RATE)
+    # two octaves below 8 kHz, 2 kHz: half an octave to either side within its octaves
+    raised = bands(_coloured(white, 0.0, [(2.0, 0.3, 12.0)])) - bands(white)
+    assert raised[[5, 6]].min() > 3 and np.abs(raised[[0, 1, 2, 3]]).max() < 0.1
 
 
 @pytest.mark.parametrize("seed", range(10))
