@@ -157,18 +157,30 @@ def decided(curve: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("height", "expected"),
-    # odds of 0.5 against those of 0.3 are 7/3; to the fifth 69.165; 69.165 / 70.165 = 0.98575
-    [(0, 0), (0.2, 0.0633), (0.3, 0.5), (0.5, 0.9857), (1, 1)],
+    # odds of 0.5 against those of 0.27 are 73/27; to the fourth 53.44; 53.44 / 54.44 = 0.98163
+    [(0, 0), (0.2, 0.1727), (0.27, 0.5), (0.5, 0.9816), (1, 1)],
 )
 def test_a_doubtful_contact_is_decided(height, expected):
     np.testing.assert_allclose(decided([height] * 3), expected, atol=1e-3)
 
 
 def test_lips_part_between_two_contacts():
-    """Half a peak: odds 3 / 7, to the fifth 0.01446, so 0.01425 of what the peak becomes."""
+    """Half a peak of 0.9, whose shoulder is at 0.74: odds 26 / 74, to the fourth 0.01524."""
     first, between, second = decided([0.9, 0.45, 0.9])
     assert first == second > 0.99
-    assert between == pytest.approx(0.01425 * first, abs=1e-4)
+    assert between == pytest.approx(0.01501 * first, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("height", "share"),
+    # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
+    # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 73/27)^4 = 4.492 to 1, 0.8179
+    [(0.95, 0.8541), (0.35, 0.00077 * 0.8179)],
+)
+def test_a_suspected_contact_is_brief(height, share):
+    before, peak, after = decided([0.8 * height, height, 0.8 * height])
+    assert peak > 0.8
+    assert before == after == pytest.approx(share, rel=0.01)
 
 
 def test_deciding_nothing():
@@ -210,4 +222,4 @@ def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
     RULES.enliven(curves, usual, usual, effort=0.6)
-    np.testing.assert_allclose(curves[:, JAW], [0.436, 0.436, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)
