@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
+from scipy.special import expit, logit
 
 from rig import ControlSet
 
@@ -57,8 +58,7 @@ SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue
 
 def _decided(values: Floats, middle: "Floats | float") -> Floats:
     """S-curve from 0 to 1 that makes one half of `middle`."""
-    odds = (values / np.maximum(1 - values, 1e-6) * (1 - middle) / middle) ** DECISION
-    return np.asarray(odds / (odds + 1), np.float32)
+    return np.asarray(expit(DECISION * (logit(values) - logit(middle))), np.float32)
 
 
 @dataclass(frozen=True)
