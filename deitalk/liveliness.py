@@ -1,11 +1,11 @@
 """How lively a voice is: what the network hears, what can be measured, and the take as a whole.
 
 The network hears windows at one level, through rooms, colours and noises: it knows when a voice
-rises above itself, roughly, and cannot know whether the whole take is a whisper or a shout. Two
-measurements add what it misses. Within a take, the prosody index (level, pitch and tilt against
-the take's own mean; `deitalk.prosody`) is finer than the network where there is little noise.
-Across takes, the spectral tilt of voiced speech rises with vocal effort whatever the gain of the
-recording.
+rises above itself, roughly, and cannot know whether the whole take is a whisper or a shout: only
+what it says within a take counts, against its own mean there. Two measurements add what it misses.
+Within a take, the prosody index (level, pitch and tilt against the take's own mean;
+`deitalk.prosody`) is finer than the network where there is little noise. Across takes, the
+spectral tilt of voiced speech rises with vocal effort whatever the gain of the recording.
 
 All of it is added in standard deviations of liveliness, on the scale on which the corpus labels
 its intensity: e = 0.15 + 0.85 / (1 + exp(-1.3 z)). Letters: T frames.
@@ -58,6 +58,7 @@ def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Flo
     if not prosody.voiced.any() or not speaking.any():
         return strength
     z = _smoothed(_liveliness(strength), speaking)
+    z -= z[speaking].mean()  # every take it learnt from was as lively as another
     z += INDEX_WEIGHT * prosody_index(prosody) + whole_take(prosody)
     mended = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(mended, strength, speaking)

@@ -20,6 +20,14 @@ def test_a_brighter_take_is_heard_livelier_everywhere():
     assert (loud[5:80] > soft[5:80] + 0.03).all()
 
 
+def test_what_the_network_says_of_a_take_as_a_whole_does_not_count():
+    """The same standard deviation more of liveliness everywhere: z = 0 is 0.575, 1 is 0.817."""
+    usual, more = hear(voice(), np.full(90, 0.575)), hear(voice(), np.full(90, 0.8172))
+    np.testing.assert_allclose(usual[10:75], more[10:75], atol=1e-4)
+    rising = np.linspace(0.3, 0.8, 90)
+    assert np.ptp(hear(voice(), rising)[10:75]) > np.ptp(usual[10:75]) + 0.15
+
+
 def test_the_second_half_of_a_voice_that_rises_is_livelier():
     waveform = voice(seconds=6)
     waveform[3 * 16_000 :] *= 3
