@@ -19,9 +19,10 @@ from deitalk.frontends.segments import encode_in_segments
 SEGMENT_FRAMES = 960
 """Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
 CONTEXT_FRAMES = 256
-"""Rig frames of context on either side of a segment, computed and thrown away (8.5 s). A slow test
-holds the default weights to 1e-3 of the range between segments and one run over ten minutes; with
-half as much context they miss it."""
+"""Rig frames of context on either side of a segment, computed and thrown away (8.5 s). The default
+weights remember longer than that, so two ways to divide a clip differ by some hundredths of a range
+in places; where two segments meet a slow test holds the step from one to the other, beside the
+same frames undivided, below what curves move in a frame anyhow."""
 
 
 class FrequencyConv(nn.Conv1d):
