@@ -20,8 +20,10 @@ FLOOR_SECONDS = 12.0  # the noise may change this fast
 FLOOR_PERCENTILE = 10.0
 SHORT_SECONDS = 0.35  # too short to hold both speech and noise
 SHORT_FLOOR_DB = -60.0
-OPEN_DB, KEEP_DB = 9.0, 6.0  # hysteresis, excess over the noise floor
+OPEN_DB, KEEP_DB = 9.0, 5.0  # hysteresis, excess over the noise floor
 LONGEST_CLOSURE = 6  # frames; a gap up to 0.2 s is a stop consonant, not a pause
+LONGEST_DROWNED = 15  # frames; in noise a weak syllable beside the consonant is missed as well
+NOISY_DB, CLEAN_DB = 25.0, 40.0  # excess of the loudest speech, between the two in proportion
 SHORTEST_SPEECH = 2  # frames; a single one is a click
 
 MOUTH_OPENS, MOUTH_CLOSES = 3, 6  # frames: 0.1 s before speech, 0.2 s after
@@ -39,8 +41,10 @@ def speech_activity(waveform: npt.ArrayLike) -> FloatArray:
 
     The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
     12 s around; a frame is speech where its four strongest bands rise above it, with
-    hysteresis, bridged stop closures and clicks removed. The level plays no part above
-    -85 dBFS per band, so whispered and badly gained recordings work.
+    hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged, for a
+    mouth that stays shut through a drowned syllable is seen, and one that is ready to move in a
+    short pause is not. The level plays no part above -85 dBFS per band, so whispered and badly
+    gained recordings work.
 
     Parameters
     ----------
@@ -63,7 +67,7 @@ def speech_activity(waveform: npt.ArrayLike) -> FloatArray:
     levels = _band_levels(samples)
     excess = np.sort(levels - _noise_floor(levels), axis=1)[:, -TOP_BANDS:].mean(axis=1)
     speech = _hysteresis(excess >= OPEN_DB, excess >= KEEP_DB)
-    speech = ~_without_short(~speech, LONGEST_CLOSURE, keep_ends=True)
+    speech = ~_without_short(~speech, _longest_gap(excess), keep_ends=True)
     if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
         speech = _without_short(speech, SHORTEST_SPEECH - 1)
     return speech.astype(np.float32)
@@ -209,6 +213,13 @@ def _noise_floor(levels: FloatArray) -> FloatArray:
     loudest = np.percentile(levels.max(axis=1), 98)
     floor = np.maximum(floor, np.float32(loudest - SPEECH_RANGE_DB))
     return floor
+
+
+def _longest_gap(excess: FloatArray) -> int:
+    """Frames without speech that are no pause, by how far the loudest speech is above the noise."""
+    loudest = np.percentile(excess, 95)
+    gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
+    return round(float(gap))
 
 
 def _runs(mask: BoolArray) -> npt.NDArray[np.int64]:
