@@ -73,6 +73,10 @@ class MelConfig(Section):
     rig_layers: int = Field(
         default=0, ge=0, description="BiLSTMs along rig frames behind the attention; not in SDFA"
     )
+    phases: Positive = Field(
+        default=1,
+        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+    )
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
     @field_validator("recurrence")
@@ -116,6 +120,10 @@ class ConformerConfig(Section):
     heads: Positive = 4
     intermediate_size: Positive = Field(default=512, description="width within a block")
     kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
+    phases: Positive = Field(
+        default=1,
+        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+    )
     dropout: float = Field(default=0.1, ge=0, lt=1)
 
 

@@ -71,12 +71,12 @@ class MelSpectrogram(nn.Module):
         self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
         self.register_buffer("window", torch.hann_window(self.length), persistent=False)
 
-    def forward(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
+    def forward(self, waveform: Tensor, n_spectra: int, first: int = 0, shift: int = 0) -> Tensor:
         """Map (B, S) to (B, 3, F, n_spectra), beginning with spectrum `first` of the waveform.
 
-        Outside the waveform there is silence.
+        Every spectrum is taken `shift` samples later. Outside the waveform there is silence.
         """
-        centres = spectra_centres(first + n_spectra, self.frame_rate)[first:]
+        centres = spectra_centres(first + n_spectra, self.frame_rate)[first:] + shift
         half = self.length // 2
         start = int(centres[0]) - half
         stop = int(centres[-1]) + self.length

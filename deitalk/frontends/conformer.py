@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from deitalk.config import ConformerConfig
 from deitalk.errors import ConfigError
 from deitalk.features import RIG_RATE, MelSpectrogram
-from deitalk.frontends.segments import encode_in_segments
+from deitalk.frontends.segments import encode_in_segments, phase_shifts
 
 SEGMENT_FRAMES = 64
 """Rig frames of a clip that are encoded at once."""
@@ -49,6 +49,7 @@ class ConformerFrontend(nn.Module):
         super().__init__()
         self.output_size = config.hidden_size
         self.mel = MelSpectrogram(config.window_seconds, SPECTRA * RIG_RATE, config.n_mels)
+        self.shifts = phase_shifts(config.phases, SPECTRA * RIG_RATE)
         self.stem = nn.Sequential(
             nn.Conv1d(3 * config.n_mels, config.stem_channels, 3, padding=1),
             nn.GELU(),
@@ -80,11 +81,12 @@ class ConformerFrontend(nn.Module):
         """
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(
-            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, progress
+            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
         )
 
-    def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
-        spectra = self.mel(waveform, SPECTRA * (last - first), SPECTRA * first)  # (B, 3, F, L)
+    def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
+        n_spectra = SPECTRA * (last - first)
+        spectra = self.mel(waveform, n_spectra, SPECTRA * first, shift)  # (B, 3, F, L)
         heard = self.stem(spectra.flatten(1, 2)).transpose(1, 2)  # (B, T, stem_channels)
         out: Tensor = self.encoder(self.project(heard)).last_hidden_state
         return out

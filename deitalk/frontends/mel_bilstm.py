@@ -14,7 +14,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from deitalk.config import MelConfig
 from deitalk.features import SAMPLE_RATE, MelSpectrogram, nearest_spectra
-from deitalk.frontends.segments import encode_in_segments
+from deitalk.frontends.segments import encode_in_segments, phase_shifts
 
 SEGMENT_FRAMES = 960
 """Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
@@ -201,6 +201,7 @@ class MelFrontend(nn.Module):
         self.config = config
         self.output_size = 2 * config.time_hidden
         self.mel = MelSpectrogram(config.window_seconds, config.frame_rate, config.n_mels)
+        self.shifts = phase_shifts(config.phases, config.frame_rate)
         self.spectral = SpectralGathering(
             config.n_mels, config.conv_channels, config.spec_hidden, config.spectral_size
         )
@@ -243,18 +244,18 @@ class MelFrontend(nn.Module):
         """
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(
-            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, progress
+            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
         )
 
-    def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
+    def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""
         config = self.config
         if config.recurrence == "window":
-            return self._frames_by_window(waveform, first, last)
+            return self._frames_by_window(waveform, first, last, shift)
         centres = nearest_spectra(last, config.frame_rate, config.time_stack)[first:]
         begin = int(centres[0])
         n_spectra = (int(centres[-1]) - begin + 1) * config.time_stack
-        mel = self.mel(waveform, n_spectra, begin * config.time_stack)
+        mel = self.mel(waveform, n_spectra, begin * config.time_stack, shift)
         spectral = self.spectral(mel)
         batch = spectral.shape[0]
         memory, _ = self.recurrent(spectral.reshape(batch, -1, self.recurrent.input_size))
@@ -264,7 +265,7 @@ class MelFrontend(nn.Module):
         out: Tensor = self.rig(self._centred(attended, memory[:, places]))
         return out
 
-    def _frames_by_window(self, waveform: Tensor, first: int, last: int) -> Tensor:
+    def _frames_by_window(self, waveform: Tensor, first: int, last: int, shift: int) -> Tensor:
         """As printed: for every rig frame a window of spectra, a Time-BiLSTM, an attention."""
         config = self.config
         half = config.window_frames // 2
@@ -272,7 +273,7 @@ class MelFrontend(nn.Module):
         begin = int(centres[0]) - half
         padded = F.pad(waveform, (self._samples(half), 0))
         n_spectra = int(centres[-1]) - half - begin + config.window_frames
-        spectral = self.spectral(self.mel(padded, n_spectra, begin))  # (B, L, spectral_size)
+        spectral = self.spectral(self.mel(padded, n_spectra, begin, shift))  # (B, L, C_spec)
         index = (centres - half - begin).unsqueeze(1) + torch.arange(config.window_frames)
         batch, frames = spectral.shape[0], last - first
         windows = spectral[:, index.to(spectral.device)].flatten(0, 1)  # (B T, window, size)
