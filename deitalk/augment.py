@@ -103,8 +103,8 @@ def augment(
 
 
 def _ratio_db(rng: np.random.Generator) -> float:
-    """Speech over noise: half of the windows are hard to hear."""
-    low, high = (-3, 14) if rng.random() < 0.5 else (14, 48)
+    """Speech over noise: most windows are hard to hear."""
+    low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
     return float(rng.uniform(low, high))
 
 

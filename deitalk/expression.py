@@ -29,8 +29,8 @@ DECIDED, DECISION = 0.27, 4.0
 """Height of a lips-together peak that becomes one half, and the factor on the distance from it, in
 logits.
 
-Chosen on validation speakers: on the average there are as many contacts as bilabials (1.02 times),
-of which 86 % are reached and 94 % of those found held at 0.9 for two frames; 1.8 % of the vowels
+Chosen on validation speakers: on the average there are as many contacts as bilabials (1.00 times),
+of which 87 % are reached and 95 % of those found held at 0.9 for two frames; 1.4 % of the vowels
 shut the lips."""
 SHOULDER, DOUBT, SHARPEST = 0.7, 0.4, 0.97
 """Share of a peak of 1 at which a frame beside it becomes one half, how much more as the peak goes
