@@ -27,9 +27,8 @@ def encode_in_segments(
 ) -> Tensor:
     """Fill `rows` segment by segment with the mean of what is heard at every shift.
 
-    Paper silent. Spectra 17 ms apart sample a sound that changes faster; in noise what they make of
-    a closure depends on where they fall. The mean of two hearings half a spectrum's period apart
-    depends on it less.
+    Paper silent. In noise the mean of two hearings, half a spectrum's period apart, tells closures
+    from vowels better than one does (MODEL_CARD.md).
 
     Parameters
     ----------
