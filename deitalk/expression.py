@@ -25,7 +25,7 @@ CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
 STILL = 0.01
 """Openings below this are the network's murmur, not speech."""
 
-DECIDED, DECISION = 0.27, 4.0
+DECIDED, DECISION = 0.25, 4.0
 """Height of a lips-together peak that becomes one half, and the factor on the distance from it, in
 logits.
 
