@@ -99,8 +99,8 @@ class Expression:
 
         A network trained on squared errors answers a doubtful /b/ with 0.5: lips that almost meet
         and say nothing. Two S-curves decide: how high a peak was meant to be, and which frames
-        beside it belong to the contact. A lone peak of 0.2 becomes 0.06, 0.3 one half, and 0.5
-        becomes 0.99; 0 and 1 stay, and between two peaks the lips part.
+        beside it belong to the contact. A lone peak of 0.2 becomes 0.24, 0.25 one half, and
+        0.5 becomes 0.99; 0 and 1 stay, and between two peaks the lips part.
 
         Parameters
         ----------

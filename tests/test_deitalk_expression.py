@@ -157,8 +157,8 @@ def decided(curve: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("height", "expected"),
-    # odds of 0.5 against those of 0.27 are 73/27; to the fourth 53.44; 53.44 / 54.44 = 0.98163
-    [(0, 0), (0.2, 0.1727), (0.27, 0.5), (0.5, 0.9816), (1, 1)],
+    # odds of 0.5 and 0.2 against those of 0.25 are 3 and 3/4; to the fourth 81 and 81/256
+    [(0, 0), (0.2, 81 / 337), (0.25, 0.5), (0.5, 81 / 82), (1, 1)],
 )
 def test_a_doubtful_contact_is_decided(height, expected):
     np.testing.assert_allclose(decided([height] * 3), expected, atol=1e-3)
@@ -174,8 +174,8 @@ def test_lips_part_between_two_contacts():
 @pytest.mark.parametrize(
     ("height", "share"),
     # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
-    # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 73/27)^4 = 4.492 to 1, 0.8179
-    [(0.95, 0.8541), (0.35, 0.00077 * 0.8179)],
+    # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719
+    [(0.95, 0.8541), (0.35, 0.00077 * 0.8719)],
 )
 def test_a_suspected_contact_is_brief(height, share):
     before, peak, after = decided([0.8 * height, height, 0.8 * height])
