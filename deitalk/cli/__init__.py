@@ -1,6 +1,7 @@
 """The command line: one thin function per verb; heavy imports happen inside them."""
 
 import sys
+from contextlib import suppress
 from typing import Annotated, Any, cast
 
 import typer
@@ -22,6 +23,7 @@ from deitalk.cli.model import app as model_app
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
+from deitalk.cli.signals import Commands, Stopped, Terminated, install
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
@@ -30,6 +32,7 @@ from rig.errors import RigError
 app = typer.Typer(
     name="deitalk",
     help="Speech in, an acted MetaHuman face out.",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -75,14 +78,18 @@ UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer has no 
 def main() -> None:
     """Run a command; what a user can mend is one line on stderr.
 
-    The exit code is 2 for a wrong command line, otherwise 1.
+    The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
+    that SIGTERM or SIGHUP stopped, otherwise 1.
     """
     try:
+        install()
         sys.exit(app(prog_name="deitalk", standalone_mode=False))
     except UsageError as error:
         _fail(_usage(error), 2)
     except typer.Abort:
         _fail("stopped", 1)
+    except (Stopped, Terminated) as error:
+        _stop(error.__cause__ if isinstance(error, Stopped) else error)
     except (DeitalkError, RigError) as error:
         _fail(str(error))
     except BrokenPipeError:
@@ -93,6 +100,11 @@ def main() -> None:
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
 
 
+def _stop(signal: BaseException | None) -> None:
+    assert isinstance(signal, Terminated)
+    _fail(f"stopped by {signal.name}", signal.exit_code)
+
+
 def _usage(error: Any) -> str:
     """What is wrong with the command line, and which command tells how it is right."""
     problem = str(error.format_message()).rstrip(".")
@@ -101,5 +113,6 @@ def _usage(error: Any) -> str:
 
 
 def _fail(message: str, code: int = 1) -> None:
-    typer.secho(f"deitalk: {message}", fg="red", err=True)
+    with suppress(OSError):  # the terminal may be gone
+        typer.secho(f"deitalk: {message}", fg="red", err=True)
     sys.exit(code)

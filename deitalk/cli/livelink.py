@@ -117,21 +117,27 @@ def receive(
 ) -> None:
     """Record Live Link Face packets, from a phone or from `send`, into a CSV.
 
+    Ctrl-C, SIGTERM and SIGHUP end the take; what has come is written.
+
     Examples
     --------
     deitalk livelink receive -o Take_1_iPhone.csv --host 0.0.0.0
     """
+    from deitalk.cli.signals import held
     from rig.files import atomic_write
     from rig.formats.livelink_csv import write_take
     from rig.livelink import Receiver
 
     refuse_existing(out, force=force)
-    with Receiver(host, port) as receiver:
+    with Receiver(host, port) as receiver, held() as signals:
         words().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
-        recording = receiver.record(subject=subject, seconds=seconds, idle_seconds=idle)
-    take = recording.to_take()
-    with atomic_write(out) as beside:
-        write_take(beside, take)
+        recording = receiver.record(
+            subject=subject, seconds=seconds, idle_seconds=idle, is_over=lambda: bool(signals)
+        )
+        take = recording.to_take()
+        with atomic_write(out) as beside:
+            write_take(beside, take)
+        signals.clear()  # they ended the take, as they were asked to
     words().print(
         f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
         f"{recording.n_late} late, {recording.n_garbage} datagrams of garbage"

@@ -5,7 +5,7 @@ Bound to the loopback by default: a machine in a network opens a port only if it
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -107,7 +107,11 @@ class Receiver:
         self._socket.close()
 
     def packets(
-        self, *, seconds: float | None = None, idle_seconds: float | None = None
+        self,
+        *,
+        seconds: float | None = None,
+        idle_seconds: float | None = None,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> Iterator[Packet]:
         """Yield packets as they come; garbage is counted and passed over.
 
@@ -117,10 +121,12 @@ class Receiver:
             Longest time in all; for ever if not given.
         idle_seconds : float, optional
             Longest time without a packet, once one has come.
+        is_over : callable
+            Asked before every packet and five times a second; True ends.
         """
         end = None if seconds is None else time.monotonic() + seconds
         idle_end: float | None = None
-        while all(t is None or time.monotonic() < t for t in (end, idle_end)):
+        while not is_over() and all(t is None or time.monotonic() < t for t in (end, idle_end)):
             try:
                 data = self._socket.recv(MAX_DATAGRAM)
             except TimeoutError:
@@ -141,6 +147,7 @@ class Receiver:
         seconds: float | None = None,
         idle_seconds: float | None = None,
         n_packets: int = MAX_PACKETS,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> Recording:
         """Collect packets of one subject until a limit or an interrupt.
 
@@ -152,11 +159,13 @@ class Receiver:
             See `packets`.
         n_packets : int
             Most packets to take.
+        is_over : callable
+            See `packets`.
         """
         taken: list[Packet] = []
         n_other = 0
         try:
-            for packet in self.packets(seconds=seconds, idle_seconds=idle_seconds):
+            for packet in self.packets(seconds=seconds, idle_seconds=idle_seconds, is_over=is_over):
                 subject = subject or packet.subject
                 if packet.subject != subject:
                     n_other += 1

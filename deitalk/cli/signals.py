@@ -1,0 +1,120 @@
+"""Signals that ask the program to stop, raised as exceptions so that ``finally`` blocks run.
+
+Python turns SIGINT (Ctrl-C) into `KeyboardInterrupt`, but SIGTERM (``kill``, ``timeout``, a batch
+system) and SIGHUP (the terminal was closed) end the process at once: temporary files and worker
+processes stay. `install` gives them the same way out; `held` keeps a short write whole.
+"""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic
+from types import FrameType
+from typing import Any
+
+from typer.core import TyperGroup
+
+NAMES = ("SIGTERM", "SIGHUP", "SIGBREAK")
+"""Of these a system has some: Windows has no SIGHUP, all others no SIGBREAK."""
+QUIET_SECONDS = 5.0
+"""Signals so soon after the first one are dropped: they must not interrupt the cleaning up."""
+
+
+class Terminated(KeyboardInterrupt):
+    """A signal asked the program to stop.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+    @property
+    def name(self) -> str:
+        """Of the signal, such as ``SIGTERM``."""
+        return signal.Signals(self.number).name
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell reports of a program that a signal ended."""
+        return 128 + self.number
+
+
+class Stopped(Exception):
+    """A command that ended by `Terminated`; its ``__cause__`` is the signal."""
+
+
+class Commands(TyperGroup):
+    """The root group; without it typer reports every `KeyboardInterrupt` as an abort."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except Terminated as error:
+            raise Stopped from error
+
+
+class _Handler:
+    """Raises `Terminated`, but not again while the program cleans up."""
+
+    def __init__(self) -> None:
+        self._last = -float("inf")
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        now = monotonic()
+        if now - self._last < QUIET_SECONDS:
+            return
+        self._last = now
+        raise Terminated(number)
+
+
+def install() -> None:
+    """Raise `Terminated` on SIGTERM and SIGHUP.
+
+    A signal that is ignored already (``nohup``) stays ignored. Outside of the main thread, where
+    Python sets no handlers, nothing is done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    handler = _Handler()
+    for number in _numbers():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+@contextmanager
+def held() -> Iterator[list[int]]:
+    """Delay SIGINT, SIGTERM and SIGHUP until the block has ended; then the first one acts.
+
+    For what cannot be made again. Outside of the main thread nothing is held.
+
+    Yields
+    ------
+    list of int
+        Numbers of the signals that came; a block that has answered them empties it.
+    """
+    pending: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield pending
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_numbers())}
+    handlers = {number: handler for number, handler in before.items() if callable(handler)}
+    for number in handlers:
+        signal.signal(number, lambda number, frame: pending.append(number))
+    try:
+        yield pending
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if pending:
+        handlers[signal.Signals(pending[0])](pending[0], None)
+
+
+def _numbers() -> list[signal.Signals]:
+    return [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
