@@ -233,7 +233,7 @@ def _fit(
             progress(run.step, run.total, values)
         if run.step % config.train.evaluate_every == 0 or is_last:
             if accelerator.is_main_process:
-                _evaluate(run, witness, config, journal)
+                progress(run.step, run.total, _evaluate(run, witness, config, journal))
             accelerator.wait_for_everyone()
 
 
@@ -401,7 +401,7 @@ def _step(
     return values | {"gradient_norm": norm, "learning_rate": rate}
 
 
-def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> None:
+def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> dict[str, float]:
     """Score and draw the averaged weights, keep them if none were better, and save the state."""
     run.average.eval()
     scores = witness.development.score(run.average)
@@ -414,3 +414,4 @@ def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> N
     run.best_score = keep(journal.out, run.parts, run.step, scores, run.best_score, save)
     if witness.drawn is not None:
         witness.drawn.draw(run.average, picture_path(journal.out, run.step))
+    return named

@@ -276,7 +276,7 @@ def _fit(
             log(out / "metrics.csv", run.step, values)
             progress(run.step, run.total, values)
         if run.step % config.train.evaluate_every == 0 or is_last:
-            _evaluate(run, folder, config, out)
+            progress(run.step, run.total, _evaluate(run, folder, config, out))
 
 
 def _step(
@@ -296,10 +296,11 @@ def _step(
     return values | {"total": float(total.detach()), "gradient_norm": norm, "learning_rate": rate}
 
 
-def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -> None:
+def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -> dict[str, float]:
     """Score the averaged weights, keep them if none were better, and save the state."""
     scores = mesh_scores(run.average, folder)
-    log(out / "development.csv", run.step, {f"dev_{k}": v for k, v in scores.items()})
+    named = {f"dev_{k}": v for k, v in scores.items()}
+    log(out / "development.csv", run.step, named)
     run.best_score = keep(
         out,
         run.parts,
@@ -308,6 +309,7 @@ def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -
         run.best_score,
         lambda folder, summary: save_sdfa(folder, run.average, config, summary),
     )
+    return named
 
 
 def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> dict[str, float]:

@@ -11,6 +11,7 @@ from deitalk.cli.ablate import ablate
 from deitalk.cli.animate import animate
 from deitalk.cli.attention import attention
 from deitalk.cli.benchmark import benchmark
+from deitalk.cli.console import emit, escape_what_cannot_be_encoded
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
 from deitalk.cli.corpus import app as corpus_app
@@ -27,6 +28,7 @@ from deitalk.cli.signals import Commands, Stopped, Terminated, install
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
+from deitalk.text import one_line
 from rig.errors import RigError
 
 app = typer.Typer(
@@ -59,7 +61,7 @@ app.add_typer(model_app, name="model")
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(__version__)
+        emit(__version__)
         raise typer.Exit
 
 
@@ -81,6 +83,7 @@ def main() -> None:
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
     that SIGTERM or SIGHUP stopped, otherwise 1.
     """
+    escape_what_cannot_be_encoded()
     try:
         install()
         sys.exit(app(prog_name="deitalk", standalone_mode=False))
@@ -95,6 +98,8 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has left; nothing to say
         sys.exit(1)
+    except MemoryError:
+        _fail("not enough memory; give a shorter recording or a smaller file")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
@@ -114,5 +119,5 @@ def _usage(error: Any) -> str:
 
 def _fail(message: str, code: int = 1) -> None:
     with suppress(OSError):  # the terminal may be gone
-        typer.secho(f"deitalk: {message}", fg="red", err=True)
+        typer.secho(f"deitalk: {one_line(message)}", fg="red", err=True)
     sys.exit(code)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.words import bar, words
+from deitalk.cli.console import bar, console, emit
 
 
 def ablate(
@@ -39,7 +39,7 @@ def ablate(
 
     deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
     """
-    with words().status("loading"):
+    with console().status("loading"):
         from deitalk.ablate import ablate as run
         from deitalk.ablate import as_markdown, read_variants
         from deitalk.errors import ConfigError
@@ -63,4 +63,4 @@ def ablate(
             overrides=overrides or (),
             says=lambda name, share: progress((order.index(name) + share) / len(order)),
         )
-    typer.echo(as_markdown(table, split, seeds), nl=False)
+    emit(as_markdown(table, split, seeds))

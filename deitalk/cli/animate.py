@@ -1,6 +1,5 @@
 """`deitalk animate`: speech and an emotion in, a take out."""
 
-import json
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     Device,
     Emotion,
@@ -18,7 +18,6 @@ from deitalk.cli.options import (
     Model,
 )
 from deitalk.cli.paths import refuse_existing
-from deitalk.cli.words import bar, words
 
 if TYPE_CHECKING:
     from deitalk.audio import Recording
@@ -73,11 +72,11 @@ def animate(
     else:
         _write_take(out, performance, settings, model, fps, preview=preview, force=force)
     for warning in performance.recording.warnings:
-        words().print(f"note: {warning}")
+        console().note(warning)
     if as_json:
-        typer.echo(json.dumps(_summary(out, performance, settings)))
+        emit_json(_summary(out, performance, settings))
         return
-    words().print(
+    console().print(
         f"{out}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"emotion {emotion}, intensity {performance.predicted.mean():.2f} on average"
     )
@@ -107,7 +106,7 @@ def _perform(
     began = perf_counter()
     sound, given = _read(speech, asked)
     reading_seconds = perf_counter() - began
-    with words().status("loading the network"):
+    with console().status("loading the network"):
         import torch
 
         from deitalk.checkpoint import load_model
@@ -166,9 +165,9 @@ def _write_file(out: Path, performance: "Performance", fps: float | None) -> Non
 
     report = write_curves(out, performance.curves, fps=fps)
     if report.note:
-        words().print(f"note: {report.note}")
+        console().note(report.note)
     for track in report.dropped:
-        words().print(f"note: {out.name} cannot hold the {track} track; a take folder does")
+        console().note(f"{out.name} cannot hold the {track} track; a take folder does")
 
 
 def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) -> dict[str, Any]:

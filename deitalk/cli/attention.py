@@ -1,14 +1,13 @@
 """`deitalk attention`: where a model listens."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Device, Force, Json, Picture
 from deitalk.cli.paths import check_picture
-from deitalk.cli.words import words
 from deitalk.errors import DataError
 
 if TYPE_CHECKING:
@@ -46,18 +45,18 @@ def attention(
     check_picture(out, force=force)
     if source.is_dir() and phones is not None:
         raise DataError("--phones goes with one recording; a dataset folder brings its own")
-    with words().status("listening"):
+    with console().status("listening"):
         pooled = _listen(source, out, phones, model, split, clips, device)
     said = {
         name: {"phones": len(kind.phones), "evenness": kind.evenness, "peak": kind.peak}
         for name, kind in zip(("vowels", "plosives"), pooled, strict=False)
     }
     if as_json:
-        typer.echo(json.dumps({"out": str(out), **said}))
+        emit_json({"out": str(out), **said})
         return
-    words().print(str(out), markup=False)
+    console().print(str(out))
     for name, numbers in said.items():
-        words().print(
+        console().print(
             f"{name}: {numbers['phones']}, evenness {numbers['evenness']:.3f}, "
             f"largest weight {numbers['peak']:.3f} on average"
         )

@@ -1,12 +1,11 @@
 """`deitalk benchmark`: stages, real-time factor, memory."""
 
-import json
 from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Json, Model
-from deitalk.cli.words import bar, words
 
 
 def benchmark(
@@ -42,32 +41,35 @@ def benchmark(
             result["memory"].append(measures.peak_memory(model, length))
             progress((3 + i) / total)
     if as_json:
-        typer.echo(json.dumps(result))
+        emit_json(result)
         return
     for name in ("clip", "table_4_clip"):
         _print_clip(result[name])
-    typer.echo(
+    emit(
         "SDFA Table 4 prints for its 5.1 s clip, on an i7-8700K, milliseconds: "
         + ", ".join(f"{k} {v:g}" for k, v in measures.TABLE_4_MILLISECONDS.items())
     )
     for row in result["memory"]:
-        typer.echo(
+        emit(
             f"{row['clip_seconds']:g} s of audio: peak {row['megabytes']:.0f} MB, "
             f"{row['wall_seconds']:.1f} s"
         )
 
 
 def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
-    with words().status("measuring"):
+    with console().status("measuring"):
         from deitalk.mesh_timing import as_markdown, table_4
 
         report = table_4(threads, repeats)
-    typer.echo(json.dumps(report) if as_json else as_markdown(report), nl=as_json)
+    if as_json:
+        emit_json(report)
+    else:
+        emit(as_markdown(report))
 
 
 def _print_clip(clip: dict[str, Any]) -> None:
     stages = ", ".join(f"{name} {1000 * lap:.0f}" for name, lap in clip["stages"].items())
-    typer.echo(
+    emit(
         f"{clip['clip_seconds']:g} s clip, {clip['threads']} thread(s): "
         f"RTF {clip['rtf_cpu']:.4f} CPU, {clip['rtf_wall']:.4f} wall; stages in ms: {stages}"
     )

@@ -1,11 +1,10 @@
 """`deitalk controls`: the 185 controls, their ranges and sets."""
 
-import json
 from typing import Annotated
 
 import typer
 
-from deitalk.cli.words import words
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.errors import DeitalkError
 
 
@@ -51,8 +50,8 @@ def controls(
     if not rows:
         raise DeitalkError(f"no control matches {match!r}; `deitalk controls` lists all")
     if as_json:
-        typer.echo(json.dumps(rows))
+        emit_json(rows)
         return
     for row in rows:
-        typer.echo("\t".join(str(value) for value in row.values()))
-    words().print(f"{everything.id}: {len(rows)} " + ("sets" if sets else "controls"))
+        emit("\t".join(str(value) for value in row.values()))
+    console().print(f"{everything.id}: {len(rows)} " + ("sets" if sets else "controls"))

@@ -1,14 +1,13 @@
 """`deitalk convert`: curves from any format to any other."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import Force, Json
 from deitalk.cli.paths import curves_of, refuse_existing
-from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -118,11 +117,13 @@ def _tell(report: "WriteReport", as_json: bool) -> None:
     notes += [report.note] if report.note else []
     if as_json:
         summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
-        typer.echo(json.dumps({"out": str(report.path), **summary, "notes": notes}))
+        emit_json({"out": str(report.path), **summary, "notes": notes})
         return
     for note in notes:
-        words().print(f"note: {note}", style="yellow")
-    words().print(f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps")
+        console().note(note)
+    console().print(
+        f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"
+    )
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
@@ -143,4 +144,4 @@ def _print_formats() -> None:
 
     for known in FORMATS:
         ways = f"{'read' if known.read else ''} {'write' if known.write else ''}".strip()
-        typer.echo(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")
+        emit(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.words import bar, words
+from deitalk.cli.console import bar, console
 from deitalk.errors import DataError
 
 app = typer.Typer(help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True)
@@ -50,7 +50,7 @@ def build(
         if reason is None:
             engines.append(name)
         elif hours > 0:
-            words().print(f"without {name}: {reason}")
+            console().print(f"without {name}: {reason}")
     found = [recording for folder in recordings or () for recording in list_recordings(folder)]
     if not found and (hours <= 0 or not engines):
         raise DataError(
@@ -70,7 +70,9 @@ def build(
 
         frame = building.build(out, shards, workers=workers, progress=advance)
     counts = frame.groupby("split").size().to_dict()
-    words().print(f"{out}: {len(frame)} clips ({', '.join(f'{v} {k}' for k, v in counts.items())})")
+    console().print(
+        f"{out}: {len(frame)} clips ({', '.join(f'{v} {k}' for k, v in counts.items())})"
+    )
 
 
 @app.command()
@@ -85,7 +87,7 @@ def sheet(
 
     out.mkdir(parents=True, exist_ok=True)
     names = (phones or pictures.SENTENCE).split()
-    with words().status("drawing"):
+    with console().status("drawing"):
         pictures.plot_channels(pictures.evenly_timed(names), out / "channels.png")
         pictures.draw_faces(out / "faces.png")
-    words().print(f"{out}: channels.png, faces.png")
+    console().print(f"{out}: channels.png, faces.png")

@@ -1,12 +1,12 @@
 """`deitalk data`: look at a dataset folder."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deitalk.cli.words import bar
+from deitalk.cli.console import bar, emit, emit_json
+from deitalk.text import one_line
 
 app = typer.Typer(help="Look at a dataset folder.", no_args_is_help=True)
 
@@ -39,9 +39,9 @@ def check(
         checks = check_dataset(folder, most=most, progress=progress)
     if as_json:
         rows = [{"check": c.name, "level": c.level, "text": c.text} for c in checks]
-        typer.echo(json.dumps(rows, indent=1))
+        emit_json(rows, indent=1)
     else:
         for c in checks:
-            typer.echo(f"{c.level:8} {c.name:13} {c.text}")
+            emit(one_line(f"{c.level:8} {c.name:13} {c.text}"))
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)

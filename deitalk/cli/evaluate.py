@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import Force, Json
 from deitalk.cli.paths import check_picture, refuse_existing
-from deitalk.cli.words import bar, words
 from deitalk.errors import DataError
 
 
@@ -78,7 +78,7 @@ def evaluate(
 
 
 def _score(model: str, data: Path, **options: Any) -> dict[str, Any]:
-    with words().status("loading"):
+    with console().status("loading"):
         from deitalk.checkpoint import load_model
         from deitalk.evaluate import evaluate as score
 
@@ -97,7 +97,7 @@ def _score_mesh(
     transitions: bool,
     as_json: bool,
 ) -> None:
-    with words().status("loading"):
+    with console().status("loading"):
         from deitalk.evaluate_mesh import as_markdown, evaluate_mesh
         from deitalk.mesh_checkpoint import load_sdfa
 
@@ -119,7 +119,7 @@ def _write(report: dict[str, Any], markdown: str, out: Path | None, *, as_json: 
     from deitalk.evaluation.report import as_json as to_json
     from rig.files import atomic_write
 
-    typer.echo(to_json(report) if as_json else markdown, nl=False)
+    emit(to_json(report) if as_json else markdown)
     if out is not None:
         with atomic_write(out) as beside:
             written = to_json(report) if out.suffix == ".json" else markdown

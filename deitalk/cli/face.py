@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.console import console, emit
 from deitalk.cli.options import Force, Identity
 from deitalk.cli.paths import identity_of, refuse_existing
-from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
 app = typer.Typer(help="The embedded head: contact sheets and who it can be.", no_args_is_help=True)
@@ -53,7 +53,7 @@ def sheet(
         backend=backend,  # type: ignore[arg-type]
     )  # fmt: skip
     write_png(out, picture)
-    words().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
+    console().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
 
 
 @app.command()
@@ -74,11 +74,11 @@ def identities(
     from rig.face.sheet import draw_people
 
     for number, person in enumerate(IDENTITIES):
-        typer.echo(f"{number}\t{person.name}")
+        emit(f"{number}\t{person.name}")
     if out is not None:
         refuse_existing(out, force=force)
         write_png(out, draw_people())
-        words().print(f"{out}: {len(IDENTITIES)} heads")
+        console().print(f"{out}: {len(IDENTITIES)} heads")
 
 
 @app.command()
@@ -103,7 +103,7 @@ def export(
     refuse_existing(out, force=force)
     head = build_head(identity_of(identity))
     names = write_head(out, head).names
-    words().print(
+    console().print(
         f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "
         f"and {len(CORRECTIVES)} correctives"
     )

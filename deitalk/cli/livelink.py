@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.console import console
 from deitalk.cli.options import Emotion, Force, Intensity, Model
 from deitalk.cli.paths import curves_of, refuse_existing
-from deitalk.cli.words import words
 from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def receive(
 
     refuse_existing(out, force=force)
     with Receiver(host, port) as receiver, held() as signals:
-        words().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
+        console().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
         recording = receiver.record(
             subject=subject, seconds=seconds, idle_seconds=idle, is_over=lambda: bool(signals)
         )
@@ -138,7 +138,7 @@ def receive(
         with atomic_write(out) as beside:
             write_take(beside, take)
         signals.clear()  # they ended the take, as they were asked to
-    words().print(
+    console().print(
         f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
         f"{recording.n_late} late, {recording.n_garbage} datagrams of garbage"
     )
@@ -164,7 +164,9 @@ def _send(
     chosen = make_protocol(protocol, subject, curves.names)
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     since = (datetime.now().astimezone() - midnight).total_seconds()
-    words().print(f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops")
+    console().print(
+        f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops"
+    )
 
     def start() -> None:
         for action in started:
@@ -178,7 +180,7 @@ def _send(
         first_frame=int(since * curves.fps),
         on_start=start,
     )
-    words().print(
+    console().print(
         f"{report.n_sent} frames in {report.seconds:.2f} s, {report.n_skipped} skipped, "
         f"at most {1000 * report.worst_lateness:.1f} ms late"
     )
@@ -213,7 +215,7 @@ def _source(
     except FormatError:
         from deitalk.pipeline import animate
 
-        words().print(f"acting {source.name}")
+        console().print(f"acting {source.name}")
         performance = animate(source, emotion, model=model, intensity=intensity)
         return performance.curves, source
     return read_curves(source, control_set=None), None

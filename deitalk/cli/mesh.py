@@ -1,14 +1,13 @@
 """`deitalk mesh`: speech in, a moving mesh out."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json
 from deitalk.cli.paths import refuse_existing
-from deitalk.cli.words import bar, words
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -154,13 +153,12 @@ def _described(report: "RetargetReport", fps: float) -> dict[str, Any]:
 
 def _tell(out: Path, summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        typer.echo(json.dumps({"out": str(out), **summary}))
+        emit_json({"out": str(out), **summary})
         return
     for note in summary["notes"]:
-        words().print(f"note: {note}", markup=False)
+        console().note(note)
     what = "vertices" if "vertices" in summary else "shapes"
-    words().print(
+    console().print(
         f"{out}: {summary['frames']} frames at {summary['fps']:g} per second, "
         f"{summary[what]} {what}",
-        markup=False,
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.words import words
+from deitalk.cli.console import console, emit, emit_json
 
 app = typer.Typer(help="What a model is.", no_args_is_help=True)
 
@@ -43,7 +43,7 @@ def export(
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
     out.parent.mkdir(parents=True, exist_ok=True)
     save_model(out, load_model(model), config, summary, half=True)
-    words().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+    console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 
 @app.command()
@@ -56,8 +56,8 @@ def info(
 
     about = describe_model(model)
     if as_json:
-        typer.echo(json.dumps(about))
+        emit_json(about)
         return
     for key, value in about.items():
-        typer.echo(f"{key}\t{json.dumps(value) if isinstance(value, dict) else value}")
-    words().print(f"embedded models: {', '.join(embedded_models()) or 'none'}")
+        emit(f"{key}\t{json.dumps(value) if isinstance(value, dict) else value}")
+    console().print(f"embedded models: {', '.join(embedded_models()) or 'none'}")

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Emotion, Force, Intensity, Model, Picture
 from deitalk.cli.paths import check_picture
-from deitalk.cli.words import bar, words
 
 
 def plot(
@@ -31,4 +31,4 @@ def plot(
 
         performance = animate(speech, emotion, model=model, intensity=intensity, progress=progress)
     draw(performance, out, f"{speech.name}, {emotion}")
-    words().print(f"{out}")
+    console().print(f"{out}")

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
 from deitalk.cli.paths import identity_of
-from deitalk.cli.words import bar, words
 from deitalk.errors import DeitalkError
 
 
@@ -55,7 +55,7 @@ def preview(
     if versus is not None:
         shown.append(load_source(versus))
     for time, text in find_warnings(shown[0]):
-        words().print(f"{time:6.2f} s  {text}")
+        console().print(f"{time:6.2f} s  {text}")
     who = identity_of(identity)
     for target in targets:
         if target.suffix.lower() in (".html", ".htm"):
@@ -69,4 +69,4 @@ def preview(
                 )  # fmt: skip
         else:
             raise DeitalkError(f"{target} has suffix {target.suffix!r}; use .mp4 or .html")
-        words().print(str(target))
+        console().print(str(target))

@@ -1,15 +1,14 @@
 """`deitalk retarget`: a take on your own face."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Force, Json
 from deitalk.cli.paths import curves_of, refuse_existing
-from deitalk.cli.words import words
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def retarget(
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     refuse_existing(out, force=force)
     curves = read_curves(curves_of(take))
-    with words().status("retargeting"):
+    with console().status("retargeting"):
         report = retarget_curves(
             curves,
             mesh,
@@ -84,12 +83,10 @@ def retarget(
 def _tell(report: "RetargetReport", as_json: bool) -> None:
     """Say what was written and what to look at."""
     if as_json:
-        typer.echo(json.dumps(asdict(report) | {"path": str(report.path)}))
+        emit_json(asdict(report) | {"path": str(report.path)})
         return
     lost = "" if report.lost is None else f", {report.lost:.0%} of the movement has no shape"
     kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
     for note in report.notes:
-        words().print(f"note: {note}", style="yellow", markup=False)
-    words().print(
-        f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}", markup=False
-    )
+        console().note(note)
+    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}")

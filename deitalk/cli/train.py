@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.words import bar, words
+from deitalk.cli.console import bar, console
 
 if TYPE_CHECKING:
+    from deitalk.cli.console import Advance
     from deitalk.config import SDFAConfig
+    from deitalk.train import Progress
 
 
 def train(
@@ -44,13 +46,13 @@ def train(
         _refuse_for_sdfa(start_from, tensorboard=tensorboard)
         _train_sdfa(settings, data, out, resume=resume)
         return
-    with words().status("loading"):
+    with console().status("loading"):
         from deitalk.checkpoint import model_folder
         from deitalk.drawing import can_draw
         from deitalk.train import train as fit
 
         if not can_draw():
-            words().print("without pictures in OUT/curves: pip install 'deitalk[plot]'")
+            console().print("without pictures in OUT/curves: pip install 'deitalk[plot]'")
         start = None if start_from is None else model_folder(start_from)
     with bar("training") as progress:
         best = fit(
@@ -60,9 +62,21 @@ def train(
             resume=resume,
             start_from=start,
             tensorboard=tensorboard,
-            progress=lambda step, total, values: progress(step / total),
+            progress=_told(progress),
         )
     _report(out, best)
+
+
+def _told(advance: "Advance") -> "Progress":
+    """Show what training tells: step, loss, and the scores of every evaluation."""
+
+    def progress(step: int, total: int, values: dict[str, float]) -> None:
+        scores = [f"{name[4:]} {v:.4g}" for name, v in values.items() if name.startswith("dev_")]
+        loss = [f"loss {values['total']:.4g}"] if "total" in values else []
+        text = ", ".join([f"step {step} of {total}", *loss, *scores])
+        advance(step / max(total, 1), text, always=bool(scores))
+
+    return progress
 
 
 def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
@@ -75,7 +89,7 @@ def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
 
 
 def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) -> None:
-    with words().status("loading"):
+    with console().status("loading"):
         from deitalk.train_sdfa import train_sdfa as fit
     with bar("training") as progress:
         best = fit(
@@ -83,7 +97,7 @@ def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) 
             data,
             out,
             resume=resume,
-            progress=lambda step, total, values: progress(step / total),
+            progress=_told(progress),
         )
     _report(out, best)
 
@@ -93,4 +107,4 @@ def _report(out: Path, best: dict[str, Any]) -> None:
     if os.environ.get("RANK", "0") != "0":
         return
     scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
-    words().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
+    console().print(f"{out / 'best'}: step {best.get('step')}, {scores}")

@@ -1,10 +1,12 @@
 """`deitalk validate`: whether importers take a file, and what Unreal makes of it."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from deitalk.cli.console import emit, emit_json
+from deitalk.text import one_line
 
 
 def validate(
@@ -30,10 +32,10 @@ def validate(
         rows = [
             {"level": f.level, "path": str(f.path), "text": f.text} for f in validation.findings
         ]
-        typer.echo(json.dumps({"ok": validation.ok, "findings": rows}, indent=1))
+        emit_json({"ok": validation.ok, "findings": rows}, indent=1)
     else:
         for finding in validation.findings:
-            typer.echo(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}")
+            emit(one_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
     is_warned = strict and any(f.level == "warning" for f in validation.findings)
     if not validation.ok or is_warned:
         raise typer.Exit(1)

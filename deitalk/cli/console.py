@@ -1,0 +1,141 @@
+"""Everything a command prints: messages to stderr, data to stdout, both as plain text.
+
+Nothing is read as markup: a file may be called ``[red]``. Names that are no UTF-8 and control
+characters are printed escaped.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Protocol
+
+from deitalk.text import decodable, decodable_values, one_line
+
+if TYPE_CHECKING:
+    pass
+
+VISIBLE_SECONDS = 1.0
+"""Work that takes less shows no bar."""
+FIRST_LINE_SECONDS = 3.0
+"""Work that takes less prints no line of progress."""
+LINE_SECONDS = 10.0
+"""Time between two lines of progress at the start of long work."""
+SLOWEST_LINE_SECONDS = 60.0
+"""The same after an hour."""
+
+
+class Advance(Protocol):
+    """Told how far work has come."""
+
+    def __call__(self, share: float, text: str = "", *, always: bool = False) -> None:
+        """Take the share done (0 to 1) and what to print beside it.
+
+        `always` prints a line off a terminal although the last one was printed just now.
+        """
+
+
+class Console:
+    """The console of stderr: plain lines, a line of status, a bar."""
+
+    def __init__(self) -> None:
+        from rich.console import Console as RichConsole
+
+        self.rich: RichConsole = RichConsole(
+            stderr=True, emoji=False, highlight=False, soft_wrap=True
+        )
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether somebody is looking."""
+        return self.rich.is_terminal
+
+    def print(self, text: str, *, style: str = "") -> None:
+        """Print one line, its text as it is."""
+        from rich.text import Text
+
+        self.rich.print(Text(one_line(text)), style=style or None)
+
+    def note(self, text: str) -> None:
+        """Print what a user may want to know about the result."""
+        self.print(f"note: {text}", style="yellow")
+
+    def status(self, title: str) -> AbstractContextManager[object]:
+        """Show a title for as long as the block takes; nothing off a terminal."""
+        return self.rich.status(title)
+
+
+@cache
+def console() -> Console:
+    """The console of stderr."""
+    return Console()
+
+
+def emit(text: str) -> None:
+    """Print data to stdout and end the line."""
+    import typer
+
+    typer.echo(decodable(text).removesuffix("\n"))
+
+
+def emit_json(value: Any, *, indent: int | None = None) -> None:
+    """Print data to stdout as JSON."""
+    emit(json.dumps(decodable_values(value), indent=indent))
+
+
+def escape_what_cannot_be_encoded() -> None:
+    """Let no character end a command: those that stdout or stderr cannot hold are escaped."""
+    for stream in (sys.stdout, sys.stderr):
+        if reconfigure := getattr(stream, "reconfigure", None):
+            reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Advance]:
+    """Yield a function that is told the share done, 0 to 1.
+
+    On a terminal a bar shows up after a second. Elsewhere a line is printed at every tenth of the
+    work, or every 10 seconds (every minute after an hour); work of a few seconds prints nothing.
+    """
+    if not console().is_terminal:
+        yield _Lines(title, console().print, monotonic)
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    began = monotonic()
+    title_column = TextColumn("{task.description}")
+    text_column = TextColumn("{task.fields[text]}")
+    columns = (title_column, BarColumn(), TimeRemainingColumn(), text_column)
+    with Progress(*columns, console=console().rich, transient=True) as progress:
+        task = progress.add_task(title, total=1.0, visible=False, text="")
+
+        def advance(share: float, text: str = "", *, always: bool = False) -> None:
+            late = monotonic() - began > VISIBLE_SECONDS
+            progress.update(task, completed=share, visible=late, text=one_line(text))
+
+        yield advance
+
+
+class _Lines:
+    """Progress as lines for a log."""
+
+    def __init__(
+        self, title: str, write: Callable[[str], None], clock: Callable[[], float]
+    ) -> None:
+        self.title, self.write, self.clock = title, write, clock
+        self.began = self.printed = clock()
+        self.tenth = 0
+
+    def __call__(self, share: float, text: str = "", *, always: bool = False) -> None:
+        now = self.clock()
+        took, since = now - self.began, now - self.printed
+        tenth = int(10 * share + 1e-9)
+        due = since >= min(max(LINE_SECONDS, took / 60), SLOWEST_LINE_SECONDS)
+        is_tenth = tenth > self.tenth and since >= FIRST_LINE_SECONDS
+        if not (due or is_tenth or (always and took >= FIRST_LINE_SECONDS)):
+            return
+        self.tenth, self.printed = tenth, now
+        details = f", {text}" if text else ""
+        self.write(f"{self.title}: {share:.0%} after {took:.0f} s{details}")
