@@ -12,9 +12,14 @@
         └── MissingError     a program or package this machine lacks
 """
 
+from rig.errors import one_line
+
 
 class DeitalkError(ValueError):
-    """Something the caller can mend; the message says how."""
+    """Something the caller can mend; the message says how, in one line."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(message))
 
 
 class AudioError(DeitalkError):

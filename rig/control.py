@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rig.errors import ControlError
+from rig.limits import CONTROLS
 
 SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
 """Named sets that are columns of the table."""
 NEWER_ONLY = "-"
 """`mh3_name` of a control that the older board did not have."""
-MAX_CONTROLS = 4096
 """A control set is a list a person can read, not a mesh."""
 NUMBERS = {"min": "minimum", "max": "maximum", "rest": "rest", "mirror_sign": "mirror_sign"}
 TEXTS = (
@@ -97,7 +97,7 @@ def read_table(lines: Iterable[str]) -> tuple[Control, ...]:
     ControlError
         If a number is none, or the rows are more than a control set may have.
     """
-    rows = list(itertools.islice(csv.DictReader(lines), MAX_CONTROLS + 1))
+    rows = list(itertools.islice(csv.DictReader(lines), CONTROLS + 1))
     return tuple(_control_from({k: v or "" for k, v in row.items() if k}) for row in rows)
 
 

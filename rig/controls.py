@@ -15,6 +15,7 @@ eight brow channels with blink, lid press, inner squint, cheek raise and scrunch
 
 import csv
 import difflib
+import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -24,8 +25,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control import MAX_CONTROLS, NEWER_ONLY, SETS, Control, read_table
+from rig.control import NEWER_ONLY, SETS, Control, read_table
 from rig.errors import ControlError
+from rig.limits import CONTROL_SET_BYTES, CONTROLS
+from rig.reading import read_text
 
 DEFAULT_ID = "metahuman-185@mh4"
 SIDES = {"left": "L", "right": "R", "center": "C"}
@@ -56,10 +59,10 @@ class ControlSet:
     controls: tuple[Control, ...]
 
     def __post_init__(self) -> None:
-        if not 0 < len(self.controls) <= MAX_CONTROLS:
+        if not 0 < len(self.controls) <= CONTROLS:
             raise ControlError(
                 f"control set {self.id!r} has {len(self.controls)} controls; "
-                f"it needs 1 to {MAX_CONTROLS}"
+                f"it needs 1 to {CONTROLS}"
             )
         check_unique(self.names, where=f"control set {self.id!r}")
         known = set(self.names)
@@ -221,12 +224,11 @@ class ControlSet:
         """
         path = Path(path)
         try:
-            with path.open(encoding="utf-8-sig", newline="") as stream:
-                header = [cell.strip() for cell in next(csv.reader(stream), [])]
-                if "name" in header:
-                    stream.seek(0)
-                    return cls(id or path.stem, read_table(stream))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            text = read_text(path, CONTROL_SET_BYTES, error=ControlError)
+            header = [cell.strip() for cell in next(csv.reader(io.StringIO(text)), [])]
+            if "name" in header:
+                return cls(id or path.stem, read_table(io.StringIO(text)))
+        except csv.Error as error:
             raise ControlError(f"cannot read a control set from {path}: {error}") from error
         names = [name for name in header if name not in ("frame", "time")]
         return cls.from_names(names, id=id or path.stem, minimum=-1.0)
@@ -322,7 +324,6 @@ def _indices(places: Sequence[int]) -> Indices:
 
 __all__ = [
     "DEFAULT_ID",
-    "MAX_CONTROLS",
     "Control",
     "ControlSet",
     "check_unique",

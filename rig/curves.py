@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
 from rig.errors import ControlError, CurveError
+from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
 
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
 """Column order of the emotion track."""
@@ -22,7 +23,6 @@ NTSC = 30000 / 1001
 NTSC_DOUBLE = 60000 / 1001
 STANDARD_RATES = (24.0, NTSC_FILM, 25.0, NTSC, 30.0, 48.0, 50.0, NTSC_DOUBLE, 60.0, 100.0, 120.0)
 """Frame rates (Hz) of film and games; 23.976, 29.97 and 59.94 are exact fractions."""
-MAX_FPS = 1000.0
 
 Floats = NDArray[np.float32]
 
@@ -38,7 +38,7 @@ class RigCurves:
     names : sequence of str [length C]
         Canonical control names, none doubled.
     fps : float
-        Frames per second, above 0 and up to 1000. 23.976, 29.97 and 59.94 are taken as the exact
+        Frames per second, 0.01 to 1000. 23.976, 29.97 and 59.94 are taken as the exact
         fractions 24000/1001, 30000/1001 and 60000/1001.
     emotion : array [shape=(T, 5), range 0 to 1], optional
         Weights in the order of `EMOTIONS`.
@@ -50,7 +50,8 @@ class RigCurves:
     Raises
     ------
     CurveError
-        If shapes disagree, a value is NaN or infinite, or the rate is not allowed.
+        If shapes disagree, a value is NaN or infinite, or the rate or the number of frames is not
+        allowed.
     ControlError
         If a name is empty or doubled.
     """
@@ -67,6 +68,7 @@ class RigCurves:
         values = _array(self.values, "values", (None, len(names)))
         check_unique(names, where="curves")
         n_frames = values.shape[0]
+        check_clip(n_frames, len(names))
         tracks = {
             "values": values,
             "names": names,
@@ -138,6 +140,7 @@ class RigCurves:
         places = controls.indices(self.names)
         values = np.tile(controls.rest, (len(self), 1))
         values[:, places] = self.values
+        values.setflags(write=False)  # not copied again
         return replace(self, values=values, names=controls.names, control_set=controls.id)
 
     def resample(self, fps: float) -> "RigCurves":
@@ -150,6 +153,7 @@ class RigCurves:
         if fps == self.fps or not len(self):
             return replace(self, fps=fps)
         n_frames = n_frames_for(self.duration, fps=fps)
+        check_clip(n_frames, len(self.names))
         position = np.minimum(np.arange(n_frames) * (self.fps / fps), len(self) - 1)
         low = np.floor(position + 1e-9).astype(np.intp)
         high = np.minimum(low + 1, len(self) - 1)
@@ -218,7 +222,9 @@ def rest_curves(
 ) -> RigCurves:
     """Return the face at rest for a number of frames."""
     controls = controls or default_controls()
+    check_clip(n_frames, len(controls))
     values = np.tile(controls.rest, (n_frames, 1))
+    values.setflags(write=False)
     return RigCurves(values, controls.names, fps, control_set=controls.id)
 
 
@@ -239,17 +245,37 @@ def n_frames_for(seconds: float, *, fps: float) -> int:
     return max(time_to_frames(seconds, fps=fps), 0)
 
 
+def check_clip(n_frames: int, n_curves: int) -> None:
+    """Refuse a clip of more frames or values than are held in memory.
+
+    Raises
+    ------
+    CurveError
+        If there are more than `limits.FRAMES` frames or `limits.VALUES` values.
+    """
+    if n_frames > FRAMES:
+        raise CurveError(
+            f"{n_frames} frames; at most {FRAMES} (three hours at 120 fps) are held: cut the clip, "
+            "or lower the rate"
+        )
+    if n_frames * n_curves > VALUES:
+        raise CurveError(
+            f"{n_frames} frames of {n_curves} curves are more than {VALUES} values; cut the clip, "
+            "or lower the rate"
+        )
+
+
 def snap_fps(fps: float) -> float:
     """Return the rate, a standard one exactly if it is within 2e-5 of it (29.97 is 30000/1001).
 
     Raises
     ------
     CurveError
-        If it is not a number above 0 and up to 1000.
+        If it is not a number from 0.01 to 1000.
     """
     fps = float(fps)
-    if not (math.isfinite(fps) and 0 < fps <= MAX_FPS):
-        raise CurveError(f"fps={fps:g} must be above 0 and at most {MAX_FPS:g}")
+    if not FPS_LOWEST <= fps <= FPS_HIGHEST:
+        raise CurveError(f"fps={fps:g} must be from {FPS_LOWEST:g} to {FPS_HIGHEST:g}")
     for standard in STANDARD_RATES:
         if abs(fps - standard) <= 2e-5 * standard:
             return standard
@@ -258,7 +284,8 @@ def snap_fps(fps: float) -> float:
 
 def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Floats:
     """Return a read-only float32 array of a shape, or say which value is wrong."""
-    array = np.asarray(values, dtype=np.float32)
+    with np.errstate(over="ignore"):  # what becomes infinite is named below
+        array = np.asarray(values, dtype=np.float32)
     if array.ndim != len(shape) or any(
         want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
     ):

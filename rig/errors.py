@@ -11,9 +11,49 @@
             └── TopologyError  triangles that name wrong vertices, meshes that do not match
 """
 
+from rig.limits import MESSAGE_CHARACTERS, QUOTED_CHARACTERS
+
+
+def shorten(text: str, most: int) -> str:
+    """Return a text of at most `most` characters: a longer one loses its middle.
+
+    Parameters
+    ----------
+    text : str
+        Any length.
+    most : int
+        At least 3.
+    """
+    if len(text) <= most:
+        return text
+    tail = most // 3
+    return f"{text[: most - tail - 1]}…{text[len(text) - tail :]}"
+
+
+def quoted(value: object, most: int = QUOTED_CHARACTERS) -> str:
+    """Return a value as Python writes it, shortened: for messages that quote a user's input."""
+    if isinstance(value, str | bytes):
+        value = value[: most + 1]
+    return shorten(repr(value), most)
+
+
+def one_line(message: object) -> str:
+    """Return a message of one line and at most `MESSAGE_CHARACTERS` characters.
+
+    Line ends, control characters and bytes that are no text are written as escapes, so that any
+    terminal can print the message.
+    """
+    text = shorten(str(message), MESSAGE_CHARACTERS)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
 
 class RigError(ValueError):
-    """Something about a face that the caller can mend; the message says how."""
+    """Something about a face that the caller can mend; the message says how, in one line."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(message))
 
 
 class ControlError(RigError):

@@ -16,7 +16,7 @@ from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
 from rig.formats import read_curves
-from rig.formats.curves_json import read_json
+from rig.formats.curves_json import read_object
 from rig.formats.livelink_csv import LiveLinkTake, read_take, subject_of
 from rig.formats.table import format_of_header
 from rig.formats.wide_csv import read_header
@@ -110,7 +110,7 @@ def _take_folder(folder: Path) -> list[Finding]:
 def _take_json(folder: Path) -> list[Finding]:
     path = folder / "take.json"
     try:
-        data = read_json(path)
+        data = read_object(path)
     except RigError as error:
         return [Finding("error", path, str(error))]
     listed = data.get("files", {})

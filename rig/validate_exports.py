@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import FormatError
-from rig.formats.curves_json import read_json
+from rig.formats.curves_json import read_object
 from rig.raw import raw_controls
 
 Note = str
@@ -23,7 +23,7 @@ def check_unreal_json(path: Path) -> Note:
     """
     from rig.formats.unreal_json import SCHEMA
 
-    data = read_json(path, SCHEMA)
+    data = read_object(path, SCHEMA)
     n_frames, rate = data.get("n_frames"), data.get("frame_rate")
     if not (isinstance(n_frames, int) and n_frames > 0):
         raise FormatError(f"{path}: 'n_frames' is {n_frames!r}; it must be 1 or more")
@@ -56,7 +56,7 @@ def check_visemes(path: Path) -> Note:
     """
     from rig.formats.viseme_json import SCHEMA
 
-    data = read_json(path, SCHEMA)
+    data = read_object(path, SCHEMA)
     names, fps = data.get("names"), data.get("fps")
     if not (isinstance(names, list) and isinstance(fps, (int, float)) and fps > 0):
         raise FormatError(f"{path} needs 'names' and an 'fps' above 0")

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from rig.controls import default_controls
-from rig.curves import RigCurves, n_frames_for, rest_curves
-from rig.errors import FormatError
+from rig.curves import RigCurves, check_clip, n_frames_for, rest_curves
+from rig.errors import FormatError, quoted
 
 GESTURES: dict[str, dict[str, float]] = {
     "jaw": {"CTRL_C_jaw.ty": 0.55},
@@ -111,11 +111,12 @@ def cues_to_curves(given: Sequence[Cue], fps: float = 30.0) -> RigCurves:
     """
     poses = dict(zip(names(RHUBARB), _poses(RHUBARB), strict=True))
     n_frames = max(n_frames_for(max((cue.end for cue in given), default=0.0), fps=fps), 1)
+    check_clip(n_frames, len(default_controls()))
     amounts = np.zeros((n_frames, len(GESTURES)), np.float32)
     last = 0.0
     for number, cue in enumerate(given, start=1):
         if cue.shape not in poses:
-            raise FormatError(f"cue {number} is {cue.shape!r}; known: {', '.join(poses)}")
+            raise FormatError(f"cue {number} is {quoted(cue.shape)}; known: {', '.join(poses)}")
         if cue.start < last - 1e-6 or cue.end < cue.start:
             raise FormatError(
                 f"cue {number} runs from {cue.start:g} to {cue.end:g} s, out of order"
@@ -144,6 +145,7 @@ def posed(amounts: Floats, fps: float) -> RigCurves:
     for column, gesture in enumerate(GESTURES):
         for name, full in _controls(gesture):
             values[:, rest.index(name)] = amounts[:, column] * full
+    values.setflags(write=False)  # not copied again
     return replace(rest, values=values)
 
 

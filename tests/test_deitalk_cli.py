@@ -90,7 +90,7 @@ def test_animate_reads_stdin(tmp_path, model, speech):
         (["--intensity", "-1"], "-1"),
         (["--model", "no-such-model"], "no-such-model"),
         (["--intensity-curve", "no.csv"], "no.csv"),
-        (["--fps", "0"], "fps=0 must be above 0"),
+        (["--fps", "0"], "fps=0 must be from 0.01 to 1000"),
         (["-o", "take.xyz"], "no format has the suffix '.xyz'"),
         (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
     ],

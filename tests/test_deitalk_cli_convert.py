@@ -111,7 +111,7 @@ def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--gain", "brow"], "--gain 'brow' must be NAME=NUMBER"),
         (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
-        (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be above 0"),
+        (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 0.01 to 1000"),
         (["{curves}", "out.csv", "--start", "9"], "no frames"),
     ],
 )

@@ -16,9 +16,11 @@ from rig.edit import ClampReport, clamp
 from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
-from rig.formats.wide_csv import check_size, read_header
+from rig.formats.wide_csv import read_header
+from rig.limits import JSON_CURVES_BYTES
 from rig.mapping import convert, known_controls
 from rig.raw import RAW_ID
+from rig.reading import open_file
 
 RANGE_TOLERANCE = 1e-4
 """Excess over a range that a reader takes for rounding and clamps."""
@@ -148,12 +150,8 @@ def _told_by_content(path: Path, chosen: Format) -> Format:
     if path.suffix.lower() == ".csv":
         told = format_of_header(read_header(path))
     elif chosen.name == "json":
-        check_size(path)
-        try:
-            with path.open("rb") as stream:
-                told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
-        except OSError as error:
-            raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+        with open_file(path, JSON_CURVES_BYTES) as stream:
+            told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
     return find_format(path, told or chosen.name)
 
 
@@ -192,7 +190,9 @@ def check_range(curves: RigCurves, controls: ControlSet, *, where: str) -> RigCu
             f"{curves.values[row, column]:g}, outside {low[column]:g} to {high[column]:g} "
             f"({int(outside.sum())} values in all); clamp the curves before writing them"
         )
-    return replace(curves, values=np.clip(curves.values, low, high))
+    values = np.clip(curves.values, low, high)
+    values.setflags(write=False)  # not copied again
+    return replace(curves, values=values)
 
 
 __all__ = [

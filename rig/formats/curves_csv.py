@@ -15,6 +15,7 @@ from rig.curves import RigCurves, snap_fps
 from rig.errors import FormatError
 from rig.formats.fixed_point import Block, rows
 from rig.formats.wide_csv import read_header, read_numbers
+from rig.limits import FPS_HIGHEST
 from rig.mapping import controls_of, known_controls
 
 DECIMALS = 6
@@ -112,8 +113,12 @@ def fps_of(times: NDArray[np.float64], *, where: str) -> float:
         return 30.0
     steps = np.diff(times)
     mean = (times[-1] - times[0]) / len(steps)
-    if not (mean > 0 and np.isfinite(mean)):
+    if not mean > 0:
         raise FormatError(f"{where}: the times do not rise; give each frame a later time")
+    if mean < 0.5 / FPS_HIGHEST:
+        raise FormatError(
+            f"{where}: frames are {mean:g} s apart; at most {FPS_HIGHEST:g} a second are read"
+        )
     uneven = np.abs(steps - mean) > 0.1 * mean
     if uneven.any():
         row = int(np.argmax(uneven)) + 2

@@ -5,19 +5,19 @@ The schema is written down in ``docs/formats.md``.
 
 import json
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from rig.controls import ControlSet
 from rig.curves import EMOTIONS, RigCurves
-from rig.errors import CurveError, FormatError
+from rig.errors import CurveError, FormatError, quoted
 from rig.formats.curves_csv import DECIMALS, names_of_set
 from rig.formats.fixed_point import Block, rows
-from rig.formats.wide_csv import check_size
+from rig.limits import CONTROLS, JSON_CURVES_BYTES
+from rig.reading import read_json
 
 SCHEMA = "deitalk.curves/1"
-MAX_BYTES = 512 << 20
 
 
 def write(path: Path, curves: RigCurves) -> None:
@@ -62,8 +62,10 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     FormatError
         If the text is no JSON, of another schema, or a field is missing or of a wrong type.
     """
-    data = read_json(path, SCHEMA)
+    data = read_object(path, SCHEMA)
     names = _field(path, data, "names", list)
+    if len(names) > CONTROLS:
+        raise FormatError(f"{path}: {len(names)} names; at most {CONTROLS} are read")
     if not all(isinstance(name, str) for name in names):
         raise FormatError(f"{path}: every one of 'names' must be text")
     set_id = str(_field(path, data, "control_set", str))
@@ -84,12 +86,15 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         raise FormatError(f"{path}: {error}") from error
     if data.get("n_frames", len(curves)) != len(curves):
         raise FormatError(
-            f"{path}: 'n_frames' is {data['n_frames']!r} and there are {len(curves)} rows of values"
+            f"{path}: 'n_frames' is {quoted(data['n_frames'])} and there are {len(curves)} rows of "
+            "values"
         )
     return curves if known is None else curves.reorder(known)
 
 
-def read_json(path: Path, schema: str | None = None, limit: int = MAX_BYTES) -> dict[str, Any]:
+def read_object(
+    path: Path, schema: str | None = None, limit: int = JSON_CURVES_BYTES
+) -> dict[str, Any]:
     """Read a JSON object; NaN and Infinity, which JSON does not know, are errors.
 
     Raises
@@ -97,22 +102,12 @@ def read_json(path: Path, schema: str | None = None, limit: int = MAX_BYTES) -> 
     FormatError
         If the file is absent or too large, the text is no JSON object, or its ``schema`` differs.
     """
-    check_size(path, limit)
-    try:
-        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path} is no JSON: {error}") from error
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    data = read_json(path, limit)
     if not isinstance(data, dict):
         raise FormatError(f"{path} must hold a JSON object, not a {type(data).__name__}")
     if schema is not None and data.get("schema") != schema:
-        raise FormatError(f"{path}: schema is {data.get('schema')!r}; this reads {schema!r}")
+        raise FormatError(f"{path}: schema is {quoted(data.get('schema'))}; this reads {schema!r}")
     return data
-
-
-def _no_constant(text: str) -> NoReturn:
-    raise ValueError(f"{text} is not allowed; every value must be a finite number")
 
 
 def _field(path: Path, data: dict[str, Any], key: str, kind: type | tuple[type, ...]) -> Any:
@@ -130,7 +125,10 @@ def _array(
     if not rows_of:
         return np.zeros(empty_shape, np.float32)
     try:
-        return np.array(rows_of, dtype=np.float32)
+        with np.errstate(over="ignore"):  # what becomes infinite is named by RigCurves
+            array = np.array(rows_of, dtype=np.float32)
+        array.setflags(write=False)
+        return array
     except (ValueError, TypeError, OverflowError) as error:
         raise FormatError(
             f"{path}: {key!r} must be rows of numbers of one length: {error}"

@@ -1,7 +1,5 @@
 """Curves as a numpy archive: exact, compact, no pickle."""
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +7,10 @@ import numpy as np
 
 from rig.controls import ControlSet
 from rig.curves import RigCurves
-from rig.errors import CurveError, FormatError, RigError
+from rig.errors import CurveError, FormatError, RigError, quoted
 from rig.formats.curves_csv import names_of_set
-from rig.formats.wide_csv import MAX_BYTES, check_size
+from rig.limits import CONTROLS
+from rig.reading import read_npz
 
 SCHEMA = "deitalk.curves/1"
 
@@ -39,13 +38,14 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     FormatError
         If the file is no such archive, holds objects, or unpacks to more than the limit.
     """
-    data = _load(path)
+    data = read_npz(path)
     try:
-        names = [str(name) for name in np.atleast_1d(data["names"])]
-        set_id = str(data["control_set"])
-        rate = fps or float(data["fps"])
-        if str(data["schema"]) != SCHEMA:
-            raise FormatError(f"{path}: schema is {str(data['schema'])!r}; this reads {SCHEMA!r}")
+        names = _names(path, data["names"])
+        set_id = str(_only(data["control_set"]))
+        rate = fps or float(_only(data["fps"]))
+        schema = str(_only(data["schema"]))
+        if schema != SCHEMA:
+            raise FormatError(f"{path}: schema is {quoted(schema)}; this reads {SCHEMA!r}")
         names, known = names_of_set(path, set_id, names, controls)
         curves = RigCurves(
             data["values"],
@@ -66,29 +66,14 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     return curves if known is None else curves.reorder(known)
 
 
-def _load(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    check_size(path)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > MAX_BYTES:
-            raise FormatError(
-                f"{path} unpacks to {unpacked >> 20} MiB; the limit is {MAX_BYTES >> 20}"
-            )
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except FormatError:
-        raise
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        SyntaxError,
-        MemoryError,
-        NotImplementedError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise FormatError(f"{path} is no archive of numpy arrays: {error}") from error
+def _names(path: Path, names: np.ndarray[Any, Any]) -> list[str]:
+    if names.ndim > 1 or names.size > CONTROLS:
+        raise FormatError(f"{path}: names have shape {names.shape}; at most {CONTROLS} are read")
+    return [str(name) for name in np.atleast_1d(names)]
+
+
+def _only(array: np.ndarray[Any, Any]) -> Any:
+    """Return the one value of an array."""
+    if array.size != 1:
+        raise ValueError(f"an array of shape {array.shape} must be one value")
+    return array.reshape(-1)[0]

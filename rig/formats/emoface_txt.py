@@ -14,7 +14,9 @@ from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.fixed_point import Block, rows
-from rig.formats.wide_csv import check_size, read_matrix
+from rig.formats.wide_csv import read_matrix
+from rig.limits import CURVES_BYTES
+from rig.reading import check_file
 
 DECIMALS = 6
 
@@ -40,7 +42,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     FormatError
         If `fps` is not given (the file does not say), or a line has not 174 finite numbers.
     """
-    check_size(path)
+    check_file(path, CURVES_BYTES)
     if fps is None:
         raise FormatError(f"{path} does not say its rate; give fps")
     numbers = read_matrix(path, len(columns()))

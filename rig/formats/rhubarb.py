@@ -4,20 +4,17 @@ Times are seconds with two decimals, as Rhubarb writes them.
 """
 
 import itertools
-import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
-from rig.controls import ControlSet
-from rig.curves import RigCurves
-from rig.errors import FormatError
-from rig.formats.curves_json import read_json
-from rig.formats.wide_csv import check_size
+from rig.controls import ControlSet, default_controls
+from rig.curves import RigCurves, n_frames_for
+from rig.errors import FormatError, quoted
+from rig.formats.curves_json import read_object
+from rig.limits import CUES_BYTES, SECONDS
+from rig.reading import check_expansion, check_file, read_text
 from rig.visemes import Cue, cues, cues_to_curves
-
-MAX_BYTES = 32 << 20
-MAX_SECONDS = 24 * 3600.0
 
 
 def write_tsv(path: Path, curves: RigCurves) -> None:
@@ -30,7 +27,7 @@ def write_tsv(path: Path, curves: RigCurves) -> None:
 def read_tsv(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read cues and pose the mouth."""
     starts, shapes = [], []
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, CUES_BYTES).splitlines(), start=1):
         start, tab, shape = line.partition("\t")
         if not tab:
             raise FormatError(f"{path}: line {number} must be a time, a tab and a shape")
@@ -59,7 +56,7 @@ def read_json_cues(
     path: Path, controls: ControlSet | None = None, fps: float | None = None
 ) -> RigCurves:
     """Read cues and pose the mouth."""
-    found = read_json(path, limit=MAX_BYTES).get("mouthCues")
+    found = read_object(path, limit=CUES_BYTES).get("mouthCues")
     if not isinstance(found, list):
         raise FormatError(f"{path} has no list 'mouthCues'")
     given = []
@@ -88,7 +85,7 @@ def write_xml(path: Path, curves: RigCurves) -> None:
 
 def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read cues and pose the mouth; documents that declare entities are refused."""
-    text = _text(path)
+    text = read_text(path, CUES_BYTES)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise FormatError(f"{path} declares a document type; Rhubarb's files have none")
     try:
@@ -106,8 +103,12 @@ def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None =
 def _posed(path: Path, given: Sequence[Cue], fps: float | None) -> RigCurves:
     if not given:
         raise FormatError(f"{path} holds no cues")
+    fps = fps or 30.0
+    n_frames = n_frames_for(max(cue.end for cue in given), fps=fps)
+    n_bytes = 4 * n_frames * len(default_controls())
+    check_expansion(n_bytes, check_file(path, CUES_BYTES), path, error=FormatError)
     try:
-        return cues_to_curves(given, fps or 30.0)
+        return cues_to_curves(given, fps)
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
 
@@ -115,18 +116,8 @@ def _posed(path: Path, given: Sequence[Cue], fps: float | None) -> RigCurves:
 def _seconds(text: object, where: str) -> float:
     try:
         seconds = float(text)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise FormatError(f"{where}: {text!r} is no time in seconds") from None
-    if not (math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS):
-        raise FormatError(f"{where}: {seconds} s must be from 0 to {MAX_SECONDS:g}")
+    except (TypeError, ValueError, OverflowError):
+        raise FormatError(f"{where}: {quoted(text)} is no time in seconds") from None
+    if not 0 <= seconds <= SECONDS:
+        raise FormatError(f"{where}: {seconds:g} s must be from 0 to {SECONDS:g}")
     return seconds
-
-
-def _text(path: Path) -> str:
-    check_size(path, MAX_BYTES)
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path} is no UTF-8 text: {error.reason}") from error
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error

@@ -6,20 +6,22 @@ section of a control rig. The file knows frames only: the rate is said on import
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from rig.controls import ControlSet
 from rig.curves import RigCurves
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted, shorten
 from rig.formats.fixed_point import Block, Text, rendered, rows
-from rig.formats.wide_csv import read_header
+from rig.formats.wide_csv import LARGEST, read_header, read_quietly
+from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, VALUES
 from rig.mapping import controls_of
+from rig.reading import check_expansion, check_file
 
 HEADER = ("curve_name", "frame_number", "value")
 DECIMALS = 6
-MAX_FRAMES = 10_000_000
 
 
 def write(path: Path, curves: RigCurves) -> None:
@@ -56,44 +58,58 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     table = _read_keys(path)
     names = table["curve_name"].astype(str).str.strip()
     frame = table["frame_number"].to_numpy()
-    n_frames = int(frame.max()) + 1
-    if frame.min() < 0 or n_frames > MAX_FRAMES or n_frames * names.nunique() > 1 << 28:
-        raise FormatError(f"{path}: frame numbers {frame.min():g} to {frame.max():g} are no clip")
+    n_frames = _count_frames(path, frame, names.nunique())
     grid = np.arange(n_frames)
-    columns: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+    columns: dict[str, np.ndarray[tuple[int], np.dtype[np.float32]]] = {}
     for name, keys in table.groupby(names, sort=False):
         keys = keys.sort_values("frame_number")
         at, values = keys["frame_number"].to_numpy(), keys["value"].to_numpy(np.float64)
         if (np.diff(at) == 0).any():
-            raise FormatError(f"{path}: curve {name!r} has two keys on one frame")
-        columns[str(name)] = np.interp(grid, at, values)
+            raise FormatError(f"{path}: curve {quoted(name)} has two keys on one frame")
+        columns[str(name)] = np.interp(grid, at, values).astype(np.float32)
     controls = controls or controls_of(list(columns), where=str(path))
-    values = np.stack(list(columns.values()), axis=1).astype(np.float32)
+    values = np.stack(list(columns.values()), axis=1)
+    values.setflags(write=False)  # not copied again
     curves = RigCurves(
         values, controls.resolve(list(columns)), fps or 30.0, control_set=controls.id
     )
     return curves.reorder(controls)
 
 
+def _count_frames(path: Path, frame: np.ndarray[Any, Any], n_curves: int) -> int:
+    """Return the length of the clip; FormatError if it cannot be one."""
+    first, last = float(frame.min()), float(frame.max())
+    if first < 0 or last >= FRAMES or n_curves > CONTROLS or (last + 1) * n_curves > VALUES:
+        raise FormatError(
+            f"{path}: frame numbers {first:g} to {last:g} of {n_curves} curves; at most {FRAMES} "
+            f"frames, {CONTROLS} curves and {VALUES} values are read"
+        )
+    n_frames = int(last) + 1
+    size = check_file(path, CURVES_BYTES)
+    check_expansion(4 * n_frames * n_curves, size, path, error=FormatError)
+    return n_frames
+
+
 def _read_keys(path: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(
+        table = read_quietly(
             path, skiprows=1, header=None, names=list(HEADER), index_col=False, low_memory=False
         )
         for column in ("frame_number", "value"):
             table[column] = pd.to_numeric(table[column])
-    except (ValueError, TypeError, OverflowError) as error:
-        raise FormatError(f"{path} is no table of keys: {' '.join(str(error).split())}") from error
+    except (ValueError, TypeError, OverflowError, pd.errors.ParserWarning) as error:
+        reason = " ".join(shorten(str(error), 160).split())
+        raise FormatError(f"{path} is no table of keys: {reason}") from error
     except pd.errors.EmptyDataError:
         table = pd.DataFrame(columns=list(HEADER))
     if table.empty:
         raise FormatError(f"{path} has a header and no keys")
     numbers = table[["frame_number", "value"]].to_numpy(np.float64)
-    bad = ~np.isfinite(numbers).all(axis=1) | (numbers[:, 0] != np.rint(numbers[:, 0]))
+    bad = ~(np.abs(numbers) <= LARGEST).all(axis=1) | (numbers[:, 0] != np.rint(numbers[:, 0]))
     if bad.any():
         row = int(np.argmax(bad))
         cells = ", ".join(str(cell) for cell in itertools.islice(table.iloc[row], 3))
         raise FormatError(
-            f"{path}: data row {row + 1} is {cells!r}; frame and value must be numbers"
+            f"{path}: data row {row + 1} is {quoted(cells)}; frame and value must be numbers"
         )
     return table

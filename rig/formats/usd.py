@@ -14,12 +14,12 @@ from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.morph_head import METRES_PER_CM, morph_head
-from rig.formats.wide_csv import check_size
+from rig.limits import CURVES_BYTES, FRAMES
 from rig.raw import RAW_ID, board_to_raw, raw_controls
+from rig.reading import check_expansion, check_file
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
 STILL_CM = 1e-3
-MAX_FRAMES = 10_000_000
 
 
 def write(path: Path, curves: RigCurves) -> None:
@@ -60,7 +60,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     FormatError
         If the file is no USD, or no prim carries the two attributes.
     """
-    check_size(path)
+    check_file(path, CURVES_BYTES)
     pxr = _pxr()
     try:
         stage = pxr.Usd.Stage.Open(str(path))
@@ -85,8 +85,10 @@ def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) 
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     rate = stage.GetTimeCodesPerSecond()
     n_frames = int(end - start) + 1 if np.isfinite(end - start) else 0
-    if not 0 < n_frames <= MAX_FRAMES:
+    if not 0 < n_frames <= FRAMES:
         raise FormatError(f"{path} runs from time code {start:g} to {end:g}; that is no clip")
+    size = check_file(path, CURVES_BYTES)
+    check_expansion(4 * n_frames * len(raw_controls()), size, path, error=FormatError)
     rows = [np.asarray(values.Get(start + i) or (), np.float32) for i in range(n_frames)]
     found = raw_controls().resolve([str(name) for name in names.Get() or ()])
     if any(len(row) != len(found) for row in rows):

@@ -1,34 +1,24 @@
 """Wide tables of numbers as CSV: one column per curve, one row per frame."""
 
 import csv
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from rig.controls import MAX_CONTROLS
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted, shorten
+from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
+from rig.reading import check_expansion, check_file, decode_text, open_file
 
-MAX_BYTES = 1 << 30
-"""Largest text file that is read: over an hour of 185 curves at 60 fps."""
-MAX_HEADER_BYTES = 1 << 20
-
-
-def check_size(path: Path, limit: int = MAX_BYTES) -> None:
-    """Raise FormatError if a file is absent, empty, no file, or larger than a limit (bytes)."""
-    try:
-        if not path.is_file():
-            reason = "is a folder, not a file" if path.is_dir() else "does not exist"
-            raise FormatError(f"{path} {reason}")
-        size = path.stat().st_size
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
-    if size == 0:
-        raise FormatError(f"{path} is empty")
-    if size > limit:
-        raise FormatError(f"{path} has {size >> 20} MiB; the limit is {limit >> 20}; cut it")
+MAX_COLUMNS = CONTROLS + 16
+"""Controls, and the columns of times and counts beside them."""
+LARGEST = float(np.finfo(np.float32).max)
+"""Curves are kept as float32."""
+_CHUNK = 1 << 24
 
 
 def read_header(path: Path) -> tuple[str, ...]:
@@ -39,20 +29,39 @@ def read_header(path: Path) -> tuple[str, ...]:
     FormatError
         If the file is absent, empty, too large, no text, or has no sensible first line.
     """
-    check_size(path)
+    with open_file(path, CURVES_BYTES) as stream:
+        line = stream.readline(HEADER_BYTES + 1)
+    if len(line) > HEADER_BYTES:
+        raise FormatError(f"{path}: the first line is longer than 1 MiB; this is no table")
+    text = decode_text(line, path)
     try:
-        with path.open("rb") as stream:
-            line = stream.readline(MAX_HEADER_BYTES + 1)
-        if len(line) > MAX_HEADER_BYTES:
-            raise FormatError(f"{path}: the first line is longer than 1 MiB; this is no table")
-        cells = next(csv.reader([line.decode("utf-8-sig").rstrip("\r\n")]), [])
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FormatError(f"{path} is no CSV text: {error}") from error
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
-    if len(cells) > MAX_CONTROLS + 16:
-        raise FormatError(f"{path} has {len(cells)} columns; the limit is {MAX_CONTROLS + 16}")
+        cells = next(csv.reader([text.rstrip("\r\n")]), [])
+    except csv.Error as error:
+        raise FormatError(f"{path} is no CSV text: {error}") from None
+    if len(cells) > MAX_COLUMNS:
+        raise FormatError(f"{path} has {len(cells)} columns; at most {MAX_COLUMNS} are read")
     return tuple(cell.strip() for cell in cells)
+
+
+def count_rows(path: Path, n_columns: int) -> int:
+    """Return the number of lines of a table, so that its size is known before it is parsed.
+
+    Raises
+    ------
+    FormatError
+        If there are more than `limits.FRAMES`, or the table would take far more memory than the
+        file: few cells in a line of many columns.
+    """
+    size, n_lines = check_file(path, CURVES_BYTES), 1
+    with open_file(path, CURVES_BYTES) as stream:
+        while data := stream.read(_CHUNK):
+            n_lines += data.count(b"\n") + data.count(b"\r") - data.count(b"\r\n")
+    if n_lines > FRAMES + 2:
+        raise FormatError(
+            f"{path} has {n_lines} lines; at most {FRAMES} frames are read: cut the clip"
+        )
+    check_expansion(8 * n_lines * n_columns, size, path, error=FormatError)
+    return n_lines
 
 
 def read_numbers(
@@ -97,7 +106,7 @@ def read_numbers(
         numbers = table[numeric].to_numpy(dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         raise _bad_cell(path, header, table[numeric]) from None
-    if not np.isfinite(numbers).all():
+    if not (np.abs(numbers) <= LARGEST).all():
         raise _bad_cell(path, header, table[numeric])
     return numbers, [table[i].astype(str).tolist() for i in text_columns]
 
@@ -114,11 +123,20 @@ def read_matrix(path: Path, n_columns: int) -> NDArray[np.float64]:
     return read_numbers(path, header, skip_rows=0)[0]
 
 
+def read_quietly(path: Path, **options: Any) -> pd.DataFrame:
+    """Return what `pandas.read_csv` reads, with its ParserWarning as an error."""
+    with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        table: pd.DataFrame = pd.read_csv(stream, **options)
+    return table
+
+
 def _read_table(
     path: Path, header: Sequence[str], dtype: dict[int, type], skip_rows: int
 ) -> pd.DataFrame:
+    count_rows(path, len(header) + 1)
     try:
-        return pd.read_csv(
+        return read_quietly(
             path,
             header=None,
             skiprows=skip_rows,
@@ -131,8 +149,8 @@ def _read_table(
         )
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(range(len(header) + 1)))
-    except (ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())
+    except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
+        reason = " ".join(shorten(str(error), 160).split())
         raise FormatError(f"{path} is no table of {len(header)} columns: {reason}") from error
     except OSError as error:
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
@@ -143,10 +161,10 @@ def _bad_cell(path: Path, header: Sequence[str], table: pd.DataFrame) -> FormatE
     numbers = np.stack(
         [pd.to_numeric(table[i], errors="coerce").to_numpy(np.float64) for i in table.columns], 1
     )
-    row, place = (int(i) for i in np.argwhere(~np.isfinite(numbers))[0])
+    row, place = (int(i) for i in np.argwhere(~(np.abs(numbers) <= LARGEST))[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]
-    got = "empty or NaN" if pd.isna(cell) else repr(cell)
+    got = "empty or NaN" if pd.isna(cell) else quoted(cell)
     return FormatError(
         f"{path}: data row {row + 1}, column {header[column]!r} is {got}; "
         "every cell must be a finite number"

@@ -1,0 +1,345 @@
+"""Read files that may be anything: bytes, text, JSON and NPZ, each within its limits.
+
+Every function refuses what is no regular file before it opens it, so that a FIFO or a device never
+blocks, and checks sizes before it allocates. Errors are one line; callers of another package say
+which class they are.
+"""
+
+import json
+import math
+import os
+import re
+import stat
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import limits
+from rig.errors import FormatError, quoted, shorten
+
+ErrorClass = Callable[[str], Exception]
+
+_KINDS = (
+    (stat.S_ISDIR, "is a folder"),
+    (stat.S_ISFIFO, "is a named pipe"),
+    (stat.S_ISSOCK, "is a socket"),
+    (stat.S_ISCHR, "is a device"),
+    (stat.S_ISBLK, "is a device"),
+)
+_CHUNK = 1 << 20
+_ARRAY_KINDS = "biufU"
+_ARCHIVE_ERRORS = (
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    IndexError,
+    SyntaxError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def check_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> int:
+    """Return the size of a regular file in bytes, without opening it.
+
+    Parameters
+    ----------
+    path : Path
+        The file; symbolic links are followed.
+    limit : int
+        Most bytes it may have.
+    error : callable
+        Makes the exception from its message.
+
+    Raises
+    ------
+    FormatError
+        Or what `error` makes: if the file is absent, no regular file, empty or too large.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as problem:
+        raise _unreadable(path, problem, error) from None
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((word for test, word in _KINDS if test(status.st_mode)), "is something else")
+        raise error(f"{path} {kind}, not a file")
+    if status.st_size == 0:
+        raise error(f"{path} is empty")
+    if status.st_size > limit:
+        raise error(
+            f"{path} has {_size(status.st_size)}; at most {_size(limit)} are read: cut it, or "
+            "export less"
+        )
+    return status.st_size
+
+
+def open_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> BinaryIO:
+    """Open a regular file for reading bytes; arguments and errors as `check_file`."""
+    check_file(path, limit, error=error)
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        stream = os.fdopen(os.open(path, flags), "rb")
+    except OSError as problem:
+        raise _unreadable(path, problem, error) from None
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):  # exchanged since the check
+        stream.close()
+        raise error(f"{path} is no file any more")
+    return stream
+
+
+def read_bytes(path: Path, limit: int, *, error: ErrorClass = FormatError) -> bytes:
+    """Return the contents of a regular file; arguments and errors as `check_file`."""
+    with open_file(path, limit, error=error) as stream:
+        try:
+            data = stream.read(limit + 1)
+        except OSError as problem:
+            raise _unreadable(path, problem, error) from None
+    if len(data) > limit:
+        raise error(f"{path} grew beyond {_size(limit)} while it was read")
+    return data
+
+
+def read_text(
+    path: Path, limit: int, *, error: ErrorClass = FormatError, errors: str = "strict"
+) -> str:
+    """Return the text of a regular file: UTF-8 with or without mark, UTF-16 with mark.
+
+    Parameters
+    ----------
+    path, limit, error
+        As for `check_file`.
+    errors : str
+        "strict", or "replace" where names do not matter.
+
+    Raises
+    ------
+    FormatError
+        Or what `error` makes: as `check_file`, or if the bytes are no such text.
+    """
+    return decode_text(read_bytes(path, limit, error=error), path, error=error, errors=errors)
+
+
+def decode_text(
+    data: bytes, where: object, *, error: ErrorClass = FormatError, errors: str = "strict"
+) -> str:
+    """Return bytes as text, see `read_text`; `where` begins the message."""
+    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    encoding = "utf-16" if wide else "utf-8-sig"
+    try:
+        return data.decode(encoding, errors)
+    except UnicodeDecodeError as problem:
+        name = "UTF-16" if wide else "UTF-8"
+        raise error(
+            f"{where} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
+        ) from None
+
+
+def load_json(data: bytes | str, where: object, *, error: ErrorClass = FormatError) -> Any:
+    """Parse JSON with bounded nesting; NaN and Infinity, which JSON does not know, are errors.
+
+    Parameters
+    ----------
+    data : bytes or str
+        Bytes are UTF-8, or UTF-16 with mark.
+    where : object
+        Begins the message: a path.
+    error : callable
+        Makes the exception from its message.
+
+    Raises
+    ------
+    FormatError
+        Or what `error` makes: if it is no JSON, or nested deeper than `limits.NESTING`.
+
+    Notes
+    -----
+    Numbers too large for a float become infinite, as Python reads them: check what must be finite.
+    """
+    if isinstance(data, bytes) and data.startswith((b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")):
+        data = decode_text(data, where, error=error)
+    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    depth = json_depth(raw)
+    if depth > limits.NESTING:
+        raise error(f"{where} nests {depth} levels; at most {limits.NESTING} are read")
+    try:
+        return json.loads(raw, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{where} is no JSON: {_reason(problem)}") from None
+
+
+def json_depth(data: bytes) -> int:
+    """Return the deepest nesting of lists and objects in JSON text.
+
+    Only brackets outside strings count. Text that is no JSON gives some number.
+    """
+    if b"\\" in data:
+        data = data.replace(b"\\\\", b"").replace(b'\\"', b"")
+    marks = data.translate(None, _NO_BRACKETS)
+    brackets = re.sub(b'"[^"]*"?', b"", marks)
+    codes = np.frombuffer(brackets, np.uint8)
+    steps = np.where((codes == ord("[")) | (codes == ord("{")), 1, -1).astype(np.int32)
+    return int(np.cumsum(steps).max(initial=0))
+
+
+_NO_BRACKETS = bytes(set(range(256)) - set(b'[]{}"'))
+
+
+def read_json(path: Path, limit: int, *, error: ErrorClass = FormatError) -> Any:
+    """Return what a JSON file holds; see `check_file` and `load_json`."""
+    return load_json(read_bytes(path, limit, error=error), path, error=error)
+
+
+def read_npz(
+    path: Path,
+    *,
+    limit: int = limits.UNPACKED_BYTES,
+    error: ErrorClass = FormatError,
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an NPZ archive, read-only; nothing is unpickled.
+
+    Shapes and types are read from the arrays' headers and checked against the archive before any
+    array is allocated.
+
+    Parameters
+    ----------
+    path : Path
+        The archive.
+    limit : int
+        Most bytes of the file, and of all its arrays together.
+    error : callable
+        Makes the exception from its message.
+
+    Raises
+    ------
+    FormatError
+        Or what `error` makes: as `check_file`; or if it is no archive of plain arrays, holds one
+        name twice, is damaged, or expands to too much.
+    """
+    size = check_file(path, limit, error=error)
+    try:
+        with open_file(path, limit, error=error) as stream, zipfile.ZipFile(stream) as archive:
+            entries = archive.infolist()
+            _check_entries(path, entries, size, limit, error)
+            return {e.filename.removesuffix(".npy"): _array(archive, e) for e in entries}
+    except _ARCHIVE_ERRORS as problem:
+        if type(problem) is error:
+            raise
+        raise error(f"{path} is no archive of numpy arrays: {_reason(problem)}") from None
+
+
+def check_expansion(n_bytes: int, file_bytes: int, where: object, *, error: ErrorClass) -> None:
+    """Refuse a file that expands to far more than its size.
+
+    Parameters
+    ----------
+    n_bytes : int
+        Bytes of numbers it would make.
+    file_bytes : int
+        Bytes of the file.
+    where : object
+        Begins the message: a path.
+    error : callable
+        Makes the exception from its message.
+    """
+    if n_bytes > max(limits.EXPANDED_BYTES, limits.EXPANSION * file_bytes):
+        raise error(
+            f"{where} of {_size(file_bytes)} expands to {_size(n_bytes)}; at most "
+            f"{_size(limits.EXPANDED_BYTES)}, or {limits.EXPANSION} times the file, are made"
+        )
+
+
+def _check_entries(
+    path: Path, entries: list[zipfile.ZipInfo], size: int, limit: int, error: ErrorClass
+) -> None:
+    names = [entry.filename for entry in entries]
+    if len(names) > limits.ARRAYS:
+        raise error(f"{path} holds {len(names)} arrays; at most {limits.ARRAYS} are read")
+    doubled = _doubled(names)
+    if doubled is not None:
+        raise error(f"{path} holds {quoted(doubled)} twice; save it again")
+    total = sum(entry.file_size for entry in entries)
+    if total > limit:
+        raise error(f"{path} unpacks to {_size(total)}; at most {_size(limit)} are read")
+    check_expansion(total, size, path, error=error)
+
+
+def _doubled(names: Iterable[str]) -> str | None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    """One array of an archive, its header checked before it is allocated."""
+    with archive.open(entry) as stream:
+        version = np.lib.format.read_magic(stream)
+        header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }.get(version)
+        if header is None:
+            raise ValueError(f"array {quoted(entry.filename)} has version {version}")
+        shape, is_fortran, dtype = header(stream)
+        count = math.prod(shape)
+        if dtype.kind not in _ARRAY_KINDS or not dtype.itemsize:
+            raise ValueError(f"array {quoted(entry.filename)} holds {dtype}, not numbers or text")
+        n_bytes = count * dtype.itemsize
+        if min(shape, default=0) < 0 or count > limits.UNPACKED_BYTES:
+            raise ValueError(f"array {quoted(entry.filename)} has shape {shape}")
+        if stream.tell() + n_bytes != entry.file_size:
+            raise ValueError(f"array {quoted(entry.filename)} is cut short, or longer than it says")
+        flat = np.empty(count, dtype)
+        _fill(stream, flat.view(np.uint8))
+    array = flat.reshape(shape, order="F" if is_fortran else "C")
+    array.setflags(write=False)
+    return array
+
+
+def _fill(stream: Any, target: NDArray[np.uint8]) -> None:
+    done = 0
+    while done < len(target):
+        got = stream.readinto(target[done : done + _CHUNK].data)
+        if not got:
+            raise EOFError("an array is cut short")
+        done += got
+    if stream.read(1):
+        raise ValueError("an array is longer than it says")
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not allowed; every value must be a finite number")
+
+
+def _reason(problem: BaseException) -> str:
+    """One short line of a library's message."""
+    text = " ".join(shorten(str(problem), 500).split()) or type(problem).__name__
+    return shorten(text, 160)
+
+
+def _unreadable(path: Path, problem: Exception, error: ErrorClass) -> Exception:
+    if isinstance(problem, FileNotFoundError):
+        return error(f"{path} does not exist")
+    reason = getattr(problem, "strerror", None) or _reason(problem)
+    return error(f"cannot read {path}: {reason}")
+
+
+def _size(n_bytes: int) -> str:
+    for unit, name in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
+        if n_bytes >= unit:
+            return f"{n_bytes / unit:.4g} {name}"
+    return f"{n_bytes} bytes"

@@ -1,0 +1,92 @@
+"""Limits: one place, one page, and what is read at and refused above each."""
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import RigCurves, limits, rest_curves
+from rig.curves import check_clip
+from rig.errors import CurveError, RigError, one_line, quoted, shorten
+
+ROOT = Path(__file__).resolve().parents[1]
+UNITS = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10, "": 1}
+NAMES = {n for n in vars(limits) if n.isupper() and n not in ("KIB", "MIB", "GIB")}
+
+
+def documented():
+    rows = re.findall(
+        r"^\| `(\w+)` \| ([\d,.e+]+) ?(\w*) \| (.+) \|$",
+        (ROOT / "docs" / "limits.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    return {name: (float(n.replace(",", "")) * UNITS[unit], why) for name, n, unit, why in rows}
+
+
+def test_page_states_every_limit_with_its_value():
+    assert {name: value for name, (value, _) in documented().items()} == {
+        name: pytest.approx(getattr(limits, name)) for name in NAMES
+    }
+
+
+def test_every_limit_gives_its_reason():
+    body = ast.parse((ROOT / "rig" / "limits.py").read_text(encoding="utf-8")).body
+    for node, following in zip(body, [*body[1:], None], strict=True):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            assert isinstance(following, ast.Expr), node.targets[0].id
+    assert all(len(why) >= 15 for _, why in documented().values())
+
+
+def test_shorten_keeps_both_ends():
+    assert shorten("abcdefghi", 9) == "abcdefghi"
+    assert shorten("abcdefghij", 9) == "abcde…hij"
+    assert len(shorten("x" * 5_000_058, 200)) == 200
+
+
+def test_quoted_value_is_bounded():
+    assert quoted("jaw") == "'jaw'"
+    assert len(quoted("x" * 10**7)) == len(quoted(list(range(10**5)))) == 60
+
+
+def test_messages_are_one_bounded_line():
+    assert one_line("fine: é, 'a b'") == "fine: é, 'a b'"
+    assert one_line("a\nb\x1b[31m\udcff") == "a\\nb\\x1b[31m\\udcff"
+    message = str(RigError("value " + "9" * 5_000_000 + "; lower it"))
+    assert len(message) == limits.MESSAGE_CHARACTERS
+    assert message.startswith("value 999") and message.endswith("; lower it")
+
+
+def one_curve(n_frames):
+    return RigCurves(np.zeros((n_frames, 1), np.float32), ("jaw",), 120, control_set="own")
+
+
+def test_clip_of_most_frames_is_held_and_one_more_is_not():
+    assert len(one_curve(limits.FRAMES)) == 1_296_000
+    with pytest.raises(CurveError, match="1296001 frames; at most 1296000"):
+        one_curve(limits.FRAMES + 1)
+
+
+def test_most_values_bound_frames_times_curves():
+    check_clip(2**16, 2**12)
+    with pytest.raises(CurveError, match="65537 frames of 4096 curves are more than 268435456"):
+        check_clip(2**16 + 1, 2**12)
+
+
+def test_frames_are_counted_before_they_are_made():
+    with pytest.raises(CurveError, match="at most 1296000"):
+        rest_curves(10**12)
+    with pytest.raises(CurveError, match="at most 1296000"):
+        rest_curves(2000, fps=0.01).resample(1000)
+
+
+@pytest.mark.parametrize("fps", [limits.FPS_LOWEST, limits.FPS_HIGHEST])
+def test_rates_at_the_limits_are_held(fps):
+    assert one_curve(1).resample(fps).fps == fps
+
+
+@pytest.mark.parametrize("fps", [0.0099, 1000.1, 1e-300, 1e308])
+def test_rate_rejects_what_is_beyond_the_limits(fps):
+    with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
+        one_curve(1).resample(fps)
