@@ -18,7 +18,7 @@ import yaml
 from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
 from rig import ControlSet, default_controls
-from rig.files import atomic_write
+from rig.files import output_folder
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +40,7 @@ def embedded_models() -> list[str]:
 def save_model(
     folder: Path, model: "DEITalk", config: Config, summary: dict[str, Any], *, half: bool = False
 ) -> None:
-    """Write a model folder; an existing one is replaced at once.
+    """Write a model folder; the files of one that was written before are replaced.
 
     Parameters
     ----------
@@ -54,6 +54,11 @@ def save_model(
         What trained it: steps, data, scores.
     half : bool
         Store float16.
+
+    Raises
+    ------
+    rig.errors.TargetError
+        If the folder holds files that deitalk did not write, or edited ones.
     """
     import torch
     from safetensors.torch import save
@@ -70,8 +75,7 @@ def save_model(
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": summary,
     }
-    with atomic_write(folder) as beside:
-        beside.mkdir(parents=True)
+    with output_folder(folder, kind="model", force=True) as beside:
         # save_file would make a file that nobody else may read.
         (beside / "model.safetensors").write_bytes(save(weights))
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)

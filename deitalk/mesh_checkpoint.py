@@ -25,7 +25,7 @@ from deitalk.deformation_decoder import InversePCA
 from deitalk.errors import CheckpointError
 from deitalk.mesh_head import MeshHead
 from deitalk.sdfa import SDFA
-from rig.files import atomic_write
+from rig.files import output_folder
 from rig.mesh import TriMesh
 
 FROZEN = "inverse_pca"
@@ -48,7 +48,7 @@ def save_sdfa(
     half: bool = True,
     small: bool = False,
 ) -> None:
-    """Write a model folder; an existing one is replaced at once.
+    """Write a model folder; the files of one that was written before are replaced.
 
     Parameters
     ----------
@@ -89,8 +89,7 @@ def save_sdfa(
         about["decodes_sha256"] = model.encoder.fingerprint
     meshes = [model.templates[speaker] for speaker in model.speakers]
     vertices = np.stack([mesh.vertices for mesh in meshes])
-    with atomic_write(folder) as beside:
-        beside.mkdir(parents=True)
+    with output_folder(folder, kind="model", force=True) as beside:
         contiguous = {name: value.contiguous() for name, value in weights.items()}
         (beside / "model.safetensors").write_bytes(save(contiguous))
         np.savez_compressed(

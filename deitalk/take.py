@@ -14,7 +14,7 @@
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from deitalk import __version__
 from deitalk.audio import frame_times, write_wav
 from deitalk.emotions import write_intensity_csv
-from deitalk.errors import DeitalkError
 from deitalk.pipeline import Performance
 from rig import write_curves
-from rig.exchange import write_exchange_files
-from rig.files import atomic_write
+from rig.errors import TargetError
+from rig.exchange import exchange_names, write_exchange_files
+from rig.files import check_folder, output_folder
 
 SCHEMA = "deitalk.take/1"
 FILES = {
@@ -46,8 +46,8 @@ Extra = Callable[[Path, Performance], dict[str, str]]
 """Writes more files into the folder; returns their names and descriptions."""
 
 
-class TakeError(DeitalkError):
-    """A take that cannot be written where it was asked for."""
+KIND = "take"
+PREVIEW_FILES = ("preview.html", "preview.mp4")
 
 
 def write_take(
@@ -60,12 +60,12 @@ def write_take(
     force: bool = False,
     extras: tuple[Extra, ...] = (),
 ) -> Path:
-    """Write a take folder, whole or not at all.
+    """Write a take folder: all of its files or none.
 
     Parameters
     ----------
     folder : Path
-        Must not exist unless `force`; its parent is made.
+        New or empty, or a take if `force` is set; missing folders above are made.
     performance : Performance
         What `deitalk.pipeline.animate` gave.
     settings : dict
@@ -75,7 +75,7 @@ def write_take(
     fps : float, optional
         Rate of the curves; 30 by default.
     force : bool
-        Replace an existing take. A folder that is no take is never replaced.
+        Replace the files of an existing take; other files in its folder stay.
     extras : tuple of callables
         Further writers, such as Live Link or a preview.
 
@@ -86,34 +86,46 @@ def write_take(
 
     Raises
     ------
-    TakeError
-        If the folder exists, or cannot be written.
+    rig.errors.ExistsError
+        If a take is there and `force` is not set.
+    rig.errors.TargetError
+        If the folder holds something else, a file of the take was edited, or writing fails.
     """
-    check_target(folder, force=force)
+    inputs = (performance.recording.source,)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(folder) as beside:
-            beside.mkdir()
-            _fill(beside, performance, settings, model, fps, extras)
+        with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
+            _fill(stage, performance, settings, model, fps, extras)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise TakeError(
+        raise TargetError(
             f"cannot write {folder}: {reason}; free space or name another folder"
         ) from None
     return folder
 
 
-def check_target(folder: Path, *, force: bool) -> None:
-    """Refuse to overwrite before any work is done."""
-    if not folder.exists():
-        return
-    if not force:
-        raise TakeError(f"{folder} exists; add --force to replace it, or name another folder")
-    is_take = (folder / "take.json").is_file()
-    if folder.is_dir() and not is_take and any(folder.iterdir()):
-        raise TakeError(f"{folder} holds something else than a take; name another folder")
-    if folder.is_file():
-        raise TakeError(f"{folder} is a file; a take is a folder, name another")
+def check_take(
+    folder: Path, *, source: str, force: bool, inputs: Iterable[Path | str | None] = ()
+) -> None:
+    """Refuse a folder that no take can be written to, before a recording is animated.
+
+    Parameters
+    ----------
+    folder : Path
+        See `write_take`.
+    source : str
+        Path of the recording, after which files are named.
+    force : bool
+        Whether a take that is there may be replaced.
+    inputs : iterable of path or None
+        Other files that are read.
+
+    Raises
+    ------
+    rig.errors.TargetError
+        As `write_take`.
+    """
+    names = (*FILES, *PREVIEW_FILES, *exchange_names(Path(source).stem))
+    check_folder(folder, kind=KIND, force=force, inputs=(source, *inputs), names=names)
 
 
 def _fill(

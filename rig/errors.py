@@ -3,10 +3,12 @@
 ::
 
     ValueError
-    └── RigError          anything about controls, curves, meshes
+    └── RigError          anything about controls, curves, meshes, files
         ├── ControlError  an unknown, missing or doubled control
         ├── CurveError    values, shapes or times that make no curves
         ├── FormatError   a file that is not what its name says
+        ├── TargetError   a path that must not or cannot be written to
+        │   └── ExistsError   one that is there and is not to be replaced
         └── MeshError     vertices, triangles or shapes that make no mesh
             └── TopologyError  triangles that name wrong vertices, meshes that do not match
 """
@@ -66,6 +68,14 @@ class CurveError(RigError):
 
 class FormatError(RigError):
     """A file that is not what its name says."""
+
+
+class TargetError(RigError):
+    """A path that must not or cannot be written to."""
+
+
+class ExistsError(TargetError):
+    """A path that exists and is not to be replaced."""
 
 
 class MeshError(RigError):

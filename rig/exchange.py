@@ -8,6 +8,14 @@ from rig.formats import write_curves
 from rig.formats.livelink_csv import take_name
 
 SUBJECT = "deitalk"
+MAX_SLATE = 100
+"""Letters of a slate; file systems take 255 bytes for a whole name."""
+
+
+def exchange_names(slate: str, *, take: int = 1, subject: str = SUBJECT) -> tuple[str, str]:
+    """Names of the Live Link Face CSV and of the file for Unreal; see `write_exchange_files`."""
+    slate = re.sub(r"[^0-9A-Za-z]+", "-", slate)[:MAX_SLATE].strip("-") or "take"
+    return take_name(slate, take, subject), f"{slate}.unreal.json"
 
 
 def write_exchange_files(
@@ -33,11 +41,10 @@ def write_exchange_files(
     dict
         File names and a line on each, for ``take.json``.
     """
-    slate = re.sub(r"[^0-9A-Za-z]+", "-", slate).strip("-") or "take"
-    live_link = take_name(slate, take, subject)
+    live_link, unreal = exchange_names(slate, take=take, subject=subject)
     report = write_curves(folder / live_link, curves, format="livelink")
-    write_curves(folder / f"{slate}.unreal.json", curves, format="unreal")
+    write_curves(folder / unreal, curves, format="unreal")
     return {
         live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
-        f"{slate}.unreal.json": "raw curves and board keys for rig/unreal/deitalk_unreal.py",
+        unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",
     }

@@ -17,6 +17,7 @@ from deitalk.config import parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.features import nearest_spectra
 from deitalk.models import DEITalk
+from rig.errors import RigError
 
 FRONTEND = {
     "kind": "mel", "window_seconds": 0.032, "frame_rate": 60, "n_mels": 16,
@@ -154,9 +155,9 @@ def test_command_draws_a_clip_and_a_corpus(dataset, tmp_path):
     for name in ("clip.png", "b.png", "c.png"):
         assert imread(tmp_path / name)[..., :3].std() > 0.05
     for arguments, said in (
-        ((sound, "-o", tmp_path / "clip.png"), "--force"),
+        ((sound, "-o", tmp_path / "clip.png"), "exists"),
         ((sound, "-o", tmp_path / "clip.gif"), r"a picture is .png, .svg or .pdf"),
         ((dataset, "--phones", phones, "-o", tmp_path / "d.png"), "goes with one recording"),
     ):
         error = run(*arguments, *model).exception
-        assert isinstance(error, DeitalkError) and said in str(error)
+        assert isinstance(error, DeitalkError | RigError) and said in str(error)

@@ -13,7 +13,7 @@ from deitalk.cli import livelink as livelink_module
 from deitalk.cli import validate as validate_module
 from deitalk.errors import DeitalkError, MissingError
 from rig import RigCurves, default_controls, read_curves, write_curves
-from rig.errors import RigError
+from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
 from rig.livelink import Receiver, osc
 
@@ -97,7 +97,7 @@ def test_live_link_becomes_board_unless_told_otherwise(curves_file, tmp_path):
 def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
     (tmp_path / "out.csv").write_text("mine")
     result = run("convert", curves_file, tmp_path / "out.csv")
-    assert isinstance(result.exception, DeitalkError) and "--force" in str(result.exception)
+    assert isinstance(result.exception, ExistsError)
     assert (tmp_path / "out.csv").read_text() == "mine"
     assert run("convert", curves_file, tmp_path / "out.csv", "--force").exit_code == 0
 
@@ -202,7 +202,7 @@ def test_live_mistakes_are_one_line(curves_file, tmp_path, monkeypatch):
         (["send", tmp_path / "absent.wav", "--port", "99999"], "port 99999 must be 1 to 65535"),
         (["replay", tmp_path / "absent.csv", "--port", "0"], "port 0 must be 1 to 65535"),
         (["send", curves_file, "--start-signal", "here"], "must be HOST:PORT"),
-        (["receive", "-o", curves_file], "exists; add --force"),
+        (["receive", "-o", curves_file], "exists; name another"),
         (["receive", "-o", tmp_path / "x.csv", "--port", 0, "--seconds", 0.1], "no packet"),
     ]
     for arguments, message in cases:

@@ -20,6 +20,7 @@ from deitalk.preview.pack import pack
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewError, PreviewSource
 from rig import RigCurves, default_controls
+from rig.errors import ExistsError, TargetError
 from rig.face import build_head
 from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 
@@ -116,16 +117,16 @@ def test_missing_player_says_how_to_get_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "not there")]
+    ("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")]
 )
 def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
-    with pytest.raises(PreviewError, match=message):
+    with pytest.raises((PreviewError, TargetError), match=message):
         render_page(make_source(), tmp_path / name)
 
 
 def test_existing_page_is_kept_without_force(tiny_player, tmp_path):
     (tmp_path / "p.html").write_text("mine")
-    with pytest.raises(PreviewError, match="--force"):
+    with pytest.raises(ExistsError, match="exists"):
         render_page(make_source(), tmp_path / "p.html")
     assert (tmp_path / "p.html").read_text() == "mine"
 

@@ -13,6 +13,7 @@ from deitalk.preview.panel import Panel
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import FACE_HEIGHT, PANEL_HEIGHT, WIDTH, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
+from rig.errors import ExistsError, TargetError
 
 CONTROLS = default_controls()
 RATE = 16000
@@ -158,14 +159,14 @@ def test_video_has_every_frame_once_and_sound_from_the_start(tmp_path, monkeypat
 def test_video_refuses_to_overwrite(tmp_path):
     path = tmp_path / "v.mp4"
     path.write_bytes(b"mine")
-    with pytest.raises(PreviewError, match="--force"):
+    with pytest.raises(ExistsError, match="exists"):
         render_video(make_source(), path)
     assert path.read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize(("name", "message"), [("v.avi", "avi"), ("no/v.mp4", "not there")])
+@pytest.mark.parametrize(("name", "message"), [("v.avi", "avi"), ("no/v.mp4", "is not a folder")])
 def test_bad_targets_are_refused(tmp_path, name, message):
-    with pytest.raises(PreviewError, match=message):
+    with pytest.raises((PreviewError, TargetError), match=message):
         render_video(make_source(), tmp_path / name)
 
 

@@ -1,6 +1,7 @@
 """The take folder: complete, readable, never half there."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,8 +10,9 @@ import soundfile
 from test_deitalk_pipeline import network, recording
 
 from deitalk import animate
-from deitalk.take import FILES, TakeError, write_take
+from deitalk.take import FILES, write_take
 from rig import read_curves
+from rig.errors import ExistsError, TargetError
 
 __all__ = ["network"]
 
@@ -28,7 +30,7 @@ def write(folder, performance, **options):
 def test_every_file_is_there_and_described(tmp_path, performance):
     take = write(tmp_path / "take", performance)
     about = json.loads((take / "take.json").read_text())
-    assert {path.name for path in take.iterdir()} == set(about["files"])
+    assert {path.name for path in take.iterdir() if path.name[0] != "."} == set(about["files"])
     assert set(FILES) <= set(about["files"])
     assert any(name.endswith("_1_deitalk.csv") for name in about["files"])
     assert about["frames"] == 75
@@ -56,22 +58,52 @@ def test_another_rate_keeps_the_duration(tmp_path, performance):
     assert len(read_curves(take / "curves.csv")) == pytest.approx(150, abs=1)
 
 
-def test_an_existing_take_is_replaced_only_by_force(tmp_path, performance):
+def test_write_take_replaces_own_files_only_by_force(tmp_path, performance):
     take = write(tmp_path / "take", performance)
     (take / "mine.txt").write_text("notes")
-    with pytest.raises(TakeError, match="--force"):
+    before = (take / "take.json").read_text()
+    with pytest.raises(ExistsError, match="exists"):
         write(take, performance)
-    assert (take / "mine.txt").exists()
-    write(take, performance, force=True)
-    assert not (take / "mine.txt").exists()
+    assert (take / "take.json").read_text() == before
+    write(take, performance, fps=60, force=True)
+    assert (take / "mine.txt").read_text() == "notes"
+    assert json.loads((take / "take.json").read_text())["fps"] == 60
 
 
-def test_a_folder_of_something_else_is_never_replaced(tmp_path, performance):
+def test_write_take_rejects_edited_take(tmp_path, performance):
+    take = write(tmp_path / "take", performance)
+    (take / "intensity.csv").write_text("edited")
+    with pytest.raises(TargetError, match=r"intensity\.csv was changed since"):
+        write(take, performance, force=True)
+    assert (take / "intensity.csv").read_text() == "edited"
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "take.json"])
+def test_write_take_rejects_foreign_folder(tmp_path, performance, name):
     (tmp_path / "photos").mkdir()
-    (tmp_path / "photos/a.jpg").write_bytes(b"x")
-    with pytest.raises(TakeError, match="something else"):
+    (tmp_path / "photos" / name).write_bytes(b"x")
+    with pytest.raises(TargetError, match="did not write"):
         write(tmp_path / "photos", performance, force=True)
-    assert (tmp_path / "photos/a.jpg").exists()
+    assert (tmp_path / "photos" / name).read_bytes() == b"x"
+
+
+def test_write_take_keeps_its_recording(tmp_path, performance):
+    """The source may lie in the folder, but not be one of the files that are replaced."""
+    take = write(tmp_path / "take", performance)
+    source = take / "line.wav"
+    source.write_bytes(b"the source")
+    named = replace(performance.recording, source=str(source))
+    write(take, replace(performance, recording=named), force=True)
+    assert source.read_bytes() == b"the source"
+    named = replace(performance.recording, source=str(take / "audio.wav"))
+    with pytest.raises(TargetError, match="read by this command"):
+        write(take, replace(performance, recording=named), force=True)
+
+
+def test_write_take_shortens_long_names(tmp_path, performance):
+    named = replace(performance.recording, source="/recordings/" + "long" * 60 + ".wav")
+    take = write(tmp_path / "take", replace(performance, recording=named))
+    assert (take / ("long" * 25 + ".unreal.json")).is_file()
 
 
 def test_a_full_disk_leaves_nothing_behind(tmp_path, performance, monkeypatch):
@@ -79,12 +111,12 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path, performance, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("deitalk.take.write_wav", full)
-    with pytest.raises(TakeError, match="No space left on device"):
+    with pytest.raises(TargetError, match="No space left on device"):
         write(tmp_path / "take", performance)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unwritable_parent_is_one_line(tmp_path, performance):
     (tmp_path / "file").write_text("")
-    with pytest.raises(TakeError, match="cannot write"):
+    with pytest.raises(TargetError, match="cannot write"):
         write(tmp_path / "file" / "take", performance)

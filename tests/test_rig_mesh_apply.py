@@ -8,9 +8,8 @@ import typer
 from typer.testing import CliRunner
 
 from deitalk.cli.retarget import retarget
-from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, write_curves
-from rig.errors import FormatError, MeshError
+from rig.errors import ExistsError, FormatError, MeshError
 from rig.mesh.apply import read_shapes, retarget_curves
 from rig.mesh.blendshapes import closing_weight
 from rig.mesh.glb import read_container, write_container, write_glb
@@ -162,7 +161,7 @@ def test_command_reads_a_take_folder(tmp_path, shapes, curves):
     assert "3 frames, 2 own shapes" in result.stderr.replace("\n", " ")
     np.testing.assert_allclose(glb_weights(tmp_path / "out.glb"), EXPECTED, atol=1e-4)
     again = run(tmp_path / "take", "--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb")
-    assert isinstance(again.exception, DeitalkError) and "--force" in str(again.exception)
+    assert isinstance(again.exception, ExistsError)
     options = ("--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb", "--force", "--json")
     summary = json.loads(run(tmp_path / "take", *options).stdout)
     assert summary["way"] == "blendshapes" and summary["frames"] == 3

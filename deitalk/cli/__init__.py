@@ -21,6 +21,7 @@ from deitalk.cli.face import app as face_app
 from deitalk.cli.livelink import app as livelink_app
 from deitalk.cli.mesh import mesh
 from deitalk.cli.model import app as model_app
+from deitalk.cli.paths import hold_targets
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
@@ -29,7 +30,7 @@ from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
 from deitalk.text import one_line
-from rig.errors import RigError
+from rig.errors import ExistsError, RigError
 
 app = typer.Typer(
     name="deitalk",
@@ -67,11 +68,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     """Speech in, an acted MetaHuman face out."""
+    hold_targets(context)
 
 
 UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer has no name for it
@@ -93,6 +96,8 @@ def main() -> None:
         _fail("stopped", 1)
     except (Stopped, Terminated) as error:
         _stop(error.__cause__ if isinstance(error, Stopped) else error)
+    except ExistsError as error:
+        _fail(f"{error}, or add --force to replace it")
     except (DeitalkError, RigError) as error:
         _fail(str(error))
     except BrokenPipeError:

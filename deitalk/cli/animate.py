@@ -17,7 +17,7 @@ from deitalk.cli.options import (
     Json,
     Model,
 )
-from deitalk.cli.paths import refuse_existing
+from deitalk.cli.paths import reserve_file, reserve_folder
 
 if TYPE_CHECKING:
     from deitalk.audio import Recording
@@ -57,7 +57,7 @@ def animate(
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
     """
-    _check(out, fps=fps, preview=preview, force=force)
+    _check(out, speech, emotion, intensity_curve, fps=fps, preview=preview, force=force)
     asked: dict[str, Any] = {
         "emotion": emotion,
         "intensity": intensity,
@@ -82,20 +82,31 @@ def animate(
     )
 
 
-def _check(out: Path, *, fps: float | None, preview: bool, force: bool) -> None:
+def _check(
+    out: Path,
+    speech: str,
+    emotion: str,
+    intensity_curve: Path | None,
+    *,
+    fps: float | None,
+    preview: bool,
+    force: bool,
+) -> None:
     """Refuse what could not be written, before an hour of speech is animated for it."""
     from deitalk.errors import DeitalkError
-    from deitalk.take import check_target
+    from deitalk.take import KIND, check_take
     from rig.curves import snap_fps
     from rig.formats.table import find_format
 
     if fps is not None:
         snap_fps(fps)
     if not out.suffix:
-        check_target(out, force=force)
+        inputs = (speech, emotion, intensity_curve)
+        reserve_folder(out, kind=KIND, force=force, inputs=inputs)
+        check_take(out, source=speech, force=force, inputs=inputs)
         return
     find_format(out, writable=True)
-    refuse_existing(out, force=force)
+    reserve_file(out, force=force, inputs=(speech, emotion, intensity_curve))
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
 

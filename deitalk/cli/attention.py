@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Device, Force, Json, Picture
-from deitalk.cli.paths import check_picture
+from deitalk.cli.paths import reserve_picture
 from deitalk.errors import DataError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def attention(
 
     deitalk attention DATA --clips 20 -o attention.png
     """
-    check_picture(out, force=force)
+    reserve_picture(out, force=force, inputs=(source, phones))
     if source.is_dir() and phones is not None:
         raise DataError("--phones goes with one recording; a dataset folder brings its own")
     with console().status("listening"):

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import Force, Json
-from deitalk.cli.paths import curves_of, refuse_existing
+from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def convert(
         return
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
-    refuse_existing(target, force=force)
+    reserve_file(target, force=force, inputs=(source, curves_of(source)))
     wanted = _control_set(rig, target, to)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:

@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import bar, console
+from deitalk.cli.options import Force
+from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DataError
 
 app = typer.Typer(help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True)
@@ -81,13 +83,16 @@ def sheet(
     phones: Annotated[
         str, typer.Option(help="Phones of the channel picture, such as 'SIL M AA SIL'.")
     ] = "",
+    force: Force = False,
 ) -> None:
     """Draw the articulation tables: channels of a sentence, phones by emotions on a face."""
     from deitalk.corpus import sheet as pictures
+    from rig.files import output_folder
 
-    out.mkdir(parents=True, exist_ok=True)
+    reserve_folder(out, kind="pictures", force=force)
     names = (phones or pictures.SENTENCE).split()
-    with console().status("drawing"):
-        pictures.plot_channels(pictures.evenly_timed(names), out / "channels.png")
-        pictures.draw_faces(out / "faces.png")
+    timed = pictures.evenly_timed(names)
+    with console().status("drawing"), output_folder(out, kind="pictures", force=force) as stage:
+        pictures.plot_channels(timed, stage / "channels.png")
+        pictures.draw_faces(stage / "faces.png")
     console().print(f"{out}: channels.png, faces.png")

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import Force, Json
-from deitalk.cli.paths import check_picture, refuse_existing
+from deitalk.cli.paths import reserve_file, reserve_picture
 from deitalk.errors import DataError
 
 
@@ -54,9 +54,9 @@ def evaluate(
     if out is not None:
         if out.suffix not in (".md", ".json"):
             raise DataError(f"{out}: a report is .md or .json")
-        refuse_existing(out, force=force)
+        reserve_file(out, force=force)
     if picture is not None:
-        check_picture(picture, force=force)
+        reserve_picture(picture, force=force)
     from deitalk.mesh_pipeline import is_sdfa
 
     if is_sdfa(model):

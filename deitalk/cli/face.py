@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import console, emit
 from deitalk.cli.options import Force, Identity
-from deitalk.cli.paths import identity_of, refuse_existing
+from deitalk.cli.paths import identity_of, reserve_file
 from deitalk.errors import DeitalkError
 
 app = typer.Typer(help="The embedded head: contact sheets and who it can be.", no_args_is_help=True)
@@ -45,7 +45,7 @@ def sheet(
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
-    refuse_existing(out, force=force)
+    reserve_file(out, force=force)
     tiles = sheet_tiles(name)
     head = build_head(identity_of(identity))
     picture = draw_sheet(
@@ -76,7 +76,7 @@ def identities(
     for number, person in enumerate(IDENTITIES):
         emit(f"{number}\t{person.name}")
     if out is not None:
-        refuse_existing(out, force=force)
+        reserve_file(out, force=force)
         write_png(out, draw_people())
         console().print(f"{out}: {len(IDENTITIES)} heads")
 
@@ -100,7 +100,7 @@ def export(
 
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")
-    refuse_existing(out, force=force)
+    reserve_file(out, force=force)
     head = build_head(identity_of(identity))
     names = write_head(out, head).names
     console().print(

@@ -9,7 +9,7 @@ import typer
 
 from deitalk.cli.console import console
 from deitalk.cli.options import Emotion, Force, Intensity, Model
-from deitalk.cli.paths import curves_of, refuse_existing
+from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def receive(
     from rig.formats.livelink_csv import write_take
     from rig.livelink import Receiver
 
-    refuse_existing(out, force=force)
+    reserve_file(out, force=force)
     with Receiver(host, port) as receiver, held() as signals:
         console().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
         recording = receiver.record(

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json
-from deitalk.cli.paths import refuse_existing
+from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def mesh(
     from rig.mesh.sequence import check_out
 
     check_out(out)
-    refuse_existing(out, force=force)
+    reserve_mesh(out, force=force, inputs=(speech, emotion, intensity_curve, mesh, landmarks))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     curve = None if intensity_curve is None else str(intensity_curve)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.paths import reserve_folder
 
 app = typer.Typer(help="What a model is.", no_args_is_help=True)
 
@@ -33,15 +34,14 @@ def export(
     from deitalk.config import Config, load_config
     from deitalk.errors import CheckpointError
 
-    if out.exists() and not force:
-        raise CheckpointError(f"{out} exists; add --force to replace it, or name another folder")
+    source = model_folder(model)
+    reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
     config = load_config(
-        model_folder(model) / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
+        source / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
     )
     if not isinstance(config, Config):
         raise CheckpointError(f"{model}: a mesh model (sdfa); only curve models are exported")
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
-    out.parent.mkdir(parents=True, exist_ok=True)
     save_model(out, load_model(model), config, summary, half=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 

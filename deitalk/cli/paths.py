@@ -1,29 +1,86 @@
 """What commands ask of the files they are given and of those they are to write."""
 
+import os
+from collections.abc import Iterable
+from contextlib import ExitStack
+from contextvars import ContextVar
 from pathlib import Path
+
+import typer
 
 from deitalk.errors import DeitalkError
 
 PICTURES = (".png", ".svg", ".pdf")
+Inputs = Iterable[Path | str | None]
+
+_targets: ContextVar[ExitStack | None] = ContextVar("targets", default=None)
 
 
-def refuse_existing(path: Path, *, force: bool) -> None:
-    """Raise before the work begins where a file would be replaced unasked."""
-    if path.exists() and not force:
-        raise DeitalkError(f"{path} exists; add --force to replace it, or name another file")
+def hold_targets(context: typer.Context) -> None:
+    """Let targets that are reserved stay so until the command ends."""
+    _targets.set(context.with_resource(ExitStack()))
 
 
-def check_picture(path: Path, *, force: bool) -> None:
-    """Raise where `path` is no picture that matplotlib writes, or is there already."""
+def reserve_file(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
+    """Check a file to write before the work begins, and keep other processes from it.
+
+    Raises
+    ------
+    rig.errors.TargetError
+        As `rig.files.check_file` and `rig.files.claim`.
+    """
+    from rig.files import check_file, remove_leftovers
+
+    check_file(path, force=force, inputs=inputs)
+    _claim(path)
+    remove_leftovers(Path(os.path.realpath(path)).parent, Path(os.path.realpath(path)).name)
+
+
+def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -> None:
+    """Check a folder to write before the work begins, and keep other processes from it.
+
+    Raises
+    ------
+    rig.errors.TargetError
+        As `rig.files.check_folder` and `rig.files.claim`.
+    """
+    from rig.files import check_folder, recover
+
+    _claim(path)
+    recover(path)
+    check_folder(path, kind=kind, force=force, inputs=inputs)
+
+
+def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
+    """As `reserve_file`, for a picture that matplotlib writes."""
     if path.suffix not in PICTURES:
         raise DeitalkError(f"{path}: a picture is .png, .svg or .pdf")
-    refuse_existing(path, force=force)
+    reserve_file(path, force=force, inputs=inputs)
+
+
+def reserve_mesh(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
+    """As `reserve_file` for .glb and .npz, else as `reserve_folder` for a folder of frames."""
+    if path.suffix.lower() in (".glb", ".npz"):
+        reserve_file(path, force=force, inputs=inputs)
+    else:
+        reserve_folder(path, kind="frames", force=force, inputs=inputs)
+
+
+def _claim(path: Path) -> None:
+    from rig.files import claim
+
+    targets = _targets.get()
+    if targets is not None:
+        targets.enter_context(claim(path))
 
 
 def curves_of(source: Path) -> Path:
     """Find the file of curves of a take folder; a file stands for itself."""
+    from rig.files import recover
+
     if not source.is_dir():
         return source
+    recover(source)  # where a replacement of the take was interrupted
     for name in ("curves.json", "curves.npz", "curves.csv"):
         if (source / name).is_file():
             return source / name

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Emotion, Force, Intensity, Model, Picture
-from deitalk.cli.paths import check_picture
+from deitalk.cli.paths import reserve_picture
 
 
 def plot(
@@ -24,7 +24,7 @@ def plot(
     --------
     deitalk plot speech.wav --emotion happy -o curves.png
     """
-    check_picture(out, force=force)
+    reserve_picture(out, force=force, inputs=(speech, emotion))
     with bar("animating") as progress:
         from deitalk.pipeline import animate
         from deitalk.plot import plot as draw

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
-from deitalk.cli.paths import identity_of
+from deitalk.cli.paths import identity_of, reserve_file
 from deitalk.errors import DeitalkError
 
 
@@ -51,6 +51,8 @@ def preview(
 
     base = source / "preview" if source.is_dir() else source.with_suffix("")
     targets = [out] if out else [base.with_suffix(".html"), base.with_suffix(".mp4")]
+    for target in targets:
+        reserve_file(target, force=force, inputs=(source, audio, phones, versus))
     shown = [load_source(source, audio, phones)]
     if versus is not None:
         shown.append(load_source(versus))
@@ -69,4 +71,15 @@ def preview(
                 )  # fmt: skip
         else:
             raise DeitalkError(f"{target} has suffix {target.suffix!r}; use .mp4 or .html")
+        _record(source, target)
         console().print(str(target))
+
+
+def _record(source: Path, target: Path) -> None:
+    """List a preview of a take among the take's own files, so that a new take removes it."""
+    from deitalk.take import KIND, PREVIEW_FILES
+    from rig.files import kind_of, record
+
+    is_own = target.parent == source and target.name in PREVIEW_FILES
+    if is_own and kind_of(source) == KIND:
+        record(source, [target.name], kind=KIND)

@@ -8,7 +8,7 @@ import typer
 
 from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Force, Json
-from deitalk.cli.paths import curves_of, refuse_existing
+from deitalk.cli.paths import curves_of, reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def retarget(
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
-    refuse_existing(out, force=force)
+    reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping))
     curves = read_curves(curves_of(take))
     with console().status("retargeting"):
         report = retarget_curves(

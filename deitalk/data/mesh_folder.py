@@ -32,7 +32,7 @@ from deitalk.audio import SAMPLE_RATE, load_audio
 from deitalk.data.folder import SPLITS
 from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError
-from rig.files import atomic_write
+from rig.files import output_folder
 from rig.mesh import TriMesh, pack_vertices, read_ply, write_ply
 
 FORMAT_VERSION = 2
@@ -202,9 +202,9 @@ def write_mesh_folder(
         raise DataError(f"{out}: exists already; name another folder or remove it")
     _check_templates(templates)
     _check_sequences(sequences, templates, out)
-    with atomic_write(out) as beside:
+    with output_folder(out, kind="meshes") as beside:
         for name in ("templates", "audio", "motion"):
-            (beside / name).mkdir(parents=True)
+            (beside / name).mkdir()
         for speaker, template in templates.items():
             write_ply(beside / "templates" / f"{speaker}.ply", template)
         drawn = {

@@ -21,7 +21,7 @@ from rig.face.identity import Identity
 from rig.face.portable import head_arrays
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
-from rig.files import atomic_write
+from rig.files import atomic_write, check_file
 
 BUNDLE = Path(__file__).parent / "app" / "index.html"
 _SLOT = "<!--deitalk-data-->"
@@ -54,17 +54,16 @@ def render_page(
     Raises
     ------
     PreviewError
-        If the source cannot be shown or the target cannot be written.
+        If the source cannot be shown or the target is no page.
+    rig.errors.TargetError
+        If the target exists and `force` is not set, or it cannot be written.
     MissingError
         If this installation has no player.
     """
     out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
         raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a page is a .html file")
-    if out.exists() and not force:
-        raise PreviewError(f"{out} exists; add --force to replace it, or name another file")
-    if not out.parent.is_dir():
-        raise PreviewError(f"folder {out.parent} is not there; make it first")
+    check_file(out, force=force)
     player = _player()
     if not isinstance(sources, list):
         is_loaded = isinstance(sources, PreviewSource)

@@ -18,7 +18,7 @@ from rig.face.mesh import vertex_normals
 from rig.face.render import VIEWS, Renderer, make_renderer
 from rig.face.render.lettering import Picture
 from rig.face.render.renderer import Backend
-from rig.files import atomic_write
+from rig.files import atomic_write, check_file
 
 WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
 FACE_WIDTH = 540
@@ -64,7 +64,9 @@ def render_video(
     Raises
     ------
     PreviewError
-        If the source cannot be shown or the target cannot be written.
+        If the source cannot be shown or the target is no video.
+    rig.errors.TargetError
+        If the target exists and `force` is not set, or it cannot be written.
     MissingError
         If ffmpeg is not installed.
     """
@@ -100,10 +102,7 @@ def find_ffmpeg() -> str:
 def _check_target(out: Path, force: bool) -> None:
     if out.suffix.lower() != ".mp4":
         raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a video is a .mp4 file")
-    if out.exists() and not force:
-        raise PreviewError(f"{out} exists; add --force to replace it, or name another file")
-    if not out.parent.is_dir():
-        raise PreviewError(f"folder {out.parent} is not there; make it first")
+    check_file(out, force=force)
 
 
 def draw_frames(

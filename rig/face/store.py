@@ -1,8 +1,6 @@
 """Heads kept on disk between runs, as plain arrays in the user's cache folder."""
 
 import hashlib
-import os
-import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import astuple
@@ -14,20 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.face.identity import Identity
-from rig.files import atomic_write
+from rig.files import atomic_write, cache_folder
 
 Arrays = dict[str, NDArray[Any]]
-
-
-def cache_folder() -> Path:
-    """Where heads are kept: ``$DEITALK_CACHE``, else the system's cache folder for this user."""
-    if chosen := os.environ.get("DEITALK_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "deitalk"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "deitalk"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "deitalk"
 
 
 @lru_cache(maxsize=1)

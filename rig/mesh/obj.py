@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import FormatError, TopologyError
-from rig.files import atomic_write
+from rig.files import atomic_write, output_folder
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 
@@ -132,9 +132,14 @@ def read_obj_folder(folder: Path | str) -> ShapeSet:
 
 
 def write_obj_folder(folder: Path | str, shapes: ShapeSet) -> None:
-    """Write `neutral.obj` and one file per shape into a new folder."""
-    with atomic_write(folder) as beside:
-        beside.mkdir()
+    """Write `neutral.obj` and one file per shape into a folder.
+
+    Raises
+    ------
+    TargetError
+        If the folder holds anything but shapes that were written so before.
+    """
+    with output_folder(folder, kind="shapes", force=True) as beside:
         write_obj(beside / "neutral.obj", shapes.neutral)
         for name, delta in zip(shapes.names, shapes.deltas, strict=True):
             moved = shapes.neutral.vertices + delta

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import FormatError, TopologyError
-from rig.files import atomic_write
+from rig.files import atomic_write, output_folder
 from rig.mesh.obj import check_size
 from rig.mesh.trimesh import MAX_ELEMENTS, TriMesh
 
@@ -211,8 +211,13 @@ def read_ply_sequence(folder: Path | str) -> tuple[TriMesh, NDArray[np.float32]]
 
 
 def write_ply_sequence(folder: Path | str, mesh: TriMesh, vertices: Any) -> None:
-    """Write frames [shape=(T, V, 3)] as `frame.00000.ply` ... into a new folder."""
-    with atomic_write(folder) as beside:
-        beside.mkdir()
+    """Write frames [shape=(T, V, 3)] as `frame.00000.ply` ... into a folder.
+
+    Raises
+    ------
+    TargetError
+        If the folder holds anything but frames that were written so before.
+    """
+    with output_folder(folder, kind="frames", force=True) as beside:
         for i, frame in enumerate(np.asarray(vertices)):
             write_ply(beside / f"frame.{i:05d}.ply", mesh.with_vertices(frame))

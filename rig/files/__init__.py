@@ -1,0 +1,30 @@
+"""Writing files so that nothing is half there and nothing of the user's is lost.
+
+::
+
+    atomic.py     one file: written beside, then renamed
+    targets.py    which paths a command may write to
+    lock.py       one process at a time per target
+    manifest.py   what deitalk wrote into a folder, with hashes
+    folder.py     a whole folder: staged, then exchanged file by file, with a journal
+"""
+
+from rig.files.atomic import atomic_write, remove_leftovers
+from rig.files.folder import check_folder, output_folder, recover
+from rig.files.lock import cache_folder, claim
+from rig.files.manifest import changed_files, kind_of, record
+from rig.files.targets import check_file
+
+__all__ = [
+    "atomic_write",
+    "cache_folder",
+    "changed_files",
+    "check_file",
+    "check_folder",
+    "claim",
+    "kind_of",
+    "output_folder",
+    "record",
+    "recover",
+    "remove_leftovers",
+]

@@ -1,0 +1,283 @@
+"""A whole folder written at once: staged, then exchanged file by file.
+
+A folder that does not exist yet is filled beside its place and renamed. An existing one receives a
+hidden stage within it; once the stage is complete, a journal says what is to be moved and removed,
+and the next start finishes what a killed process began.
+
+::
+
+    take/
+      .deitalk-manifest.json        what deitalk wrote, with hashes
+      .deitalk-journal.json         only while files are exchanged
+      .deitalk-<hash>-<host>-…/     only while files are written: the stage
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from rig.errors import ExistsError, TargetError
+from rig.files.atomic import PREFIX, atomic_write, remove_leftovers, temporary_name
+from rig.files.lock import claim
+from rig.files.manifest import (
+    MANIFEST,
+    Manifest,
+    digest_of,
+    is_changed,
+    is_inside,
+    read_manifest,
+    write_manifest,
+)
+from rig.files.targets import Inputs, check_place, is_same
+
+JOURNAL = ".deitalk-journal.json"
+_STAGE = "stage"
+_IGNORED = (".DS_Store", "Thumbs.db", "desktop.ini")
+"""Files that file managers leave in any folder they show."""
+_NAMED = 3
+"""Files that a message names before it counts the rest."""
+
+
+def check_folder(
+    folder: Path | str,
+    *,
+    kind: str,
+    force: bool = False,
+    inputs: Inputs = (),
+    names: Iterable[str] = (),
+) -> None:
+    """Refuse a folder that must not or cannot be filled, before any work is done.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Folder to write: new, empty, or of the same kind and written by deitalk before.
+    kind : str
+        What the folder is, as its manifest says: take, model, frames, shapes …
+    force : bool
+        Whether a folder that deitalk wrote before may be written again.
+    inputs : iterable of path or None
+        Files that are read; none of them is ever replaced.
+    names : iterable of str
+        Files that will be written, where they are known already.
+
+    Raises
+    ------
+    ExistsError
+        If deitalk wrote it before and `force` is not set.
+    TargetError
+        If it is a place that is never filled (`rig.files.targets.check_place`), holds files that
+        deitalk did not write or something of another kind, or a file of it was edited or is an
+        input.
+    """
+    folder = Path(folder)
+    check_place(folder)
+    if not folder.is_dir() or not _visible(folder):
+        return
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise TargetError(
+            f"{folder} holds files that deitalk did not write ({_list(_visible(folder))}); "
+            "name another folder"
+        )
+    if manifest.kind != kind:
+        raise TargetError(f"{folder} holds {manifest.kind}, not {kind}; name another folder")
+    if not force:
+        raise ExistsError(f"{folder} exists; name another folder")
+    _check_kept(folder, manifest, names)
+    for source in inputs:
+        for name in (*manifest.files, *names):
+            if source is not None and is_same(folder / name, source):
+                raise TargetError(f"{source} is read by this command; name another folder")
+
+
+@contextmanager
+def output_folder(
+    folder: Path | str,
+    *,
+    kind: str,
+    force: bool = False,
+    inputs: Inputs = (),
+) -> Iterator[Path]:
+    """Yield an empty stage; make it, or exchange it for, `folder` if the block succeeds.
+
+    Files that deitalk wrote there before are replaced, those it no longer writes are removed, and
+    all others stay. On an error the folder stays as it was.
+
+    Parameters
+    ----------
+    folder, kind, force, inputs
+        See `check_folder`; missing folders above are made.
+
+    Yields
+    ------
+    Path
+        Folder to write into.
+
+    Raises
+    ------
+    TargetError
+        As `check_folder`, if another process writes to the folder, or if a file that deitalk did
+        not write is where one is to be written.
+    """
+    folder = Path(folder)
+    check_place(folder)
+    with claim(folder):
+        recover(folder)
+        check_folder(folder, kind=kind, force=force, inputs=inputs)
+        if folder.is_dir():
+            remove_leftovers(folder)
+            stage = folder / temporary_name(_STAGE)
+        else:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            remove_leftovers(folder.parent, folder.name)
+            stage = folder.parent / temporary_name(folder.name)
+        try:
+            stage.mkdir()
+            yield stage
+            _commit(stage, folder, kind)
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+
+
+def _commit(stage: Path, folder: Path, kind: str) -> None:
+    """Bring what was staged to its place."""
+    files = {name: digest_of(stage / name) for name in _files(stage)}
+    write_manifest(stage, Manifest(kind, files))
+    if stage.parent != folder:
+        try:
+            os.rename(stage, folder)
+        except OSError:
+            if not folder.exists():
+                raise
+            raise TargetError(f"{folder} appeared meanwhile; name another folder") from None
+        return
+    old = read_manifest(folder) or Manifest(kind, {})
+    _check_kept(folder, old, files)
+    journal = {
+        "stage": stage.name,
+        "moves": {name: old.files.get(name) for name in files},
+        "removes": {name: old.files[name] for name in old.files.keys() - files.keys()},
+    }
+    with atomic_write(folder / JOURNAL) as beside, beside.open("w", encoding="utf-8") as file:
+        json.dump(journal, file)
+        file.flush()
+        os.fsync(file.fileno())
+    _exchange(folder, journal)
+
+
+def recover(folder: Path | str) -> bool:
+    """Finish the exchange that a killed process began in a folder.
+
+    Returns
+    -------
+    bool
+        Whether there was one.
+
+    Raises
+    ------
+    TargetError
+        If another process writes to the folder.
+    """
+    folder = Path(folder)
+    path = folder / JOURNAL
+    if not path.is_file():
+        return False
+    with claim(folder):
+        journal = _read_journal(path)
+        if journal is not None:
+            _exchange(folder, journal)
+        path.unlink(missing_ok=True)
+        remove_leftovers(folder)
+    return journal is not None
+
+
+def _read_journal(path: Path) -> dict[str, Any] | None:
+    """A journal; None where it is not one of ours."""
+    try:
+        journal = json.loads(path.read_text(encoding="utf-8"))
+        names = [*journal["moves"], *journal["removes"]]
+        stage = str(journal["stage"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    is_ours = stage.startswith(PREFIX) and is_inside(stage) and "/" not in stage
+    is_ours = is_ours and not (path.parent / stage).is_symlink()
+    return journal if is_ours and all(is_inside(name) for name in names) else None
+
+
+def _exchange(folder: Path, journal: dict[str, Any]) -> None:
+    """Move what is staged, remove what is gone, the manifest last; may be repeated at any point.
+
+    A file that is not the one the journal knows is the user's and stays.
+    """
+    stage = folder / journal["stage"]
+    for name, before in journal["moves"].items():
+        source, target = stage / name, folder / name
+        if not source.is_file():
+            continue  # moved by the process that was killed
+        if os.path.lexists(target) and (before is None or is_changed(target, before)):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(source, target)
+    for name, before in journal["removes"].items():
+        target = folder / name
+        if target.is_file() and not is_changed(target, before):
+            target.unlink()
+            _remove_empty(target.parent, folder)
+    if (stage / MANIFEST).is_file():
+        os.replace(stage / MANIFEST, folder / MANIFEST)
+    (folder / JOURNAL).unlink(missing_ok=True)
+    shutil.rmtree(stage, ignore_errors=True)
+
+
+def _remove_empty(folder: Path, top: Path) -> None:
+    """Remove folders between a removed file and the top that hold nothing more."""
+    with suppress(OSError):
+        while folder != top:
+            folder.rmdir()
+            folder = folder.parent
+
+
+def _check_kept(folder: Path, manifest: Manifest, names: Iterable[str]) -> None:
+    """Raise where a file would be lost: an edited one of ours, or another's of the same name."""
+    edited = [n for n, digest in manifest.files.items() if is_changed(folder / n, digest)]
+    if edited:
+        raise TargetError(
+            f"{_list([str(folder / n) for n in edited])} was changed since deitalk wrote it; "
+            "move it away, or name another folder"
+        )
+    foreign = [n for n in names if n not in manifest.files and os.path.lexists(folder / n)]
+    if foreign:
+        raise TargetError(
+            f"{_list([str(folder / n) for n in foreign])} was not written by deitalk and would be "
+            "replaced; move it away, or name another folder"
+        )
+
+
+def _files(folder: Path) -> list[str]:
+    """Paths of all files within a folder, with ``/``."""
+    return sorted(
+        (Path(root) / name).relative_to(folder).as_posix()
+        for root, _, names in os.walk(folder)
+        for name in names
+    )
+
+
+def _visible(folder: Path) -> list[str]:
+    """Names in a folder but for what deitalk keeps there while it works."""
+    try:
+        names = os.listdir(folder)
+    except OSError as error:
+        raise TargetError(f"cannot read {folder}: {error.strerror}; name another folder") from None
+    return sorted(
+        n for n in names if n not in _IGNORED and (not n.startswith(PREFIX) or n == MANIFEST)
+    )
+
+
+def _list(names: list[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
