@@ -9,7 +9,7 @@ Legend: S samples at 16 kHz, T rig frames at 30 Hz, K bands.
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
@@ -21,6 +21,8 @@ FLOOR_PERCENTILE = 10.0
 SHORT_SECONDS = 0.35  # too short to hold both speech and noise
 SHORT_FLOOR_DB = -60.0
 OPEN_DB, KEEP_DB = 9.0, 5.0  # hysteresis, excess over the noise floor
+LIKENESS_HZ = (200, 4000)  # where a voice has harmonics
+LIKENESS_BINS = 30  # 470 Hz: narrow enough that the colour of noise does not matter
 LONGEST_CLOSURE = 6  # frames; a gap up to 0.2 s is a stop consonant, not a pause
 LONGEST_DROWNED = 15  # frames; in noise a weak syllable beside the consonant is missed as well
 NOISY_DB, CLEAN_DB = 25.0, 40.0  # excess of the loudest speech, between the two in proportion
@@ -169,6 +171,41 @@ def normalise_level(
     level = active_level_db(samples, activity)
     gain = 10 ** ((target_db - level) / 20) if np.isfinite(level) else 1.0
     return samples * np.float32(gain)
+
+
+def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
+    """How far even the most voiced of the active frames resemble noise.
+
+    Per frame the spectral flatness (geometric over arithmetic mean of the power) of eight narrow
+    bands between 200 and 4000 Hz, averaged. A voice has harmonics, and a low value; noise of any
+    colour has exp(-0.577) = 0.56 on average.
+
+    Parameters
+    ----------
+    waveform : array (S,)
+        16 kHz.
+    activity : array (T,)
+        From `speech_activity`.
+
+    Returns
+    -------
+    float
+        The lowest tenth of the active frames, 0 … 1; 0 where nothing is active.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    active = np.flatnonzero(np.asarray(activity) > 0.5)
+    window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
+    first = LIKENESS_HZ[0] * WINDOW // SAMPLE_RATE
+    n_bands = (LIKENESS_HZ[1] - LIKENESS_HZ[0]) * WINDOW // SAMPLE_RATE // LIKENESS_BINS
+    found = [np.zeros(1)]
+    for start in range(0, len(active), 2048):
+        frames = active[start : start + 2048]
+        spectrum = np.fft.rfft(_windows(samples, frames) * window)
+        power = np.abs(spectrum[:, first : first + n_bands * LIKENESS_BINS]) ** 2 + 1e-14
+        bands = power.reshape(len(frames), n_bands, LIKENESS_BINS)
+        flatness = np.exp(np.log(bands).mean(axis=2)) / bands.mean(axis=2)
+        found.append(flatness.mean(axis=1))
+    return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
 
 
 def _band_levels(samples: FloatArray) -> FloatArray:

@@ -3,44 +3,38 @@
 Legend: S samples at 16 kHz, T rig frames at 30 Hz, C channels, N samples at the source's rate.
 """
 
-import io
-import shutil
-import subprocess
-import tempfile
 import wave
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.errors import AudioError, MissingError
+from deitalk.audio_notes import describe
+from deitalk.decoding import SoundSource, open_sound
+from deitalk.errors import AudioError
+from deitalk.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
 from rig.files import atomic_write
 
-SAMPLE_RATE = 16_000  # Hz; what wav2vec 2.0 and the mel frontend hear
-FRAME_RATE = 30  # rig frames per second
+__all__ = [
+    "FRAME_RATE",
+    "SAMPLE_RATE",
+    "Recording",
+    "frame_count",
+    "frame_times",
+    "load_audio",
+    "write_wav",
+]
+
 LOWEST_RATE, HIGHEST_RATE = 4_000, 768_000  # Hz accepted from a file
 MAX_SECONDS = 3 * 3600.0
 MAX_STREAM_BYTES = 2 * 1024**3  # of a file-like source, which is held in memory
 BLOCK_SAMPLES = 1 << 20  # per read, over all channels: 4 MB of float32
 LOUDEST_SAMPLE = 1e12  # beyond any PCM scaling: the file is not audio
-FFMPEG_TIMEOUT_SECONDS = 900
 
 FloatArray = npt.NDArray[np.float32]
-
-# What libsndfile may refuse although it is audio: (offset, first bytes).
-_FFMPEG_SIGNATURES = (
-    (4, b"ftyp"),  # m4a, mp4, mov, 3gp
-    (0, b"\x1a\x45\xdf\xa3"),  # webm, mka, mkv
-    (0, b"\x30\x26\xb2\x75"),  # wma, asf
-    (0, b"#!AMR"),
-    (0, b"ID3"),
-    (0, b"OggS"),
-    (0, b"RIFF"),
-)
 
 
 @dataclass(frozen=True)
@@ -82,24 +76,16 @@ class Recording:
         return frame_count(len(self.waveform))
 
 
-def frame_count(n_samples: int) -> int:
-    """T = ceil(30 · S / 16000), in integers: 16000 samples -> 30 frames, 16001 -> 31."""
-    return -(-FRAME_RATE * n_samples // SAMPLE_RATE)
-
-
-def frame_times(n_frames: int) -> npt.NDArray[np.float64]:
-    """Time of every rig frame in seconds: (T,), frame i at i/30."""
-    return np.arange(n_frames) / FRAME_RATE
-
-
 def load_audio(
     source: str | Path | bytes | IO[bytes], *, max_seconds: float = MAX_SECONDS
 ) -> Recording:
     """Read a recording as mono 16 kHz.
 
-    wav, flac, ogg, opus, mp3 and what else libsndfile knows; m4a, mp4, webm, aac through ffmpeg
-    where it is installed. Channels are averaged; if they cancel (phase-inverted stereo), the
-    loudest one is taken instead. The length is N · 16000 / rate, rounded.
+    wav, flac, ogg, opus and what else libsndfile knows; mp3, m4a, mp4, mov, webm, aac, wma through
+    FFmpeg's libraries, the first sound track of each. Channels are averaged; if they cancel
+    (phase-inverted stereo), the loudest one is taken instead. The length is N · 16000 / rate,
+    rounded. What a listener may want to know is in the recording's `warnings`: a file cut short,
+    channels that cancel, clipping, DC, a level far off, no speech.
 
     Parameters
     ----------
@@ -115,10 +101,8 @@ def load_audio(
     Raises
     ------
     AudioError
-        Missing, unreadable, empty, not audio, not finite, too long, or of a rate outside
-        4 … 768 kHz.
-    MissingError
-        The file needs ffmpeg and there is none.
+        Missing, unreadable, empty, not audio, without sound, not finite, too long, or of a rate
+        outside 4 … 768 kHz.
 
     Notes
     -----
@@ -126,20 +110,20 @@ def load_audio(
     mixing, DC removal and soxr's HQ resampler are ours.
     """
     name, data = _name_and_data(source)
-    with _opened(name, data, max_seconds) as file:
-        _check_header(name, file, max_seconds)
-        weights, warnings = _mixing_weights(name, file)
-        reader = _MonoReader(name, file.samplerate, file.frames, max_seconds)
-        for block in _finite_blocks(name, file):
+    with open_sound(name, data) as sound:
+        _check_header(name, sound, max_seconds)
+        weights, warnings = _mixing_weights(name, sound)
+        reader = _MonoReader(name, sound, max_seconds)
+        for block in _finite_blocks(name, sound):
             reader.add(block, weights)
         waveform, notes = reader.finish()
         return Recording(
             waveform=waveform,
             source=name,
-            source_rate=file.samplerate,
-            channels=file.channels,
+            source_rate=sound.rate,
+            channels=sound.channels,
             clipped_fraction=reader.clipped_fraction,
-            warnings=(*warnings, *notes),
+            warnings=(*sound.notes, *warnings, *notes, *describe(waveform)),
         )
 
 
@@ -184,12 +168,14 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
 class _MonoReader:
     """Mix, resample and measure block after block, keeping only the 16 kHz result."""
 
-    def __init__(self, name: str, rate: int, promised: int, max_seconds: float) -> None:
+    def __init__(self, name: str, sound: SoundSource, max_seconds: float) -> None:
         import soxr
 
-        self.name, self.rate, self.max_seconds = name, rate, max_seconds
-        self.resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32", quality="HQ")
-        self.promised = promised if promised < 2**40 else 0  # the header's count, where it knows
+        self.name, self.rate, self.max_seconds = name, sound.rate, max_seconds
+        self.promised, self.slack = sound.promised, sound.slack
+        self.resampler = soxr.ResampleStream(
+            sound.rate, SAMPLE_RATE, 1, dtype="float32", quality="HQ"
+        )
         self.waveform = np.zeros(self._length(self.promised) + SAMPLE_RATE, np.float32)
         self.filled = self.n_source = self.n_values = self.n_clipped = 0
 
@@ -214,8 +200,9 @@ class _MonoReader:
         waveform = self.waveform[: self._length(self.n_source)]
         offset, peak = _remove_dc(waveform)
         notes = []
-        if self.n_source < self.promised:
-            notes.append(f"cut short: {self.n_source} of {self.promised} samples are there")
+        if self.n_source + self.slack < self.promised:
+            there, whole = self.n_source / self.rate, self.promised / self.rate
+            notes.append(f"cut short: {there:.2f} s of {whole:.2f} s are there")
         if self.clipped_fraction > 1e-4:
             notes.append(f"{self.clipped_fraction:.2%} of the samples are clipped")
         if abs(offset) > 0.01 * max(peak, 1.0):
@@ -259,21 +246,20 @@ def _count_clipped(block: FloatArray) -> int:
     return int(run.sum())
 
 
-def _mixing_weights(name: str, file: Any) -> tuple[FloatArray, list[str]]:
+def _mixing_weights(name: str, sound: SoundSource) -> tuple[FloatArray, list[str]]:
     """Weights (C,) that make mono: the mean, or the loudest channel if the mean cancels."""
-    n_channels = file.channels
+    n_channels = sound.channels
     mean = np.full(n_channels, 1 / n_channels, np.float32)
     if n_channels == 1:
         return mean, []
     total = np.zeros(n_channels)
     products = np.zeros((n_channels, n_channels))
     n_samples = 0
-    for block in _finite_blocks(name, file):
+    for block in _finite_blocks(name, sound):
         samples = block.astype(np.float64)
         total += samples.sum(axis=0)
         products += samples.T @ samples
         n_samples += len(block)
-    file.seek(0)
     if n_samples == 0:
         return mean, []
     covariance = products / n_samples - np.outer(total, total) / n_samples**2
@@ -286,45 +272,35 @@ def _mixing_weights(name: str, file: Any) -> tuple[FloatArray, list[str]]:
     return np.eye(n_channels, dtype=np.float32)[loudest], [note]
 
 
-def _finite_blocks(name: str, file: Any) -> Iterator[FloatArray]:
-    """Blocks (n, C) float32 to the end of an open SoundFile, every sample finite."""
-    size = max(1024, BLOCK_SAMPLES // file.channels)
+def _finite_blocks(name: str, sound: SoundSource) -> Iterator[FloatArray]:
+    """Blocks (n, C) float32 to the end of a recording, every sample finite."""
     start = 0
-    while True:
-        try:
-            block = file.read(size, dtype="float32", always_2d=True)
-        except RuntimeError as error:
-            raise AudioError(
-                f"{name} is damaged after {start / file.samplerate:.2f} s; export it again"
-            ) from error
-        if len(block) == 0:
-            return
+    for block in sound.blocks(max(1024, BLOCK_SAMPLES // sound.channels)):
         if not max(block.max(), -block.min()) <= LOUDEST_SAMPLE:  # also true of NaN
             at, channel = np.argwhere(~(np.abs(block) <= LOUDEST_SAMPLE))[0]
             raise AudioError(
-                f"{name}: sample {start + at} ({(start + at) / file.samplerate:.3f} s) is "
+                f"{name}: sample {start + at} ({(start + at) / sound.rate:.3f} s) is "
                 f"{block[at, channel]}; samples must be finite: export it as 16-bit PCM"
             )
         yield block
         start += len(block)
 
 
-def _check_header(name: str, file: Any, max_seconds: float) -> None:
-    rate = file.samplerate
+def _check_header(name: str, sound: SoundSource, max_seconds: float) -> None:
+    rate = sound.rate
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise AudioError(
             f"{name} says its sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
             f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
         )
-    if file.frames < 2**40 and file.frames / rate > max_seconds:
-        raise _too_long(name, file.frames / rate, max_seconds)
+    if sound.promised / rate > max_seconds:
+        raise _too_long(name, sound.promised / rate, max_seconds)
 
 
 def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:
     return AudioError(
         f"{name} lasts {seconds:.0f} s or more; the limit is {max_seconds:.0f} s "
-        f"({max_seconds / 3600:.3g} h): split it, for example with "
-        "`ffmpeg -i IN -f segment -segment_time 3600 part%02d.wav`"
+        f"({max_seconds / 3600:.3g} h): split it into shorter files"
     )
 
 
@@ -367,75 +343,3 @@ def _check_path(path: Path) -> None:
         raise AudioError(
             f"cannot read {path}: {error.strerror}; check its name and permissions"
         ) from error
-
-
-@contextmanager
-def _opened(name: str, data: bytes | None, max_seconds: float) -> Iterator[Any]:
-    """An open SoundFile on the source, decoded by ffmpeg beforehand where libsndfile cannot."""
-    import soundfile
-
-    try:
-        file = soundfile.SoundFile(name if data is None else io.BytesIO(data))
-    except (RuntimeError, TypeError) as error:
-        if not _needs_ffmpeg(_first_bytes(name, data)):
-            raise AudioError(
-                f"{name} is not audio that can be read; give a wav, flac, ogg, opus, mp3 or m4a"
-            ) from error
-    else:
-        with file:
-            yield file
-        return
-    with tempfile.TemporaryDirectory(prefix="deitalk-") as folder:
-        decoded = _decode_with_ffmpeg(name, data, Path(folder), max_seconds)
-        with soundfile.SoundFile(decoded) as file:
-            yield file
-
-
-def _first_bytes(name: str, data: bytes | None) -> bytes:
-    if data is not None:
-        return data[:16]
-    with open(name, "rb") as file:
-        return file.read(16)
-
-
-def _needs_ffmpeg(first: bytes) -> bool:
-    """Whether the first bytes are those of a container that ffmpeg knows.
-
-    Decided by content, so that no text (a playlist that opens other files) reaches ffmpeg.
-    """
-    is_adts = len(first) > 1 and first[0] == 0xFF and first[1] & 0xF6 == 0xF0  # raw aac
-    return is_adts or any(
-        first[offset : offset + len(mark)] == mark for offset, mark in _FFMPEG_SIGNATURES
-    )
-
-
-def _decode_with_ffmpeg(name: str, data: bytes | None, folder: Path, max_seconds: float) -> Path:
-    """Decode the first audio track to 16-bit W64 in `folder`, at its own rate and channels."""
-    ffmpeg = shutil.which("ffmpeg")
-    if ffmpeg is None:
-        raise MissingError(
-            f"{name} needs ffmpeg to be decoded and there is none; install it (apt install "
-            "ffmpeg, brew install ffmpeg, winget install ffmpeg) or convert the file to wav"
-        )
-    source, target = Path(name).absolute(), folder / "decoded.w64"
-    if data is not None:
-        source = folder / "source"
-        source.write_bytes(data)
-    command = [ffmpeg, "-nostdin", "-v", "error", "-protocol_whitelist", "file"]
-    command += ["-i", str(source), "-map", "0:a:0", "-t", str(max_seconds + 1)]
-    command += ["-c:a", "pcm_s16le", str(target)]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, timeout=FFMPEG_TIMEOUT_SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise AudioError(
-            f"{name}: ffmpeg did not finish in {FFMPEG_TIMEOUT_SECONDS} s; convert it to wav first"
-        ) from error
-    if done.returncode != 0 or not target.is_file():
-        words = done.stderr.decode(errors="replace").strip().splitlines()
-        raise AudioError(
-            f"{name}: ffmpeg finds no audio in it ({words[-1] if words else 'no reason given'}); "
-            "export it as wav"
-        )
-    return target

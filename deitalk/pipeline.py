@@ -1,7 +1,7 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import IO, TYPE_CHECKING
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from deitalk.models import DEITalk
+
+CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, unremarked
 
 Floats = NDArray[np.float32]
 
@@ -100,6 +102,7 @@ def animate(
     track = parse_emotion(emotion)
     curve = _intensity_curve(intensity_curve)
     recording = audio if isinstance(audio, Recording) else load_audio(audio)
+    recording = _with_note_on(curve, recording)
     clock.lap("audio")
     network = _network(model)
     clock.lap("model")
@@ -192,6 +195,17 @@ def _network(model: "str | Path | DEITalk") -> "DEITalk":
 
 def _intensity_curve(curve: str | Path | IntensityCurve | None) -> IntensityCurve | None:
     return read_intensity_curve(curve) if isinstance(curve, str | Path) else curve
+
+
+def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recording:
+    """The recording, with a note if the intensity curve was made for a longer one."""
+    if curve is None or curve.times[-1] <= recording.duration + CURVE_OVERHANG_SECONDS:
+        return recording
+    note = (
+        f"the intensity curve lasts {curve.times[-1]:.1f} s, the recording "
+        f"{recording.duration:.1f} s: what comes after is not used"
+    )
+    return replace(recording, warnings=(*recording.warnings, note))
 
 
 def _clamp(values: Floats, network: "DEITalk") -> int:

@@ -142,6 +142,14 @@ def test_an_intensity_curve_given_back_unchanged_changes_nothing(network, tmp_pa
     np.testing.assert_allclose(second, first.curves.values, atol=2e-4)
 
 
+@pytest.mark.parametrize(("end", "n_notes"), [(2.9, 0), (3.4, 0), (8.7, 1)])
+def test_an_intensity_curve_longer_than_the_recording_is_noted(network, end, n_notes):
+    curve = IntensityCurve(np.array([0.0, end]), np.array([1.0, 1.0]))
+    notes = animate(recording(3.0), "sad", model=network, intensity_curve=curve).recording.warnings
+    assert len(notes) == n_notes
+    assert all("lasts 8.7 s, the recording 3.0 s" in note for note in notes)
+
+
 def test_an_intensity_curve_of_zero_is_neutral_where_it_is_zero(network):
     speech = recording(4)
     edited = IntensityCurve(np.array([0.0, 2.0, 2.1, 4.0]), np.array([0.0, 0.0, 1.0, 1.0]))

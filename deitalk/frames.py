@@ -1,0 +1,17 @@
+"""The two clocks: samples at 16 kHz and rig frames at 30 Hz (DEITalk §3.2)."""
+
+import numpy as np
+import numpy.typing as npt
+
+SAMPLE_RATE = 16_000  # Hz; what wav2vec 2.0 and the mel frontend hear
+FRAME_RATE = 30  # rig frames per second
+
+
+def frame_count(n_samples: int) -> int:
+    """T = ceil(30 · S / 16000), in integers: 16000 samples -> 30 frames, 16001 -> 31."""
+    return -(-FRAME_RATE * n_samples // SAMPLE_RATE)
+
+
+def frame_times(n_frames: int) -> npt.NDArray[np.float64]:
+    """Time of every rig frame in seconds: (T,), frame i at i/30."""
+    return np.arange(n_frames) / FRAME_RATE
