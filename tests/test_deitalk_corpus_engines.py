@@ -1,10 +1,21 @@
 import itertools
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deitalk.corpus import sources
-from deitalk.corpus.engines import ENGINES, available_engines, espeak, festival, flite
+from deitalk.corpus.engines import (
+    ENGINES,
+    available_engines,
+    espeak,
+    espeak_library,
+    festival,
+    flite,
+)
 from deitalk.corpus.phones import BILABIALS, PHONES
 from deitalk.corpus.sources import STYLE, synthetic_utterances
 from deitalk.corpus.utterance import SAMPLE_RATE
@@ -18,6 +29,49 @@ def engine(request, monkeypatch):
         pytest.skip(reason)
     monkeypatch.setattr(sources, "FESTIVAL_BATCH", 5)
     return request.param
+
+
+WHICH = """
+from deitalk.corpus.engines.espeak_library import Library
+found = Library()
+print(found._library._name, found.data_folder(), found.has_voice("en-us+f1"))
+"""
+
+
+def espeak_in_a_new_process(prelude: str = "") -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", prelude + WHICH], capture_output=True, text=True, timeout=60
+    )
+    return done.stdout + done.stderr
+
+
+def test_espeak_of_the_package_is_preferred_to_the_system():
+    pytest.importorskip("espeakng_loader")
+    library, data, has_voice = espeak_in_a_new_process().split()
+    assert Path(library).parent == Path(data).parent == package_of("espeakng_loader")
+    assert has_voice == "True"
+
+
+def test_espeak_of_the_system_serves_without_the_package():
+    said = espeak_in_a_new_process("import sys; sys.modules['espeakng_loader'] = None\n")
+    if "MissingError" in said:
+        assert said.strip().endswith("pip install espeakng-loader")
+    else:
+        assert said.startswith("libespeak-ng.so.1")
+
+
+def test_espeak_finds_its_data_under_a_long_path(tmp_path):
+    package = package_of("espeakng_loader")
+    folder = tmp_path.joinpath(*["long" * 20] * 3)
+    folder.mkdir(parents=True)
+    (folder / "espeak-ng-data").symlink_to(package / "espeak-ng-data")
+    elsewhere = f"import espeakng_loader; espeakng_loader.get_data_path = lambda: {str(folder)!r}"
+    said = espeak_in_a_new_process(f"{elsewhere} + '/espeak-ng-data'\n")
+    assert said.endswith("True\n"), said
+
+
+def package_of(name: str) -> Path:
+    return Path(find_spec(name).origin).parent
 
 
 @pytest.fixture
@@ -187,7 +241,7 @@ def test_every_foreign_voice_closes_its_lips(needs_espeak):
     ("arguments", "message"),
     [
         ({"voice": "klingonese"}, "voice='klingonese' is not an espeak-ng voice"),
-        ({"variant": "nobody"}, "variant='nobody' is not installed; known: .*f1"),
+        ({"variant": "nobody"}, "variant='nobody' is not installed; .*: f1, f2"),
         ({"rate": 20}, "rate=20 must lie between 80 and 450"),
         ({"pitch": 130}, "pitch=130 must lie between 0 and 100"),
     ],
@@ -197,9 +251,12 @@ def test_espeak_says_what_is_wrong(needs_espeak, arguments, message):
         espeak.synthesise("Hello.", **arguments)
 
 
-def test_nothing_to_say(needs_espeak, needs_flite):
+def test_espeak_refuses_nothing_to_say(needs_espeak):
     with pytest.raises(DataError, match=r"text=' \. ' gives no speech in the espeak-ng voice"):
         espeak.synthesise(" . ")
+
+
+def test_flite_refuses_nothing_to_say(needs_flite):
     with pytest.raises(DataError, match="text='' "):
         flite.synthesise("")
 
@@ -216,6 +273,13 @@ def test_sources_refuse_unknown_engines_and_durations():
         synthetic_utterances("mbrola", 10, np.random.default_rng(0))
     with pytest.raises(ConfigError, match="seconds=0 must be greater than 0"):
         synthetic_utterances("espeak", 0, np.random.default_rng(0))
+
+
+def test_missing_espeak_names_its_package(monkeypatch):
+    monkeypatch.setattr(espeak_library, "_packaged", list)
+    monkeypatch.setattr(espeak_library, "SYSTEM_LIBRARY", "libnothing.so.9")
+    with pytest.raises(MissingError, match="pip install espeakng-loader"):
+        espeak_library.Library()
 
 
 def test_missing_programs_name_their_package(monkeypatch):

@@ -58,6 +58,8 @@ def test_english_words(ipa, expected):
         ("hi", "cʰ", "CH"),
         ("cmn", "ts.h", "CH"),
         ("cmn", "iou", "Y OW"),
+        ("cmn", "ˈonɡ", "UH NG"),
+        ("cmn", "ˌuo", "W AO"),
         ("ja", "ɯᵝ", "UH"),
     ],
 )

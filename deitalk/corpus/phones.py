@@ -68,6 +68,7 @@ FESTIVAL_NAMES = {
     "axr": "ER", "hv": "HH", "em": "M", "en": "N", "el": "L", "nx": "N", "eng": "NG", "q": "Q",
 }  # fmt: skip
 
+_STRESS = "ˈˌ"  # espeak-ng writes it into its phone events from 1.52 on
 _PLAIN = str.maketrans("", "", "ˈˌˑ˞ʰʲʷˠˤʼ̚˥˦˧˨˩0123456789.|‖_ -'\u200d\u0361\u035c\u0348")
 
 
@@ -91,8 +92,8 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
     phones : tuple of str
         Members of `PHONES`; empty if nothing in `ipa` is a phone.
     """
-    if language == "cmn" and ipa in MANDARIN:
-        return tuple(MANDARIN[ipa].split())
+    if language == "cmn" and ipa.lstrip(_STRESS) in MANDARIN:
+        return tuple(MANDARIN[ipa.lstrip(_STRESS)].split())
     if ipa.startswith("("):
         return ()
     table = _table(language == "en")

@@ -11,7 +11,7 @@ def available_engines() -> dict[str, str | None]:
     Returns
     -------
     reasons : dict
-        Engine name -> None if it works, else why not and which Debian package to install.
+        Engine name -> None if it works, else why not and what to install.
     """
     return {
         "espeak": espeak.missing(),

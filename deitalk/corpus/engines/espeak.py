@@ -28,7 +28,7 @@ def _server(process_id: int) -> Server:
 
 
 def missing() -> str | None:
-    """None if espeak-ng works here, else the reason and the package to install."""
+    """None if espeak-ng works here, else the reason and what to install."""
     try:
         library()
     except MissingError as error:
@@ -115,7 +115,8 @@ def synthesise(
                   volume=(volume, 0, 200))  # fmt: skip
     library()
     if variant is not None and variant not in variants():
-        raise ConfigError(f"variant={variant!r} is not installed; known: {', '.join(variants())}")
+        plain = ", ".join(name for name in variants() if len(name) == 2)
+        raise ConfigError(f"variant={variant!r} is not installed; these are, among others: {plain}")
     name = known_voice(voice if variant is None else f"{voice}+{variant}")
     numbers = {"rate": rate, "volume": volume, "pitch": pitch, "pitch_range": pitch_range}
     parameters = {key: round(value) for key, value in numbers.items()}

@@ -9,24 +9,31 @@ Protocol on the pipes: one JSON line in; one JSON line with the sample count and
 then the samples as 16-bit integers.
 """
 
+import atexit
 import ctypes
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from functools import cache
 from typing import Any
 
 from deitalk.errors import ConfigError, DataError, MissingError
 
-PACKAGE = "espeak-ng"
-MISSING = f"espeak: the library libespeak-ng.so.1 is not on this machine; apt-get install {PACKAGE}"
+SYSTEM_LIBRARY = "libespeak-ng.so.1"
+MISSING = (
+    f"espeak: neither the package espeakng-loader nor the library {SYSTEM_LIBRARY} works on this "
+    "machine; pip install espeakng-loader"
+)
+LONGEST_PATH = 150
+"""Bytes of a data path; from 160 on the library cannot find its data."""
 TIMEOUT_SECONDS = 20
 """An utterance takes some milliseconds; one that takes this long hangs."""
 
-# speak_lib.h of espeak-ng 1.51
+# speak_lib.h of espeak-ng 1.51 and 1.52
 _SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
 _UTF8, _SSML, _PHONEMES_IPA, _PHONEME_EVENT, _LIST_END = 1, 0x10, 2, 7, 0
 _PARAMETERS = {"rate": 1, "volume": 2, "pitch": 3, "pitch_range": 4}
@@ -58,18 +65,51 @@ _Callback = ctypes.CFUNCTYPE(
 )
 
 
+def _loaded() -> tuple[ctypes.CDLL, int]:
+    """The library, ready to speak, and its sample rate.
+
+    The one of the Python package comes first, so that a seed gives the same corpus on every
+    machine whatever its system has; the system's serves where there is no package.
+    """
+    options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
+    for path, data in (*_packaged(), (SYSTEM_LIBRARY, None)):
+        try:
+            found = ctypes.CDLL(path)
+        except OSError:
+            continue
+        folder = None if data is None else os.fsencode(_short(data))
+        sample_rate = int(found.espeak_Initialize(_SYNCHRONOUS, 200, folder, options))
+        if sample_rate > 0:
+            return found, sample_rate
+    raise MissingError(MISSING)
+
+
+def _packaged() -> list[tuple[str, str]]:
+    """Library and data folder of the package espeakng-loader; empty without it."""
+    try:
+        import espeakng_loader
+
+        return [(espeakng_loader.get_library_path(), espeakng_loader.get_data_path())]
+    except (ImportError, RuntimeError):
+        return []
+
+
+def _short(folder: str) -> str:
+    """A path of `folder` that the library can hold: itself, or a link that lasts till the end."""
+    if len(os.fsencode(folder)) <= LONGEST_PATH:
+        return folder
+    links = tempfile.TemporaryDirectory(prefix="deitalk-")
+    atexit.register(links.cleanup)
+    link = os.path.join(links.name, "espeak-ng-data")
+    os.symlink(folder, link)
+    return link
+
+
 class Library:
     """The loaded library; one per process, used by one thread."""
 
     def __init__(self) -> None:
-        try:
-            self._library = ctypes.CDLL("libespeak-ng.so.1")
-        except OSError as error:
-            raise MissingError(MISSING) from error
-        options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
-        self.sample_rate = self._library.espeak_Initialize(_SYNCHRONOUS, 200, None, options)
-        if self.sample_rate <= 0:
-            raise MissingError(f"espeak: the voice data cannot be read; apt-get install {PACKAGE}")
+        self._library, self.sample_rate = _loaded()
         self._library.espeak_TextToPhonemes.restype = ctypes.c_char_p
         self._library.espeak_Info.restype = ctypes.c_char_p
         self._samples = bytearray()
@@ -207,5 +247,5 @@ def known_voice(name: str) -> str:
         If it is not.
     """
     if not library().has_voice(name):
-        raise ConfigError(f"voice={name!r} is not an espeak-ng voice; espeak-ng --voices lists all")
+        raise ConfigError(f"voice={name!r} is not an espeak-ng voice; en-us, de and es are")
     return name
