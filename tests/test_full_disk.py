@@ -1,0 +1,147 @@
+"""A disk that fills up at any point of a command: one line, old files intact, nothing left over.
+
+Each command writes to a tmpfs with room for a share of what it needs.
+"""
+
+import hashlib
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from test_deitalk_pipeline import SMALL
+
+from deitalk.benchmark import speechlike
+from deitalk.checkpoint import save_model
+from deitalk.cli import main
+from deitalk.config import Config
+from deitalk.models import DEITalk
+from rig import default_controls, write_curves
+from rig.curves import RigCurves
+from rig.mesh import TriMesh, write_obj
+
+PAGE = 4096  # bytes; what a tmpfs rounds files up to
+SHARES = (0.0, 0.04, 0.3, 0.6, 0.9, 0.99)
+
+
+@pytest.fixture(scope="module")
+def disk(tmp_path_factory):
+    """A small file system; skipped where none can be mounted."""
+    folder = tmp_path_factory.mktemp("disk")
+    mount = shutil.which("mount")
+    done = mount and subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder], capture_output=True, check=False
+    )
+    if not done or done.returncode:
+        pytest.skip("needs the right to mount a tmpfs (root on Linux)")
+    yield folder
+    subprocess.run(["umount", folder], check=False)
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """Inputs on another disk: speech, a model, a take and a mesh."""
+    folder = tmp_path_factory.mktemp("sources")
+    soundfile.write(folder / "speech.wav", speechlike(1.0), 16_000)
+    save_model(folder / "model", DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
+    controls = default_controls()
+    rng = np.random.default_rng(0)
+    low, high = controls.minimum, controls.maximum
+    values = low + (high - low) * rng.random((30, len(controls.names)))
+    write_curves(folder / "curves.csv", RigCurves(values, controls.names))
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    write_obj(folder / "square.obj", TriMesh(square, np.array([[0, 1, 2], [0, 2, 3]])))
+    return folder
+
+
+def commands(sources, out):
+    """Command lines that write to the folder `out`, by name."""
+    speech, curves, model = sources / "speech.wav", sources / "curves.csv", sources / "model"
+    line = {
+        "take": ["animate", speech, "-e", "happy", "--model", model, "-o", out / "take"],
+        "animate-file": ["animate", speech, "--model", model, "-o", out / "a.json"],
+        "face-export": ["face", "export", "-o", out / "head.glb"],
+        "face-sheet": ["face", "sheet", "mouth", "--tile", "64", "-o", out / "s.png"],
+        "mesh-glb": ["mesh", speech, "--model", model, "-o", out / "m.glb"],
+        "mesh-ply": ["mesh", speech, "--model", model, "-o", out / "frames"],
+        "model-export": ["model", "export", model, "-o", out / "exported"],
+        "corpus-sheet": ["corpus", "sheet", "-o", out / "sheet"],
+    }
+    for name in ("c.csv", "c.json", "c.npz", "c.glb", "c.unreal.json", "c.txt"):
+        line[f"convert-{name}"] = ["convert", curves, out / name]
+    line["convert-livelink"] = ["convert", curves, out / "S_1_a.csv", "--to", "livelink"]
+    return {name: [str(word) for word in words] for name, words in line.items()}
+
+
+SLOW = ("convert-c.glb", "corpus-sheet", "face-export")
+NAMES = [
+    pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+    for name in sorted(commands(Path("s"), Path("o")))
+]
+
+
+def run(arguments, monkeypatch, capfd):
+    """Exit code and lines on stderr."""
+    monkeypatch.setattr(sys, "argv", ["deitalk", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0, capfd.readouterr().err.splitlines()
+
+
+def state(folder):
+    """Hash of every file, hidden ones too."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def leave_free(disk, n_bytes):
+    """Fill the disk but for some bytes; return the file that fills it."""
+    ballast = disk / "ballast"
+    n_fill = shutil.disk_usage(disk).free - max(n_bytes // PAGE * PAGE, 0)
+    with ballast.open("wb") as file:
+        for start in range(0, n_fill, 1 << 20):
+            file.write(bytes(min(1 << 20, n_fill - start)))
+    return ballast
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_full_disk_leaves_old_files_and_no_others(
+    disk, sources, name, monkeypatch, capfd, tmp_path
+):
+    out = disk / name
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    arguments = commands(sources, out)[name]
+    free = shutil.disk_usage(disk).free
+    code, lines = run(arguments, monkeypatch, capfd)
+    assert code == 0, lines
+    needed = free - shutil.disk_usage(disk).free
+    written = state(out)
+    for force in (True, False):  # first over what is there, then anew
+        if not force:
+            shutil.rmtree(out)
+            out.mkdir()
+            (out / "notes.txt").write_text("mine")
+        before = state(out)
+        for share in SHARES:
+            ballast = leave_free(disk, int(needed * share))
+            code, lines = run(arguments + ["--force"] * force, monkeypatch, capfd)
+            ballast.unlink()
+            after = state(out)
+            if code == 0:  # it needed less than the first time: sparse or equal pages
+                assert share >= 0.9
+                break
+            told = [line for line in lines if line.startswith("deitalk: ")]
+            assert len(told) == 1 and "space" in told[0].lower(), lines
+            assert not any("Traceback" in line for line in lines)
+            assert after == before, (share, set(after) ^ set(before))
+    if name != "take":  # whose take.json says when it was written
+        code, lines = run([*arguments, "--force"], monkeypatch, capfd)
+        assert code == 0 and state(out) == written
+    shutil.rmtree(out)
