@@ -11,7 +11,8 @@ from dataset import JAW, RATE, write_dataset
 from typer.testing import CliRunner
 
 from deitalk.cli.data import app
-from deitalk.data.check import check_dataset, loudness
+from deitalk.data.check import check_dataset
+from deitalk.data.offset import loudness
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 

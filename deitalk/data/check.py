@@ -3,9 +3,9 @@
 Every clip is read once; what is wrong is said in a line with the clips it concerns. Files that
 training could not read (values out of their control's range among them) are unreadable here.
 
-The offset between sound and curves is the lag at which the jaw follows the loudness best (-40 dB
-to the loudest), pooled over the clips: speech opens the jaw, so a lag means curves that are early
-or late, the most common fault of captures.
+The offset between sound and curves is the lag at which the jaw follows the level of the vowels
+best, pooled over the clips; `deitalk.data.offset` judges single ones. A lag means curves that are
+early or late, the most common fault of captures.
 
 Letters: T frames at 60 per second, L lags, C controls.
 """
@@ -23,19 +23,23 @@ from numpy.typing import NDArray
 from deitalk.activity import speech_activity
 from deitalk.audio import FRAME_RATE, SAMPLE_RATE, Recording, load_audio
 from deitalk.data.folder import SPLITS, Clip, read_clips, read_intensity, read_phones
+from deitalk.data.offset import (
+    JAW,
+    RATE,
+    heard_lags,
+    is_shifted,
+    lag_correlations,
+    loudness,
+    peak,
+    vowel_band,
+)
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
-from deitalk.metrics import correlation
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.errors import RigError
 
-RATE = 60
-MAX_LAG_SECONDS = 0.5
 SHIFTED_SECONDS = 0.05
 """Pooled lag beyond which the curves do not belong to the sound."""
-CLEARLY = 0.15
-"""A single clip is called shifted where its best lag gains this much correlation."""
-JAW = "CTRL_C_jaw.ty"
 LENGTH_SECONDS = 0.1
 DEAD = 1e-3
 FEW = 0.05
@@ -71,7 +75,9 @@ class Measured(NamedTuple):
     high: Floats
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is missing."""
     lags: Floats
-    """Correlation of loudness and jaw by lag [shape=(L,)]; NaN where one does not move."""
+    """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
+    heard_lags: Floats | None
+    """The same of the jaw that the embedded model hears; None where `lags` raise no suspicion."""
     speech_share: float
     open_share: float
     """Mean jaw in silence by its 95th percentile in speech; NaN where unknown."""
@@ -137,6 +143,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     high[places] = curves.values[:, columns].max(axis=0)
     speaking = speech_activity(recording.waveform) > 0
     jaw = jaw_motion(curves, clip.offset_seconds, recording.duration)
+    lags = lag_correlations(loudness(vowel_band(recording.waveform)), jaw)
     return Measured(
         clip.name,
         curves.fps,
@@ -146,7 +153,8 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         tuple(name for name in controls.names if name not in set(known)),
         low,
         high,
-        lag_correlations(loudness(recording.waveform), jaw),
+        lags,
+        heard_lags(recording, lags, jaw),
         float(speaking.mean()),
         _open_in_silence(jaw, speaking),
         recording.clipped_fraction,
@@ -158,18 +166,6 @@ def _recording(path: str) -> Recording:
     return load_audio(path)
 
 
-def loudness(waveform: NDArray[np.float32]) -> Floats:
-    """Level at 60 frames per second [shape=(T,), range 0 (-40 dB) to 1 (the loudest)]."""
-    half = 400
-    padded = np.pad(waveform.astype(np.float64), half)
-    centres = np.arange(len(waveform) * RATE // SAMPLE_RATE) * SAMPLE_RATE // RATE
-    total = np.concatenate(([0.0], np.cumsum(padded**2)))
-    level = 10 * np.log10((total[centres + 2 * half] - total[centres]) / (2 * half) + 1e-10)
-    top = level.max(initial=-100)
-    scaled: Floats = np.clip(1 + (level - top) / 40, 0, 1)
-    return scaled
-
-
 def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Floats:
     """The jaw on the audio's axis at 60 frames per second; still if there is none."""
     at = np.arange(int(seconds * RATE)) / RATE
@@ -177,17 +173,6 @@ def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Floats:
         return np.zeros(len(at))
     jaw: Floats = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
     return jaw
-
-
-def lag_correlations(level: Floats, jaw: Floats) -> Floats:
-    """Correlation at lags of -0.5 to 0.5 s; positive where the curves come late."""
-    reach = int(MAX_LAG_SECONDS * RATE)
-    n = min(len(level), len(jaw))
-    if n < 4 * reach:
-        return np.full(2 * reach + 1, np.nan)
-    middle = level[reach : n - reach]
-    lags = range(-reach, reach + 1)
-    return np.array([correlation(middle, jaw[reach + k : n - reach + k]) for k in lags])
 
 
 def _open_in_silence(jaw: Floats, speaking: NDArray[np.bool_]) -> float:
@@ -256,21 +241,19 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
 
 
 def _offset(clips: Sequence[Measured]) -> Check:
-    """Lag of the jaw behind the loudness, pooled, and the clips that differ clearly."""
+    """Lag of the jaw behind the level, pooled, and the clips that differ clearly."""
     known = [clip for clip in clips if np.isfinite(clip.lags).all()]
     if not known:
         return Check("offset", "warning", "unknown: no clip of 2 s whose jaw and loudness move")
-    middle = len(known[0].lags) // 2
     pooled = np.mean([clip.lags for clip in known], axis=0)
-    lag = (int(pooled.argmax()) - middle) / RATE
+    lag = peak(pooled) / RATE
     text = f"curves {lag * 1000:+.0f} ms after the sound (r {pooled.max():.2f})"
     if abs(lag) > SHIFTED_SECONDS:
         return Check("offset", "warning", f"{text}; set offset_s to mend it")
     shifted = [
-        f"{clip.name} ({(int(clip.lags.argmax()) - middle) / RATE * 1000:+.0f} ms)"
+        f"{clip.name} ({peak(clip.heard_lags) / RATE * 1000:+.0f} ms)"
         for clip in known
-        if clip.lags.max() - clip.lags[middle] > CLEARLY
-        and abs(int(clip.lags.argmax()) - middle) / RATE > 2 * SHIFTED_SECONDS
+        if clip.heard_lags is not None and is_shifted(clip.heard_lags)
     ]
     return _verdict("offset", "warning", shifted, text, f"clips seem shifted; all: {text}")
 

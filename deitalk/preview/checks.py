@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio import SAMPLE_RATE
-from deitalk.data import check
+from deitalk.data import check, offset
 from deitalk.preview.source import PreviewSource
 from rig.face import Head, build_head
 
@@ -35,21 +35,18 @@ def find_warnings(source: PreviewSource) -> list[Finding]:
 def offset_warnings(source: PreviewSource) -> list[Finding]:
     """Say so if the jaw follows the loudness best more than two frames early or late.
 
-    The measure is that of ``deitalk data check``. One recording is a small sample, so the better
-    lag must also gain `check.CLEARLY` of correlation. Recordings under 2 s are not judged.
+    The measure is that of ``deitalk data check`` without its model: the better lag must gain
+    enough correlation (`deitalk.data.offset.is_clear`). Recordings under 2 s are not judged.
     """
     if not source.sample_rate:
         return []
     samples = _at_16_khz(source.samples, source.sample_rate)
     jaw = check.jaw_motion(source.curves, 0.0, len(samples) / SAMPLE_RATE)
-    lags = check.lag_correlations(check.loudness(samples), jaw)
-    if not np.isfinite(lags).all():
+    lags = offset.lag_correlations(offset.loudness(offset.vowel_band(samples)), jaw)
+    if not np.isfinite(lags).all() or not offset.is_clear(lags):
         return []
-    best, middle = int(lags.argmax()), len(lags) // 2
-    seconds = (best - middle) / check.RATE
-    if abs(seconds) * source.curves.fps <= MOST_LAG_FRAMES or (
-        lags[best] - lags[middle] < check.CLEARLY
-    ):
+    seconds = offset.peak(lags) / offset.RATE
+    if abs(seconds) * source.curves.fps <= MOST_LAG_FRAMES:
         return []
     early_or_late = "late" if seconds > 0 else "early"
     text = f"curves come {abs(seconds) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
