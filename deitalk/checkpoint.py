@@ -144,7 +144,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     name_or_path : str or Path
         ``default``, or a folder that `save_model` wrote.
     device : str
-        ``cpu`` or ``cuda``.
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
 
     Raises
     ------
@@ -152,9 +152,11 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         If there is no such model, its weights are damaged or too large, they do not fit its
         configuration, or it belongs to another control set.
     """
+    from deitalk.devices import require_device
     from deitalk.models import DEITalk
 
     folder = model_folder(name_or_path)
+    require_device(device)
     config = load_config(folder / "config.yaml")
     if not isinstance(config, Config):
         raise CheckpointError(
@@ -175,7 +177,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         return model.to(device).eval()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise CheckpointError(f"device {device!r}: {reason}; use --device cpu") from None
+        raise CheckpointError(f"device {device!r}: {reason}; use the device cpu") from None
 
 
 def _check_controls(folder: Path, controls: ControlSet) -> None:

@@ -22,6 +22,7 @@ from safetensors.torch import save
 from deitalk.checkpoint import FORMAT_VERSION, model_folder, read_about, read_weights
 from deitalk.config import DEITalkFeaturesConfig, SDFAConfig, SDFAModelConfig, load_config
 from deitalk.deformation_decoder import InversePCA
+from deitalk.devices import require_device
 from deitalk.errors import CheckpointError
 from deitalk.mesh_head import MeshHead
 from deitalk.sdfa import SDFA
@@ -136,6 +137,7 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         If there is no such model, it is of another kind, or a file is damaged.
     """
     path = model_folder(folder)
+    require_device(device)
     about = read_about(path)
     config = load_config(path / "config.yaml")
     if not isinstance(config, SDFAConfig):
@@ -164,7 +166,7 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         return model.to(torch.device(device)).eval()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise CheckpointError(f"device {device!r}: {reason}; use --device cpu") from None
+        raise CheckpointError(f"device {device!r}: {reason}; use the device cpu") from None
 
 
 def _empty_layers(weights: dict[str, torch.Tensor]) -> dict[str, InversePCA]:

@@ -111,7 +111,7 @@ def animate_mesh(
     fps : float, optional
         Rate of the frames: 30 for DEITalk, the model's own for SDFA, which has no other.
     device : str
-        ``cpu`` or ``cuda``; for a model that is not loaded yet.
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model that is not loaded yet.
     progress : callable
         Told the share of the work that is done, 0 to 1.
     **options

@@ -21,6 +21,11 @@ CLOSURE_CONTROLS = (
 )
 """Controls whose extremes are the lip closures of p, b and m."""
 
+MAX_FACTOR = 1e6
+"""Largest gain or offset; float32 holds what comes of it."""
+MAX_SMOOTHING_SECONDS = 60.0
+"""Longest deviation of a smoothing kernel."""
+
 
 @dataclass(frozen=True)
 class Clipped:
@@ -118,7 +123,7 @@ def gain(
     Raises
     ------
     CurveError
-        If a number is not finite.
+        If a number is not finite, or beyond ±1e6.
     ControlError
         If a key is neither a set nor a control.
     """
@@ -164,13 +169,16 @@ def smooth(
     Raises
     ------
     CurveError
-        If `seconds` is negative or not finite.
+        If `seconds` is negative, not finite or above 60.
     """
-    if not (math.isfinite(seconds) and seconds >= 0):
-        raise CurveError(f"smoothing over {seconds} s must be a finite time of 0 or more")
-    if seconds == 0 or len(curves) < 2:
-        return curves
+    if not (math.isfinite(seconds) and 0 <= seconds <= MAX_SMOOTHING_SECONDS):
+        raise CurveError(
+            f"smoothing over {seconds:g} s must be a finite time of 0 or more, up to "
+            f"{MAX_SMOOTHING_SECONDS:g} s"
+        )
     sigma = seconds * curves.fps
+    if sigma < 1e-3 or len(curves) < 2:  # the next frame would weigh nothing
+        return curves
     values = curves.values.copy()
     chosen = _columns(curves, names)
     smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
@@ -232,6 +240,6 @@ def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
 
 
 def _finite(number: float, what: str) -> float:
-    if not math.isfinite(number):
-        raise CurveError(f"{what} is {number}; it must be finite")
+    if not (math.isfinite(number) and abs(number) <= MAX_FACTOR):
+        raise CurveError(f"{what} is {number:g}; it must be finite and within ±{MAX_FACTOR:g}")
     return number

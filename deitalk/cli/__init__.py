@@ -9,6 +9,7 @@ import typer
 from deitalk import __version__
 from deitalk.cli.ablate import ablate
 from deitalk.cli.animate import animate
+from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.attention import attention
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded
@@ -32,7 +33,7 @@ from deitalk.errors import DeitalkError
 from deitalk.text import one_line
 from rig.errors import ExistsError, RigError
 
-app = typer.Typer(
+app = CheckedCommands(
     name="deitalk",
     help="Speech in, an acted MetaHuman face out.",
     cls=Commands,

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import MAX_COUNT
 from deitalk.cli.console import bar, console, emit
+from deitalk.cli.options import Most
 
 
 def ablate(
@@ -21,13 +23,12 @@ def ablate(
         list[str] | None, typer.Option("--set", help="For all variants: data.noise_folder=noise.")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Steps of every run; default: as configured.")
+        int | None,
+        typer.Option(min=1, max=MAX_COUNT, help="Steps of every run; default: as configured."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of every variant.")] = 3,
     split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "test",
-    most: Annotated[
-        int | None, typer.Option(min=1, help="Score at most so many recordings of every source.")
-    ] = None,
+    most: Most = None,
 ) -> None:
     """Train every variant with several seeds, score them, write OUT/ablations.md and .json.
 

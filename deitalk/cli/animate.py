@@ -1,5 +1,6 @@
 """`deitalk animate`: speech and an emotion in, a take out."""
 
+import os
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.arguments import MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     Device,
@@ -16,6 +18,7 @@ from deitalk.cli.options import (
     IntensityCurve,
     Json,
     Model,
+    Threads,
 )
 from deitalk.cli.paths import reserve_file, reserve_folder
 
@@ -38,11 +41,9 @@ def animate(
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
-    seed: Annotated[int, typer.Option(help="Of the blinks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Of the blinks.")] = 0,
     device: Device = "cpu",
-    threads: Annotated[
-        int, typer.Option(min=1, help="CPU threads; more than one seldom helps so small a network.")
-    ] = 1,
+    threads: Threads = 1,
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
@@ -123,7 +124,7 @@ def _perform(
         from deitalk.checkpoint import load_model
         from deitalk.pipeline import animate as perform
 
-        torch.set_num_threads(threads)
+        torch.set_num_threads(min(threads, os.cpu_count() or 1))
         network = load_model(model, device=device)
     with bar("animating") as progress:
         performance = perform(sound, model=network, progress=progress, **given)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.arguments import MAX_COUNT
 from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Device, Force, Json, Picture
 from deitalk.cli.paths import reserve_picture
@@ -26,7 +27,9 @@ def attention(
         str, typer.Option(help="default, or a model folder with SDFA's attention.")
     ] = "default",
     split: Annotated[str, typer.Option(help="Of a dataset folder.")] = "validation",
-    clips: Annotated[int, typer.Option(min=1, help="Recordings of a dataset folder.")] = 20,
+    clips: Annotated[
+        int, typer.Option(min=1, max=MAX_COUNT, help="Recordings of a dataset folder.")
+    ] = 20,
     device: Device = "cpu",
     force: Force = False,
     as_json: Json = False,

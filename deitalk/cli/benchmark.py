@@ -1,18 +1,24 @@
 """`deitalk benchmark`: stages, real-time factor, memory."""
 
+import os
 from typing import Annotated, Any
 
 import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import Json, Model
+from deitalk.cli.options import Json, Model, Threads
+
+MAX_SECONDS = 3 * 3600.0
+"""Longest recording that is read."""
 
 
 def benchmark(
     model: Model = "default",
-    seconds: Annotated[float, typer.Option(min=0.1, help="Length of the clip.")] = 30.0,
-    threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 1,
-    repeats: Annotated[int, typer.Option(min=1, help="Runs; the best counts.")] = 3,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=MAX_SECONDS, help="Length of the clip.")
+    ] = 30.0,
+    threads: Threads = 1,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Runs; the best counts.")] = 3,
     memory: Annotated[
         bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
     ] = False,
@@ -22,6 +28,7 @@ def benchmark(
     as_json: Json = False,
 ) -> None:
     """Measure speed and memory on this machine."""
+    threads = min(threads, os.cpu_count() or 1)
     if mesh:
         _table_4(threads, repeats, as_json=as_json)
         return

@@ -5,12 +5,18 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED, CheckedCommands
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force
 from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DataError
 
-app = typer.Typer(help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True)
+MAX_HOURS = 10_000
+"""More than any speech engine has words for."""
+
+app = CheckedCommands(
+    help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True
+)
 
 
 @app.callback()
@@ -21,7 +27,9 @@ def _group() -> None:
 @app.command()
 def build(
     out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder; resumed if begun.")],
-    hours: Annotated[float, typer.Option(min=0, help="Hours of synthetic speech.")] = 1.0,
+    hours: Annotated[
+        float, typer.Option(min=0, max=MAX_HOURS, help="Hours of synthetic speech.")
+    ] = 1.0,
     recordings: Annotated[
         list[Path] | None,
         typer.Option(
@@ -32,8 +40,10 @@ def build(
     alignments: Annotated[
         Path | None, typer.Option(help="Folder that keeps phone times between builds.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of voices, words, prosody and emotions.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MAX_SEED, help="Of voices, words, prosody and emotions.")
+    ] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=MAX_PROCESSES, help="Processes.")] = 2,
 ) -> None:
     """Synthesise speech, align recordings, act both, and write a dataset folder.
 

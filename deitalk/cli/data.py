@@ -5,10 +5,11 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, emit, emit_json
 from deitalk.text import one_line
 
-app = typer.Typer(help="Look at a dataset folder.", no_args_is_help=True)
+app = CheckedCommands(help="Look at a dataset folder.", no_args_is_help=True)
 
 
 @app.callback()
@@ -20,7 +21,8 @@ def _group() -> None:
 def check(
     folder: Annotated[Path, typer.Argument(help="Dataset folder with clips.csv.")],
     most: Annotated[
-        int | None, typer.Option(min=1, help="Read at most so many clips, evenly spread.")
+        int | None,
+        typer.Option(min=1, max=MAX_COUNT, help="Read at most so many clips, evenly spread."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:

@@ -5,8 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.arguments import MAX_COUNT
 from deitalk.cli.console import bar, console, emit
-from deitalk.cli.options import Force, Json
+from deitalk.cli.options import Force, Json, Most
 from deitalk.cli.paths import reserve_file, reserve_picture
 from deitalk.errors import DataError
 
@@ -15,12 +16,14 @@ def evaluate(
     model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     data: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("corpus"),
     split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "validation",
-    most: Annotated[
-        int | None, typer.Option(min=1, help="At most so many recordings of every source.")
-    ] = None,
+    most: Most = None,
     probes: Annotated[
         int,
-        typer.Option(min=0, help="Recordings of every source acted in all emotions and modified."),
+        typer.Option(
+            min=0,
+            max=MAX_COUNT,
+            help="Recordings of every source acted in all emotions and modified.",
+        ),
     ] = 6,
     noise: Annotated[
         str | None, typer.Option(help="Also in noise: a folder of recordings, or pink.")

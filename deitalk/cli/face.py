@@ -5,12 +5,15 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit
 from deitalk.cli.options import Force, Identity
 from deitalk.cli.paths import identity_of, reserve_file
 from deitalk.errors import DeitalkError
 
-app = typer.Typer(help="The embedded head: contact sheets and who it can be.", no_args_is_help=True)
+app = CheckedCommands(
+    help="The embedded head: contact sheets and who it can be.", no_args_is_help=True
+)
 
 
 @app.command()

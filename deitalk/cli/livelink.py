@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console
 from deitalk.cli.options import Emotion, Force, Intensity, Model
 from deitalk.cli.paths import curves_of, reserve_file
@@ -15,7 +16,7 @@ from deitalk.errors import DeitalkError, MissingError
 if TYPE_CHECKING:
     from rig import RigCurves
 
-app = typer.Typer(help="Send a face live over UDP, receive one, replay a take.")
+app = CheckedCommands(help="Send a face live over UDP, receive one, replay a take.")
 
 Host = Annotated[str, typer.Option(help="Where to send.")]
 Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
@@ -105,13 +106,17 @@ def receive(
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 is the whole network.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="UDP port.")] = 11111,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="UDP port; 0 takes a free one.")
+    ] = 11111,
     subject: Annotated[
         str | None, typer.Option(help="Whose packets to take; the first one's by default.")
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Longest time; else until Ctrl-C.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0, help="Longest time; else until Ctrl-C.")
+    ] = None,
     idle: Annotated[
-        float | None, typer.Option(help="Stop after so many seconds without a packet.")
+        float | None, typer.Option(min=0, help="Stop after so many seconds without a packet.")
     ] = None,
     force: Force = False,
 ) -> None:

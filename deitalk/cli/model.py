@@ -6,10 +6,11 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.paths import reserve_folder
 
-app = typer.Typer(help="What a model is.", no_args_is_help=True)
+app = CheckedCommands(help="What a model is.", no_args_is_help=True)
 
 
 @app.callback()

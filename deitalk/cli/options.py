@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.arguments import MAX_COUNT, MAX_THREADS, usable_device
+
 Emotion = Annotated[
     str,
     typer.Option(
@@ -21,7 +23,20 @@ IntensityCurve = Annotated[
     Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
 ]
 Model = Annotated[str, typer.Option(help="default, compact, or a model folder.")]
-Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
+Threads = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        max=MAX_THREADS,
+        help="CPU threads, at most one per processor; more than one seldom helps so small a "
+        "network.",
+    ),
+]
+Most = Annotated[
+    int | None,
+    typer.Option(min=1, max=MAX_COUNT, help="At most so many recordings of every source."),
+]
 Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
