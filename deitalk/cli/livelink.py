@@ -60,8 +60,13 @@ def send(
 
     deitalk livelink send take/curves.json --protocol json --loop
     """
+    from deitalk.emotions import check_intensity, parse_emotion
+
+    check_intensity(intensity)
+    parse_emotion(emotion)
+    _rig_id(rig)
     signals = [_signal(start_signal)] if start_signal else []
-    port = _port(port, protocol)
+    port = _checked(host, port, protocol, subject, fps)
     curves, audio = _source(source, emotion, intensity, model)
     if protocol == "json":
         curves = _as_rig(curves, rig)
@@ -87,7 +92,7 @@ def replay(
     """
     from rig import read_curves
 
-    port = _port(port, protocol)
+    port = _checked(host, port, protocol, subject, fps)
     _send(
         read_curves(curves_of(file), control_set=None),
         protocol,
@@ -191,14 +196,20 @@ def _send(
     )
 
 
-def _port(port: int | None, protocol: str) -> int:
+def _checked(host: str, port: int | None, protocol: str, subject: str, fps: float | None) -> int:
     """The port asked for, or the protocol's own; mistakes show before anything is acted."""
-    from rig.livelink import find_protocol
+    from rig.curves import snap_fps
+    from rig.livelink import check_address, find_protocol, make_protocol
 
     own = find_protocol(protocol).port
     if port is not None and not 0 < port < 65536:
         raise DeitalkError(f"port {port} must be 1 to 65535; leave it out for {own}")
-    return own if port is None else port
+    make_protocol(protocol, subject, ())
+    if fps is not None:
+        snap_fps(fps)
+    port = own if port is None else port
+    check_address((host, port))
+    return port
 
 
 def _source(
@@ -227,15 +238,20 @@ def _source(
 
 
 def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
+    from rig.mapping import convert
+
+    return convert(curves, _rig_id(rig))
+
+
+def _rig_id(rig: str) -> str:
     from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
-    from rig.mapping import convert
     from rig.raw import RAW_ID
 
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID}
     if rig not in sets:
         raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
-    return convert(curves, sets[rig])
+    return sets[rig]
 
 
 def _player(audio: Path | None) -> Callable[[], None]:

@@ -3,7 +3,7 @@
 from rig.livelink.packet import Packet, decode, encode
 from rig.livelink.protocols import PROTOCOLS, find_protocol, make_protocol
 from rig.livelink.receiver import Receiver, Recording
-from rig.livelink.sender import SendReport, send
+from rig.livelink.sender import SendReport, check_address, send
 
 __all__ = [
     "PROTOCOLS",
@@ -11,6 +11,7 @@ __all__ = [
     "Receiver",
     "Recording",
     "SendReport",
+    "check_address",
     "decode",
     "encode",
     "find_protocol",

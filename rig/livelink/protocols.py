@@ -138,5 +138,15 @@ def find_protocol(name: str) -> ProtocolInfo:
 
 
 def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol:
-    """Return a protocol by its name; errors are those of `find_protocol`."""
+    """Return a protocol by its name.
+
+    Raises
+    ------
+    FormatError
+        If the name is unknown (see `find_protocol`), or `subject` cannot be written as UTF-8.
+    """
+    try:
+        subject.encode()
+    except UnicodeEncodeError:
+        raise FormatError(f"subject {subject!r} is no UTF-8; give another name") from None
     return find_protocol(name).make(subject, names)

@@ -180,6 +180,17 @@ class _Run:
                 pass  # nobody listens yet: UDP goes on
 
 
+def check_address(address: tuple[str, int]) -> None:
+    """Refuse a host and port that no datagram can be sent to.
+
+    Raises
+    ------
+    FormatError
+        If the host is unknown or the port is not 1 to 65535.
+    """
+    _connected(address).close()
+
+
 def _connected(address: tuple[str, int]) -> socket.socket:
     host, port = address
     if not 0 < port < 65536:
@@ -188,6 +199,7 @@ def _connected(address: tuple[str, int]) -> socket.socket:
         family, kind, number, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         link = socket.socket(family, kind, number)
         link.connect(target)
-    except OSError as error:
-        raise FormatError(f"cannot send to {host}:{port}: {error.strerror or error}") from error
+    except (OSError, UnicodeError) as error:  # the latter: no name of a host is so long
+        reason = getattr(error, "strerror", None) or error
+        raise FormatError(f"cannot send to {host}:{port}: {reason}; name another host") from error
     return link
