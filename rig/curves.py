@@ -236,7 +236,7 @@ def frames_to_time(frames: ArrayLike, *, fps: float) -> NDArray[np.float64]:
 def time_to_frames(seconds: float, *, fps: float) -> int:
     """Return the first frame at or after a time (seconds), to within a billionth of a frame."""
     if not math.isfinite(seconds * fps):
-        raise CurveError(f"time {seconds:g} s must be finite, and a finite number of frames")
+        raise CurveError(f"time {seconds:g} s is not a finite number of frames")
     return math.ceil(seconds * fps - 1e-9)
 
 

@@ -14,6 +14,7 @@
 """
 
 from rig.limits import MESSAGE_CHARACTERS, QUOTED_CHARACTERS
+from rig.text import as_line
 
 
 def shorten(text: str, most: int) -> str:
@@ -43,12 +44,9 @@ def one_line(message: object) -> str:
     """Return a message of one line and at most `MESSAGE_CHARACTERS` characters.
 
     Line ends, control characters and bytes that are no text are written as escapes, so that any
-    terminal can print the message.
+    terminal can print the message (`rig.text.as_line`).
     """
-    text = shorten(str(message), MESSAGE_CHARACTERS)
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return as_line(shorten(str(message), MESSAGE_CHARACTERS))
 
 
 class RigError(ValueError):

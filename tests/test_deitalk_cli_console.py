@@ -13,8 +13,8 @@ from typer.main import get_command
 
 from deitalk.cli import app
 from deitalk.cli.console import _Lines, bar, console, emit, emit_json
-from deitalk.text import decodable, decodable_values, one_line
 from rig import default_controls, rest_curves, write_curves
+from rig.text import as_line, decodable, decodable_values
 
 ROOT = Path(__file__).resolve().parents[1]
 HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
@@ -42,8 +42,8 @@ def test_names_that_look_like_markup_print_as_they_are(name, capsys):
     ],
 )
 def test_one_line_escapes_what_terminals_cannot_hold(name, printed):
-    assert one_line(name) == printed
-    assert len(one_line(name).encode().splitlines()) == 1
+    assert as_line(name) == printed
+    assert len(as_line(name).encode().splitlines()) == 1
 
 
 def test_decodable_keeps_line_ends_and_text():

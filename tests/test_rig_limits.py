@@ -52,7 +52,7 @@ def test_quoted_value_is_bounded():
 
 def test_messages_are_one_bounded_line():
     assert one_line("fine: é, 'a b'") == "fine: é, 'a b'"
-    assert one_line("a\nb\x1b[31m\udcff") == "a\\nb\\x1b[31m\\udcff"
+    assert one_line("a\nb\x1b[31m\udcff") == "a\\nb\\x1b[31m\\xff"
     message = str(RigError("value " + "9" * 5_000_000 + "; lower it"))
     assert len(message) == limits.MESSAGE_CHARACTERS
     assert message.startswith("value 999") and message.endswith("; lower it")

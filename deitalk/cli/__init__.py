@@ -30,8 +30,7 @@ from deitalk.cli.signals import Commands, Stopped, Terminated, install
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
-from deitalk.text import one_line
-from rig.errors import ExistsError, RigError
+from rig.errors import ExistsError, RigError, one_line
 
 app = CheckedCommands(
     name="deitalk",

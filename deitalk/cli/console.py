@@ -12,7 +12,7 @@ from functools import cache
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol
 
-from deitalk.text import decodable, decodable_values, one_line
+from rig.text import as_line, decodable, decodable_values
 
 if TYPE_CHECKING:
     pass
@@ -56,7 +56,7 @@ class Console:
         """Print one line, its text as it is."""
         from rich.text import Text
 
-        self.rich.print(Text(one_line(text)), style=style or None)
+        self.rich.print(Text(as_line(text)), style=style or None)
 
     def note(self, text: str) -> None:
         """Print what a user may want to know about the result."""
@@ -113,7 +113,7 @@ def bar(title: str) -> Iterator[Advance]:
 
         def advance(share: float, text: str = "", *, always: bool = False) -> None:
             late = monotonic() - began > VISIBLE_SECONDS
-            progress.update(task, completed=share, visible=late, text=one_line(text))
+            progress.update(task, completed=share, visible=late, text=as_line(text))
 
         yield advance
 

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, emit, emit_json
-from deitalk.text import one_line
+from rig.text import as_line
 
 app = CheckedCommands(help="Look at a dataset folder.", no_args_is_help=True)
 
@@ -44,6 +44,6 @@ def check(
         emit_json(rows, indent=1)
     else:
         for c in checks:
-            emit(one_line(f"{c.level:8} {c.name:13} {c.text}"))
+            emit(as_line(f"{c.level:8} {c.name:13} {c.text}"))
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import emit, emit_json
-from deitalk.text import one_line
+from rig.text import as_line
 
 
 def validate(
@@ -35,7 +35,7 @@ def validate(
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)
     else:
         for finding in validation.findings:
-            emit(one_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
+            emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
     is_warned = strict and any(f.level == "warning" for f in validation.findings)
     if not validation.ok or is_warned:
         raise typer.Exit(1)

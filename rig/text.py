@@ -29,7 +29,7 @@ def decodable(text: str) -> str:
     return raw.decode("utf-8", "backslashreplace")
 
 
-def one_line(text: str) -> str:
+def as_line(text: str) -> str:
     r"""Return a text as one line: `decodable`, line ends and control characters as ``\n``."""
     text = decodable(text)
     if text.isascii() and text.isprintable():
