@@ -29,9 +29,10 @@ from deitalk.pipeline import animate
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 from rig.formats.morph_head import srgb_to_linear
+from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
 from rig.mesh.head import head_landmarks
-from rig.mesh.sequence import check_length
+from rig.mesh.trimesh import check_length
 
 if TYPE_CHECKING:
     from deitalk.emotions import EmotionTrack
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 Floats32 = NDArray[np.float32]
 Progress = Callable[[float], None]
 
-MAX_BYTES = 2 * 2**30
 """Most that the vertices of one recording may take: ten minutes of a head of 10,000 at 30 Hz."""
 HEAD_UNIT_MM = 10.0
 """The embedded head is in centimetres."""
@@ -134,7 +134,7 @@ def animate_mesh(
         return _by_gradients(network, recording, speaker, fps, direction, progress)
     rate = 30.0 if fps is None else fps
     head = build_head(speaker)
-    check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=MAX_BYTES)
+    check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
     performance = animate(
         recording, emotion, model=network, intensity=intensity, progress=progress, **options
     )
@@ -188,7 +188,7 @@ def _by_gradients(
         )
     mesh = network.template(speaker)
     n_frames = ceil(recording.duration * network.fps)
-    check_length(n_frames, len(mesh.vertices), most=MAX_BYTES)
+    check_length(n_frames, len(mesh.vertices), most=PREDICTED_BYTES)
     parts: list[Floats32] = []
     for motion in network.pieces(recording.waveform, speaker, direction):
         parts.append(network.vertices(motion, mesh))

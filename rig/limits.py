@@ -81,8 +81,16 @@ SHAPE_VALUES = 2**27
 """Shapes times vertices times 3: 512 MiB as float32; 52 shapes of 860,000 vertices."""
 COORDINATE = 1.0e9
 """Largest coordinate or displacement, in the file's unit: squares stay finite in float32."""
+SEQUENCE_BYTES = 4 * GIB
+"""Positions of a vertex sequence as float32; morph targets have no such limit."""
+PREDICTED_BYTES = 2 * GIB
+"""Positions of a vertex sequence that a model predicts, held while it is made."""
 NODES = 10_000
 """Nodes of a GLB scene."""
+PRIMITIVES = 10_000
+"""Primitives of a GLB scene; a head has ten."""
+TARGETS = 100_000
+"""Morph targets of all primitives of a GLB scene together; each costs some 20 microseconds."""
 POINT_NAMES = 1000
 """Landmarks or mapped shapes of one file."""
 MAPPED_VALUE = 100.0

@@ -12,10 +12,11 @@ from deitalk.checkpoint import embedded_models
 from deitalk.cli import app
 from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.mesh_checkpoint import save_sdfa
-from deitalk.mesh_pipeline import MAX_BYTES, animate_mesh, is_sdfa
+from deitalk.mesh_pipeline import animate_mesh, is_sdfa
 from rig.errors import ExistsError, FormatError, MeshError, RigError
 from rig.face import build_head
 from rig.face.topology import MOUTH
+from rig.limits import PREDICTED_BYTES
 from rig.mesh import read_ply_sequence
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
@@ -130,7 +131,7 @@ def test_hours_are_refused_before_any_work(network):
     hour = Recording(
         np.zeros(16_000 * 3600, np.float32), source="hour.wav", source_rate=16_000, channels=1
     )
-    with pytest.raises(MeshError, match=rf"GiB, at most {MAX_BYTES / 2**30:g} are made; cut"):
+    with pytest.raises(MeshError, match=rf"GiB, at most {PREDICTED_BYTES / 2**30:g} are made; cut"):
         animate_mesh(hour, model=network)
 
 

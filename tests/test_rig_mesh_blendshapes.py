@@ -9,7 +9,8 @@ from rig import RigCurves, default_controls
 from rig.controls import Control, ControlSet
 from rig.errors import ControlError, FormatError, MeshError
 from rig.mesh.bake import Driver, Half, bake, face_correctives
-from rig.mesh.blendshapes import closing_weight, match_shapes, read_mapping, shape_key
+from rig.mesh.blendshapes import closing_weight, match_shapes, shape_key
+from rig.mesh.shape_mapping import read_mapping
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 

@@ -7,7 +7,8 @@ from rig.errors import FormatError, MeshError, TopologyError
 from rig.mesh import TriMesh, read_ply_sequence
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
-from rig.mesh.sequence import check_length, principal_shapes, write_sequence
+from rig.mesh.sequence import principal_shapes, write_sequence
+from rig.mesh.trimesh import check_length
 
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.2]], [[0, 1, 2], [1, 3, 2]])
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
-from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes, read_mapping
+from rig.mesh.blendshapes import BlendshapeFit, ShapePoses, match_shapes
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
 from rig.mesh.guess import guess_landmarks
@@ -18,9 +18,10 @@ from rig.mesh.landmarks import read_landmarks
 from rig.mesh.obj import read_obj, read_obj_folder
 from rig.mesh.ply import read_ply
 from rig.mesh.retarget import Method, carry_shapes, shapes_for, warnings_of
-from rig.mesh.sequence import check_length, check_out, principal_shapes, write_sequence
+from rig.mesh.sequence import check_out, principal_shapes, write_sequence
+from rig.mesh.shape_mapping import read_mapping
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
-from rig.mesh.trimesh import TriMesh
+from rig.mesh.trimesh import TriMesh, check_length
 
 Way = Literal["blendshapes", "neutral", "sequence"]
 

@@ -166,7 +166,7 @@ def bake(
     names: list[str] = []
     deltas: list[NDArray[np.float32]] = []
     rest = _posed(evaluate, controls.rest, neutral)
-    for name, driver in [*_halves(controls), *correctives]:
+    for name, driver in [*control_halves(controls), *correctives]:
         shown = rest.copy()
         for delta, other in zip(deltas, drivers, strict=True):
             weight = float(other.weight(driver.pose(controls)[None], controls)[0])
@@ -183,7 +183,8 @@ def bake(
     )
 
 
-def _halves(controls: ControlSet) -> list[tuple[str, Driver]]:
+def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:
+    """A driver for each half of each control's range, named after it."""
     halves = []
     for name, low, rest, high in zip(
         controls.names, controls.minimum, controls.rest, controls.maximum, strict=True

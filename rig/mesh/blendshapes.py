@@ -6,13 +6,10 @@ other names come with a mapping file. The weights in [0, 1] whose poses add up n
 are its weights.
 """
 
-import csv
-import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +19,16 @@ from scipy.spatial import KDTree
 from rig.arkit import arkit_controls, arkit_to_raw
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
-from rig.errors import ControlError, FormatError, MeshError
+from rig.errors import ControlError, MeshError
 from rig.mapping import convert
-from rig.mesh.obj import check_size
+from rig.mesh.bake import Driver
+from rig.mesh.correctives import (
+    arkit_halves,
+    driver_poses,
+    driver_weights,
+    half_weight,
+    own_drivers,
+)
 from rig.mesh.shapes import ShapeSet
 from rig.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
 
@@ -93,6 +97,8 @@ class ShapePoses:
         The corrective that closes the lips over an open jaw, and the jaw.
     close_gain : float [range 0 to 1]
         Weight of `mouth_close` at which the lips just meet over `jaw_open` at 1.
+    drivers : mapping of int to Driver
+        Shapes of our own export, which are driven and not fitted.
     """
 
     names: tuple[str, ...]
@@ -100,12 +106,14 @@ class ShapePoses:
     mouth_close: int | None
     jaw_open: int | None
     close_gain: float = 1.0
+    drivers: Mapping[int, Driver] = field(default_factory=dict)
 
     @property
     def understood(self) -> tuple[str, ...]:
         """Names that mean something here."""
         moving = np.asarray(self.poses.any(axis=1))
-        return tuple(n for i, n in enumerate(self.names) if moving[i] or i == self.mouth_close)
+        driven = {*self.drivers, *arkit_halves(self.names), self.mouth_close}
+        return tuple(n for i, n in enumerate(self.names) if moving[i] or i in driven)
 
     def weights(self, curves: RigCurves) -> BlendshapeFit:
         """Fit the weights of every frame.
@@ -122,21 +130,41 @@ class ShapePoses:
         raw = convert(curves, RAW_ID).reorder(raw_controls())
         moved = raw.values.astype(np.float64) - raw_controls().rest
         covered = np.asarray(self.poses.any(axis=0))
-        weights = _bounded_fit(_stand_in(moved, covered), self.poses)
+        weights = self._fitted(_stand_in(moved, covered), curves)
         missed = moved - weights @ self.poses
         together = _columns("mouthLipsTogether")
         if self.mouth_close is not None and self.jaw_open is not None:
             jaw = weights[:, self.jaw_open]
             closing = np.clip(moved[:, together].mean(axis=1), 0, 1)
             weights[:, self.mouth_close] = self.close_gain * closing * jaw
+        if self._closes_lips:
             missed[:, together] = 0.0
             covered[together] = True
+        for half, driving in arkit_halves(self.names).items():
+            weights[:, half] = half_weight([weights[:, k] for k in driving])
         total = float(np.square(moved).sum())
         lost = min(1.0, float(np.sqrt(np.square(missed).sum() / total))) if total else 0.0
         amount = np.where(covered, 0.0, np.abs(moved).sum(axis=0))
         order = [i for i in np.argsort(-amount) if amount[i] > 1e-3 * max(1.0, amount.sum())]
         bare = tuple(raw.names[i].removeprefix(PREFIX) for i in order)
         return BlendshapeFit(self.names, weights.astype(np.float32), lost, bare)
+
+    @property
+    def _closes_lips(self) -> bool:
+        """Whether correctives say what the lips-together curves do."""
+        of_arkit = self.mouth_close is not None and self.jaw_open is not None
+        return of_arkit or any(len(driver.groups) > 1 for driver in self.drivers.values())
+
+    def _fitted(self, moved: Floats, curves: RigCurves) -> Floats:
+        """Weights of all shapes: driven where there is a driver, else fitted to what is left."""
+        if not self.drivers:
+            return _bounded_fit(moved, self.poses)
+        driven = np.zeros((len(moved), len(self.names)))
+        for k, weight in driver_weights(self.drivers, curves).items():
+            driven[:, k] = weight
+        free = self.poses.copy()
+        free[list(self.drivers)] = 0.0
+        return driven + _bounded_fit(moved - driven @ self.poses, free)
 
 
 def match_shapes(
@@ -169,10 +197,12 @@ def match_shapes(
     missing = [name for name in own if name not in names]
     if missing:
         raise MeshError(f"the mapping names shape {missing[0]!r}, which the mesh does not have")
-    poses = np.zeros((len(names), len(raw_controls())))
+    drivers = own_drivers(["" if name in own else name for name in names])
+    poses = driver_poses(drivers, len(names))
     keys = [shape_key(name) for name in names]
     for i, (name, key) in enumerate(zip(names, keys, strict=True)):
-        poses[i] = _own_pose(own[name]) if name in own else _known_pose(key)
+        if i not in drivers:
+            poses[i] = _own_pose(own[name]) if name in own else _known_pose(key)
     close = keys.index("mouthclose") if "mouthclose" in keys else None
     jaw = keys.index("jawopen") if "jawopen" in keys else None
     if not poses.any():
@@ -183,7 +213,7 @@ def match_shapes(
     gain = 1.0
     if shapes is not None and close is not None and jaw is not None:
         gain = closing_weight(shapes, names[jaw], names[close])
-    return ShapePoses(tuple(names), poses, close, jaw, gain)
+    return ShapePoses(tuple(names), poses, close, jaw, gain, drivers)
 
 
 def shape_key(name: str) -> str:
@@ -200,36 +230,6 @@ def shape_key(name: str) -> str:
     if stem.lower() in ("jaw", "mouth"):
         return stem.lower() + {"_l": "left", "_r": "right", "": ""}[side]
     return re.sub(r"[^a-z0-9]", "", stem.lower()) + side
-
-
-def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
-    """Read a mapping file: CSV ``shape,control,value`` or JSON ``{shape: {control: value}}``.
-
-    Raises
-    ------
-    FormatError
-        If it is neither.
-    """
-    path = Path(path)
-    check_size(path)
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    mapping: dict[str, dict[str, float]] = {}
-    try:
-        if path.suffix.lower() == ".json":
-            for shape, controls in json.loads(text).items():
-                mapping[str(shape)] = {str(c): float(v) for c, v in controls.items()}
-        else:
-            for row in csv.DictReader(text.splitlines()):
-                value = float(row.get("value") or 1.0)
-                mapping.setdefault(row["shape"], {})[row["control"]] = value
-    except (ValueError, KeyError, AttributeError, TypeError):
-        mapping = {}
-    if not mapping:
-        raise FormatError(
-            f"{path.name} is no mapping; write CSV with the header shape,control,value "
-            'or JSON {"smile_L": {"mouthCornerPullL": 1.0}}'
-        )
-    return mapping
 
 
 def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
-from rig.mesh.obj import check_size
+from rig.limits import MESH_BYTES
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh, vertex_normals
+from rig.reading import check_file, load_json, open_file
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
 _FLOAT, _UINT = 5126, 5125
@@ -245,24 +246,26 @@ def read_container(path: Path | str) -> tuple[dict[str, Any], bytes]:
         If it is no GLB version 2, is cut short, or keeps its data in other files.
     """
     path = Path(path)
-    check_size(path)
-    data = path.read_bytes()
-    if len(data) < 20 or struct.unpack_from("<II", data) != (_MAGIC, 2):
-        raise FormatError(f"{path.name} is not a binary glTF 2.0 file; export it as .glb")
+    size = check_file(path, MESH_BYTES)
     chunks: dict[int, bytes] = {}
-    offset = 12
-    while offset + 8 <= len(data):
-        length, kind = struct.unpack_from("<II", data, offset)
-        if offset + 8 + length > len(data):
-            raise FormatError(f"{path.name} is cut short")
-        chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
-        offset += 8 + length
-    try:
-        document = json.loads(chunks[_JSON])
-    except (KeyError, ValueError):
-        raise FormatError(f"{path.name} has no readable JSON chunk") from None
+    with open_file(path, MESH_BYTES) as stream:
+        if size < 20 or struct.unpack("<II", stream.read(8)) != (_MAGIC, 2):
+            raise FormatError(f"{path.name} is not a binary glTF 2.0 file; export it as .glb")
+        stream.seek(12)
+        while len(header := stream.read(8)) == 8:
+            length, kind = struct.unpack("<II", header)
+            if stream.tell() + length > size:
+                raise FormatError(f"{path.name} is cut short")
+            if kind in (_JSON, _BIN) and kind not in chunks:
+                chunks[kind] = stream.read(length)
+            else:
+                stream.seek(length, 1)
+    document = load_json(chunks.get(_JSON, b""), f"{path.name}, its JSON chunk,")
     if not isinstance(document, dict):
         raise FormatError(f"{path.name} has no readable JSON chunk")
-    if any("uri" in buffer for buffer in document.get("buffers", [])):
+    buffers = document.get("buffers", [])
+    if not isinstance(buffers, list) or any(not isinstance(b, dict) for b in buffers):
+        raise FormatError(f"{path.name} is inconsistent: 'buffers' must be a list of objects")
+    if any("uri" in buffer for buffer in buffers):
         raise FormatError(f"{path.name} keeps its data in other files; export one .glb")
     return document, chunks.get(_BIN, b"")

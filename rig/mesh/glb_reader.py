@@ -4,7 +4,9 @@
 skin, compression) and only appends morph weights by name.
 """
 
+from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import FormatError, MeshError
+from rig.errors import FormatError, MeshError, quoted
+from rig.limits import NODES, PRIMITIVES, SHAPES, TARGETS, TRIANGLES, VERTICES
 from rig.mesh.glb import GlbBuilder, WeightAnimation, add_animation, read_container, write_container
-from rig.mesh.shapes import ShapeSet
-from rig.mesh.trimesh import MAX_ELEMENTS, TriMesh
+from rig.mesh.shapes import ShapeSet, check_shape_count
+from rig.mesh.trimesh import TriMesh
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +41,7 @@ class _Piece:
     vertices: Floats
     faces: NDArray[np.int64]
     names: list[str]
-    deltas: list[Floats]
+    deltas: list[NDArray[np.float32]]
 
 
 def read_glb(path: Path | str) -> ShapeSet:
@@ -55,16 +58,46 @@ def read_glb(path: Path | str) -> ShapeSet:
     """
     path = Path(path)
     document, binary = read_container(path)
-    _refuse_compressed(document, path.name)
+    with _consistent(path), np.errstate(all="ignore"):  # what is not finite is refused later
+        _refuse_compressed(document, path.name)
+        pieces = _bounded(_pieces(document, binary))
+        if not pieces:
+            raise FormatError(f"{path.name} holds no triangle mesh")
+        return _join(pieces)
+
+
+@contextmanager
+def _consistent(path: Path) -> Iterator[None]:
+    """Say in one line that a document's parts do not fit one another."""
     try:
-        pieces = list(_pieces(document, binary))
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        if isinstance(error, MeshError | FormatError):
-            raise
-        raise FormatError(f"{path.name} is inconsistent: {error!r}") from None
-    if not pieces:
-        raise FormatError(f"{path.name} holds no triangle mesh")
-    return _join(pieces)
+        yield
+    except (MeshError, FormatError):
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise FormatError(f"{path.name} is inconsistent: {quoted(error)}") from None
+
+
+def _bounded(found: Iterator[_Piece]) -> list[_Piece]:
+    """Collect pieces until they are all there, or too many to be held."""
+    pieces: list[_Piece] = []
+    names: set[str] = set()
+    vertices = triangles = targets = 0
+    for piece in found:
+        pieces.append(piece)
+        names.update(piece.names)
+        vertices += len(piece.vertices)
+        triangles += len(piece.faces)
+        targets += len(piece.names)
+        if len(pieces) > PRIMITIVES or targets > TARGETS:
+            raise FormatError(
+                f"more than {PRIMITIVES} primitives or {TARGETS} morph targets; join the meshes"
+            )
+        if vertices > VERTICES or triangles > TRIANGLES:
+            raise MeshError(
+                f"more than {VERTICES} vertices or {TRIANGLES} triangles; decimate the mesh"
+            )
+        check_shape_count(len(names), vertices)
+    return pieces
 
 
 def _refuse_compressed(document: dict[str, Any], name: str) -> None:
@@ -93,11 +126,14 @@ def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[_Piece]:
 def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Floats]]:
     """Nodes of the default scene with their world transforms; a node is visited once."""
     nodes = document.get("nodes", [])
+    if len(nodes) > NODES:
+        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
     scenes = document.get("scenes") or [{"nodes": list(range(len(nodes)))}]
-    waiting = [(i, np.eye(4)) for i in scenes[document.get("scene", 0)].get("nodes", [])]
+    roots = scenes[document.get("scene", 0)].get("nodes", [])
+    waiting = deque((i, np.eye(4)) for i in roots)
     seen: set[int] = set()
     while waiting:
-        index, parent = waiting.pop(0)
+        index, parent = waiting.popleft()
         if index in seen:
             continue
         seen.add(index)
@@ -130,21 +166,40 @@ def _piece(
     primitive: dict[str, Any],
     world: Floats,
 ) -> _Piece:
-    vertices = read_accessor(document, binary, primitive["attributes"]["POSITION"])
+    vertices = _stored(document, binary, primitive["attributes"]["POSITION"], "VEC3")
     if "indices" in primitive:
-        corners = read_accessor(document, binary, primitive["indices"]).astype(np.int64)
+        corners = _stored(document, binary, primitive["indices"], "SCALAR").astype(np.int64)
     else:
         corners = np.arange(len(vertices))
     targets = primitive.get("targets", [])
+    if len(targets) > SHAPES:
+        raise FormatError(f"{len(targets)} morph targets; at most {SHAPES} are read")
+    check_shape_count(len(targets), len(vertices))
     names = target_names(mesh, len(targets))
-    deltas = [
-        read_accessor(document, binary, target["POSITION"]) @ world[:3, :3].T
-        if "POSITION" in target
-        else np.zeros_like(vertices)
-        for target in targets
+    turned = [
+        np.asarray(_delta(document, binary, t, len(vertices)) @ world[:3, :3].T, np.float32)
+        for t in targets
     ]
     placed = vertices @ world[:3, :3].T + world[:3, 3]
-    return _Piece(placed, corners.reshape(-1, 3), names, deltas)
+    return _Piece(placed, corners.reshape(-1, 3), names, turned)
+
+
+def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> Floats:
+    """Positions or indices: an accessor of one type, whose numbers are all in the file."""
+    accessor = document["accessors"][index]
+    if accessor["type"] != kind or "bufferView" not in accessor:
+        raise FormatError(f"accessor {quoted(index)} is no {kind} with data; export it again")
+    return read_accessor(document, binary, index)
+
+
+def _delta(document: dict[str, Any], binary: bytes, target: dict[str, Any], count: int) -> Floats:
+    """Displacements of one morph target [shape=(count, 3)]."""
+    if "POSITION" not in target:
+        return np.zeros((count, 3))
+    accessor = document["accessors"][target["POSITION"]]
+    if accessor["type"] != "VEC3" or accessor["count"] != count:
+        raise FormatError(f"a morph target does not move the {count} vertices of its mesh")
+    return read_accessor(document, binary, target["POSITION"])
 
 
 def target_names(mesh: dict[str, Any], count: int) -> list[str]:
@@ -160,8 +215,11 @@ def read_accessor(document: dict[str, Any], binary: bytes, index: int) -> Floats
     accessor = document["accessors"][index]
     kind = np.dtype(_COMPONENTS[accessor["componentType"]])
     width, count = _WIDTHS[accessor["type"]], int(accessor["count"])
-    if not 0 <= count <= MAX_ELEMENTS * 3:
-        raise FormatError(f"an accessor counts {count} elements; at most {MAX_ELEMENTS * 3}")
+    if not 0 <= count * width <= 3 * max(VERTICES, TRIANGLES):
+        raise FormatError(
+            f"an accessor counts {quoted(count)} elements of {width} numbers; at most "
+            f"{3 * max(VERTICES, TRIANGLES)} numbers are read"
+        )
     values = np.zeros((count, width))
     if "bufferView" in accessor:
         values[:] = _view(document, binary, accessor, kind, count, width)
@@ -189,7 +247,7 @@ def _view(
     row = kind.itemsize * width
     stride = view.get("byteStride", row)
     end = start + (count - 1) * stride + row if count else start
-    if min(start, stride) < 0 or end > len(binary):
+    if start < 0 or stride < row or end > len(binary):
         raise FormatError(f"bufferView {source['bufferView']} reaches past the file's data")
     return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
 
@@ -197,28 +255,38 @@ def _view(
 def _join(pieces: list[_Piece]) -> ShapeSet:
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     names = list(dict.fromkeys(name for p in pieces for name in p.names))
+    place = {name: k for k, name in enumerate(names)}
+    check_shape_count(len(names), int(starts[-1]))
     deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
     for start, piece in zip(starts, pieces, strict=False):
         for name, delta in zip(piece.names, piece.deltas, strict=True):
-            deltas[names.index(name), start : start + len(delta)] += delta
+            deltas[place[name], start : start + len(delta)] += delta
     faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
     vertices = np.concatenate([p.vertices for p in pieces])
+    deltas.setflags(write=False)  # not copied again
     return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
 
 
 def morph_names(path: Path | str) -> tuple[str, ...]:
     """Names of all morph targets in a GLB file, compressed or not, in file order."""
+    path = Path(path)
     document, _ = read_container(path)
-    names = [n for _, columns in _morphing_nodes(document) for n in columns]
-    return tuple(dict.fromkeys(names))
+    with _consistent(path):
+        names = [n for _, columns in _morphing_nodes(document) for n in columns]
+        return tuple(dict.fromkeys(names))
 
 
 def _morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
     found = []
-    for index, node in enumerate(document.get("nodes", [])):
+    nodes = document.get("nodes", [])
+    if len(nodes) > NODES:
+        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
+    for index, node in enumerate(nodes):
         if "mesh" in node:
             mesh = document["meshes"][node["mesh"]]
             count = len(mesh["primitives"][0].get("targets", []))
+            if count > SHAPES:
+                raise FormatError(f"{count} morph targets; at most {SHAPES} are read")
             if count:
                 found.append((index, target_names(mesh, count)))
     return found
@@ -246,7 +314,8 @@ def animate_glb(
         If none of the names is a morph target of the file.
     """
     document, binary = read_container(source)
-    nodes = _morphing_nodes(document)
+    with _consistent(Path(source)):
+        nodes = _morphing_nodes(document)
     weights = np.asarray(animation.weights, dtype=np.float32)
     column = {name: i for i, name in enumerate(names)}
     driven: dict[int, NDArray[np.float32]] = {}

@@ -4,8 +4,8 @@ Left and right are the subject's; left is +x.
 """
 
 import csv
-import json
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from rig.errors import FormatError, MeshError
-from rig.mesh.obj import check_size
+from rig.errors import FormatError, MeshError, quoted
+from rig.limits import COORDINATE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.trimesh import TriMesh
+from rig.reading import load_json, read_text
 
 Floats = NDArray[np.float64]
 
@@ -67,25 +68,25 @@ def read_landmarks(path: Path | str, mesh: TriMesh) -> dict[str, int]:
         If a name or vertex is unknown, or a needed one of the points is missing.
     """
     path = Path(path)
-    check_size(path)
     if path.suffix.lower() not in (".json", ".csv"):
         raise FormatError(f"{path.name}: landmarks come as .json or .csv")
+    text = read_text(path, POINTS_BYTES)
+    given = load_json(text, path.name) if path.suffix.lower() == ".json" else None
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        given = json.loads(text) if path.suffix.lower() == ".json" else _from_csv(text)
-        wanted = {str(k): v for k, v in given.items()}
+        wanted = _from_csv(text) if given is None else {str(k): v for k, v in given.items()}
     except (ValueError, KeyError, AttributeError, TypeError, csv.Error):
         raise FormatError(
             f'{path.name} is no landmark file; write {{"nose_tip": 12, ...}} as JSON, '
             "or CSV with the header name,vertex or name,x,y,z"
         ) from None
+    check_names(wanted)
     landmarks = {name: _vertex(name, where, mesh) for name, where in wanted.items()}
     check_landmarks(landmarks, len(mesh.vertices))
     return landmarks
 
 
 def _from_csv(text: str) -> dict[str, Any]:
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = list(itertools.islice(csv.DictReader(text.splitlines()), POINT_NAMES + 1))
     if rows and "vertex" in rows[0]:
         return {row["name"]: int(row["vertex"]) for row in rows}
     return {row["name"]: [float(row[axis]) for axis in "xyz"] for row in rows}
@@ -96,25 +97,33 @@ def _vertex(name: str, where: Any, mesh: TriMesh) -> int:
         return where
     try:
         point = np.array(where, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         point = np.zeros(0)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise MeshError(f"landmark {name!r} is {where!r}; give a vertex number or [x, y, z]")
+    if point.shape != (3,) or not (np.abs(point) <= COORDINATE).all():
+        raise MeshError(
+            f"landmark {quoted(name)} is {quoted(where)}; give a vertex number or [x, y, z], each "
+            f"within ±{COORDINATE:g}"
+        )
     used = np.unique(mesh.faces)
     return int(used[KDTree(mesh.vertices[used]).query(point)[1]])
 
 
 def check_landmarks(landmarks: Mapping[str, int], count: int) -> None:
     """Raise MeshError unless names are known, vertices exist, and `NEEDED` are all there."""
-    unknown = sorted(set(landmarks) - set(LANDMARKS))
-    if unknown:
-        raise MeshError(f"unknown landmark {unknown[0]!r}; known: {', '.join(LANDMARKS)}")
+    check_names(landmarks)
     missing = [name for name in NEEDED if name not in landmarks]
     if missing:
         raise MeshError(f"landmarks lack {', '.join(missing)}; at least {', '.join(NEEDED)}")
     for name, vertex in landmarks.items():
         if not 0 <= vertex < count:
-            raise MeshError(f"landmark {name!r} is vertex {vertex}; the mesh has {count}")
+            raise MeshError(f"landmark {name!r} is vertex {quoted(vertex)}; the mesh has {count}")
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Raise MeshError unless all names are among `LANDMARKS`."""
+    unknown = sorted(set(names) - set(LANDMARKS))
+    if unknown:
+        raise MeshError(f"unknown landmark {quoted(unknown[0])}; known: {', '.join(LANDMARKS)}")
 
 
 def similarity(before: Any, after: Any) -> tuple[float, Floats, Floats]:

@@ -5,18 +5,19 @@ Polygons become fans from their first corner, so that equal files give equal tri
 no face uses are kept: their indices count.
 """
 
-from collections.abc import Sequence
+import itertools
+from array import array
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from rig.errors import FormatError, TopologyError
+from rig.errors import FormatError, MeshError, TopologyError, quoted
 from rig.files import atomic_write, output_folder
-from rig.mesh.shapes import ShapeSet
+from rig.limits import MESH_BYTES, TRIANGLES, VERTICES
+from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
-
-MAX_BYTES = 512 * 2**20
-"""Largest text mesh that is read."""
+from rig.reading import open_file
 
 NEUTRAL_WORDS = ("neutral", "base", "rest", "basis", "default")
 """A file is taken as the neutral one if its name holds one of these words."""
@@ -33,38 +34,40 @@ def read_obj(path: Path | str) -> TriMesh:
         If the contents make no mesh.
     """
     path = Path(path)
-    vertices: list[tuple[float, ...]] = []
-    triangles: list[tuple[int, int, int]] = []
+    vertices, triangles = array("d"), array("q")
     for number, line in enumerate(_lines(path), start=1):
         try:
             if line.startswith("v "):
-                vertices.append(_position(line))
+                vertices.extend(_position(line))
             elif line.startswith("f "):
-                triangles.extend(_fan(_corners(line, len(vertices))))
-        except ValueError:
+                triangles.extend(_fan(_corners(line, len(vertices) // 3)))
+        except (ValueError, OverflowError):
             raise FormatError(
-                f"{path.name} line {number}: cannot read {line.strip()[:60]!r}"
+                f"{path.name} line {number}: cannot read {quoted(line.strip())}"
             ) from None
+        if len(vertices) > 3 * VERTICES or len(triangles) > 3 * TRIANGLES:
+            raise MeshError(
+                f"{path.name} has more than {VERTICES} vertices or {TRIANGLES} triangles; "
+                "decimate the mesh"
+            )
     if not vertices:
         raise FormatError(f"{path.name} holds no vertices ('v' lines); is it an OBJ file?")
-    return TriMesh(np.array(vertices), np.array(triangles, dtype=np.int64).reshape(-1, 3))
+    corners = np.array(triangles, dtype=np.int64)
+    return TriMesh(np.array(vertices).reshape(-1, 3), corners.reshape(-1, 3))
 
 
-def _lines(path: Path) -> list[str]:
-    check_size(path)
-    text = path.read_text(encoding="utf-8", errors="replace")
-    # A trailing backslash continues a line; blanked rather than cut, so that numbers stay right.
-    return text.replace("\\\n", " ").split("\n") if "\\\n" in text else text.split("\n")
-
-
-def check_size(path: Path) -> None:
-    """Raise FormatError if there is no such file or it is larger than `MAX_BYTES`."""
-    if not path.is_file():
-        raise FormatError(f"{path} is not a file")
-    if path.stat().st_size > MAX_BYTES:
-        raise FormatError(
-            f"{path.name} has {path.stat().st_size / 2**20:.0f} MiB; at most {MAX_BYTES >> 20} MiB"
-        )
+def _lines(path: Path) -> Iterator[str]:
+    """Lines of a file; a trailing backslash continues one."""
+    parts: list[str] = []
+    with open_file(path, MESH_BYTES) as stream:
+        for raw in stream:
+            parts.append(raw.decode("utf-8", "replace").rstrip("\r\n"))
+            if parts[-1].endswith("\\"):
+                parts[-1] = parts[-1][:-1]
+                continue
+            yield " ".join(parts)
+            parts.clear()
+    yield " ".join(parts)
 
 
 def _position(line: str) -> tuple[float, ...]:
@@ -80,8 +83,10 @@ def _corners(line: str, count: int) -> list[int]:
     return [i - 1 if i > 0 else count + i for i in corners]
 
 
-def _fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
-    return [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
+def _fan(corners: Sequence[int]) -> list[int]:
+    """Corners of the triangles of a polygon, one after the other."""
+    pairs = itertools.pairwise(corners[1:])
+    return [corner for pair in pairs for corner in (corners[0], *pair)]
 
 
 def write_obj(path: Path | str, mesh: TriMesh) -> None:
@@ -119,6 +124,7 @@ def read_obj_folder(folder: Path | str) -> ShapeSet:
         )
     neutral = read_obj(neutral_files[0])
     shapes = [f for f in files if f != neutral_files[0]]
+    check_shape_count(len(shapes), len(neutral.vertices))
     deltas = np.zeros((len(shapes), *neutral.vertices.shape), dtype=np.float32)
     for delta, file in zip(deltas, shapes, strict=True):
         vertices = read_obj(file).vertices
@@ -128,6 +134,7 @@ def read_obj_folder(folder: Path | str) -> ShapeSet:
                 f"{len(neutral.vertices)}; export every shape with the same vertex order"
             )
         delta[:] = vertices - neutral.vertices
+    deltas.setflags(write=False)  # not copied again
     return ShapeSet(neutral, tuple(f.stem for f in shapes), deltas)
 
 

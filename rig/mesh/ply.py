@@ -1,40 +1,17 @@
 """Stanford PLY, ASCII and binary, and folders of them as sequences (the VOCASET layout)."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import FormatError, TopologyError
+from rig.errors import FormatError, MeshError, TopologyError
 from rig.files import atomic_write, output_folder
-from rig.mesh.obj import check_size
-from rig.mesh.trimesh import MAX_ELEMENTS, TriMesh
-
-_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
-    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
-
-@dataclass(frozen=True)
-class _Property:
-    name: str
-    type: str
-    length_type: str | None = None
-
-
-@dataclass(frozen=True)
-class _Element:
-    name: str
-    count: int
-    properties: list[_Property]
+from rig.limits import MESH_BYTES, TRIANGLES
+from rig.mesh.ply_elements import Lists, read_element, read_header
+from rig.mesh.trimesh import TriMesh, check_length
+from rig.reading import check_file, open_file
 
 
 def read_ply(path: Path | str) -> TriMesh:
@@ -46,115 +23,45 @@ def read_ply(path: Path | str) -> TriMesh:
         If the header is wrong, the file is cut short, or it has no vertices or faces.
     """
     path = Path(path)
-    check_size(path)
+    size = check_file(path, MESH_BYTES)
     vertices: NDArray[Any] | None = None
-    polygons: list[NDArray[Any]] = []
-    with path.open("rb") as file:
+    polygons: NDArray[Any] | Lists = Lists(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    with open_file(path, MESH_BYTES) as file:
         try:
-            order, elements = _header(file)
+            order, elements = read_header(file)
             for element in elements:
-                rows = _read_element(file, element, order)
+                columns = read_element(file, element, order, size - file.tell())
                 if element.name == "vertex":
-                    vertices = np.stack([rows[axis] for axis in "xyz"], axis=1)
+                    vertices = np.stack([_numbers(columns[axis]) for axis in "xyz"], axis=1)
                 elif element.name == "face":
-                    key = "vertex_indices" if "vertex_indices" in rows else "vertex_index"
-                    polygons = rows[key]
-        except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+                    key = "vertex_indices" if "vertex_indices" in columns else "vertex_index"
+                    polygons = columns[key]
+        except (LookupError, ValueError, TypeError, OverflowError) as error:
             raise FormatError(f"{path.name} is not a readable PLY file: {error}") from None
     if vertices is None:
         raise FormatError(f"{path.name} has no 'vertex' element")
+    if not isinstance(polygons, Lists) or polygons.values.dtype.kind not in "iu":
+        raise FormatError(f"{path.name}: corners of faces must be lists of whole numbers")
     return TriMesh(vertices, _triangulate(polygons))
 
 
-def _header(file: IO[bytes]) -> tuple[str, list[_Element]]:
-    lines: list[list[str]] = []
-    for raw in islice(file, 1000):
-        lines.append(raw.decode("ascii").split())
-        if lines[-1] == ["end_header"]:
-            break
-    if not lines or lines[0] != ["ply"] or lines[-1] != ["end_header"]:
-        raise ValueError("no 'ply' ... 'end_header'")
-    order, elements = None, []
-    for words in lines[1:-1]:
-        match words:
-            case ["format", name, _]:
-                order = _ORDERS[name]
-            case ["element", name, count]:
-                elements.append(_Element(name, _bounded(int(count)), []))
-            case ["property", "list", length, kind, name]:
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[length]))
-            case ["property", kind, name]:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
-    if order is None:
-        raise ValueError("no 'format' line")
-    return order, elements
+def _triangulate(polygons: Lists) -> NDArray[np.int64]:
+    """Triangles [shape=(N, 3)] of polygons: fans from their first corners."""
+    counts = np.maximum(polygons.lengths - 2, 0)
+    if counts.sum() > TRIANGLES:
+        raise MeshError(f"{counts.sum()} triangles; at most {TRIANGLES} are read: decimate it")
+    starts = np.cumsum(polygons.lengths) - polygons.lengths
+    first = np.repeat(starts, counts)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    places = np.stack([first, first + within + 1, first + within + 2], axis=1)
+    triangles: NDArray[np.int64] = polygons.values.astype(np.int64)[places]
+    return triangles
 
 
-def _bounded(count: int) -> int:
-    if not 0 <= count <= MAX_ELEMENTS:
-        raise ValueError(f"{count} elements; at most {MAX_ELEMENTS}")
-    return count
-
-
-def _read_element(file: IO[bytes], element: _Element, order: str) -> dict[str, Any]:
-    if order == "":
-        return _columns(element, _ascii_rows(file, element))
-    if not any(p.length_type for p in element.properties):
-        kind = np.dtype([(p.name, order + p.type) for p in element.properties])
-        rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
-        return {p.name: rows[p.name] for p in element.properties}
-    return _columns(element, _binary_rows(file, element, order))
-
-
-def _exactly(file: IO[bytes], size: int) -> bytes:
-    data = file.read(size)
-    if len(data) != size:
-        raise ValueError("the file is cut short")
-    return data
-
-
-def _columns(element: _Element, rows: Iterator[list[Any]]) -> dict[str, Any]:
-    columns: dict[str, Any] = {p.name: [] for p in element.properties}
-    for row in rows:
-        for prop, value in zip(element.properties, row, strict=True):
-            columns[prop.name].append(value)
-    return columns
-
-
-def _ascii_rows(file: IO[bytes], element: _Element) -> Iterator[list[Any]]:
-    for _ in range(element.count):
-        words = iter(file.readline().split())
-        row: list[Any] = []
-        try:
-            for prop in element.properties:
-                if prop.length_type is None:
-                    row.append(float(next(words)))
-                else:
-                    row.append(np.array([int(next(words)) for _ in range(int(next(words)))]))
-        except StopIteration:
-            raise ValueError("the file is cut short") from None
-        yield row
-
-
-def _binary_rows(file: IO[bytes], element: _Element, order: str) -> Iterator[list[Any]]:
-    for _ in range(element.count):
-        row: list[Any] = []
-        for prop in element.properties:
-            count = 1
-            if prop.length_type is not None:
-                length = np.dtype(order + prop.length_type)
-                count = int(np.frombuffer(_exactly(file, length.itemsize), length)[0])
-            kind = np.dtype(order + prop.type)
-            values = np.frombuffer(_exactly(file, kind.itemsize * count), kind)
-            row.append(values if prop.length_type else values[0])
-        yield row
-
-
-def _triangulate(polygons: list[NDArray[Any]]) -> NDArray[np.int64]:
-    triangles = [
-        (int(p[0]), int(p[i]), int(p[i + 1])) for p in polygons for i in range(1, len(p) - 1)
-    ]
-    return np.array(triangles, dtype=np.int64).reshape(-1, 3)
+def _numbers(column: NDArray[Any] | Lists) -> NDArray[Any]:
+    if isinstance(column, Lists):
+        raise ValueError("x, y and z must be numbers, not lists")
+    return column
 
 
 def write_ply(path: Path | str, mesh: TriMesh, *, ascii: bool = False) -> None:
@@ -198,6 +105,7 @@ def read_ply_sequence(folder: Path | str) -> tuple[TriMesh, NDArray[np.float32]]
     if not files:
         raise FormatError(f"{folder} holds no .ply files")
     first = read_ply(files[0])
+    check_length(len(files), len(first.vertices))
     frames = np.empty((len(files), *first.vertices.shape), dtype=np.float32)
     for frame, file in zip(frames, files, strict=True):
         vertices = read_ply(file).vertices

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import MeshError
+from rig.limits import RETARGET_VERTICES
 from rig.mesh.bake import BakedRig
 from rig.mesh.eyelids import fit_lids
 from rig.mesh.head import SourceHead, source_head
@@ -25,8 +26,6 @@ from rig.mesh.trimesh import TriMesh
 Floats = NDArray[np.float64]
 Method = Literal["displacements", "gradients"]
 
-MAX_VERTICES = 200_000
-"""Largest mesh that shapes are made for; two hundred morph targets of more help nobody."""
 _VERTICES_AT_ONCE = 4_000_000
 """Shapes are carried in batches of about so many vertices altogether: some hundred MiB."""
 
@@ -132,10 +131,10 @@ def carry_shapes(
     method : str
         "displacements" or "gradients".
     """
-    if len(target.vertices) > MAX_VERTICES:
+    if len(target.vertices) > RETARGET_VERTICES:
         raise MeshError(
             f"the mesh has {len(target.vertices)} vertices; shapes are made for at most "
-            f"{MAX_VERTICES}: decimate it"
+            f"{RETARGET_VERTICES}: decimate it"
         )
     registration = register(source.neutral, source.landmarks, target, landmarks)
     source_pairs = lip_pairs(source.neutral, source.landmarks, registration.source_labels)

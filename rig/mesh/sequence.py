@@ -11,18 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import FormatError, MeshError, TopologyError
+from rig.errors import FormatError, TopologyError
 from rig.files import atomic_write
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.ply import write_ply_sequence
 from rig.mesh.shapes import ShapeSet
-from rig.mesh.trimesh import TriMesh
+from rig.mesh.trimesh import TriMesh, check_length
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-MAX_SEQUENCE_BYTES = 4 * 2**30
-"""Largest vertex sequence that is written; morph targets have no such limit."""
 _FRAMES_AT_FIRST = 384
 """Frames that principal shapes are first taken from, evenly over the sequence."""
 _FRAMES_MORE = 128
@@ -45,22 +43,6 @@ def check_out(out: Path) -> None:
         )
     if not out.parent.is_dir():
         raise FormatError(f"{out.parent} is not a folder; make it first")
-
-
-def check_length(frames: int, vertices: int, *, most: int = MAX_SEQUENCE_BYTES) -> None:
-    """Refuse a sequence whose float32 positions take more than `most` bytes.
-
-    Raises
-    ------
-    MeshError
-        Naming frames, vertices and size.
-    """
-    size = 12 * frames * vertices
-    if size > most:
-        raise MeshError(
-            f"{frames} frames of {vertices} vertices are {size / 2**30:.1f} GiB, at most "
-            f"{most / 2**30:g} are made; cut the recording, or write curves, which stay small"
-        )
 
 
 def write_sequence(

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import FormatError, MeshError
+from rig.errors import FormatError, MeshError, quoted
 from rig.files import atomic_write
+from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
 from rig.mesh.trimesh import TriMesh
+from rig.reading import read_npz
 
 Floats = NDArray[np.float64]
-
-MAX_SHAPES = 2000
-"""Most shapes one set may hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +44,26 @@ class ShapeSet:
 
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
-        deltas = np.array(self.deltas, dtype=np.float32)
+        check_shape_count(len(names), len(self.neutral.vertices))
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
-            raise MeshError(f"shape {doubled[0]!r} appears twice; rename one")
-        if len(names) > MAX_SHAPES:
-            raise MeshError(f"{len(names)} shapes; at most {MAX_SHAPES}")
+            raise MeshError(f"shape {quoted(doubled[0])} appears twice; rename one")
+        with np.errstate(over="ignore"):  # what becomes infinite is named below
+            deltas = np.asarray(self.deltas, dtype=np.float32)
+        if deltas.flags.writeable:
+            deltas = deltas.copy()
         expected = (len(names), *self.neutral.vertices.shape)
         if deltas.shape != expected:
             raise MeshError(
                 f"deltas have shape {deltas.shape}; {len(names)} names and the neutral mesh "
                 f"need {expected}"
             )
-        broken = [n for n, d in zip(names, deltas, strict=True) if not np.isfinite(d).all()]
-        if broken:
-            raise MeshError(f"shape {broken[0]!r} holds numbers that are not finite")
+        for name, delta in zip(names, deltas, strict=True):
+            if not (np.abs(delta) <= COORDINATE).all():
+                raise MeshError(
+                    f"shape {quoted(name)} holds numbers that are not finite or beyond "
+                    f"±{COORDINATE:g}"
+                )
         deltas.setflags(write=False)
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "deltas", deltas)
@@ -83,6 +87,23 @@ class ShapeSet:
         return np.asarray(self.neutral.vertices + flat.reshape(len(w), -1, 3))
 
 
+def check_shape_count(n_shapes: int, n_vertices: int) -> None:
+    """Refuse a set of shapes that is not held in memory.
+
+    Raises
+    ------
+    MeshError
+        If there are more than `limits.SHAPES` shapes or `limits.SHAPE_VALUES` numbers.
+    """
+    if n_shapes > SHAPES:
+        raise MeshError(f"{n_shapes} shapes; at most {SHAPES} are read")
+    if 3 * n_shapes * n_vertices > SHAPE_VALUES:
+        raise MeshError(
+            f"{n_shapes} shapes of {n_vertices} vertices are more than {SHAPE_VALUES} numbers; "
+            "decimate the mesh, or export fewer shapes"
+        )
+
+
 def write_shapes_npz(path: Path | str, shapes: ShapeSet) -> None:
     """Write `neutral`, `triangles`, `names`, `deltas` and landmarks as one compressed NPZ."""
     with atomic_write(path) as beside, open(beside, "wb") as file:
@@ -103,24 +124,48 @@ def read_shapes_npz(path: Path | str) -> ShapeSet:
     Raises
     ------
     FormatError
-        If the file is no NPZ or lacks `neutral`, `triangles`, `names` or `deltas`.
+        If the file is no NPZ or lacks `neutral`, `triangles`, `names` or `deltas`, or an array is
+        of a wrong type.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError) as error:
-        raise FormatError(f"{Path(path).name} is not a readable NPZ file: {error}") from None
+    arrays = read_npz(Path(path), limit=UNPACKED_BYTES)
     missing = [k for k in ("neutral", "triangles", "names", "deltas") if k not in arrays]
     if missing:
         raise FormatError(
             f"{Path(path).name} has no array {missing[0]!r}; a shape file holds neutral (V, 3), "
             "triangles (N, 3), names (K,) and deltas (K, V, 3)"
         )
+    for key, kinds in _KINDS.items():
+        if key in arrays and arrays[key].dtype.kind not in kinds:
+            raise FormatError(f"{Path(path).name}: array {key!r} holds {arrays[key].dtype}")
+    neutral = TriMesh(arrays["neutral"], arrays["triangles"])
+    names = _texts(path, "names", arrays["names"], SHAPES)
+    check_shape_count(len(names), len(neutral.vertices))
+    return ShapeSet(neutral, names, arrays["deltas"], _landmarks(path, arrays, neutral))
+
+
+_KINDS = {"neutral": "iuf", "triangles": "iu", "names": "U", "deltas": "iuf",
+          "landmark_names": "U", "landmark_vertices": "iu"}  # fmt: skip
+
+
+def _texts(path: Path | str, key: str, array: NDArray[Any], most: int) -> tuple[str, ...]:
+    if array.ndim != 1 or len(array) > most:
+        raise FormatError(
+            f"{Path(path).name}: {key} have shape {array.shape}; they must be (K,), at most {most}"
+        )
+    return tuple(str(name) for name in array)
+
+
+def _landmarks(
+    path: Path | str, arrays: Mapping[str, NDArray[Any]], neutral: TriMesh
+) -> dict[str, int]:
+    """Landmarks of a shape file; FormatError unless each is one of its vertices."""
     names = arrays.get("landmark_names", np.array([], dtype=str))
     vertices = arrays.get("landmark_vertices", np.array([], dtype=np.int64))
-    return ShapeSet(
-        TriMesh(arrays["neutral"], arrays["triangles"]),
-        tuple(str(name) for name in arrays["names"]),
-        arrays["deltas"],
-        {str(n): int(v) for n, v in zip(names, vertices, strict=True)},
-    )
+    marked = _texts(path, "landmark_names", names, POINT_NAMES)
+    is_inside = (vertices >= 0) & (vertices < len(neutral.vertices))
+    if vertices.shape != names.shape or not is_inside.all():
+        raise FormatError(
+            f"{Path(path).name}: landmark_vertices must give one of {len(neutral.vertices)} "
+            f"vertices for each of {len(marked)} names"
+        )
+    return {name: int(vertex) for name, vertex in zip(marked, vertices, strict=True)}

@@ -13,15 +13,13 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rig.errors import MeshError, TopologyError
+from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 DEGENERATE_AREA = 1e-12
 """A triangle is degenerate below this share of the squared diagonal of the mesh's box."""
-
-MAX_ELEMENTS = 5_000_000
-"""Most vertices or triangles a file may bring."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +95,18 @@ def _check_shapes(vertices: Floats, faces: NDArray[Any]) -> None:
         )
     if len(faces) == 0:
         raise MeshError("the mesh has no triangles; export the surface, not points or curves")
-    if max(len(vertices), len(faces)) > MAX_ELEMENTS:
+    if len(vertices) > VERTICES or len(faces) > TRIANGLES:
         raise MeshError(
-            f"{len(vertices)} vertices and {len(faces)} triangles; at most {MAX_ELEMENTS} of each"
+            f"{len(vertices)} vertices and {len(faces)} triangles; at most {VERTICES} vertices and "
+            f"{TRIANGLES} triangles are read: decimate the mesh"
         )
-    if not np.isfinite(vertices).all():
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        raise MeshError(f"vertices {listed(bad)} are not finite numbers; export the mesh again")
+    is_usable = np.abs(vertices) <= COORDINATE
+    if not is_usable.all():
+        bad = np.flatnonzero(~is_usable.all(axis=1))
+        raise MeshError(
+            f"vertices {listed(bad)} are not finite numbers within ±{COORDINATE:g}; export the "
+            "mesh again"
+        )
 
 
 def _check_indices(faces: Ints, count: int) -> None:
@@ -117,6 +120,22 @@ def _check_indices(faces: Ints, count: int) -> None:
     if doubled.any():
         raise TopologyError(
             f"triangles {listed(np.flatnonzero(doubled))} name a vertex twice; remove them"
+        )
+
+
+def check_length(frames: int, vertices: int, *, most: int = SEQUENCE_BYTES) -> None:
+    """Refuse a sequence whose float32 positions take more than `most` bytes.
+
+    Raises
+    ------
+    MeshError
+        Naming frames, vertices and size.
+    """
+    size = 12 * frames * vertices
+    if size > most:
+        raise MeshError(
+            f"{frames} frames of {vertices} vertices are {size / 2**30:.1f} GiB, at most "
+            f"{most / 2**30:g} are made; cut the recording, or write curves, which stay small"
         )
 
 
