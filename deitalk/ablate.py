@@ -25,7 +25,7 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.evaluate import evaluate
 from deitalk.evaluation.report import as_json
 from deitalk.train import train
-from rig.files import atomic_write
+from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
     "lpe": "LPE", "epe": "EPE", "bilabial_window_auc": "bilabial AUC",
@@ -36,6 +36,8 @@ METRICS = {
 """Rows of the evaluation that the table shows, and what it calls them."""
 FULL = "full"
 """The variant that comes first in the table."""
+KIND = "ablations"
+"""What the manifest calls the folder."""
 Says = Callable[[str, float], None]
 
 
@@ -131,18 +133,38 @@ def ablate(
     ------
     ConfigError, DataError
         If `out` holds runs with other settings, or the data lacks a split.
+    rig.errors.TargetError
+        If `out` holds what no ablation wrote, its table was edited, or another process writes
+        there.
     """
+    with claim(out):
+        begin_folder(out, kind=KIND)
+        asked = {"split": split, "most": most, "probes": probes}
+        return _ablate(variants, data, out, steps, seeds, asked, overrides, says)
+
+
+def _ablate(
+    variants: Sequence[Variant],
+    data: Path,
+    out: Path,
+    steps: int | None,
+    seeds: int,
+    asked: dict[str, Any],
+    overrides: Sequence[str],
+    says: Says,
+) -> dict[str, Any]:
+    """Every run and the table, in a folder that is held."""
     table = {}
     lend = lru_cache(Ears)  # what a frozen frontend heard serves all runs
+    asked = {"data": str(data.resolve()), **asked}
     for variant in variants:
         reports = []
         for seed in range(seeds):
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
-            asked = {"data": str(data.resolve()), "split": split, "most": most, "probes": probes}
             reports.append(_report(folder, config, data, asked, says, lend))
         table[variant.name] = _summary(reports)
-        _write(out, table, split, seeds)
+        _write(out, table, asked["split"], seeds)
     return table
 
 
@@ -172,7 +194,10 @@ def _report(
 
 def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, Any]:
     """A report that is there, if it answers what is asked now."""
-    report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        report: dict[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError, RecursionError):
+        raise DataError(f"{path}: no evaluation; remove it, and it is made again") from None
     if load_config(path.parent / "config.yaml") != config or report.get("asked") != asked:
         raise DataError(
             f"{path.parent}: was trained or evaluated with other settings; "
@@ -184,14 +209,11 @@ def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, An
 def _train(
     folder: Path, config: Config, data: Path, ears: Ears | None, says: Callable[[float], None]
 ) -> None:
-    is_begun = (folder / "state.pt").is_file()
-    if not is_begun:  # what was killed before its first checkpoint begins again
-        (folder / "metrics.csv").unlink(missing_ok=True)
     train(
         config,
         data,
         folder,
-        resume=is_begun,
+        resume=True,
         ears=ears,
         progress=lambda step, total, values: says(step / total),
     )
@@ -221,10 +243,8 @@ def _value(report: dict[str, Any], source: str, metric: str) -> float | None:
 
 
 def _write(out: Path, table: dict[str, Any], split: str, seeds: int) -> None:
-    with atomic_write(out / "ablations.json") as beside:
-        beside.write_text(as_json(table), encoding="utf-8")
-    with atomic_write(out / "ablations.md") as beside:
-        beside.write_text(as_markdown(table, split, seeds), encoding="utf-8")
+    replace_recorded(out, "ablations.json", as_json(table))
+    replace_recorded(out, "ablations.md", as_markdown(table, split, seeds))
 
 
 def as_markdown(table: dict[str, Any], split: str, seeds: int) -> str:

@@ -9,12 +9,15 @@
     tensorboard/         both tables as TensorBoard's events, where they are asked for
     best/, last/         model folders
     state.pt             everything a killed run needs to go on exactly
+
+A kill at any moment leaves whole files; ``state.pt`` is the last that an evaluation writes, and
+what is beyond it is made again by the run that goes on.
 """
 
-import csv
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +25,34 @@ import torch
 import yaml
 
 from deitalk.config import AnyConfig, load_config
-from deitalk.errors import ConfigError, DataError, MissingError
-from rig.files import atomic_write
+from deitalk.errors import ConfigError, DataError
+from deitalk.run_tables import forget
+from rig.files import (
+    atomic_write,
+    begin_folder,
+    check_folder,
+    claim,
+    kind_of,
+    record,
+    recover,
+    remove_leftovers,
+    replace_recorded,
+)
 
 MAY_CHANGE = ("name", "train.workers", "train.evaluate_every")
 """Settings that a resumed run may have changed."""
+KIND = "run"
+"""What the manifest calls the folder."""
+_BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
+"""What shows that a run has done something."""
+_MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "templates.npz")
 
 
-def open_folder(out: Path, config: AnyConfig, *, resume: bool, write: bool) -> None:
-    """Refuse to mix two runs in one folder; else write the configuration there.
+@contextmanager
+def open_folder(
+    out: Path, config: AnyConfig, *, resume: bool, writes: bool = True
+) -> Iterator[None]:
+    """Keep a run folder for this run until the block ends, and write the configuration there.
 
     Parameters
     ----------
@@ -39,34 +61,65 @@ def open_folder(out: Path, config: AnyConfig, *, resume: bool, write: bool) -> N
     config : Config or SDFAConfig
         Settings of the run that begins or goes on.
     resume : bool
-        Whether it goes on.
-    write : bool
-        Whether this is the process that writes.
+        Go on with the run that is there; where there is none, begin it.
+    writes : bool
+        Whether this is the process that writes; for others nothing is done.
 
     Raises
     ------
     DataError
-        If a run is there and `resume` is not asked for, or the other way round.
+        If a run is there and `resume` is not set.
     ConfigError
         If the run that goes on was begun with other settings.
+    rig.errors.TargetError
+        If the folder holds what no run wrote, files of the run were edited, or another process
+        trains there.
     """
-    if resume and not (out / "state.pt").is_file():
-        raise DataError(f"{out}: no state.pt to go on from; leave out --resume to begin")
-    if not resume and (out / "metrics.csv").exists():
-        raise DataError(f"{out}: holds a run already; use --resume, or name another folder")
-    settings = config.model_dump(mode="json")
-    if resume and (out / "config.yaml").is_file():
-        before = load_config(out / "config.yaml").model_dump(mode="json")
-        changed = [key for key in _differences(before, settings) if key not in MAY_CHANGE]
-        if changed:
-            raise ConfigError(
-                f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
-                "own config.yaml"
+    if not writes:
+        yield
+        return
+    with claim(out):
+        is_ours = kind_of(out) == KIND
+        if is_ours and not resume and any((out / name).exists() for name in _BEGUN):
+            raise DataError(
+                f"{out}: holds a run already; set resume to go on with it, or name another folder"
             )
-    if write:
-        out.mkdir(parents=True, exist_ok=True)
-        with atomic_write(out / "config.yaml") as beside:
-            beside.write_text(yaml.safe_dump(settings, sort_keys=False))
+        if resume:
+            _adopt(out)
+        begin_folder(out, kind=KIND)
+        for folder in (out / "best", out / "last"):
+            recover(folder)
+            check_folder(folder, kind="model", force=True)
+        remove_leftovers(out / "curves")
+        if resume and (out / "config.yaml").is_file():
+            _check_settings(out, config)
+        settings = config.model_dump(mode="json")
+        replace_recorded(out, "config.yaml", yaml.safe_dump(settings, sort_keys=False))
+        yield
+
+
+def _check_settings(out: Path, config: AnyConfig) -> None:
+    before = load_config(out / "config.yaml").model_dump(mode="json")
+    settings = config.model_dump(mode="json")
+    changed = [key for key in _differences(before, settings) if key not in MAY_CHANGE]
+    if changed:
+        raise ConfigError(
+            f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
+            "own config.yaml"
+        )
+
+
+def _adopt(out: Path) -> None:
+    """List the files of a run that was begun before run folders had a manifest."""
+    if kind_of(out) is not None or not (out / "state.pt").is_file():
+        return
+    if not (out / "config.yaml").is_file():
+        return
+    for folder in (out / "best", out / "last"):
+        if (folder / "model.json").is_file() and kind_of(folder) is None:
+            names = [path.name for path in folder.iterdir() if path.name in _MODEL_FILES]
+            record(folder, names, kind="model")
+    record(out, ["config.yaml"], kind=KIND)
 
 
 def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list[str]:
@@ -111,15 +164,18 @@ def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:
 def go_on(out: Path, parts: dict[str, Any], *, forgets: bool) -> tuple[int, float]:
     """Bring the parts to where a run stopped; return its step and the best score so far.
 
-    Rows and pictures beyond that step are dropped by the process that `forgets`: the run will
-    make them again.
+    Without ``state.pt``, as after a kill before the first evaluation, the parts stay as they are
+    and the run begins at step 0. Rows and pictures beyond the step are dropped by the process that
+    `forgets`: the run will make them again.
 
     Raises
     ------
     DataError
-        If ``state.pt`` is damaged or of another model.
+        If ``state.pt`` is damaged or of another model, or a log is not one of a run.
     """
-    numbers = restore_state(out, parts)
+    numbers: dict[str, float] = {"step": 0, "best_score": -math.inf}
+    if (out / "state.pt").is_file():
+        numbers = restore_state(out, parts)
     step = int(numbers["step"])
     if forgets:
         for name in ("metrics.csv", "development.csv"):
@@ -173,80 +229,3 @@ def picture_path(out: Path, step: int) -> Path:
     """Where an evaluation's curves are drawn; names sort by step."""
     (out / "curves").mkdir(exist_ok=True)
     return out / "curves" / f"{step:06d}.png"
-
-
-class Journal:
-    """The numbers of a run: rows of CSV files, and TensorBoard's events where asked for.
-
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    step : int
-        Steps done before; events beyond are hidden, as the run makes them again.
-    tensorboard : bool
-        Write events too, to ``tensorboard/``.
-
-    Raises
-    ------
-    MissingError
-        If TensorBoard is asked for and not installed.
-    """
-
-    def __init__(self, out: Path, *, step: int = 0, tensorboard: bool = False) -> None:
-        self.out = out
-        self._events: Any = None
-        if tensorboard:
-            self._events = summary_writer()(out / "tensorboard", purge_step=step + 1)
-
-    def write(self, table: str, step: int, values: dict[str, float]) -> None:
-        """Append a row to ``<table>.csv``; finite numbers become scalars ``<table>/<name>``."""
-        log(self.out / f"{table}.csv", step, values)
-        if self._events is None:
-            return
-        for name, value in values.items():
-            if math.isfinite(value):
-                self._events.add_scalar(f"{table}/{name.removeprefix('dev_')}", value, step)
-        self._events.flush()
-
-    def close(self) -> None:
-        """Finish the file of events."""
-        if self._events is not None:
-            self._events.close()
-
-
-def summary_writer() -> Any:
-    """TensorBoard's writer of events, a class.
-
-    Raises
-    ------
-    MissingError
-        If TensorBoard is not installed.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise MissingError(
-            "--tensorboard needs tensorboard; pip install 'deitalk[tensorboard]'"
-        ) from None
-    return SummaryWriter
-
-
-def log(path: Path, step: int, values: dict[str, float]) -> None:
-    """Append a row to a CSV file; the first one writes the header."""
-    is_new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if is_new:
-            writer.writerow(["step", *values])
-        writer.writerow([step, *(f"{value:.6g}" for value in values.values())])
-
-
-def forget(path: Path, step: int) -> None:
-    """Drop a log's rows beyond a step: the run that goes on writes them again."""
-    if not path.is_file():
-        return
-    header, *rows = path.read_text().splitlines(keepends=True)
-    kept = [row for row in rows if row.endswith("\n") and int(row.split(",", 1)[0]) <= step]
-    with atomic_write(path) as beside:
-        beside.write_text("".join([header, *kept]))

@@ -26,8 +26,10 @@ from deitalk.ears import Ears
 from deitalk.errors import ConfigError
 from deitalk.losses import total_loss
 from deitalk.models import DEITalk, Output
-from deitalk.run_folder import Journal, go_on, keep, open_folder, picture_path, summary_writer
+from deitalk.run_folder import go_on, keep, open_folder, picture_path
+from deitalk.run_tables import Journal, summary_writer
 from deitalk.update import update
+from deitalk.workers import end_with_parent
 from rig import ControlSet
 
 LOG_EVERY = 25
@@ -97,10 +99,11 @@ def train(
     data : Path
         Dataset folder.
     out : Path
-        Run folder (see `deitalk.run_folder`); must be new unless `resume`.
+        Run folder (see `deitalk.run_folder`); new or empty unless `resume`.
     resume : bool
         Go on from the run folder's ``state.pt``: on a CPU the weights become those of an
-        uninterrupted run, bit for bit.
+        uninterrupted run, bit for bit. Where there is none yet the run begins, so that one and
+        the same call may be repeated until it ends.
     start_from : Path or None
         Model folder whose weights are the start (fine-tuning).
     tensorboard : bool
@@ -124,12 +127,35 @@ def train(
         the batch cannot be shared among the processes.
     MissingError
         If TensorBoard is asked for and not installed.
+    rig.errors.TargetError
+        If the run folder holds what no run wrote, or edited files, or is in use.
     """
     if tensorboard:
         summary_writer()  # known before anything is read
     accelerator = _accelerator(config.train)
     clips = read_clips(data, "train")
-    open_folder(out, config, resume=resume, write=accelerator.is_main_process)
+    with open_folder(out, config, resume=resume, writes=accelerator.is_main_process):
+        accelerator.wait_for_everyone()  # all see what was there before the first step
+        run, teacher, ears = _prepare(config, clips, start_from, ears)
+        if resume:
+            run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
+        loader = _loader(clips, run, config, accelerator, ears)
+        witness = Witness.of(data, run.model.controls)
+        if not accelerator.is_main_process:
+            progress, tensorboard = _silent, False
+        progress(run.step, run.total, {})
+        journal = Journal(out, step=run.step, tensorboard=tensorboard)
+        try:
+            _fit(run, loader, witness, config, journal, accelerator, progress, teacher)
+        finally:
+            journal.close()
+        return dict(describe_model(out / "best")["training"])
+
+
+def _prepare(
+    config: Config, clips: Sequence[Clip], start_from: Path | None, ears: Ears | None
+) -> tuple[Run, DEITalk | None, Ears | None]:
+    """The run at step 0, its teacher and what it hears with."""
     torch.manual_seed(config.train.seed)
     model = DEITalk(config.model)
     teacher = read_teacher(config.train.teacher, model)
@@ -141,20 +167,7 @@ def train(
         ears = ears or Ears(config.train.frozen_frontend)
         ears.lend_to(model)
     run = _start(config, model, n_steps(config, clips), is_taught=teacher is not None)
-    if not accelerator.is_main_process:
-        progress = _silent
-    if resume:
-        run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
-    progress(run.step, run.total, {})
-    loader = _loader(clips, run, config, accelerator, ears)
-    witness = Witness.of(data, model.controls)
-    tensorboard = tensorboard and accelerator.is_main_process
-    journal = Journal(out, step=run.step, tensorboard=tensorboard)
-    try:
-        _fit(run, loader, witness, config, journal, accelerator, progress, teacher)
-    finally:
-        journal.close()
-    return dict(describe_model(out / "best")["training"])
+    return run, teacher, ears
 
 
 def _accelerator(settings: TrainConfig) -> Any:
@@ -200,7 +213,9 @@ def _loader(
         ears=ears,
         clean=config.train.teacher is not None,
     )
-    return DataLoader(batches, batch_size=None, num_workers=config.train.workers)
+    return DataLoader(
+        batches, batch_size=None, num_workers=config.train.workers, worker_init_fn=end_with_parent
+    )
 
 
 def _fit(
@@ -411,7 +426,7 @@ def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> d
     def save(folder: Path, summary: dict[str, Any]) -> None:
         save_model(folder, run.average, config, summary)
 
-    run.best_score = keep(journal.out, run.parts, run.step, scores, run.best_score, save)
     if witness.drawn is not None:
         witness.drawn.draw(run.average, picture_path(journal.out, run.step))
+    run.best_score = keep(journal.out, run.parts, run.step, scores, run.best_score, save)
     return named

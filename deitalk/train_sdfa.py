@@ -32,9 +32,11 @@ from deitalk.lip_reader import LipReader
 from deitalk.mesh_checkpoint import mesh_kind, save_sdfa
 from deitalk.mesh_head import Direction, MeshHead
 from deitalk.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
-from deitalk.run_folder import go_on, keep, log, open_folder
+from deitalk.run_folder import go_on, keep, open_folder
+from deitalk.run_tables import log
 from deitalk.sdfa import SDFA, build_encoder
 from deitalk.update import update
+from deitalk.workers import end_with_parent
 
 LOG_EVERY = 25
 DEVELOPMENT_CLIPS = 8
@@ -89,9 +91,9 @@ def train_sdfa(
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
         heads act (`deitalk.data.mesh_sources`).
     out : Path
-        Run folder; must be new unless `resume`.
+        Run folder; new or empty unless `resume`.
     resume : bool
-        Go on from the run folder's ``state.pt``.
+        Go on from the run folder's ``state.pt``; where there is none yet the run begins.
     progress : callable
         Told the step, the number of steps and the values that were logged.
 
@@ -106,8 +108,17 @@ def train_sdfa(
         If the data or the run folder is not as it must be, or gradients stay not finite.
     ConfigError
         If `config` differs from the run that is resumed, or asks for lips the data lacks.
+    rig.errors.TargetError
+        If the run folder holds what no run wrote, or edited files, or is in use.
     """
-    open_folder(out, config, resume=resume, write=True)
+    with open_folder(out, config, resume=resume):
+        return _train(config, data, out, resume, progress)
+
+
+def _train(
+    config: SDFAConfig, data: Path, out: Path, resume: bool, progress: Progress
+) -> dict[str, Any]:
+    """Train in a run folder that is open."""
     if config.train.lip_weight and not knows_lips(data, out / "meshes"):
         raise ConfigError(
             f"train.lip_weight={config.train.lip_weight:g}: {data} does not say where the lips "
@@ -264,7 +275,9 @@ def _fit(
     out: Path,
     progress: Progress,
 ) -> None:
-    loader = DataLoader(segments, batch_size=None, num_workers=config.train.workers)
+    loader = DataLoader(
+        segments, batch_size=None, num_workers=config.train.workers, worker_init_fn=end_with_parent
+    )
     batches: Iterator[Segment] = iter(loader if run.step < run.total else ())
     while run.step < run.total:
         batch = Segment(*(part.to(run.model.device) for part in next(batches)))

@@ -7,9 +7,11 @@ import pytest
 from dataset import write_dataset
 
 import deitalk.ablate
+import deitalk.train
 from deitalk.ablate import Variant, ablate, as_markdown, read_variants
 from deitalk.config import Config, load_config
 from deitalk.errors import ConfigError, DataError
+from rig.errors import TargetError
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -87,15 +89,22 @@ def test_train_score_and_go_on(tmp_path, monkeypatch):
         Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
     ]
     out = tmp_path / "runs"
-    (out / "still/seed0").mkdir(parents=True)
-    (out / "still/seed0/metrics.csv").write_text("killed before its first checkpoint")
     runs: list[str] = []
     asked = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
+
+    def fails(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(deitalk.train, "keep", fails)  # after the rows of the first evaluation
+    with pytest.raises(KeyboardInterrupt):
+        ablate(variants, data, out, **asked)
+    monkeypatch.undo()
     scores = ablate(variants, data, out, **asked, says=lambda run, _: runs.append(run))
     assert list(dict.fromkeys(runs)) == [
         "full seed0", "full seed1", "still seed0", "still seed1"
     ]  # fmt: skip
     assert scores["full"]["test"]["lpe"]["n"] == 2
+    assert pd.read_csv(out / "full/seed0/development.csv")["step"].tolist() == [2], "no row twice"
     assert scores["full"]["test"]["lpe"]["sd"] > 0
     assert "±" in (out / "ablations.md").read_text()
 
@@ -114,6 +123,22 @@ def test_train_score_and_go_on(tmp_path, monkeypatch):
     assert trained == [True]  # only the run without a report, from where it was
     with pytest.raises(DataError, match="other settings"):
         ablate(variants, data, out, **(asked | {"steps": 3}))
+
+    (out / "ablations.md").write_text("my notes")
+    with pytest.raises(TargetError, match=r"ablations\.md was changed since deitalk wrote it"):
+        ablate(variants, data, out, **asked)
+    assert (out / "ablations.md").read_text() == "my notes"
+    (out / "ablations.md").unlink()
+    (out / "full/seed0/report.json").write_text("[")
+    with pytest.raises(DataError, match=r"report\.json: no evaluation; remove it"):
+        ablate(variants, data, out, **asked)
+
+
+def test_a_folder_of_the_user_is_refused_before_any_training(tmp_path):
+    (tmp_path / "ablations.md").write_text("mine")
+    with pytest.raises(TargetError, match="holds files that deitalk did not write"):
+        ablate([], tmp_path, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["ablations.md"]
 
 
 def test_table_by_hand():

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from deitalk.errors import MissingError
-from deitalk.run_folder import Journal, go_on, keep, picture_path, restore_state
+from deitalk.run_folder import go_on, keep, picture_path, restore_state
+from deitalk.run_tables import Journal
 
 
 def parts() -> dict[str, torch.nn.Module]:

@@ -21,7 +21,9 @@ def train(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run folder.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the run folder; begin it if it is new.")
+    ] = False,
     start_from: Annotated[
         str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
     ] = None,

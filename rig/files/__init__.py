@@ -6,6 +6,7 @@
     targets.py    which paths a command may write to
     lock.py       one process at a time per target
     manifest.py   what deitalk wrote into a folder, with hashes
+    recorded.py   single files of a folder that stays in use, such as a training run's
     folder.py     a whole folder: staged, then exchanged file by file, with a journal
 """
 
@@ -13,10 +14,12 @@ from rig.files.atomic import atomic_write, remove_leftovers
 from rig.files.folder import check_folder, output_folder, recover
 from rig.files.lock import cache_folder, claim
 from rig.files.manifest import changed_files, kind_of, record
+from rig.files.recorded import begin_folder, replace_recorded
 from rig.files.targets import check_file
 
 __all__ = [
     "atomic_write",
+    "begin_folder",
     "cache_folder",
     "changed_files",
     "check_file",
@@ -27,4 +30,5 @@ __all__ = [
     "record",
     "recover",
     "remove_leftovers",
+    "replace_recorded",
 ]

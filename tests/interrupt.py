@@ -1,0 +1,76 @@
+"""Stops a piece of code at one of its writes, as ``kill -9`` would: nothing is cleaned up after it.
+
+Python reports every open, rename and removal to audit hooks. After the chosen one each further
+write fails too, so that the folder stays as the killed process would leave it.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+_ONE_PATH = ("os.remove", "os.mkdir", "os.rmdir", "os.truncate")
+
+
+class Killed(BaseException):
+    """Nobody handles it, as nobody handles signal 9."""
+
+
+class _Watch:
+    """What the one hook of this process counts; a hook can never be removed."""
+
+    root: str | None = None
+    left = 0
+    count = 0
+
+    def __call__(self, event: str, args: tuple) -> None:
+        if self.root is None or not self._is_write(event, args):
+            return
+        self.count += 1
+        if self.count > self.left:
+            raise Killed
+
+    def _is_write(self, event: str, args: tuple) -> bool:
+        if event == "open":
+            path, mode, flags = args
+            writes = set(mode or "") & set("wax+") or flags & (os.O_WRONLY | os.O_RDWR)
+            return bool(writes) and self._is_inside(path)
+        if event == "os.rename":
+            return self._is_inside(args[1])
+        return event in _ONE_PATH and self._is_inside(args[0])
+
+    def _is_inside(self, path: object) -> bool:
+        if isinstance(path, bytes):
+            path = os.fsdecode(path)
+        if not isinstance(path, str | os.PathLike):
+            return False
+        # A bare name is one that a removal of a whole folder works through.
+        return os.fspath(path).startswith(str(self.root)) or os.sep not in os.fspath(path)
+
+
+_watch = _Watch()
+_is_installed = False
+
+
+def kill_at_write(number: int, root: Path, run: Callable[[], object]) -> int:
+    """Run until write `number` (from 1) below `root`, which does not happen; return the writes.
+
+    A run with fewer writes ends as usual.
+    """
+    global _is_installed
+    if not _is_installed:
+        sys.addaudithook(_watch)
+        _is_installed = True
+    _watch.left, _watch.count, _watch.root = number - 1, 0, str(root)
+    try:
+        run()
+    except Killed:
+        pass
+    finally:
+        _watch.root = None
+    return _watch.count
+
+
+def count_writes(root: Path, run: Callable[[], object]) -> int:
+    """Run to the end and return how often it wrote below `root`."""
+    return kill_at_write(1_000_000, root, run)
