@@ -21,6 +21,18 @@ def can_draw() -> bool:
     return find_spec("matplotlib") is not None
 
 
+def check_drawing() -> None:
+    """Check that pictures can be drawn.
+
+    Raises
+    ------
+    MissingError
+        If matplotlib is not installed.
+    """
+    if not can_draw():
+        raise MissingError("pictures need matplotlib; pip install matplotlib")
+
+
 @contextmanager
 def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[Any]:
     """Yield a figure; write it to `path` when the block is done.
@@ -39,10 +51,9 @@ def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[An
     MissingError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingError("pictures need matplotlib; pip install 'deitalk[plot]'") from None
+    check_drawing()
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, layout="constrained")
     yield figure
     with atomic_write(path) as beside:

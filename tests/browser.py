@@ -19,6 +19,12 @@ _FLAGS = [
 ]
 
 
+def needs_player() -> None:
+    """Skip the test where the page's player is not built."""
+    if not page_module.BUNDLE.is_file():
+        pytest.skip("needs the built player: npm install && npm run build in web/")
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A running browser; the test is skipped where there is none, or no built player."""
@@ -26,8 +32,7 @@ def chromium() -> Iterator[Any]:
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     if program is None:
         pytest.skip("needs Debian's chromium")
-    if not page_module.BUNDLE.is_file():
-        pytest.skip("needs the built player: npm install && npm run build in web/")
+    needs_player()
     with sync_api.sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=program, args=_FLAGS)
         yield launched

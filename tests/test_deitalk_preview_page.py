@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from browser import chromium, opened
+from browser import chromium, needs_player, opened
 
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
@@ -147,6 +147,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory):
+    needs_player()
     folder = tmp_path_factory.mktemp("page")
     takes = [make_source("first"), make_source("second")]
     render_page(takes[:1], folder / "one.html")

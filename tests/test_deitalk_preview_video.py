@@ -1,19 +1,25 @@
 """The review video: reading what is shown, the panel, exact sync, and clear refusals."""
 
-import json
-import shutil
-import subprocess
+import sys
+from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
+from media import write_sound
+from typer.testing import CliRunner
 
-from deitalk.errors import MissingError
-from deitalk.preview import video
+from deitalk.audio import load_audio
+from deitalk.cli import app
+from deitalk.errors import AudioError, MissingError
+from deitalk.preview import encoding, page, video
+from deitalk.preview.needs import check_needs
 from deitalk.preview.panel import Panel
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import FACE_HEIGHT, PANEL_HEIGHT, WIDTH, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
-from rig.errors import ExistsError, TargetError
+from rig.curves import NTSC, snap_fps
+from rig.errors import ExistsError, RigError, TargetError
 
 CONTROLS = default_controls()
 RATE = 16000
@@ -84,8 +90,18 @@ def test_recording_longer_than_the_curves_is_refused(tmp_path):
 def test_broken_recording_is_refused(tmp_path):
     write_curves(tmp_path / "c.csv", make_curves(4))
     (tmp_path / "x.wav").write_bytes(b"not sound")
-    with pytest.raises(PreviewError, match="cannot be read"):
+    with pytest.raises(AudioError, match="not audio that can be read"):
         load_source(tmp_path / "c.csv", tmp_path / "x.wav")
+
+
+def test_recording_keeps_its_rate_and_may_be_an_m4a(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(30))
+    tone = 0.5 * np.sin(np.arange(44100) * 0.05)
+    write_sound(tmp_path / "a.m4a", np.stack([tone, tone], 1), 44100)
+    source = load_source(tmp_path / "c.csv", tmp_path / "a.m4a")
+    assert source.sample_rate == 44100
+    assert source.audio_seconds == pytest.approx(1.0, abs=0.03)
+    assert np.abs(source.samples).max() == pytest.approx(0.5, abs=0.05)
 
 
 def test_unknown_control_is_refused(tmp_path):
@@ -124,36 +140,90 @@ def test_jaw_frames_differ_in_the_mouth(monkeypatch):
     assert (change[30:80, 120:] > 60).mean() > 0.05
 
 
-def needs_ffmpeg():
-    if shutil.which("ffmpeg") is None:
-        pytest.skip("needs ffmpeg")
-
-
 def flat_frames(source, **_):
     """Frames whose brightness is their number, to look at time only."""
     for k in range(len(source.curves)):
         yield np.full((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), 20 + 10 * k, np.uint8)
 
 
-def test_video_has_every_frame_once_and_sound_from_the_start(tmp_path, monkeypatch):
-    needs_ffmpeg()
+def brightness(path) -> list[tuple[Fraction, float]]:
+    """Time and mean brightness of every picture of a video."""
+    with av.open(str(path)) as container:
+        return [
+            (frame.pts * frame.time_base, float(frame.to_ndarray(format="rgb24").mean()))
+            for frame in container.decode(video=0)
+        ]
+
+
+@pytest.mark.parametrize("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
+def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, monkeypatch, fps):
     monkeypatch.setattr(video, "draw_frames", flat_frames)
-    out = render_video(make_source(15), tmp_path / "v.mp4")
-    probe = subprocess.run(
-        ["ffprobe", "-v", "error", "-show_streams", "-of", "json", str(out)],
-        capture_output=True, check=True,
+    source = make_source(15)
+    curves = RigCurves(source.curves.values, source.curves.names, snap_fps(fps))
+    click = np.zeros(round(15 / fps * RATE), np.float32)
+    click[[0, 4000]] = 0.9
+    out = render_video(PreviewSource("t", curves, click, RATE), tmp_path / "v.mp4")
+    rate = Fraction(snap_fps(fps)).limit_denominator(1001)
+    shown = brightness(out)
+    assert [time for time, _ in shown] == [k / rate for k in range(15)]
+    assert np.abs([level - 20 - 10 * k for k, (_, level) in enumerate(shown)]).max() < 4
+    heard = load_audio(out).waveform
+    assert np.abs(heard[3000:5000]).argmax() + 3000 == pytest.approx(4000, abs=1)
+    assert np.abs(heard[:200]).argmax() <= 1
+    with av.open(str(out)) as container:
+        assert {stream.codec_context.name for stream in container.streams} == {"h264", "aac"}
+        assert [stream.start_time for stream in container.streams] == [0, 0]
+        assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
+    content = out.read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # plays before it is loaded
+
+
+def test_curves_may_outlast_the_sound(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    out = render_video(make_source(15, seconds=0.2), tmp_path / "v.mp4")
+    assert len(brightness(out)) == 15
+    assert load_audio(out).duration == pytest.approx(0.2, abs=0.07)  # whole frames of 64 ms
+
+
+def test_video_without_recording_has_no_sound_track(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    silent = PreviewSource("t", make_curves(5), np.zeros(0, np.float32), 0)
+    with av.open(str(render_video(silent, tmp_path / "v.mp4"))) as container:
+        assert [stream.type for stream in container.streams] == ["video"]
+
+
+def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    click = np.zeros(5000, np.float32)
+    click[4000] = 0.9
+    odd = PreviewSource("t", make_curves(15), click, 10007)
+    heard = load_audio(render_video(odd, tmp_path / "v.mp4"))
+    assert heard.source_rate == 48000
+    assert np.abs(heard.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
+
+
+HERE = [name for name, _ in encoding.ENCODERS if name in av.codecs_available]
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
+    options = dict(encoding.ENCODERS)[name]
+    frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
+    encoding.write_mp4(
+        tmp_path / "v.mp4", frames, fps=NTSC, size=(128, 96), samples=np.zeros(0, np.float32),
+        sample_rate=0, encoder=encoding.Encoder(name, options),
     )  # fmt: skip
-    streams = {s["codec_type"]: s for s in json.loads(probe.stdout)["streams"]}
-    assert int(streams["video"]["nb_frames"]) == 15
-    assert float(streams["video"]["start_time"]) == 0
-    assert float(streams["audio"]["start_time"]) == 0
-    assert float(streams["audio"]["duration"]) == pytest.approx(0.5, abs=0.03)
-    raw = subprocess.run(
-        ["ffmpeg", "-v", "error", "-i", str(out), "-f", "rawvideo", "-pix_fmt", "rgb24", "-vf",
-         "scale=2:2", "-"], capture_output=True, check=True,
-    ).stdout  # fmt: skip
-    level = np.frombuffer(raw, np.uint8).reshape(15, 12).mean(1)
-    assert np.abs(level - (20 + 10 * np.arange(15))).max() < 4  # frame i is picture i
+    times, levels = zip(*brightness(tmp_path / "v.mp4"), strict=True)
+    assert times == tuple(Fraction(1001 * k, 30000) for k in range(15))
+    assert np.abs(np.array(levels) - 20 - 10 * np.arange(15)).max() < 6
+
+
+def test_without_h264_the_encoder_is_mpeg4_and_says_so(monkeypatch):
+    monkeypatch.setattr(av, "codecs_available", {"mpeg4", "aac"})
+    found = encoding.find_encoder()
+    assert found.name == "mpeg4"
+    assert "no H.264 encoder" in found.note
+    assert encoding.Encoder("libx264", {}).note is None
 
 
 def test_video_refuses_to_overwrite(tmp_path):
@@ -175,15 +245,54 @@ def test_unknown_view_is_refused(tmp_path):
         render_video(make_source(), tmp_path / "v.mp4", second_view="inside")
 
 
-def test_missing_ffmpeg_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(video.shutil, "which", lambda name: None)
-    with pytest.raises(MissingError, match="apt install ffmpeg"):
-        render_video(make_source(), tmp_path / "v.mp4")
+def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(av, "codecs_available", {"aac"})
+    with pytest.raises(MissingError, match=r"pip install .* av"):
+        render_video(tmp_path / "not there", tmp_path / "v.mp4")
 
 
-def test_failing_ffmpeg_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "find_ffmpeg", lambda: shutil.which("false") or "false")
-    monkeypatch.setattr(video, "draw_frames", flat_frames)
-    with pytest.raises(PreviewError, match="ffmpeg failed"):
+@pytest.mark.parametrize(
+    ("name", "backend", "error", "message"),
+    [
+        ("p.html", "auto", MissingError, "built without Node.js"),
+        ("p.avi", "auto", PreviewError, "use .mp4 or .html"),
+        ("p.mp4", "paint", RigError, "backend 'paint' is unknown"),
+    ],
+)
+def test_needs_of_a_preview_are_told(tmp_path, monkeypatch, name, backend, error, message):
+    monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
+    with pytest.raises(error, match=message):
+        check_needs([tmp_path / "fine.mp4", tmp_path / name], backend)
+
+
+def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
+    monkeypatch.setattr("deitalk.audio.load_audio", None)  # nothing is read
+    monkeypatch.setattr("deitalk.preview.source.load_source", None)
+    speech, take = "deitalk/samples/promise.flac", str(tmp_path / "take")
+    for command in (["animate", speech, "--preview", "-o", take], ["preview", str(tmp_path)]):
+        done = CliRunner().invoke(app, command)
+        assert isinstance(done.exception, MissingError), done.output
+        assert "built without Node.js" in str(done.exception)
+
+
+@pytest.mark.parametrize("command", ["plot", "attention"])
+def test_commands_ask_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr("deitalk.audio.load_audio", None)
+    monkeypatch.setattr("deitalk.pipeline.load_audio", None)
+    speech = "deitalk/samples/promise.flac"
+    done = CliRunner().invoke(app, [command, speech, "-o", str(tmp_path / "a.png")])
+    assert isinstance(done.exception, MissingError), done.output
+    assert "pip install matplotlib" in str(done.exception)
+
+
+def test_failing_encoder_leaves_nothing_behind(tmp_path, monkeypatch):
+    def too_small(source, **_):
+        yield np.zeros((3, 3, 3), np.uint8)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(video, "draw_frames", too_small)
+    with pytest.raises(PreviewError, match="cannot be written: No space left"):
         render_video(make_source(5), tmp_path / "v.mp4")
     assert list(tmp_path.iterdir()) == []

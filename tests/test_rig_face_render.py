@@ -45,7 +45,7 @@ def head():
 @pytest.fixture
 def opengl():
     try:
-        opengl_module._context()
+        opengl_module.open_context()
     except RigError as error:
         pytest.skip(str(error))
 
@@ -175,7 +175,7 @@ def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
     def missing():
         raise RigError("no OpenGL here")
 
-    monkeypatch.setattr(opengl_module, "_context", missing)
+    monkeypatch.setattr(opengl_module, "open_context", missing)
     mesh = square(0, (1, 0, 0))
     assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == "software"
     with pytest.raises(RigError, match="no OpenGL here"):
@@ -186,11 +186,11 @@ def test_missing_moderngl_names_the_install_line(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    opengl_module._context.cache_clear()
+    opengl_module.open_context.cache_clear()
     monkeypatch.setattr(opengl_module, "import_module", missing)
     with pytest.raises(RigError, match=r"pip install 'deitalk\[preview\]'"):
-        opengl_module._context()
-    opengl_module._context.cache_clear()
+        opengl_module.open_context()
+    opengl_module.open_context.cache_clear()
 
 
 def test_unknown_backend_is_refused():

@@ -105,11 +105,19 @@ def _check(
         inputs = (speech, emotion, intensity_curve)
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
         check_take(out, source=speech, force=force, inputs=inputs)
+        for note in _preview_notes(out) if preview else ():
+            console().note(note)
         return
     find_format(out, writable=True)
     reserve_file(out, force=force, inputs=(speech, emotion, intensity_curve))
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
+
+
+def _preview_notes(out: Path) -> tuple[str, ...]:
+    from deitalk.preview.take import check_preview
+
+    return check_preview(out)
 
 
 def _perform(

@@ -45,6 +45,9 @@ def attention(
 
     deitalk attention DATA --clips 20 -o attention.png
     """
+    from deitalk.drawing import check_drawing
+
+    check_drawing()
     reserve_picture(out, force=force, inputs=(source, phones))
     if source.is_dir() and phones is not None:
         raise DataError("--phones goes with one recording; a dataset folder brings its own")

@@ -24,6 +24,9 @@ def plot(
     --------
     deitalk plot speech.wav --emotion happy -o curves.png
     """
+    from deitalk.drawing import check_drawing
+
+    check_drawing()
     reserve_picture(out, force=force, inputs=(speech, emotion))
     with bar("animating") as progress:
         from deitalk.pipeline import animate

@@ -8,7 +8,6 @@ import typer
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
 from deitalk.cli.paths import identity_of, reserve_file
-from deitalk.errors import DeitalkError
 
 
 def preview(
@@ -45,12 +44,15 @@ def preview(
     deitalk preview take/ --versus other/ -o compare.html
     """
     from deitalk.preview.checks import find_warnings
+    from deitalk.preview.needs import PAGES, check_needs
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
     from deitalk.preview.video import render_video
 
     base = source / "preview" if source.is_dir() else source.with_suffix("")
     targets = [out] if out else [base.with_suffix(".html"), base.with_suffix(".mp4")]
+    for note in check_needs(targets, backend):  # type: ignore[arg-type]
+        console().note(note)
     for target in targets:
         reserve_file(target, force=force, inputs=(source, audio, phones, versus))
     shown = [load_source(source, audio, phones)]
@@ -60,17 +62,15 @@ def preview(
         console().print(f"{time:6.2f} s  {text}")
     who = identity_of(identity)
     for target in targets:
-        if target.suffix.lower() in (".html", ".htm"):
+        if target.suffix.lower() in PAGES:
             render_page(shown, target, identity=who, force=force)
-        elif target.suffix.lower() == ".mp4":
+        else:
             with bar("drawing") as progress:
                 render_video(
                     shown[0], target, identity=who, second_view=view,
                     backend=backend,  # type: ignore[arg-type]
                     force=force, progress=progress,
                 )  # fmt: skip
-        else:
-            raise DeitalkError(f"{target} has suffix {target.suffix!r}; use .mp4 or .html")
         _record(source, target)
         console().print(str(target))
 

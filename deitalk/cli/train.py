@@ -54,7 +54,7 @@ def train(
         from deitalk.train import train as fit
 
         if not can_draw():
-            console().print("without pictures in OUT/curves: pip install 'deitalk[plot]'")
+            console().print("without pictures in OUT/curves: pip install matplotlib")
         start = None if start_from is None else model_folder(start_from)
     with bar("training") as progress:
         best = fit(

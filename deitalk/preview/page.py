@@ -79,12 +79,24 @@ def render_page(
     return out
 
 
-def _player() -> str:
+def check_player() -> None:
+    """Check that this installation has the page's player.
+
+    Raises
+    ------
+    MissingError
+        If it was built without.
+    """
     if not BUNDLE.is_file():
         raise MissingError(
-            "this installation has no preview page, because it was built without Node.js; "
-            "install a wheel, or run `npm install && npm run build` in web/ of the source"
+            "this installation has no preview page, because it was built without Node.js; install "
+            "Node.js and run `npm install && npm run build` in web/ of the source; a video (.mp4) "
+            "does not need it"
         )
+
+
+def _player() -> str:
+    check_player()
     return BUNDLE.read_text(encoding="utf-8")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.data.folder import read_phones
+from deitalk.decoding import open_sound
 from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, read_curves
 
@@ -74,6 +75,8 @@ def load_source(
     ------
     PreviewError
         If something is missing, the recording is longer than the curves, or either is too long.
+    AudioError
+        If the recording cannot be read.
     DataError
         If the phones cannot be read.
     """
@@ -123,19 +126,20 @@ def _on_the_board(curves: RigCurves) -> RigCurves:
 
 
 def _read_audio(path: Path) -> tuple[NDArray[np.float32], int]:
-    import soundfile
-
+    """Mono samples at the recording's own rate."""
     if not path.is_file():
         raise PreviewError(f"recording {path} is not there; give it with --audio")
     if path.stat().st_size > MAX_AUDIO_BYTES:
         raise PreviewError(f"recording {path} is over {MAX_AUDIO_BYTES / 1e6:.0f} MB; cut it first")
-    try:
-        samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
-    except (soundfile.LibsndfileError, RuntimeError) as error:
-        raise PreviewError(
-            f"recording {path} cannot be read ({error}); use a WAV or FLAC"
-        ) from None
-    return samples.mean(1), int(rate)
+    blocks = [np.zeros(0, np.float32)]
+    with open_sound(str(path), None) as sound:
+        for block in sound.blocks(sound.rate):
+            blocks.append(block.mean(axis=1))
+            if len(blocks) > MAX_SECONDS + 1:
+                raise PreviewError(
+                    f"recording {path} is longer than a preview, {MAX_SECONDS:.0f} s; cut it first"
+                )
+        return np.concatenate(blocks), sound.rate
 
 
 def _checked(source: PreviewSource) -> PreviewSource:

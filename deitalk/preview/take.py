@@ -4,9 +4,21 @@ from pathlib import Path
 
 from deitalk.audio import SAMPLE_RATE
 from deitalk.pipeline import Performance
+from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource
 from deitalk.preview.video import render_video
+
+
+def check_preview(folder: Path) -> tuple[str, ...]:
+    """Check that `add_preview` will find what it needs; notes on what it will write.
+
+    Raises
+    ------
+    MissingError
+        Without the built page, or without a video encoder.
+    """
+    return check_needs([folder / "preview.html", folder / "preview.mp4"])
 
 
 def add_preview(folder: Path, performance: Performance) -> dict[str, str]:

@@ -1,14 +1,11 @@
 """The review video: two views of the face over the sound and the curves, with the recording."""
 
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from deitalk.errors import MissingError
+from deitalk.preview.encoding import find_encoder, write_mp4
 from deitalk.preview.panel import Panel, label
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from rig.curves import EMOTIONS
@@ -68,35 +65,26 @@ def render_video(
     rig.errors.TargetError
         If the target exists and `force` is not set, or it cannot be written.
     MissingError
-        If ffmpeg is not installed.
+        If there is no encoder for it.
     """
     out = Path(out)
     _check_target(out, force)
     if second_view not in VIEWS:
         raise PreviewError(f"view {second_view!r} is unknown; use one of {', '.join(VIEWS)}")
-    ffmpeg = find_ffmpeg()
+    encoder = find_encoder()
     shown = source if isinstance(source, PreviewSource) else load_source(source, audio)
     frames = draw_frames(shown, identity=identity, second_view=second_view, backend=backend)
     with atomic_write(out) as beside:
-        _encode(ffmpeg, frames, shown, beside, progress)
-    return out
-
-
-def find_ffmpeg() -> str:
-    """Path of the ffmpeg program.
-
-    Raises
-    ------
-    MissingError
-        If there is none.
-    """
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise MissingError(
-            "a video needs ffmpeg, which is not installed; apt install ffmpeg, brew install "
-            "ffmpeg, or winget install ffmpeg"
+        write_mp4(
+            beside,
+            _counted(frames, len(shown.curves), progress),
+            fps=shown.curves.fps,
+            size=(WIDTH, FACE_HEIGHT + PANEL_HEIGHT),
+            samples=shown.samples,
+            sample_rate=shown.sample_rate,
+            encoder=encoder,
         )
-    return program
+    return out
 
 
 def _check_target(out: Path, force: bool) -> None:
@@ -152,56 +140,9 @@ def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int
         label(picture, "  ".join(words), (FACE_WIDTH + 14, 14))
 
 
-def _encode(
-    ffmpeg: str,
-    frames: Iterator[Picture],
-    source: PreviewSource,
-    out: Path,
-    progress: Progress | None,
-) -> None:
-    size = f"{WIDTH}x{FACE_HEIGHT + PANEL_HEIGHT}"
-    with tempfile.TemporaryDirectory() as folder:
-        command = [ffmpeg, "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size,
-                   "-r", f"{source.curves.fps:.6f}", "-i", "pipe:0"]  # fmt: skip
-        if source.sample_rate:
-            command += ["-i", str(_write_sound(source, Path(folder)))]
-            command += ["-c:a", "aac", "-b:a", "160k"]
-        command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p",
-                    "-threads", "2", "-movflags", "+faststart", str(out)]  # fmt: skip
-        log = Path(folder) / "ffmpeg.log"
-        with log.open("wb") as errors:
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
-            try:
-                _feed(process, frames, len(source.curves), progress)
-            finally:
-                if process.stdin is not None and not process.stdin.closed:
-                    process.stdin.close()
-                code = process.wait()
-        if code:
-            lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
-            raise PreviewError(f"ffmpeg failed: {lines[-1]}")
-
-
-def _feed(
-    process: "subprocess.Popen[bytes]",
-    frames: Iterator[Picture],
-    total: int,
-    progress: Progress | None,
-) -> None:
-    assert process.stdin is not None
-    try:
-        for done, frame in enumerate(frames, 1):
-            process.stdin.write(frame.data)
-            if progress is not None:
-                progress(done / total)
-        process.stdin.close()
-    except BrokenPipeError:
-        pass  # ffmpeg has given up; its message is read after it ends
-
-
-def _write_sound(source: PreviewSource, folder: Path) -> Path:
-    import soundfile
-
-    path = folder / "sound.wav"
-    soundfile.write(path, source.samples, source.sample_rate, subtype="PCM_16")
-    return path
+def _counted(frames: Iterator[Picture], total: int, progress: Progress | None) -> Iterator[Picture]:
+    """The frames; `progress` is told the share that was taken."""
+    for done, frame in enumerate(frames, 1):
+        yield frame
+        if progress is not None:
+            progress(done / total)

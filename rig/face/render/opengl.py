@@ -42,7 +42,7 @@ class OpenGLRenderer:
 
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
         self.size, self.view = size, view
-        self._context = _context()
+        self._context = open_context()
         context, n = self._context, len(mesh.vertices)
         vertex, fragment = glsl()
         self._program = context.program(vertex_shader=vertex, fragment_shader=fragment)
@@ -95,7 +95,7 @@ class OpenGLRenderer:
 
 
 @lru_cache(maxsize=1)
-def _context() -> Any:
+def open_context() -> Any:
     """The process's one OpenGL context; several would each have to be made current."""
     try:
         moderngl: Any = import_module("moderngl")

@@ -6,11 +6,11 @@ from rig.errors import RigError
 from rig.face.mesh import Array, Mesh, vertex_normals
 from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
-from rig.face.render.opengl import OpenGLRenderer
+from rig.face.render.opengl import OpenGLRenderer, open_context
 from rig.face.render.software import SoftwareRenderer
 
 Backend = Literal["auto", "opengl", "software"]
-__all__ = ["Backend", "Picture", "Renderer", "make_renderer"]
+__all__ = ["Backend", "Picture", "Renderer", "check_backend", "make_renderer"]
 
 
 class _Drawer(Protocol):
@@ -45,6 +45,20 @@ class Renderer:
         self._drawer.close()
 
 
+def check_backend(backend: Backend) -> None:
+    """Check that a backend is known and works here.
+
+    Raises
+    ------
+    RigError
+        For an unknown backend, or where ``opengl`` is asked for and is not there.
+    """
+    if backend not in ("auto", "opengl", "software"):
+        raise RigError(f"backend {backend!r} is unknown; use auto, opengl or software")
+    if backend == "opengl":
+        open_context()
+
+
 def make_renderer(
     mesh: Mesh, *, size: tuple[int, int], view: View, backend: Backend = "auto"
 ) -> Renderer:
@@ -55,8 +69,7 @@ def make_renderer(
     RigError
         For an unknown backend, or where ``opengl`` is asked for and is not there.
     """
-    if backend not in ("auto", "opengl", "software"):
-        raise RigError(f"backend {backend!r} is unknown; use auto, opengl or software")
+    check_backend(backend)
     if backend != "software":
         try:
             return Renderer(mesh, OpenGLRenderer(mesh, size, view), "opengl")

@@ -1,0 +1,50 @@
+"""What a preview needs of this machine, asked before the work begins."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from deitalk.preview.encoding import find_encoder
+from deitalk.preview.page import check_player
+from deitalk.preview.source import PreviewError
+from rig.face.render.renderer import Backend, check_backend
+
+PAGES, VIDEOS = (".html", ".htm"), (".mp4",)
+
+
+def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str, ...]:
+    """Check that this installation can make every file asked for.
+
+    Parameters
+    ----------
+    targets : paths
+        ``.html`` and ``.mp4`` files to be.
+    backend : {'auto', 'opengl', 'software'}
+        What is to draw a video.
+
+    Returns
+    -------
+    tuple of str
+        What a user may want to know of the files to come.
+
+    Raises
+    ------
+    PreviewError
+        For another suffix.
+    MissingError
+        Without the built page, or without a video encoder.
+    RigError
+        For an unknown backend, or where ``opengl`` is asked for and is not there.
+    """
+    notes = []
+    for target in targets:
+        suffix = target.suffix.lower()
+        if suffix in PAGES:
+            check_player()
+        elif suffix in VIDEOS:
+            notes.append(find_encoder().note)
+            check_backend(backend)
+        else:
+            raise PreviewError(
+                f"{target} has suffix {target.suffix or 'none'!r}; use .mp4 or .html"
+            )
+    return tuple(note for note in notes if note)
