@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from closeness import assert_same
 from torch.nn import functional as F
 
 from deitalk.config import MelConfig
@@ -117,7 +118,7 @@ def test_every_spectrum_is_described_alone(paper):
         described = paper.spectral(mel)
         torch.testing.assert_close(paper.spectral(mel[..., order]), described[:, order])
         alone = torch.cat([paper.spectral(mel[..., i : i + 1]) for i in range(10)], dim=1)
-    torch.testing.assert_close(alone, described, atol=1e-5, rtol=0)
+    assert_same(alone, described)
 
 
 def naive(model, waveform, n_frames):
@@ -233,7 +234,7 @@ def test_windows_by_segments_equal_the_whole_clip():
     n_frames = SEGMENT_FRAMES + 50
     waveform = noise(n_frames / 30)
     whole = model(waveform, n_frames)[0]
-    torch.testing.assert_close(model.encode(waveform[0], n_frames), whole, atol=1e-5, rtol=0)
+    assert_same(model.encode(waveform[0], n_frames), whole)
 
 
 @torch.no_grad()
@@ -250,7 +251,7 @@ def test_clips_of_a_batch_do_not_meet(settings):
     clips = [noise(1.0, seed) for seed in (1, 2)]
     both = model(torch.cat(clips), 30)
     for row, clip in zip(both, clips, strict=True):
-        torch.testing.assert_close(row, model(clip, 30)[0], atol=1e-5, rtol=0)
+        assert_same(row, model(clip, 30)[0])
 
 
 def test_rig_layers_begin_as_nothing_and_then_see_beyond_the_window():
