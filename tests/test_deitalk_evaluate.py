@@ -130,7 +130,8 @@ def held_out(tmp_path_factory):
     pytest.importorskip("pocketsphinx", reason="alignment needs pocketsphinx")
     if not (SHARED / "data/speech").is_dir():
         pytest.skip("needs the development data in ../shared")
-    from deitalk.corpus.build import build, recorded_shards, split_of
+    from deitalk.corpus.build import build, recorded_shards
+    from deitalk.corpus.performance import split_of
     from deitalk.corpus.recordings import recordings
 
     everything = recordings(SHARED / "data/speech")

@@ -11,7 +11,7 @@ from dataset import waveform
 from deitalk.activity import active_level_db
 from deitalk.audio import Recording
 from deitalk.corpus.acting import style_poses
-from deitalk.corpus.build import _liveliness
+from deitalk.corpus.performance import _liveliness
 from deitalk.corpus.prosody import apply_contour, random_contour
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError

@@ -11,11 +11,9 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from deitalk.corpus.phones import PHONES, VOWELS, ipa_to_phones
 from deitalk.corpus.recordings import Recording, read_waveform
 from deitalk.corpus.utterance import SAMPLE_RATE, Phone, Utterance, contiguous
 from deitalk.errors import AudioError, MissingError
+from deitalk.workers import worker_pool
 from rig.files import atomic_write
 
 VERSION = 2
@@ -359,7 +358,7 @@ def _alignments(
     if workers <= 1:
         yield from ((r, _cached_alignment(r, cache)) for r in recordings)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         waiting = iter(recordings)
         jobs = [(r, pool.submit(_cached_alignment, r, cache)) for r in islice(waiting, 4 * workers)]
         while jobs:

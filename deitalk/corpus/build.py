@@ -3,55 +3,57 @@
 The work is divided into shards of a few minutes; a shard depends on the seed and its number
 alone, is written by one process, and is not made again if it is there: an interrupted build goes
 on where it stopped, and two builds with one seed and the same engines are equal byte by byte.
+Workers end with the process that started them; what they left half-written the next build removes.
 """
 
 import hashlib
 import io
 import json
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from deitalk.audio import FRAME_RATE, SAMPLE_RATE
-from deitalk.corpus.acting import act, intensity_envelope
+from deitalk.audio import SAMPLE_RATE
+from deitalk.corpus.acting import act
 from deitalk.corpus.alignment import aligned_utterances
-from deitalk.corpus.articulation import articulate
-from deitalk.corpus.phones import VOWELS
-from deitalk.corpus.prosody import (
-    Contour,
-    apply_contour,
-    contour_at,
-    prosody_index,
-    random_contour,
-)
+from deitalk.corpus.performance import CURVE_RATE, Take, perform, split_of
 from deitalk.corpus.recordings import Recording
 from deitalk.corpus.sources import synthetic_utterances
-from deitalk.corpus.utterance import Phone, Utterance
+from deitalk.corpus.utterance import Utterance
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
+from deitalk.workers import worker_pool
 from rig import ControlSet, RigCurves, default_controls, write_curves
-from rig.files import atomic_write
+from rig.errors import TargetError
+from rig.files import (
+    atomic_write,
+    begin_folder,
+    claim,
+    kind_of,
+    record,
+    remove_leftovers,
+    replace_recorded,
+)
+from rig.files.atomic import temporary_name
 
-CURVE_RATE = 60
-"""Curves are stored at twice the rig's rate, so that training can change the speed of a clip
-without blurring closures."""
 SHARD_SECONDS = 240.0
 MIX = {"espeak": 0.35, "flite": 0.45, "festival": 0.20}
 """Share of every engine; a missing engine's share goes to the others."""
-SHARES = (0.7, 0.2)
-"""Share of the speakers that train, and that validate; the rest test (§4.1)."""
 COLUMNS = (
     "clip", "audio", "curves", "emotion", "speaker", "voice", "source", "language", "phones",
     "intensity", "transcript",
 )  # fmt: skip
-NATURAL_WEIGHT = 0.6
-"""Weight of a recording's own prosody beside the contour that was applied to it."""
+FOLDERS = ("audio", "curves", "phones", "intensity", "shards")
+KIND = "dataset"
+"""What the manifest calls the folder."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,24 @@ def build(
     Raises
     ------
     DataError
-        If the folder was begun with another seed, length or set of recordings, or if no shard
-        gave a clip.
+        If the folder was begun with another seed, length or set of recordings, if no shard gave a
+        clip, or if a worker process was ended.
+    rig.errors.TargetError
+        If the folder holds what no build wrote, ``clips.csv`` was edited, or another process
+        writes there.
     """
-    _check_plan(out, shards)
-    for name in ("audio", "curves", "phones", "intensity", "shards"):
-        (out / name).mkdir(parents=True, exist_ok=True)
+    with claim(out), _held_caches(shards):
+        _begin(out, shards)
+        try:
+            return _build(out, shards, workers, progress)
+        finally:
+            _clean(out)
+
+
+def _build(
+    out: Path, shards: Sequence[Shard], workers: int, progress: Callable[[float], None]
+) -> pd.DataFrame:
+    """Build in a folder that is held."""
     missing = [shard for shard in shards if not _table(out, shard).is_file()]
     for _ in range(len(shards) - len(missing)):
         progress(0.0)
@@ -120,14 +134,45 @@ def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:
     if min(workers, len(shards)) <= 1:
         yield from (build_shard(out, shard) for shard in shards)
         return
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         futures = [pool.submit(build_shard, out, shard) for shard in shards]
         try:
             for future in as_completed(futures):
                 yield future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)  # what is done stays; the rest is not begun
-            raise
+        except BrokenProcessPool:
+            raise DataError(
+                f"{out}: a worker process was ended, perhaps for want of memory; run the command "
+                "again, with fewer workers"
+            ) from None
+
+
+def _begin(out: Path, shards: Sequence[Shard]) -> None:
+    """Check the folder and the plan, and make what clips are written into."""
+    plan = out / "shards" / "plan.json"
+    if kind_of(out) is None and plan.is_file():
+        record(out, [], kind=KIND)  # begun before datasets had a manifest
+    begin_folder(out, kind=KIND)
+    _check_plan(out, shards)
+    for name in FOLDERS:
+        (out / name).mkdir(exist_ok=True)
+    _clean(out)
+
+
+@contextmanager
+def _held_caches(shards: Sequence[Shard]) -> Iterator[None]:
+    """Clean the folders of phone times, but those that another build works with."""
+    with ExitStack() as held:
+        for folder in {shard.alignments for shard in shards if shard.alignments is not None}:
+            with suppress(TargetError):
+                held.enter_context(claim(folder))
+                remove_leftovers(folder)
+        yield
+
+
+def _clean(out: Path) -> None:
+    """Remove what a process that was ended left; no other writes here."""
+    for folder in (out, *(out / name for name in FOLDERS)):
+        remove_leftovers(folder)
 
 
 def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
@@ -141,15 +186,14 @@ def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
     frame["split"] = frame["speaker"].map(split_of)
     ages = {r.speaker: str(r.age) for s in shards for r in s.recordings if r.age is not None}
     frame["age"] = frame["speaker"].map(lambda speaker: ages.get(speaker, ""))
-    with atomic_write(out / "clips.csv") as beside:
-        frame.to_csv(beside, index=False, lineterminator="\n")
+    replace_recorded(out, "clips.csv", frame.to_csv(index=False, lineterminator="\n"))
     return frame
 
 
 def _check_plan(out: Path, shards: Sequence[Shard]) -> None:
     """Keep what every shard is made from, so that two builds are never mixed in one folder."""
     path = out / "shards" / "plan.json"
-    known = json.loads(path.read_text()) if path.is_file() else {}
+    known = _read_plan(path)
     plan = {shard.name: shard.fingerprint for shard in shards}
     changed = [name for name in plan if known.get(name, plan[name]) != plan[name]]
     if changed:
@@ -160,6 +204,15 @@ def _check_plan(out: Path, shards: Sequence[Shard]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as beside:
         beside.write_text(json.dumps(known | plan, indent=1) + "\n")
+
+
+def _read_plan(path: Path) -> dict[str, str]:
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return {}
+    except (ValueError, TypeError, RecursionError):
+        raise DataError(f"{path}: damaged; build in another folder") from None
 
 
 def synthetic_shards(hours: float, seed: int, engines: Sequence[str]) -> list[Shard]:
@@ -197,25 +250,27 @@ def _seed(seed: int, engine: str, number: int) -> int:
     return int.from_bytes(hashlib.sha256(f"{seed}/{engine}/{number}".encode()).digest()[:6])
 
 
-def split_of(speaker: str) -> str:
-    """Split a speaker belongs to, for ever: 70/20/10 by a hash of the name (§4.1).
-
-    Deviation: the few voices of flite and festival all train; the espeak variants and the
-    readers, of whom there are many, are divided. A variant of espeak is one voice in whatever
-    accent or language it speaks.
-    """
-    if speaker.startswith(("flite:", "festival:")):
-        return "train"
-    if speaker.startswith("espeak:") and "+" in speaker:
-        speaker = "espeak:+" + speaker.partition("+")[2]
-    place = int.from_bytes(hashlib.sha256(speaker.encode()).digest()[:4]) / 2**32
-    if place < SHARES[0]:
-        return "train"
-    return "validation" if place < sum(SHARES) else "test"
-
-
 def build_shard(out: Path, shard: Shard) -> float:
     """Write every clip of one shard; return its seconds of speech."""
+    with _scratch(out):
+        return _build_shard(out, shard)
+
+
+@contextmanager
+def _scratch(out: Path) -> Iterator[None]:
+    """Temporary files of the engines lie in the dataset folder, where the next build finds them."""
+    before, folder = tempfile.tempdir, out / temporary_name("scratch")
+    folder.mkdir()
+    tempfile.tempdir = str(folder.absolute())
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _build_shard(out: Path, shard: Shard) -> float:
+    """Write the clips, and the shard's table last: a shard with a table is whole."""
     rng = np.random.default_rng(shard.seed)
     rows: list[dict[str, str]] = []
     total = 0.0
@@ -236,104 +291,6 @@ def _utterances(shard: Shard, rng: np.random.Generator) -> Iterator[Utterance]:
 
 def _table(out: Path, shard: Shard) -> Path:
     return out / "shards" / f"{shard.name}.csv"
-
-
-@dataclass(frozen=True)
-class Take:
-    """An utterance with its prosody moved, and everything the face needs to act it."""
-
-    utterance: Utterance
-    waveform: NDArray[np.float32]
-    phones: tuple[Phone, ...]
-    intensity: NDArray[np.float64]
-    """e(t) [shape=(N,)] at CURVE_RATE."""
-    channels: NDArray[np.float64]
-    """Articulation [shape=(N, K)] at CURVE_RATE."""
-
-
-def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
-    """Pad with silence, move the prosody along a random contour, articulate.
-
-    Recordings that evaluate keep the prosody they have.
-    """
-    padded = _pad(utterance, rng)
-    contour = _contour(padded, rng)
-    waveform, time_map = apply_contour(padded.waveform, contour)
-    phones = tuple(_moved(phone, time_map) for phone in padded.phones)
-    n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
-    source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
-    z = _liveliness(padded.waveform, contour, source_times)
-    return Take(
-        padded,
-        waveform,
-        phones,
-        intensity_envelope(z, speech_span(phones), CURVE_RATE),
-        articulate(phones, n_frames, CURVE_RATE, loudness_stress(waveform, phones)),
-    )
-
-
-def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
-    """A random contour; flat for 15 % of the clips and for recordings that evaluate."""
-    contour = random_contour(padded.duration_seconds, rng)
-    evaluates = padded.engine == "recording" and split_of(padded.speaker) != "train"
-    if evaluates or rng.random() < 0.15:
-        return contour[0], np.zeros(len(contour[1]))
-    return contour
-
-
-def _moved(phone: Phone, time_map: tuple[NDArray[np.float64], NDArray[np.float64]]) -> Phone:
-    """A phone where `apply_contour` put its sound."""
-    start, end = np.interp((phone.start, phone.end), *time_map)
-    return replace(phone, start=float(start), end=float(end))
-
-
-def _liveliness(
-    waveform: NDArray[np.float32], contour: Contour, times: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """What was applied and what the voice itself did, at seconds of the source."""
-    natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
-    heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
-    z: NDArray[np.float64] = contour_at(contour, times) + NATURAL_WEIGHT * heard
-    return z
-
-
-def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:
-    """Silence before and after; a recording keeps its own room by fading its edges."""
-    before, after = rng.uniform(0.05, 0.9), rng.uniform(0.1, 1.4)
-    lead, trail = int(before * SAMPLE_RATE), int(after * SAMPLE_RATE)
-    speech = utterance.waveform.copy()
-    edge = min(160, len(speech) // 4)
-    ramp = np.linspace(0, 1, edge, dtype=np.float32)
-    speech[:edge] *= ramp
-    speech[len(speech) - edge :] *= ramp[::-1]
-    shift = lead / SAMPLE_RATE
-    end = shift + len(speech) / SAMPLE_RATE
-    phones = (
-        Phone(0.0, shift, "SIL"),
-        *(replace(p, start=p.start + shift, end=p.end + shift) for p in utterance.phones),
-        Phone(end, end + trail / SAMPLE_RATE, "SIL"),
-    )
-    return replace(utterance, waveform=np.pad(speech, (lead, trail)), phones=phones)
-
-
-def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
-    """Seconds at which the first sound begins and the last one ends."""
-    spoken = [phone for phone in phones if phone.name != "SIL"]
-    return (spoken[0].start, spoken[-1].end) if spoken else None
-
-
-def loudness_stress(waveform: NDArray[np.float32], phones: Sequence[Phone]) -> NDArray[np.float64]:
-    """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
-    hop = SAMPLE_RATE // 100
-    frames = waveform[: len(waveform) // hop * hop].reshape(-1, hop).astype(np.float64)
-    level = 10 * np.log10((frames**2).mean(axis=1) + 1e-8)
-    usual = np.percentile(level, 85)
-    stress = np.ones(len(phones))
-    for i, phone in enumerate(phones):
-        inside = level[int(phone.start * 100) : int(phone.end * 100) + 1]
-        if phone.name in VOWELS and len(inside):
-            stress[i] = np.clip(1 + 0.04 * (inside.max() - usual), 0.7, 1.2)
-    return stress
 
 
 def _write(out: Path, name: str, take: Take, rng: np.random.Generator) -> list[dict[str, str]]:

@@ -28,7 +28,7 @@ from deitalk.corpus.prosody import (
 
 Floats = NDArray[np.float32]
 NATURAL_WEIGHT = 0.6
-"""Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.build`."""
+"""Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.performance`."""
 STEP_Z = 1.2
 """Standard deviations by which a take is made livelier, or duller."""
 RAMP_SECONDS = 0.3

@@ -85,8 +85,8 @@ def remove_leftovers(folder: Path, name: str | None = None) -> int:
     digest = "[0-9a-f]{8}" if name is None else _digest(name)
     pattern = re.compile(rf"{re.escape(PREFIX)}{digest}-{_HOST}-[0-9a-f]{{8}}(\.[^/]*)?")
     count = 0
-    with suppress(OSError):
-        for entry in os.scandir(folder):
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
             if pattern.fullmatch(entry.name):
                 count += _remove(entry)
     return count

@@ -1,0 +1,147 @@
+"""An utterance performed: padded with silence, its prosody moved, its mouth articulated.
+
+Letters: N curve frames at `CURVE_RATE`, K articulation channels.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio import FRAME_RATE, SAMPLE_RATE
+from deitalk.corpus.acting import intensity_envelope
+from deitalk.corpus.articulation import articulate
+from deitalk.corpus.phones import VOWELS
+from deitalk.corpus.prosody import (
+    Contour,
+    apply_contour,
+    contour_at,
+    prosody_index,
+    random_contour,
+)
+from deitalk.corpus.utterance import Phone, Utterance
+
+CURVE_RATE = 60
+"""Curves are stored at twice the rig's rate, so that training can change the speed of a clip
+without blurring closures."""
+SHARES = (0.7, 0.2)
+"""Share of the speakers that train, and that validate; the rest test (§4.1)."""
+NATURAL_WEIGHT = 0.6
+"""Weight of a recording's own prosody beside the contour that was applied to it."""
+
+
+def split_of(speaker: str) -> str:
+    """Split a speaker belongs to, for ever: 70/20/10 by a hash of the name (§4.1).
+
+    Deviation: the few voices of flite and festival all train; the espeak variants and the
+    readers, of whom there are many, are divided. A variant of espeak is one voice in whatever
+    accent or language it speaks.
+    """
+    if speaker.startswith(("flite:", "festival:")):
+        return "train"
+    if speaker.startswith("espeak:") and "+" in speaker:
+        speaker = "espeak:+" + speaker.partition("+")[2]
+    place = int.from_bytes(hashlib.sha256(speaker.encode()).digest()[:4]) / 2**32
+    if place < SHARES[0]:
+        return "train"
+    return "validation" if place < sum(SHARES) else "test"
+
+
+@dataclass(frozen=True)
+class Take:
+    """An utterance with its prosody moved, and everything the face needs to act it."""
+
+    utterance: Utterance
+    waveform: NDArray[np.float32]
+    phones: tuple[Phone, ...]
+    intensity: NDArray[np.float64]
+    """e(t) [shape=(N,)] at CURVE_RATE."""
+    channels: NDArray[np.float64]
+    """Articulation [shape=(N, K)] at CURVE_RATE."""
+
+
+def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
+    """Pad with silence, move the prosody along a random contour, articulate.
+
+    Recordings that evaluate keep the prosody they have.
+    """
+    padded = _pad(utterance, rng)
+    contour = _contour(padded, rng)
+    waveform, time_map = apply_contour(padded.waveform, contour)
+    phones = tuple(_moved(phone, time_map) for phone in padded.phones)
+    n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
+    source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
+    z = _liveliness(padded.waveform, contour, source_times)
+    return Take(
+        padded,
+        waveform,
+        phones,
+        intensity_envelope(z, speech_span(phones), CURVE_RATE),
+        articulate(phones, n_frames, CURVE_RATE, loudness_stress(waveform, phones)),
+    )
+
+
+def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
+    """A random contour; flat for 15 % of the clips and for recordings that evaluate."""
+    contour = random_contour(padded.duration_seconds, rng)
+    evaluates = padded.engine == "recording" and split_of(padded.speaker) != "train"
+    if evaluates or rng.random() < 0.15:
+        return contour[0], np.zeros(len(contour[1]))
+    return contour
+
+
+def _moved(phone: Phone, time_map: tuple[NDArray[np.float64], NDArray[np.float64]]) -> Phone:
+    """A phone where `apply_contour` put its sound."""
+    start, end = np.interp((phone.start, phone.end), *time_map)
+    return replace(phone, start=float(start), end=float(end))
+
+
+def _liveliness(
+    waveform: NDArray[np.float32], contour: Contour, times: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What was applied and what the voice itself did, at seconds of the source."""
+    natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
+    heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
+    z: NDArray[np.float64] = contour_at(contour, times) + NATURAL_WEIGHT * heard
+    return z
+
+
+def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:
+    """Silence before and after; a recording keeps its own room by fading its edges."""
+    before, after = rng.uniform(0.05, 0.9), rng.uniform(0.1, 1.4)
+    lead, trail = int(before * SAMPLE_RATE), int(after * SAMPLE_RATE)
+    speech = utterance.waveform.copy()
+    edge = min(160, len(speech) // 4)
+    ramp = np.linspace(0, 1, edge, dtype=np.float32)
+    speech[:edge] *= ramp
+    speech[len(speech) - edge :] *= ramp[::-1]
+    shift = lead / SAMPLE_RATE
+    end = shift + len(speech) / SAMPLE_RATE
+    phones = (
+        Phone(0.0, shift, "SIL"),
+        *(replace(p, start=p.start + shift, end=p.end + shift) for p in utterance.phones),
+        Phone(end, end + trail / SAMPLE_RATE, "SIL"),
+    )
+    return replace(utterance, waveform=np.pad(speech, (lead, trail)), phones=phones)
+
+
+def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
+    """Seconds at which the first sound begins and the last one ends."""
+    spoken = [phone for phone in phones if phone.name != "SIL"]
+    return (spoken[0].start, spoken[-1].end) if spoken else None
+
+
+def loudness_stress(waveform: NDArray[np.float32], phones: Sequence[Phone]) -> NDArray[np.float64]:
+    """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
+    hop = SAMPLE_RATE // 100
+    frames = waveform[: len(waveform) // hop * hop].reshape(-1, hop).astype(np.float64)
+    level = 10 * np.log10((frames**2).mean(axis=1) + 1e-8)
+    usual = np.percentile(level, 85)
+    stress = np.ones(len(phones))
+    for i, phone in enumerate(phones):
+        inside = level[int(phone.start * 100) : int(phone.end * 100) + 1]
+        if phone.name in VOWELS and len(inside):
+            stress[i] = np.clip(1 + 0.04 * (inside.max() - usual), 0.7, 1.2)
+    return stress
