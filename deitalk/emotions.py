@@ -9,22 +9,22 @@ is 70 % happy and 30 % neutral.
 """
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deitalk.errors import EmotionError
+from deitalk.track_files import TRACK_SUFFIXES, Columns, Table, number, read_table
+from rig.errors import quoted
 from rig.files import atomic_write
+from rig.limits import SECONDS
 
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
 MAX_INTENSITY = 4.0  # 1 is as the voice says; beyond 4 no face is left
-MAX_FILE_BYTES = 32 * 1024**2  # three hours of intensity.csv at 30 Hz are 25 MB
-TRACK_SUFFIXES = (".csv", ".json", ".yaml", ".yml")
+ROUNDING = 1e-4  # files round their weights
 
 Floats = npt.NDArray[np.float64]
 
@@ -110,21 +110,93 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
 
 def read_emotion_track(path: str | Path) -> EmotionTrack:
     """Read keyframes; see `parse_emotion` for the formats and errors."""
-    rows = _read_rows(Path(path))
-    wide = not any("emotion" in row for row in rows) and any(set(EMOTIONS) & set(r) for r in rows)
-    columns = ("time",) if wide else ("time", "emotion", "strength")
-    keys: dict[float, dict[str, float]] = {}
-    latest = -np.inf
-    for number, row in enumerate(rows, start=1):
-        where = f"{path}, key {number}"
-        _require(row, columns, where)
-        time = _number(row["time"], "time", where)
-        if time < latest:
-            raise EmotionError(f"{where}: time {time:g} comes after {latest:g}; sort the keys")
-        latest = time
-        _add_key(keys.setdefault(time, {}), row, where, wide)
-    weights = [_weights(key, f"{path}, time {time:g}") for time, key in keys.items()]
-    return EmotionTrack(np.array(list(keys)), np.stack(weights))
+    path = Path(path)
+    table = read_table(path)
+    is_wide = "emotion" not in table.names and bool(set(EMOTIONS) & table.names)
+    if is_wide:
+        return _from_weights(path, table)
+    keys = table.columns(("time", "strength"), ("emotion",))
+    times = _checked_times(path, keys)
+    codes = _emotion_codes(keys.texts["emotion"])
+    first = np.concatenate([[True], np.diff(times) > 0])
+    moment = np.cumsum(first) - 1  # keys at one time mix
+    doubled = _first_doubled(moment * len(EMOTIONS) + codes)
+    if doubled is not None:
+        raise EmotionError(
+            f"{path}, key {keys.rows[doubled]}: {EMOTIONS[codes[doubled]]!r} twice at the same "
+            "time; keep one"
+        )
+    weights = np.zeros((int(moment[-1]) + 1, len(EMOTIONS)))
+    weights[moment, codes] = keys.numbers["strength"]
+    return EmotionTrack(times[first], _distributions(path, times[first], weights))
+
+
+def _from_weights(path: Path, table: Table) -> EmotionTrack:
+    """A table of weights, one row for each time."""
+    present = [name for name in EMOTIONS if name in table.names]
+    keys = table.columns(("time", *present))
+    times = _checked_times(path, keys)
+    still = np.diff(times) <= 0
+    if still.any():
+        row = int(np.argmax(still)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: {present[0]!r} twice at the same time; keep one"
+        )
+    weights = np.zeros((len(times), len(EMOTIONS)))
+    for name in present:
+        weights[:, EMOTIONS.index(name)] = keys.numbers[name]
+    return EmotionTrack(times, _distributions(path, times, weights))
+
+
+def _checked_times(path: Path, keys: Columns) -> Floats:
+    """Times of keys, checked to be within a clip and not to fall."""
+    times = keys.numbers["time"]
+    outside = ~(np.abs(times) <= SECONDS)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} s is beyond {SECONDS:g} s, the "
+            "longest clip; times are seconds"
+        )
+    falls = np.diff(times) < 0
+    if falls.any():
+        row = int(np.argmax(falls)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} comes after {times[row - 1]:g}; "
+            "sort the keys"
+        )
+    return times
+
+
+def _emotion_codes(names: Sequence[str]) -> npt.NDArray[np.int64]:
+    """Place of each name in `EMOTIONS`."""
+    place = {name: i for i, name in enumerate(EMOTIONS)}
+    unknown = next((name for name in names if name not in place), None)
+    if unknown is not None:
+        raise _unknown(unknown)
+    return np.array([place[name] for name in names], np.int64)
+
+
+def _first_doubled(codes: npt.NDArray[np.int64]) -> int | None:
+    """Place of the first number that was there before."""
+    _, first = np.unique(codes, return_index=True)
+    again = np.ones(len(codes), bool)
+    again[first] = False
+    return int(np.argmax(again)) if again.any() else None
+
+
+def _distributions(path: Path, times: Floats, weights: Floats) -> Floats:
+    """Rows that sum to 1, as `_weights` makes them; EmotionError names the first that cannot."""
+    total = weights.sum(axis=1)
+    bad = (weights < 0).any(axis=1) | (total > 1 + ROUNDING)
+    if bad.any():
+        row = int(np.argmax(bad))
+        named = dict(zip(EMOTIONS, weights[row].tolist(), strict=True))
+        _weights(named, f"{path}, time {times[row]:g}")  # says what is wrong
+    whole = weights.copy()
+    whole[:, 0] += np.maximum(0.0, 1 - total)
+    whole /= whole.sum(axis=1, keepdims=True)
+    return whole
 
 
 def read_intensity_curve(path: str | Path) -> IntensityCurve:
@@ -133,7 +205,7 @@ def read_intensity_curve(path: str | Path) -> IntensityCurve:
     Parameters
     ----------
     path : str or Path
-        CSV (such as a take's ``intensity.csv``), JSON or YAML.
+        CSV of any spreadsheet (such as a take's ``intensity.csv``), JSON or YAML.
 
     Returns
     -------
@@ -144,17 +216,21 @@ def read_intensity_curve(path: str | Path) -> IntensityCurve:
     EmotionError
         Missing columns, times that do not rise, or intensities outside 0 … 4.
     """
-    times: list[float] = []
-    values: list[float] = []
-    for number, row in enumerate(_read_rows(Path(path)), start=1):
-        where = f"{path}, key {number}"
-        _require(row, ("time", "intensity"), where)
-        time = _number(row["time"], "time", where)
-        if times and time <= times[-1]:
-            raise EmotionError(f"{where}: time {time:g} must be after {times[-1]:g}; sort the rows")
-        times.append(time)
-        values.append(check_intensity(_number(row["intensity"], "intensity", where), where))
-    return IntensityCurve(np.array(times), np.array(values))
+    path = Path(path)
+    keys = read_table(path).columns(("time", "intensity"))
+    times, values = _checked_times(path, keys), keys.numbers["intensity"]
+    still = np.diff(times) <= 0
+    if still.any():
+        row = int(np.argmax(still)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} must be after {times[row - 1]:g}; "
+            "sort the rows"
+        )
+    outside = ~((values >= 0) & (values <= MAX_INTENSITY))
+    if outside.any():
+        row = int(np.argmax(outside))
+        check_intensity(float(values[row]), f"{path}, key {keys.rows[row]}")
+    return IntensityCurve(times, values)
 
 
 def check_intensity(value: float, where: str = "intensity") -> float:
@@ -211,13 +287,13 @@ def _weights(strengths: Mapping[str, float], where: str) -> Floats:
     weights = np.zeros(len(EMOTIONS))
     for name, strength in strengths.items():
         if name not in EMOTIONS:
-            raise EmotionError(f"unknown emotion {name!r}; known are {', '.join(EMOTIONS)}")
-        value = _number(strength, name, where)
+            raise _unknown(name)
+        value = number(strength, name, where)
         if value < 0:
             raise EmotionError(f"{where}: {name} is {value:g}; strengths must be 0 to 1")
         weights[EMOTIONS.index(name)] = value
     total = weights.sum()
-    if total > 1 + 1e-4:  # files round their weights
+    if total > 1 + ROUNDING:
         raise EmotionError(
             f"{where}: strengths sum to {total:g}; they must not exceed 1: lower them, or use "
             "the intensity for a stronger emotion"
@@ -225,6 +301,10 @@ def _weights(strengths: Mapping[str, float], where: str) -> Floats:
     weights[0] += max(0.0, 1 - total)
     weights /= weights.sum()
     return weights
+
+
+def _unknown(name: str) -> EmotionError:
+    return EmotionError(f"unknown emotion {quoted(name)}; known are {', '.join(EMOTIONS)}")
 
 
 def _pairs(text: str) -> dict[str, float]:
@@ -237,83 +317,5 @@ def _pairs(text: str) -> dict[str, float]:
             raise EmotionError(f"{part.strip()!r} in {text!r} must be written <emotion>=<strength>")
         if name in strengths:
             raise EmotionError(f"{name!r} is given twice in {text!r}; give each emotion once")
-        strengths[name] = _number(value, name or "strength", repr(text))
+        strengths[name] = number(value, name or "strength", repr(text))
     return strengths
-
-
-def _add_key(key: dict[str, float], row: Mapping[str, Any], where: str, wide: bool) -> None:
-    """Add one row's strengths to the weights at its time."""
-    if wide:
-        new = {name: _number(row[name], name, where) for name in EMOTIONS if name in row}
-    else:
-        name = str(row["emotion"]).strip().lower()
-        new = {name: _number(row["strength"], "strength", where)}
-    if doubled := set(key) & set(new):
-        raise EmotionError(f"{where}: {sorted(doubled)[0]!r} twice at the same time; keep one")
-    key.update(new)
-
-
-def _require(row: Mapping[str, Any], columns: Sequence[str], where: str) -> None:
-    missing = [name for name in columns if row.get(name) in (None, "")]
-    if missing:
-        raise EmotionError(f"{where}: no {missing[0]!r}; every key needs {', '.join(columns)}")
-
-
-def _number(value: object, name: str, where: str) -> float:
-    try:
-        number = float("nan") if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise EmotionError(f"{where}: {name} is {value!r}; it must be a finite number")
-    return number
-
-
-def _read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of a CSV, or the list of mappings in a JSON or YAML file (alone or as ``keys``)."""
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise EmotionError(f"{path} is larger than 32 MB; give a track with fewer keys")
-        text = path.read_text(encoding="utf-8-sig")
-        rows = _parse_rows(text, path)
-    except OSError as error:
-        raise EmotionError(
-            f"cannot read {path}: {error.strerror}; give a {', '.join(TRACK_SUFFIXES)} file, or "
-            f"one of {', '.join(EMOTIONS)}"
-        ) from error
-    except (ValueError, RecursionError, csv.Error) as error:
-        if isinstance(error, EmotionError):
-            raise
-        reason = " ".join(str(error).split())
-        raise EmotionError(f"{path} cannot be parsed: {reason}; mend the file") from error
-    if not rows or not all(isinstance(row, dict) for row in rows):
-        raise EmotionError(f"{path} holds no keys; give a list of keys with a 'time' each")
-    return rows
-
-
-def _parse_rows(text: str, path: Path) -> list[dict[str, Any]]:
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
-        delimiter = ";" if ";" in text.split("\n", 1)[0] else ","
-        reader = csv.DictReader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
-        return [{str(k).strip().lower(): v for k, v in row.items() if k} for row in reader]
-    if suffix == ".json":
-        content = json.loads(text)
-    elif suffix in (".yaml", ".yml"):
-        content = _load_yaml(text)
-    else:
-        raise EmotionError(
-            f"{path}: suffix {suffix!r} is none of {', '.join(TRACK_SUFFIXES)}; rename or convert"
-        )
-    if isinstance(content, dict):
-        content = content.get("keys")
-    return content if isinstance(content, list) else []
-
-
-def _load_yaml(text: str) -> Any:
-    import yaml
-
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error

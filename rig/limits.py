@@ -102,8 +102,8 @@ RETARGET_VERTICES = 200_000
 
 NESTING = 32
 """Levels of lists and mappings in JSON and YAML; our files have four, GLB ten."""
-YAML_EVENTS = 50_000
-"""Scalars, lists and mappings of a YAML text; a configuration has 200."""
+YAML_VALUES = 50_000
+"""Scalars, lists and mappings of a YAML text, aliases written out; a configuration has 200."""
 SCALAR_CHARACTERS = 4096
 """One scalar of YAML; numbers of many parts are parsed in quadratic time."""
 MESSAGE_CHARACTERS = 400

@@ -126,7 +126,7 @@ def test_a_track_is_itself():
         ("happy=0.1,sad", ["<emotion>=<strength>"]),
         ({"happy": True}, ["finite number"]),
         ({"happy": None}, ["finite number"]),
-        ("missing.csv", ["cannot read missing.csv", "No such file", "happy"]),
+        ("missing.csv", ["missing.csv does not exist"]),
     ],
 )
 def test_mistakes_are_one_line(emotion, words):
@@ -141,7 +141,7 @@ def test_mistakes_are_one_line(emotion, words):
         ([KEYS[0], KEYS[0]], ["key 2", "'happy' twice"]),
         ([{**KEYS[0], "strength": -0.5}], ["time 1", "happy is -0.5"]),
         ([{**KEYS[0], "strength": 1.5}], ["time 1", "sum to 1.5"]),
-        ([{**KEYS[0], "time": float("nan")}], ["key 1", "time is", "finite"]),
+        ([{**KEYS[0], "time": float("nan")}], ["track", "finite"]),
         ([{**KEYS[0], "emotion": "joy"}], ["unknown emotion 'joy'", "happy"]),
         ([KEYS[0], {"time": 3.0, "emotion": "sad"}], ["key 2", "no 'strength'"]),
         ([{"emotion": "sad", "strength": 1}], ["key 1", "no 'time'"]),
@@ -184,7 +184,7 @@ def test_huge_file_is_refused(tmp_path):
     path = tmp_path / "t.csv"
     with path.open("wb") as file:
         file.truncate(33 * 1024**2)
-    assert_error(path, "larger than 32 MB")
+    assert_error(path, "at most 32 MiB")
 
 
 def intensity_csv(path, n=90):
