@@ -1,0 +1,22 @@
+"""Kills commands at random moments and looks at what stays.
+
+::
+
+    python -m tests.kill --rounds 200 --command train
+
+Each round starts the real command in a process of its own, ends it by signal 9 (every fourth time
+by SIGTERM), and checks that
+
+- no file is half-written under a final name: every file can be read to its end,
+- the user's files, in the target and beside it, are the same bytes,
+- no process of the command is left,
+- the same command again succeeds and gives what an uninterrupted one gives,
+- no hidden temporary file is left then (after SIGTERM: at once).
+
+::
+
+    processes.py   a process forked from this one, with all imports done
+    contents.py    reading files to their end, comparing folders
+    commands.py    the commands, their inputs and the user's files
+    rounds.py      one round, many rounds
+"""
