@@ -25,6 +25,7 @@ __all__ = [
     "frame_count",
     "frame_times",
     "load_audio",
+    "read_sound",
     "write_wav",
 ]
 
@@ -37,7 +38,7 @@ LOUDEST_SAMPLE = 1e12  # beyond any PCM scaling: the file is not audio
 FloatArray = npt.NDArray[np.float32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """One recording, ready for a model.
 
@@ -75,6 +76,14 @@ class Recording:
         """Rig frames at 30 Hz that cover the recording."""
         return frame_count(len(self.waveform))
 
+    def __repr__(self) -> str:
+        count = len(self.warnings)
+        notes = f", {count} note{'s' * (count != 1)}" if count else ""
+        return (
+            f"<Recording {self.source!r}: {self.duration:.2f} s at {self.sample_rate} Hz (from "
+            f"{self.source_rate} Hz, {self.channels} channel{'s' * (self.channels != 1)}){notes}>"
+        )
+
 
 def load_audio(
     source: str | Path | bytes | IO[bytes], *, max_seconds: float = MAX_SECONDS
@@ -111,20 +120,25 @@ def load_audio(
     """
     name, data = _name_and_data(source)
     with open_sound(name, data) as sound:
-        _check_header(name, sound, max_seconds)
-        weights, warnings = _mixing_weights(name, sound)
-        reader = _MonoReader(name, sound, max_seconds)
-        for block in _finite_blocks(name, sound):
-            reader.add(block, weights)
-        waveform, notes = reader.finish()
-        return Recording(
-            waveform=waveform,
-            source=name,
-            source_rate=sound.rate,
-            channels=sound.channels,
-            clipped_fraction=reader.clipped_fraction,
-            warnings=(*sound.notes, *warnings, *notes, *describe(waveform)),
-        )
+        return read_sound(name, sound, max_seconds)
+
+
+def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) -> Recording:
+    """Mix, resample and describe an open source; see `load_audio` for how and for the errors."""
+    _check_header(name, sound, max_seconds)
+    weights, warnings = _mixing_weights(name, sound)
+    reader = _MonoReader(name, sound, max_seconds)
+    for block in _finite_blocks(name, sound):
+        reader.add(block, weights)
+    waveform, notes = reader.finish()
+    return Recording(
+        waveform=waveform,
+        source=name,
+        source_rate=sound.rate,
+        channels=sound.channels,
+        clipped_fraction=reader.clipped_fraction,
+        warnings=(*sound.notes, *warnings, *notes, *describe(waveform)),
+    )
 
 
 def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:

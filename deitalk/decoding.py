@@ -7,6 +7,7 @@ Legend: N samples at the file's rate, C channels.
 """
 
 import io
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -163,7 +164,7 @@ class _SndfileSource:
         import soundfile
 
         try:
-            opened = soundfile.SoundFile(name if data is None else io.BytesIO(data))
+            opened = soundfile.SoundFile(_path(name) if data is None else io.BytesIO(data))
         except (RuntimeError, TypeError):
             return None
         frames = opened.frames if opened.frames < 2**40 else 0
@@ -181,6 +182,11 @@ class _SndfileSource:
             raise AudioError(
                 f"{self.name} is damaged after {start / self.rate:.2f} s; export it again"
             ) from error
+
+
+def _path(name: str) -> str | bytes:
+    """A path as soundfile takes it: bytes, since it encodes no name that is not UTF-8."""
+    return name if os.name == "nt" else os.fsencode(name)
 
 
 def missing_share(file: IO[bytes]) -> float:

@@ -22,16 +22,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.audio import Recording, load_audio
+from deitalk.arguments import (
+    applied_curve,
+    check_progress,
+    emotion_track,
+    intensity_factor,
+    whole_seed,
+)
+from deitalk.audio import Recording
 from deitalk.checkpoint import model_folder, read_about
 from deitalk.errors import CheckpointError, EmotionError
 from deitalk.pipeline import animate
+from deitalk.recording_arrays import Audio, recording_of
+from rig.curves import snap_fps
+from rig.errors import quoted
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 from rig.formats.morph_head import srgb_to_linear
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
 from rig.mesh.head import head_landmarks
+from rig.mesh.sequence import check_out, write_sequence
 from rig.mesh.trimesh import check_length
 
 if TYPE_CHECKING:
@@ -43,12 +54,13 @@ if TYPE_CHECKING:
 Floats32 = NDArray[np.float32]
 Progress = Callable[[float], None]
 
-"""Most that the vertices of one recording may take: ten minutes of a head of 10,000 at 30 Hz."""
+GLB_TOLERANCE_MM = 0.02
+"""Furthest a vertex of a GLB may be from where the model put it."""
 HEAD_UNIT_MM = 10.0
 """The embedded head is in centimetres."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeshPerformance:
     """A mesh acted to a recording.
 
@@ -78,6 +90,52 @@ class MeshPerformance:
     landmarks: Mapping[str, int] | None = None
     colours: NDArray[np.float64] | None = None
 
+    def save(self, target: str | Path, *, force: bool = False) -> Path:
+        """Write the sequence: ``.glb``, ``.npz`` (vertices), or a folder of PLY files.
+
+        Parameters
+        ----------
+        target : str or Path
+            A folder is a name without suffix, with a slash at its end, or an existing folder (see
+            `rig.files.is_folder_name`). A GLB's vertices are within 0.02 mm of the model's.
+        force : bool
+            Replace a file, or the frames of a sequence, that are there.
+
+        Returns
+        -------
+        Path
+            What was written.
+
+        Raises
+        ------
+        RigError
+            If the target must not or cannot be written, or its suffix is unknown.
+        """
+        from rig.files import check_file, check_folder
+
+        inputs = (self.recording.source,)
+        if check_out(target) == "folder":
+            check_folder(target, kind="frames", force=force, inputs=inputs)
+        else:
+            check_file(target, force=force, inputs=inputs)
+        write_sequence(
+            target,
+            self.mesh,
+            self.vertices,
+            fps=self.fps,
+            tolerance=GLB_TOLERANCE_MM / self.unit_mm,
+            unit_metres=self.unit_mm / 1000,
+            colours=self.colours,
+        )
+        return Path(target)
+
+    def __repr__(self) -> str:
+        frames, vertices, _ = self.vertices.shape
+        return (
+            f"<MeshPerformance of {self.recording.source!r}: {frames} frames at {self.fps:g} fps, "
+            f"{frames / self.fps:.2f} s, {vertices} vertices>"
+        )
+
 
 def is_sdfa(model: str | Path) -> bool:
     """Whether a model folder's model moves meshes rather than curves; imports no torch."""
@@ -85,10 +143,11 @@ def is_sdfa(model: str | Path) -> bool:
 
 
 def animate_mesh(
-    audio: "str | Path | bytes | Recording",
+    audio: Audio,
     emotion: "str | Path | Mapping[str, float] | EmotionTrack" = "neutral",
     *,
     model: "str | Path | DEITalk | SDFA" = "default",
+    sample_rate: float | None = None,
     speaker: str | int = 0,
     intensity: float = 1.0,
     fps: float | None = None,
@@ -100,8 +159,8 @@ def animate_mesh(
 
     Parameters
     ----------
-    audio : path, bytes or Recording
-        Any recording `deitalk.audio.load_audio` reads.
+    audio, sample_rate
+        As for `deitalk.animate`.
     emotion, intensity
         As for `deitalk.animate`. An SDFA model has no input for them, a mesh head has.
     model : str, Path, DEITalk or SDFA
@@ -126,7 +185,14 @@ def animate_mesh(
     DeitalkError, RigError
         One line each: the value, the rule and the way out.
     """
-    recording = audio if isinstance(audio, Recording) else load_audio(audio)
+    emotion_track(emotion)
+    intensity_factor(intensity)
+    applied_curve(options.get("intensity_curve"))
+    whole_seed(options.get("seed", 0))
+    check_progress(progress)
+    if fps is not None:
+        fps = snap_fps(fps)
+    recording = recording_of(audio, sample_rate)
     network = _loaded(model, device)
     if hasattr(network, "predict_mesh"):
         curve = options.get("intensity_curve")
@@ -152,6 +218,11 @@ def animate_mesh(
 
 def _loaded(model: Any, device: str) -> Any:
     if not isinstance(model, str | Path):
+        if not hasattr(model, "eval"):
+            raise CheckpointError(
+                f"model {quoted(model)} is a {type(model).__name__}; give a name, a folder or a "
+                "loaded model"
+            )
         return model.eval()
     if is_sdfa(model):
         from deitalk.mesh_checkpoint import load_sdfa
@@ -184,7 +255,7 @@ def _by_gradients(
 ) -> MeshPerformance:
     if fps is not None and fps != network.fps:
         raise CheckpointError(
-            f"--fps {fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
+            f"fps={fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
         )
     mesh = network.template(speaker)
     n_frames = ceil(recording.duration * network.fps)

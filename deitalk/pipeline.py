@@ -1,28 +1,34 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.activity import expression_gate, mouth_gate, normalise_level, speech_activity
-from deitalk.audio import Recording, frame_times, load_audio
-from deitalk.emotions import (
-    EmotionTrack,
-    IntensityCurve,
-    check_intensity,
-    parse_emotion,
-    read_intensity_curve,
+from deitalk.arguments import (
+    applied_curve,
+    check_progress,
+    emotion_text,
+    emotion_track,
+    intensity_factor,
+    whole_seed,
 )
+from deitalk.audio import Recording, frame_times
+from deitalk.emotions import EmotionTrack, IntensityCurve
+from deitalk.errors import CheckpointError
 from deitalk.expression import Expression
 from deitalk.idle import add_idle_motion
 from deitalk.liveliness import heard_intensity, whole_take
+from deitalk.performance import Performance
 from deitalk.prosody import measure_prosody
+from deitalk.recording_arrays import Audio, recording_of
 from rig import RigCurves
+from rig.errors import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,32 +40,11 @@ CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the reco
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Performance:
-    """A face acted to a recording.
-
-    All tracks share one time axis: row i is time i / 30 s of the recording.
-    """
-
-    curves: RigCurves
-    """The result, with the emotion weights and the applied intensity as tracks."""
-    neutral: RigCurves
-    """The neutral reading of the same speech: what intensity 0 gives."""
-    saliency: Floats
-    """Emotional saliency e_sim [shape=(T,), range -1 to 1] (DEITalk Eq. 5)."""
-    predicted: Floats
-    """Intensity heard in the voice [shape=(T,), range 0 to 1]."""
-    recording: Recording
-    clipped: int
-    """Values that had to be clamped to their control's range."""
-    timings: dict[str, float] = field(default_factory=dict)
-    """Seconds spent per stage."""
-
-
 def animate(
-    audio: "str | Path | bytes | IO[bytes] | Recording",
+    audio: Audio,
     emotion: "str | Path | Mapping[str, float] | EmotionTrack" = "neutral",
     *,
+    sample_rate: float | None = None,
     model: "str | Path | DEITalk" = "default",
     intensity: float = 1.0,
     intensity_curve: str | Path | IntensityCurve | None = None,
@@ -71,10 +56,13 @@ def animate(
 
     Parameters
     ----------
-    audio : path, bytes, file object or Recording
-        Any recording `deitalk.audio.load_audio` reads.
+    audio : path, bytes, file object, Recording, array or tensor
+        Any recording `deitalk.audio.load_audio` reads, or samples [shape=(S,) or (S, C)] with
+        their `sample_rate` (see `deitalk.recording_arrays.recording_from_array`).
     emotion : str, mapping, Path or EmotionTrack
         A label (``"happy"``), weights (``"happy=0.7,surprised=0.3"``) or a keyframed track.
+    sample_rate : float, optional
+        Hz, of an array or a tensor; nothing else takes it.
     model : str, Path or DEITalk
         Name of an embedded model, a model folder, or a loaded model.
     intensity : float, range 0 to 4
@@ -98,11 +86,10 @@ def animate(
         One line each: the value, the rule and the way out.
     """
     clock = _Clock()
-    check_intensity(intensity)
-    track = parse_emotion(emotion)
-    curve = _intensity_curve(intensity_curve)
-    recording = audio if isinstance(audio, Recording) else load_audio(audio)
-    recording = _with_note_on(curve, recording)
+    intensity, seed = intensity_factor(intensity), whole_seed(seed)
+    check_progress(progress)
+    track, curve = emotion_track(emotion), applied_curve(intensity_curve)
+    recording = _with_note_on(curve, recording_of(audio, sample_rate))
     clock.lap("audio")
     network = _network(model)
     clock.lap("model")
@@ -139,7 +126,21 @@ def animate(
         recording,
         clipped,
         clock.laps,
+        _settings(emotion, intensity, intensity_curve, idle, seed),
+        str(model) if isinstance(model, str | Path) else "",
     )
+
+
+def _settings(emotion: Any, intensity: float, curve: Any, idle: bool, seed: int) -> dict[str, Any]:
+    """What was asked for, as a take says it."""
+    name = Path(curve).name if isinstance(curve, str | Path) else None
+    return {
+        "emotion": emotion_text(emotion),
+        "intensity": intensity,
+        "intensity_curve": name if curve is None or name else "a curve in memory",
+        "idle": idle,
+        "seed": seed,
+    }
 
 
 def _curves(
@@ -190,11 +191,12 @@ def _network(model: "str | Path | DEITalk") -> "DEITalk":
         from deitalk.checkpoint import load_model
 
         return load_model(model)
+    if not hasattr(model, "analyse"):
+        raise CheckpointError(
+            f"model {quoted(model)} is a {type(model).__name__}; give a name, a folder, or what "
+            "deitalk.load_model returns"
+        )
     return model.eval()
-
-
-def _intensity_curve(curve: str | Path | IntensityCurve | None) -> IntensityCurve | None:
-    return read_intensity_curve(curve) if isinstance(curve, str | Path) else curve
 
 
 def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recording:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from deitalk.drawing import draw_waveform, drawing
-from deitalk.pipeline import Performance
+from deitalk.performance import Performance
 
 ROWS = (
     ("jaw", ("CTRL_C_jaw.ty",)),

@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from deitalk import __version__
 from deitalk.audio import frame_times, write_wav
 from deitalk.emotions import write_intensity_csv
-from deitalk.pipeline import Performance
+from deitalk.performance import Performance
 from rig import write_curves
 from rig.errors import TargetError
 from rig.exchange import exchange_names, write_exchange_files
 from rig.files import check_folder, output_folder
+from rig.text import decodable_values
 
 SCHEMA = "deitalk.take/1"
 FILES = {
@@ -169,7 +170,9 @@ def _fill(
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,
     }
-    (folder / "take.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    (folder / "take.json").write_text(
+        json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
+    )
 
 
 def _track(values: NDArray[np.float32] | None) -> NDArray[np.float32]:

@@ -27,7 +27,7 @@ STANDARD_RATES = (24.0, NTSC_FILM, 25.0, NTSC, 30.0, 48.0, 50.0, NTSC_DOUBLE, 60
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RigCurves:
     """Values of named controls, one row per frame.
 
@@ -81,6 +81,14 @@ class RigCurves:
 
     def __len__(self) -> int:
         return int(self.values.shape[0])
+
+    def __repr__(self) -> str:
+        kept = [name for name in ("emotion", "intensity") if getattr(self, name) is not None]
+        tracks = f", with {' and '.join(kept)}" if kept else ""
+        return (
+            f"<RigCurves: {len(self)} frames at {self.fps:g} fps, {self.duration:.2f} s, "
+            f"{len(self.names)} controls of {self.control_set}{tracks}>"
+        )
 
     def __getitem__(self, name: str) -> Floats:
         """Return one control over time [shape=(T,)], by any spelling of the default board."""

@@ -75,6 +75,35 @@ def test_animate_writes_one_file_by_its_suffix_and_tells_machines(tmp_path, mode
     assert read_curves(out).fps == 24
 
 
+@pytest.mark.parametrize("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
+def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech, name):
+    arguments = ["animate", speech, "--model", model, "-o", f"{tmp_path}/{name}"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / name / "take.json").is_file()
+    assert f"{tmp_path / name}: 45 frames" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "printed", "share"),
+    [
+        (["-e", "happy"], "applied intensity 0.{heard} on average (0.{heard} heard", 1.0),
+        (["-e", "happy", "--intensity", "0"], "applied intensity 0.00 on average (0.{heard}", 0.0),
+        (["-e", "happy", "--intensity-curve", "{still}"], "applied intensity 0.00 on", 0.0),
+        ([], "emotion neutral: the neutral reading", 0.0),
+    ],
+)
+def test_animate_says_which_intensity_was_applied(tmp_path, model, speech, options, printed, share):
+    (tmp_path / "still.csv").write_text("time,intensity\n0,0\n")
+    given = [option.format(still=tmp_path / "still.csv") for option in options]
+    arguments = ["animate", speech, "--model", model, *given, "--force", "-o", f"{tmp_path}/c.npz"]
+    summary = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
+    assert summary["mean_intensity"] > 0.1
+    assert summary["mean_applied_intensity"] == pytest.approx(share * summary["mean_intensity"])
+    heard = f"{100 * summary['mean_intensity']:02.0f}"
+    assert printed.format(heard=heard) in CliRunner().invoke(app, arguments).stderr
+
+
 def test_animate_reads_stdin(tmp_path, model, speech):
     data = Path(speech).read_bytes()
     out = tmp_path / "c.npz"
@@ -91,7 +120,9 @@ def test_animate_reads_stdin(tmp_path, model, speech):
         (["--model", "no-such-model"], "no-such-model"),
         (["--intensity-curve", "no.csv"], "no.csv"),
         (["--fps", "0"], "fps=0 must be from 0.01 to 1000"),
-        (["-o", "take.xyz"], "no format has the suffix '.xyz'"),
+        (["-o", "take.xyz"], "'.xyz' is no suffix that is written"),
+        (["-o", "take.v2"], "a folder with a slash: take.v2/"),
+        (["-o", ""], "the name of the output is empty"),
         (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
     ],
 )

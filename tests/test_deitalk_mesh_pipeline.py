@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 from deitalk.audio import Recording, load_audio, write_wav
 from deitalk.checkpoint import embedded_models
 from deitalk.cli import app
+from deitalk.emotions import IntensityCurve
 from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.mesh_checkpoint import save_sdfa
 from deitalk.mesh_pipeline import animate_mesh, is_sdfa
-from rig.errors import ExistsError, FormatError, MeshError, RigError
+from rig.errors import ExistsError, MeshError, RigError, TargetError
 from rig.face import build_head
 from rig.face.topology import MOUTH
 from rig.limits import PREDICTED_BYTES
@@ -170,10 +171,11 @@ def test_sdfa_moves_its_speaker_s_template(sdfa_folder, speech):
 
 
 def test_sdfa_has_no_emotion_and_one_rate(sdfa_folder, speech):
-    for asked in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": "a.csv"}):
+    curve = IntensityCurve(np.zeros(1), np.ones(1))
+    for asked in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": curve}):
         with pytest.raises(EmotionError, match="no emotion and no intensity"):
             animate_mesh(speech, model=sdfa_folder, **asked)
-    with pytest.raises(CheckpointError, match="--fps 60: this SDFA model makes 30"):
+    with pytest.raises(CheckpointError, match="fps=60: this SDFA model makes 30"):
         animate_mesh(speech, model=sdfa_folder, fps=60)
     with pytest.raises(CheckpointError, match=r"speaker 'eve' is unknown.*ann, bob"):
         animate_mesh(speech, model=sdfa_folder, speaker="eve")
@@ -209,7 +211,7 @@ def test_command_writes_the_same_motion_three_ways(sdfa_folder, speech, tmp_path
 def test_command_refuses_in_one_line_and_writes_nothing(sdfa_folder, speech, tmp_path):
     out = ("-o", tmp_path / "out.glb")
     for arguments, error, said in (
-        ((speech, "-o", tmp_path / "out.fbx"), FormatError, "animated meshes are written as"),
+        ((speech, "-o", tmp_path / "out.fbx"), TargetError, "files end with .glb, .npz"),
         ((speech, *out, "--landmarks", "a.json"), DeitalkError, "points of a --mesh"),
         ((speech, *out, "--model", sdfa_folder, "-e", "sad"), EmotionError, "no emotion"),
         ((speech, *out, "--model", tmp_path), CheckpointError, "no model there"),

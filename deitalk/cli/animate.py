@@ -24,14 +24,14 @@ from deitalk.cli.paths import reserve_file, reserve_folder
 
 if TYPE_CHECKING:
     from deitalk.audio import Recording
-    from deitalk.pipeline import Performance
+    from deitalk.performance import Performance
     from deitalk.take import Extra
 
 
 def animate(
     speech: Annotated[str, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …) or - .")],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Take folder, or one file: .csv .json .npz …")
+        str, typer.Option("--out", "-o", help="Take folder/, or one file: .csv .json .npz …")
     ],
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
@@ -52,13 +52,19 @@ def animate(
 ) -> None:
     """Animate a face from a recording.
 
+    With --json: mean_intensity is what the voice says, mean_applied_intensity what the face shows
+    (0 where the emotion is neutral).
+
     Examples
     --------
     deitalk animate speech.wav --emotion happy -o take/
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
     """
-    _check(out, speech, emotion, intensity_curve, fps=fps, preview=preview, force=force)
+    is_folder = _is_folder(out)
+    target = Path(out)
+    inputs = (speech, emotion, intensity_curve)
+    _check(target, is_folder, inputs, fps=fps, preview=preview, force=force)
     asked: dict[str, Any] = {
         "emotion": emotion,
         "intensity": intensity,
@@ -68,26 +74,42 @@ def animate(
     }
     performance = _perform(speech, model, device, threads, asked)
     settings = asked | {"intensity_curve": intensity_curve and intensity_curve.name}
-    if out.suffix:
-        _write_file(out, performance, fps)
+    if is_folder:
+        _write_take(target, performance, settings, model, fps, preview=preview, force=force)
     else:
-        _write_take(out, performance, settings, model, fps, preview=preview, force=force)
+        _write_file(target, performance, fps)
     for warning in performance.recording.warnings:
         console().note(warning)
     if as_json:
-        emit_json(_summary(out, performance, settings))
+        emit_json(_summary(target, performance, settings))
         return
     console().print(
-        f"{out}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
-        f"emotion {emotion}, intensity {performance.predicted.mean():.2f} on average"
+        f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
+        f"{_acted(performance, emotion)}"
     )
+
+
+def _acted(performance: "Performance", emotion: str) -> str:
+    """Which emotion was acted, and how strongly."""
+    if not performance.has_emotion:
+        return f"emotion {emotion}: the neutral reading"
+    return (
+        f"emotion {emotion}, applied intensity {performance.mean_applied_intensity:.2f} on average "
+        f"({performance.mean_intensity:.2f} heard in the voice)"
+    )
+
+
+def _is_folder(out: str) -> bool:
+    from rig.files import is_folder_name
+    from rig.formats.table import writable_suffixes
+
+    return is_folder_name(out, writable_suffixes())
 
 
 def _check(
     out: Path,
-    speech: str,
-    emotion: str,
-    intensity_curve: Path | None,
+    is_folder: bool,
+    inputs: tuple[str, str, Path | None],
     *,
     fps: float | None,
     preview: bool,
@@ -97,21 +119,18 @@ def _check(
     from deitalk.errors import DeitalkError
     from deitalk.take import KIND, check_take
     from rig.curves import snap_fps
-    from rig.formats.table import find_format
 
     if fps is not None:
         snap_fps(fps)
-    if not out.suffix:
-        inputs = (speech, emotion, intensity_curve)
+    if is_folder:
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
-        check_take(out, source=speech, force=force, inputs=inputs)
+        check_take(out, source=inputs[0], force=force, inputs=inputs)
         for note in _preview_notes(out) if preview else ():
             console().note(note)
         return
-    find_format(out, writable=True)
-    reserve_file(out, force=force, inputs=(speech, emotion, intensity_curve))
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
+    reserve_file(out, force=force, inputs=inputs)
 
 
 def _preview_notes(out: Path) -> tuple[str, ...]:
@@ -195,7 +214,8 @@ def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) ->
         "out": str(out),
         "frames": len(performance.curves),
         "seconds": performance.recording.duration,
-        "mean_intensity": float(performance.predicted.mean()) if len(performance.curves) else 0.0,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
         "settings": settings,
         "timings_seconds": performance.timings,

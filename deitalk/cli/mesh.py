@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json
+from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json, MeshOut
 from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
 
@@ -14,16 +14,10 @@ if TYPE_CHECKING:
     from deitalk.mesh_pipeline import MeshPerformance
     from rig.mesh.apply import RetargetReport
 
-GLB_TOLERANCE_MM = 0.02
-"""Furthest a vertex of a GLB may be from where the model put it."""
-
 
 def mesh(
     speech: Annotated[Path, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …).")],
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder for .ply files."),
-    ],
+    out: MeshOut,
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
@@ -65,12 +59,10 @@ def mesh(
 
     deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
     """
-    from rig.mesh.sequence import check_out
-
-    check_out(out)
     reserve_mesh(out, force=force, inputs=(speech, emotion, intensity_curve, mesh, landmarks))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
+    _check(emotion, intensity, fps, mesh, landmarks)
     curve = None if intensity_curve is None else str(intensity_curve)
     acted: dict[str, Any] = {
         "emotion": emotion, "intensity": intensity, "intensity_curve": curve, "model": model
@@ -83,19 +75,43 @@ def mesh(
             performance = animate_mesh(
                 speech, speaker=who, fps=fps, device=device, progress=progress, **acted
             )
-            summary = _write(performance, out, mesh, landmarks)
+            summary = _write(performance, out, mesh, landmarks, force=force)
         else:
             summary = _on_own_mesh(speech, out, mesh, landmarks, fps, device, progress, acted)
     _tell(out, summary | acted, as_json)
 
 
-def _write(
-    performance: "MeshPerformance", out: Path, mesh: Path | None, landmarks: Path | None
-) -> dict[str, Any]:
-    from rig.mesh.apply import retarget_sequence
-    from rig.mesh.sequence import write_sequence
+def _check(
+    emotion: str, intensity: float, fps: float | None, mesh: Path | None, landmarks: Path | None
+) -> None:
+    """Refuse what could not be used, before a recording is animated for it."""
+    from deitalk.emotions import check_intensity, parse_emotion
+    from rig.curves import snap_fps
 
-    tolerance = GLB_TOLERANCE_MM / performance.unit_mm
+    check_intensity(intensity)
+    parse_emotion(emotion)
+    if fps is not None:
+        snap_fps(fps)
+    if mesh is not None and mesh.suffix.lower() != ".glb":  # one of those may be driven unread
+        from rig.mesh.apply import read_shapes
+        from rig.mesh.landmarks import read_landmarks
+
+        shapes = read_shapes(mesh)
+        if landmarks is not None:
+            read_landmarks(landmarks, shapes.neutral)
+
+
+def _write(
+    performance: "MeshPerformance",
+    out: str,
+    mesh: Path | None,
+    landmarks: Path | None,
+    *,
+    force: bool,
+) -> dict[str, Any]:
+    from deitalk.mesh_pipeline import GLB_TOLERANCE_MM
+    from rig.mesh.apply import retarget_sequence
+
     if mesh is not None:
         report = retarget_sequence(
             performance.mesh,
@@ -103,20 +119,12 @@ def _write(
             mesh,
             out,
             fps=performance.fps,
-            tolerance=tolerance,
+            tolerance=GLB_TOLERANCE_MM / performance.unit_mm,
             source_landmarks=performance.landmarks,
             landmarks=landmarks,
         )
         return _described(report, performance.fps)
-    write_sequence(
-        out,
-        performance.mesh,
-        performance.vertices,
-        fps=performance.fps,
-        tolerance=tolerance,
-        unit_metres=performance.unit_mm / 1000,
-        colours=performance.colours,
-    )
+    performance.save(out, force=force)
     frames, vertices, _ = performance.vertices.shape
     notes = list(performance.recording.warnings)
     return {"frames": frames, "fps": performance.fps, "vertices": vertices, "notes": notes}
@@ -124,7 +132,7 @@ def _write(
 
 def _on_own_mesh(
     speech: Path,
-    out: Path,
+    out: str,
     mesh: Path,
     landmarks: Path | None,
     fps: float | None,
@@ -151,14 +159,14 @@ def _described(report: "RetargetReport", fps: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _tell(out: Path, summary: dict[str, Any], as_json: bool) -> None:
+def _tell(out: str, summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        emit_json({"out": str(out), **summary})
+        emit_json({"out": str(Path(out)), **summary})
         return
     for note in summary["notes"]:
         console().note(note)
     what = "vertices" if "vertices" in summary else "shapes"
     console().print(
-        f"{out}: {summary['frames']} frames at {summary['fps']:g} per second, "
+        f"{Path(out)}: {summary['frames']} frames at {summary['fps']:g} per second, "
         f"{summary[what]} {what}",
     )

@@ -39,5 +39,9 @@ Most = Annotated[
 ]
 Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
+MeshOut = Annotated[
+    str,
+    typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder/ for .ply files."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary for machines.")]

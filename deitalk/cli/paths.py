@@ -53,17 +53,19 @@ def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -
 
 def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
     """As `reserve_file`, for a picture that matplotlib writes."""
-    if path.suffix not in PICTURES:
+    if path.suffix.lower() not in PICTURES:
         raise DeitalkError(f"{path}: a picture is .png, .svg or .pdf")
     reserve_file(path, force=force, inputs=inputs)
 
 
-def reserve_mesh(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
+def reserve_mesh(out: str, *, force: bool, inputs: Inputs = ()) -> None:
     """As `reserve_file` for .glb and .npz, else as `reserve_folder` for a folder of frames."""
-    if path.suffix.lower() in (".glb", ".npz"):
-        reserve_file(path, force=force, inputs=inputs)
+    from rig.mesh.sequence import check_out
+
+    if check_out(out) == "folder":
+        reserve_folder(Path(out), kind="frames", force=force, inputs=inputs)
     else:
-        reserve_folder(path, kind="frames", force=force, inputs=inputs)
+        reserve_file(Path(out), force=force, inputs=inputs)
 
 
 def _claim(path: Path) -> None:

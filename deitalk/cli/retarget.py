@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.console import console, emit_json
-from deitalk.cli.options import Force, Json
+from deitalk.cli.options import Force, Json, MeshOut
 from deitalk.cli.paths import curves_of, reserve_mesh
 from deitalk.errors import DeitalkError
 
@@ -26,10 +26,7 @@ def retarget(
             "or one neutral OBJ, PLY or GLB."
         ),
     ],
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder for .ply files."),
-    ],
+    out: MeshOut,
     landmarks: Annotated[
         Path | None,
         typer.Option(help="JSON or CSV of points on a neutral mesh (guessed if not given)."),

@@ -30,7 +30,8 @@ from deitalk.evaluation.noise import SNRS_DB, mix
 from deitalk.evaluation.opening import JAW, mouth_opening
 from deitalk.metrics import correlation
 from deitalk.models import DEITalk
-from deitalk.pipeline import Performance, animate
+from deitalk.performance import Performance
+from deitalk.pipeline import animate
 from rig import ControlSet
 
 Floats = NDArray[np.float32]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from deitalk.audio import SAMPLE_RATE
-from deitalk.pipeline import Performance
+from deitalk.performance import Performance
 from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource

@@ -15,7 +15,7 @@ from rig.files.folder import check_folder, output_folder, recover
 from rig.files.lock import cache_folder, claim
 from rig.files.manifest import changed_files, kind_of, record
 from rig.files.recorded import begin_folder, replace_recorded
-from rig.files.targets import check_file
+from rig.files.targets import check_file, is_folder_name
 
 __all__ = [
     "atomic_write",
@@ -25,6 +25,7 @@ __all__ = [
     "check_file",
     "check_folder",
     "claim",
+    "is_folder_name",
     "kind_of",
     "output_folder",
     "record",

@@ -2,12 +2,15 @@
 
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rig.errors import ExistsError, TargetError
 
 Inputs = Iterable[Path | str | None]
+
+LONGEST_SUFFIX = 8
+"""Characters of the longest ending that is taken for a file type."""
 
 
 def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) -> None:
@@ -46,6 +49,43 @@ def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) ->
         raise TargetError(f"{parent} is not a folder; make it first, or name another file")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise TargetError(f"{parent} cannot be written to; name another folder")
+
+
+def is_folder_name(target: Path | str, suffixes: Sequence[str]) -> bool:
+    """Tell whether a target means a folder or one file; the same rule for commands and Python.
+
+    A folder is: an existing folder, a name that ends with a slash, a name without suffix, and a
+    name whose suffix is no file type (``Scene 1.2``: only digits, a space in it, or more than 8
+    characters). A file is a name that ends with one of `suffixes`.
+
+    Parameters
+    ----------
+    target : Path or str
+        A `Path` keeps no slash at its end: give text where that matters.
+    suffixes : sequence of str
+        Of the files that can be written, lower case, such as ``.csv``.
+
+    Raises
+    ------
+    TargetError
+        If the name is empty, or its suffix may be a file type but is none of `suffixes`.
+    """
+    text = os.fspath(target)
+    if not text:
+        raise TargetError("the name of the output is empty; name a file or a folder")
+    separators = tuple(filter(None, (os.sep, os.altsep)))
+    if text.endswith(separators) or os.path.isdir(text):
+        return True
+    name = os.path.basename(text)
+    if name.lower().endswith(tuple(suffixes)):
+        return False
+    ending = Path(name).suffix.removeprefix(".")
+    if not ending or ending.isdigit() or " " in ending or len(ending) > LONGEST_SUFFIX:
+        return True
+    raise TargetError(
+        f"{text}: '.{ending}' is no suffix that is written; files end with "
+        f"{', '.join(suffixes)}, a folder with a slash: {text}/"
+    )
 
 
 def check_place(folder: Path | str) -> None:

@@ -208,6 +208,11 @@ FORMATS: tuple[Format, ...] = (
 )
 
 
+def writable_suffixes() -> tuple[str, ...]:
+    """Return the ends of file names that curves are written to."""
+    return tuple(suffix for known in FORMATS if known.write for suffix in known.suffixes)
+
+
 def find_format(
     path: Path, name: str | None = None, *, readable: bool = False, writable: bool = False
 ) -> Format:

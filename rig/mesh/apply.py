@@ -75,7 +75,7 @@ def retarget_curves(
         GLB, NPZ without shapes).
     out : Path or str
         ``.glb`` (morph targets and animation), ``.npz`` (`vertices` (T, V, 3) and `triangles`), or
-        a folder of PLY files.
+        a folder of PLY files: text that ends with a slash, or see `rig.files.is_folder_name`.
     landmarks : Path or str, optional
         Where the landmarks of a neutral mesh are; guessed if not given.
     mapping : Path or str, optional
@@ -90,7 +90,7 @@ def retarget_curves(
     FormatError, MeshError, TopologyError, ControlError
         With one line that says what to mend.
     """
-    mesh, out = Path(mesh), Path(out)
+    mesh = Path(mesh)
     check_out(out)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
         return _drive_glb(curves, mesh, out, mapping)
@@ -103,7 +103,9 @@ def retarget_curves(
     made = shapes_for(shapes.neutral, found, method=method)
     _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps)
     notes += made.warnings
-    return RetargetReport(out, "neutral", len(made.rig.shapes.names), len(curves), None, notes)
+    return RetargetReport(
+        Path(out), "neutral", len(made.rig.shapes.names), len(curves), None, notes
+    )
 
 
 def retarget_sequence(
@@ -148,7 +150,7 @@ def retarget_sequence(
     The sequence is first said by principal shapes, which are carried as any shape is: parting and
     meeting of the lips are linear in them.
     """
-    mesh, out = Path(mesh), Path(out)
+    mesh = Path(mesh)
     check_out(out)
     target = read_shapes(mesh)
     found, notes = _landmarks(target, landmarks)
@@ -157,7 +159,7 @@ def retarget_sequence(
     carried = carry_shapes(replace(shapes, landmarks=known), target.neutral, found)
     _write(out, carried.shapes, weights, fps)
     notes += warnings_of(carried.registration, carried.target_pairs)
-    return RetargetReport(out, "sequence", len(shapes.names), len(weights), None, notes)
+    return RetargetReport(Path(out), "sequence", len(shapes.names), len(weights), None, notes)
 
 
 def _guessed(mesh: TriMesh) -> Mapping[str, int]:
@@ -176,7 +178,7 @@ def _landmarks(
     guessed = _guessed(shapes.neutral)
     return guessed, (
         f"{len(guessed)} landmarks were guessed; look at the mouth and the eyes, and give "
-        "--landmarks if they are off",
+        "their places (landmarks) if they are off",
     )
 
 
@@ -214,10 +216,10 @@ def read_shapes(path: Path | str) -> ShapeSet:
 
 
 def _drive_glb(
-    curves: RigCurves, mesh: Path, out: Path, mapping: Path | str | None
+    curves: RigCurves, mesh: Path, out: Path | str, mapping: Path | str | None
 ) -> RetargetReport:
     """Drive a GLB's own morph targets; its file is kept as it is where the output is a GLB."""
-    if out.suffix.lower() != ".glb":
+    if check_out(out) != "glb":
         shapes = read_glb(mesh)
         fit, poses = _fit(curves, shapes, mapping)
         _write(out, shapes, fit.weights, curves.fps)
@@ -229,7 +231,7 @@ def _drive_glb(
         own = None if mapping is None else read_mapping(mapping)
         poses = match_shapes(morph_names(mesh), mapping=own)
         fit = poses.weights(curves)
-    animate_glb(mesh, out, fit.names, WeightAnimation(fit.weights, curves.fps))
+    animate_glb(mesh, Path(out), fit.names, WeightAnimation(fit.weights, curves.fps))
     return _driven(out, fit, poses, len(curves))
 
 
@@ -241,7 +243,7 @@ def _fit(
     return poses.weights(curves), poses
 
 
-def _driven(out: Path, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> RetargetReport:
+def _driven(out: Path | str, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> RetargetReport:
     notes = []
     unknown = [name for name in poses.names if name not in poses.understood]
     if unknown:
@@ -251,12 +253,13 @@ def _driven(out: Path, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> Re
         )
     if fit.unsaid:
         notes.append(f"no shape for {', '.join(fit.unsaid[:6])}")
-    return RetargetReport(out, "blendshapes", len(poses.understood), frames, fit.lost, tuple(notes))
+    count = len(poses.understood)
+    return RetargetReport(Path(out), "blendshapes", count, frames, fit.lost, tuple(notes))
 
 
-def _write(out: Path, shapes: ShapeSet, weights: Any, fps: float) -> None:
-    if out.suffix.lower() == ".glb":
-        write_glb(out, shapes, animation=WeightAnimation(weights, fps))
+def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
+    if check_out(out) == "glb":
+        write_glb(Path(out), shapes, animation=WeightAnimation(weights, fps))
         return
     check_length(len(weights), len(shapes.neutral.vertices))
     vertices = shapes.evaluate(weights).astype(np.float32)

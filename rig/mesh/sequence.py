@@ -6,13 +6,13 @@ such thing that players read, so a sequence is first said by a few morph targets
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import FormatError, TopologyError
-from rig.files import atomic_write
+from rig.files import atomic_write, is_folder_name
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.ply import write_ply_sequence
 from rig.mesh.shapes import ShapeSet
@@ -20,6 +20,7 @@ from rig.mesh.trimesh import TriMesh, check_length
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Kind = Literal["glb", "npz", "folder"]
 
 _FRAMES_AT_FIRST = 384
 """Frames that principal shapes are first taken from, evenly over the sequence."""
@@ -28,21 +29,23 @@ _FRAMES_MORE = 128
 _FRAMES_AT_ONCE = 256
 
 
-def check_out(out: Path) -> None:
-    """Refuse a name or place that no sequence can be written to.
+def check_out(out: Path | str) -> Kind:
+    """Return what a sequence is written as: ``glb``, ``npz``, or a ``folder`` of PLY files.
 
     Raises
     ------
     FormatError
-        If the suffix is none of .glb, .npz and "", or the parent is no folder.
+        If the parent is no folder.
+    TargetError
+        If the suffix is another file's (see `rig.files.is_folder_name`).
     """
-    if out.suffix.lower() not in (".glb", ".npz", ""):
-        raise FormatError(
-            f"{out.name}: animated meshes are written as .glb, .npz or a folder of .ply files "
-            "(no suffix)"
-        )
-    if not out.parent.is_dir():
-        raise FormatError(f"{out.parent} is not a folder; make it first")
+    is_folder = is_folder_name(out, (".glb", ".npz"))
+    path = Path(out)
+    if not path.parent.is_dir():
+        raise FormatError(f"{path.parent} is not a folder; make it first")
+    if is_folder:
+        return "folder"
+    return "glb" if path.name.lower().endswith(".glb") else "npz"
 
 
 def write_sequence(
@@ -60,8 +63,9 @@ def write_sequence(
     Parameters
     ----------
     out : Path or str
-        ``.npz`` (`vertices` (T, V, 3) float32, `triangles` (N, 3), `fps`), a folder for PLY files,
-        or ``.glb`` (principal shapes as morph targets, and their animation).
+        ``.npz`` (`vertices` (T, V, 3) float32, `triangles` (N, 3), `fps`), a folder for PLY files
+        (see `rig.files.is_folder_name`), or ``.glb`` (principal shapes as morph targets, and their
+        animation).
     mesh : TriMesh
         The face at rest.
     vertices : array [shape=(T, V, 3)]
@@ -77,17 +81,17 @@ def write_sequence(
 
     Raises
     ------
-    FormatError, MeshError, TopologyError
+    FormatError, MeshError, TargetError, TopologyError
     """
+    kind = check_out(out)
     out = Path(out)
-    check_out(out)
-    if out.suffix.lower() == ".glb":
+    if kind == "glb":
         shapes, weights = principal_shapes(mesh, vertices, tolerance or 1e-5 * mesh.size)
         animation = WeightAnimation(weights, fps)
         write_glb(out, scaled(shapes, unit_metres), animation=animation, colours=colours)
         return
     check_length(len(vertices), len(mesh.vertices))
-    if out.suffix.lower() == "":
+    if kind == "folder":
         write_ply_sequence(out, mesh, vertices)
         return
     with atomic_write(out) as beside, open(beside, "wb") as file:
