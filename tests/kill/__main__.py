@@ -2,20 +2,21 @@
 
 import argparse
 import os
+import shutil
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+os.environ["OMP_NUM_THREADS"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from .commands import all_commands  # noqa: E402
+from .rounds import Rounds  # noqa: E402
 
 
 def main() -> int:
     """Run the rounds of every command asked for; return 1 if one failed."""
-    os.environ["OMP_NUM_THREADS"] = "1"
-    from .commands import all_commands
-    from .rounds import Rounds
-
     commands = all_commands()
     parser = argparse.ArgumentParser(prog="python -m tests.kill", description=__doc__)
     parser.add_argument("--command", action="append", choices=[*commands, "all"], required=True)
@@ -24,27 +25,33 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="keep failed rounds here")
     asked = parser.parse_args()
     names = list(commands) if "all" in asked.command else asked.command
+    # Not a TemporaryDirectory: a forked command would remove it as it ends.
+    work = asked.work or Path(tempfile.mkdtemp(prefix="kill-"))
+    os.environ["DEITALK_CACHE"] = str(work / "cache")
     failed = 0
-    with tempfile.TemporaryDirectory() as temporary:
-        work = asked.work or Path(temporary)
-        os.environ["DEITALK_CACHE"] = str(work / "cache")
-        for name in names:
-            began = time.monotonic()
-            rounds = Rounds(commands[name], work / name, asked.seed)
-            for number in range(asked.rounds):
-                try:
-                    rounds.run(number)
-                except AssertionError as error:
-                    failed += 1
-                    print(f"{name} round {number}: {error}", flush=True)  # noqa: T201
-            counts = ", ".join(f"{count} {what}" for what, count in rounds.counts.items())
-            seconds = time.monotonic() - began
-            print(  # noqa: T201
-                f"{name}: {asked.rounds} rounds in {seconds:.0f} s, one takes "
-                f"{rounds.reference.seconds:.2f} s; {counts}; {failed} failures so far",
-                flush=True,
-            )
+    for name in names:
+        failed += _run(name, Rounds(commands[name], work / name, asked.seed), asked.rounds)
+    if not failed and asked.work is None:
+        shutil.rmtree(work)
     return int(failed > 0)
+
+
+def _run(name: str, rounds: Rounds, count: int) -> int:
+    """Run and report; return how many rounds failed."""
+    began, failed = time.monotonic(), 0
+    for number in range(count):
+        try:
+            rounds.run(number)
+        except AssertionError as error:
+            failed += 1
+            print(f"{name} round {number}: {error}", flush=True)  # noqa: T201
+    counts = ", ".join(f"{count} {what}" for what, count in sorted(rounds.counts.items()))
+    print(  # noqa: T201
+        f"{name}: {count} rounds in {time.monotonic() - began:.0f} s, one run takes "
+        f"{rounds.reference.seconds:.2f} s; {counts}; {failed} failures",
+        flush=True,
+    )
+    return failed
 
 
 if __name__ == "__main__":
