@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from deitalk.cli import main
 from deitalk.cli.signals import Terminated, held, install
 from rig import RigCurves
 from rig.arkit import ARKIT_ID, arkit_controls
@@ -96,6 +97,14 @@ def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():
         signal.raise_signal(signal.SIGTERM)
     assert (caught.value.name, caught.value.exit_code) == ("SIGTERM", 143)
     signal.raise_signal(signal.SIGTERM)  # 5 s have not passed
+
+
+def test_after_a_command_sigterm_ends_the_process_at_once(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["deitalk", "--version"])
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    with pytest.raises(SystemExit):
+        main()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from deitalk.cli.paths import hold_targets
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
-from deitalk.cli.signals import Commands, Stopped, Terminated, install
+from deitalk.cli.signals import Commands, Stopped, Terminated, install, uninstall
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
@@ -108,6 +108,8 @@ def main() -> None:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
+    finally:
+        uninstall()
 
 
 def _stop(signal: BaseException | None) -> None:

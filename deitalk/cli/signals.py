@@ -88,6 +88,14 @@ def install() -> None:
             signal.signal(number, handler)
 
 
+def uninstall() -> None:
+    """Let SIGTERM and SIGHUP end the process at once again: there is nothing left to clean up."""
+    if threading.current_thread() is threading.main_thread():
+        for number in _numbers():
+            if isinstance(signal.getsignal(number), _Handler):
+                signal.signal(number, signal.SIG_DFL)
+
+
 @contextmanager
 def held() -> Iterator[list[int]]:
     """Delay SIGINT, SIGTERM and SIGHUP until the block has ended; then the first one acts.

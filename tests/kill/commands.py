@@ -31,8 +31,8 @@ class Command:
     """File or folder that is written, below that folder."""
     user_files: tuple[str, ...]
     """Files that are the user's, written before the command runs."""
-    may_exist: bool = False
-    """Whether the command, once complete, refuses to write again."""
+    refusals: tuple[str, ...] = ()
+    """Words of errors that are right: the target is complete already, or nothing was received."""
     feed: Callable[[Process], None] = lambda process: None
     """Gives the running command what it waits for."""
 
@@ -45,7 +45,7 @@ def all_commands() -> dict[str, Command]:
     return {
         "animate-new": Command(
             ("animate", "speech.wav", "-e", "happy", "-o", "take"),
-            _speech, "take", speech, may_exist=True,
+            _speech, "take", speech, refusals=(" exists",),
         ),
         "animate-replace": Command(
             ("animate", "speech.wav", "-e", "happy", "-o", "take", "--force"),
@@ -70,6 +70,7 @@ def all_commands() -> dict[str, Command]:
         "receive": Command(
             ("livelink", "receive", "-o", "rec.csv", "--port", "0", "--idle", "0.2", "--force"),
             _notes, "rec.csv", ("notes.txt",), feed=_packets,
+            refusals=("no packet was received",),
         ),
     }  # fmt: skip
 

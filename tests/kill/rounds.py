@@ -157,8 +157,8 @@ class Rounds:
         self.counts["equal"] += 1
 
     def _refuses(self, said: str) -> bool:
-        """Whether the command says that it was complete already."""
-        return self.command.may_exist and " exists" in said
+        """Whether the command says why it has nothing to write."""
+        return any(words in said for words in self.command.refusals)
 
 
 def _changes(target: Path) -> Callable[[], bool]:
