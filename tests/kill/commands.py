@@ -107,7 +107,7 @@ def _curves(folder: Path) -> None:
     controls = default_controls()
     rng = np.random.default_rng(0)
     span = controls.maximum - controls.minimum
-    values = controls.minimum + span * rng.random((300, len(controls)))
+    values = controls.minimum + span * rng.random((3000, len(controls)))
     write_curves(folder / "curves.npz", RigCurves(values, controls.names))
     write_curves(folder / "out.csv", RigCurves(values[:20], controls.names))
 

@@ -26,8 +26,8 @@ class Reference:
 
     contents: dict[str, object]
     seconds: float
-    first_change: float
-    """Seconds until something appeared or changed at the target."""
+    changes: list[float]
+    """Seconds at which something at the target was seen to change."""
 
 
 class Rounds:
@@ -88,19 +88,17 @@ class Rounds:
         """Run the command to its end in a copy of the inputs."""
         folder = self.work / name
         shutil.copytree(self.template, folder)
-        changed = _changes(folder / self.command.target)
+        changed, changes = _changes(folder / self.command.target), []
         process = Process(self.command.arguments, folder)
         self.command.feed(process)
-        code = process.wait(changed)
-        first = time.monotonic() - process.began
-        if code is None:
-            code = process.wait()
+        while (code := process.wait(changed)) is None:
+            changes.append(time.monotonic() - process.began)
         seconds = time.monotonic() - process.began
         assert code == 0, process.said
         process.close()
         check_whole(folder)
         assert not hidden(folder), hidden(folder)
-        return Reference(contents(folder), seconds, first)
+        return Reference(contents(folder), seconds, changes)
 
     def _kill(self, folder: Path, number: int) -> None:
         """Start the command, end it at a random moment, and look."""
@@ -109,14 +107,17 @@ class Rounds:
         process = Process(self.command.arguments, folder)
         moment = rng.uniform(0, 1.05 * reference.seconds)
         code: int | None = None
-        if rng.random() < 0.5:  # while it reads and computes, or at any time
+        kind = rng.integers(3)
+        if kind == 0:  # at any moment
             self._feed_unless(process, moment)
             code = process.wait(seconds=max(process.began + moment - time.monotonic(), 0))
-        else:  # while it writes
+        else:  # as it writes: at one of the changes, or from the first one on
             self.command.feed(process)
-            tail = reference.seconds - reference.first_change
-            code = process.wait(changed)
-            if code is None:
+            number_of_changes = len(reference.changes) if kind == 1 else 1
+            for _ in range(rng.integers(number_of_changes) + 1 if number_of_changes else 1):
+                code = process.wait(changed) if code is None else code
+            if code is None and kind == 2:
+                tail = reference.seconds - (reference.changes or [0.0])[0]
                 code = process.wait(seconds=rng.uniform(0, 1.1 * tail + 0.01))
         if code is None:
             code = process.signal(number)
@@ -162,26 +163,25 @@ class Rounds:
 
 
 def _changes(target: Path) -> Callable[[], bool]:
-    """A function that tells whether something at or beside the target is another than now."""
+    """A function that tells whether something at or beside the target changed since it was asked."""
+    last = _state(target)
 
-    def state() -> list[tuple[str, int, int]]:
-        found = []
-        for folder in (target.parent, target):
-            try:
-                with os.scandir(folder) as entries:
-                    found += [(e.path, e.inode(), e.stat().st_mtime_ns) for e in entries]
-            except OSError:
-                continue
-        return sorted(found)
+    def changed() -> bool:
+        nonlocal last
+        before, last = last, _state(target)
+        return last != before
 
-    before = state()
-    return lambda: _safe(state, before) != before
+    return changed
 
 
-def _safe(
-    state: Callable[[], list[tuple[str, int, int]]], before: list[tuple[str, int, int]]
-) -> list[tuple[str, int, int]]:
-    try:
-        return state()
-    except OSError:  # a file was renamed while it was looked at: a change
-        return [*before, ("", 0, 0)]
+def _state(target: Path) -> list[tuple[str, int, int]]:
+    """Names, sizes and times in the target and its folder."""
+    found = []
+    for folder in (target.parent, target):
+        try:
+            with os.scandir(folder) as entries:
+                stats = [(entry.path, entry.stat()) for entry in entries]
+        except OSError:  # not there, or renamed while it was looked at
+            continue
+        found += [(path, stat.st_size, stat.st_mtime_ns) for path, stat in stats]
+    return sorted(found)
