@@ -8,7 +8,7 @@ TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure sample clean
+.PHONY: help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure docs sample clean
 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
@@ -68,6 +68,9 @@ pictures: setup  ## Draw docs/pictures, the embedded head in pictures
 
 figure: setup-dev  ## Draw docs/curves.png, the README's picture
 	$(BIN)/deitalk plot deitalk/samples/promise.flac --emotion happy -o docs/curves.png --force
+
+docs: setup  ## Write docs/api.md from the docstrings
+	$(BIN)/python docs/make_api.py
 
 sample:  ## Synthesise the bundled sample (needs flite)
 	flite -voice slt -t "$(SAMPLE_TEXT)" -o deitalk/samples/promise.wav

@@ -9,6 +9,7 @@ import pytest
 from typer.main import get_command
 
 from deitalk.cli import app, main
+from deitalk.cli.preview import _beside
 from deitalk.devices import check_device, require_device
 from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
@@ -198,3 +199,12 @@ def test_livelink_rejects_hostile_addresses(refused, command, options, expected)
 )
 def test_livelink_send_checks_what_only_a_recording_needs(refused, options):
     assert refused("livelink", "send", "no-such-file", *options)[0] == 1
+
+
+@pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
+def test_preview_keeps_all_of_a_name_but_its_suffix(tmp_path, name):
+    (tmp_path / "take.v2").mkdir()
+    page, video = _beside(tmp_path / name)
+    base = "preview" if name == "take.v2" else name.rpartition(".")[0]
+    assert (page.name, video.name) == (f"{base}.html", f"{base}.mp4")
+    assert page.parent == (tmp_path / name if name == "take.v2" else tmp_path)

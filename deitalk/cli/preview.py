@@ -49,8 +49,7 @@ def preview(
     from deitalk.preview.source import load_source
     from deitalk.preview.video import render_video
 
-    base = source / "preview" if source.is_dir() else source.with_suffix("")
-    targets = [out] if out else [base.with_suffix(".html"), base.with_suffix(".mp4")]
+    targets = [out] if out else _beside(source)
     for note in check_needs(targets, backend):  # type: ignore[arg-type]
         console().note(note)
     for target in targets:
@@ -73,6 +72,13 @@ def preview(
                 )  # fmt: skip
         _record(source, target)
         console().print(str(target))
+
+
+def _beside(source: Path) -> list[Path]:
+    """Where page and video go if nothing is said: into a take, beside a file of curves."""
+    if source.is_dir():
+        return [source / "preview.html", source / "preview.mp4"]
+    return [source.with_name(source.stem + suffix) for suffix in (".html", ".mp4")]
 
 
 def _record(source: Path, target: Path) -> None:

@@ -1,0 +1,90 @@
+"""docs/api.md says what the docstrings say, and callers get the types the signatures promise."""
+
+import importlib
+import importlib.util
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import deitalk
+import rig
+
+ROOT = Path(__file__).resolve().parents[1]
+PUBLIC = [(package, name) for package in (deitalk, rig) for name in package.__all__]
+
+
+@pytest.fixture(scope="module")
+def maker():
+    path = ROOT / "docs/make_api.py"
+    module = importlib.util.module_from_spec(
+        spec := importlib.util.spec_from_file_location("m", path)
+    )
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_api_page_is_current(maker):
+    written = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    assert written == maker.page(), "run `make docs`"
+
+
+def test_api_page_has_every_public_name_and_error(maker):
+    page = maker.page()
+    for _, name in PUBLIC:
+        assert name == "__version__" or f"### `{name}`" in page
+    for module in maker.ERRORS:
+        for name, kind in vars(importlib.import_module(module)).items():
+            if inspect.isclass(kind) and kind.__module__ == module:
+                assert f"─ {name}" in page, name
+
+
+def test_signatures_are_those_of_the_functions(maker):
+    signature = maker._signature(deitalk.animate, "animate")
+    assert signature.startswith("animate(audio: Audio, emotion: str | Path | Mapping[str, float]")
+    assert "progress: Callable[[float], None]=..." in signature
+    assert signature.endswith("-> Performance")
+
+
+@pytest.mark.parametrize(("package", "name"), PUBLIC)
+def test_public_names_are_documented(package, name):
+    value = getattr(package, name)
+    if callable(value):
+        summary = inspect.getdoc(value).split("\n")[0]
+        assert summary[0].isupper() and summary.endswith("."), name
+
+
+USER = """
+from pathlib import Path
+import numpy as np
+import deitalk
+from rig import RigCurves, read_curves
+
+performance = deitalk.animate(np.zeros(16000, np.float32), {"happy": 0.7}, sample_rate=16000)
+curves: RigCurves = performance.curves
+where: Path = performance.save("take/", fps=60, force=True)
+share: float = performance.mean_applied_intensity
+deitalk.animate_mesh("a.wav", "happy", speaker=1).save("face.glb")
+read_curves("take/curves.csv").resample(24)
+reveal_type(performance)
+deitalk.animate("a.wav", intensity="loud")
+"""
+
+
+@pytest.mark.slow
+def test_type_hints_reach_a_user_s_own_code(tmp_path):
+    pytest.importorskip("mypy")
+    for package in ("deitalk", "rig"):
+        assert (ROOT / package / "py.typed").is_file()
+    (tmp_path / "user.py").write_text(USER)
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--follow-imports=silent", "--ignore-missing-imports",
+         "--cache-dir", str(tmp_path / "cache"), "user.py"],
+        capture_output=True, text=True, cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""},
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert 'Revealed type is "deitalk.performance.Performance"' in lines[0]
+    assert 'incompatible type "str"; expected "float"' in lines[1]
+    assert lines[2].startswith("Found 1 error")
