@@ -23,3 +23,31 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("needs the development data in ../shared")
     return SHARED
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--skipped-to", metavar="FILE", help="write the skipped tests, one a line")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    is_worker = hasattr(config, "workerinput")
+    if config.getoption("--skipped-to") and not is_worker:
+        config.pluginmanager.register(SkippedTests(Path(config.getoption("--skipped-to"))))
+
+
+class SkippedTests:
+    """Writes the names of skipped tests, without their parameters, for ``pytest @FILE``."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.names = path, set()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.skipped and not hasattr(report, "wasxfail"):
+            self.names.add(report.nodeid.partition("[")[0])
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.skipped:
+            self.names.add(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        self.path.write_text("".join(f"{name}\n" for name in sorted(self.names)))
