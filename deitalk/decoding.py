@@ -130,11 +130,11 @@ def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
     has_tag = skip_id3(file)
     first = file.read(32)
     file.seek(0)
+    if len(first) > 1 and first[0] == 0xFF and first[1] & 0xE0 == 0xE0:
+        return ("mp3" if first[1] & 0x06 else "aac"), True  # the layer; 0 is AAC in ADTS
     for offset, mark, demuxer in _SIGNATURES:
         if first[offset : offset + len(mark)] == mark:
             return demuxer, demuxer == "wav" and first[20:22] in _MPEG_TAGS
-    if len(first) > 1 and first[0] == 0xFF and first[1] & 0xE0 == 0xE0:
-        return ("mp3" if first[1] & 0x06 else "aac"), True  # the layer; 0 is AAC in ADTS
     return ("mp3", True) if has_tag else (None, False)
 
 
@@ -164,7 +164,7 @@ class _SndfileSource:
         import soundfile
 
         try:
-            opened = soundfile.SoundFile(_path(name) if data is None else io.BytesIO(data))
+            opened = soundfile.SoundFile(_path(name) if data is None else _Seekable(data))
         except (RuntimeError, TypeError):
             return None
         frames = opened.frames if opened.frames < 2**40 else 0
@@ -328,8 +328,10 @@ class _FFmpegSource:
         values = values.T if frame.format.is_planar else values.reshape(-1, self.channels)
         if values.dtype == np.uint8:
             return (values.astype(np.float32) - np.float32(128)) / np.float32(128)
-        scale = -float(np.iinfo(values.dtype).min) if values.dtype.kind == "i" else 1.0
-        return np.asarray(values / np.float32(scale), np.float32)
+        if values.dtype.kind == "i":
+            return np.asarray(values / np.float32(-float(np.iinfo(values.dtype).min)), np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):  # the reader names what is not finite
+            return values.astype(np.float32)
 
     def _announced(self, container: "InputContainer") -> int:
         """Samples that the header announces; 0 where it does not."""
@@ -360,6 +362,20 @@ def _seconds(packet: "Packet[AudioStream]") -> float:
     if packet.duration is None or packet.time_base is None:
         return 0.0
     return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
+
+
+class _Seekable(io.BytesIO):
+    """Bytes in which a damaged header may ask for a place before the beginning, to no effect.
+
+    An exception of `seek` would reach libsndfile's caller as a traceback on standard error.
+    """
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a place; stay where it does not exist."""
+        try:
+            return super().seek(offset, whence)
+        except (ValueError, OverflowError):
+            return self.tell()
 
 
 class _OnlyRead:

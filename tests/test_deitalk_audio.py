@@ -152,6 +152,31 @@ def test_damage_inside_a_container_is_silent_and_told(tmp_path, rng):
     assert "damaged pieces are silent now, the first at" in recording.warnings[0]
 
 
+@pytest.mark.parametrize("first", [b"\xff\xff", b"\xff\xfb"])
+def test_a_wav_that_begins_as_mpeg_is_read_without_a_word_on_stderr(capfd, first):
+    file = io.BytesIO()
+    sf.write(file, tone(16000), 16000, format="WAV", subtype="FLOAT")
+    content = bytearray(file.getvalue())
+    content[:2] = first
+    with pytest.raises(AudioError):
+        load_audio(bytes(content))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_that_point_before_their_beginning_are_read_without_a_word_on_stderr(capfd):
+    file = io.BytesIO()
+    sf.write(file, tone(16000), 16000, format="AIFF")
+    content = bytearray(file.getvalue())
+    for at in range(12, 60, 4):
+        damaged = content.copy()
+        damaged[at : at + 4] = b"\xff\xff\xff\xff"
+        try:
+            load_audio(bytes(damaged))
+        except AudioError as error:
+            assert "\n" not in str(error)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     "first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"]
 )
