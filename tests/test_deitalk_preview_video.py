@@ -267,7 +267,7 @@ def test_needs_of_a_preview_are_told(tmp_path, monkeypatch, name, backend, error
 
 def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
-    monkeypatch.setattr("deitalk.audio.load_audio", None)  # nothing is read
+    monkeypatch.setattr("deitalk.audio.open_sound", None)  # nothing is read
     monkeypatch.setattr("deitalk.preview.source.load_source", None)
     speech, take = "deitalk/samples/promise.flac", str(tmp_path / "take")
     for command in (["animate", speech, "--preview", "-o", take], ["preview", str(tmp_path)]):
@@ -279,8 +279,7 @@ def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", ["plot", "attention"])
 def test_commands_ask_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setattr("deitalk.audio.load_audio", None)
-    monkeypatch.setattr("deitalk.pipeline.load_audio", None)
+    monkeypatch.setattr("deitalk.audio.open_sound", None)
     speech = "deitalk/samples/promise.flac"
     done = CliRunner().invoke(app, [command, speech, "-o", str(tmp_path / "a.png")])
     assert isinstance(done.exception, MissingError), done.output
