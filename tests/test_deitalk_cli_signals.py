@@ -57,7 +57,17 @@ def test_a_signal_removes_temporary_files_and_is_one_line(number, tmp_path):
         process.send_signal(number)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 128 + number
-    assert said == f"deitalk: stopped by {number.name}\n"
+    assert said.strip() == f"deitalk: stopped by {number.name}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_removes_temporary_files_and_is_one_line(tmp_path):
+    with start("-c", WRITES_FOR_EVER, "write", str(tmp_path / "out.txt")) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert said.strip() == "deitalk: stopped"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -70,7 +80,7 @@ def test_nohup_keeps_a_command_running(tmp_path):
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(0.3)
         process.terminate()
-        assert process.communicate(timeout=30)[1] == "deitalk: stopped by SIGTERM\n"
+        assert process.communicate(timeout=30)[1].strip() == "deitalk: stopped by SIGTERM"
 
 
 @pytest.mark.parametrize("number", [*BOTH, pytest.param(signal.SIGINT, id="SIGINT")])

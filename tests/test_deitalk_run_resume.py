@@ -96,7 +96,7 @@ def check_kills(fit, tmp_path: Path, choose) -> None:
 
 def test_a_run_killed_at_some_writes_is_the_uninterrupted_one_after_resuming(fit, tmp_path):
     check_kills(
-        fit, tmp_path, lambda total: np.random.default_rng(0).choice(total, 7, replace=False) + 1
+        fit, tmp_path, lambda total: np.random.default_rng(0).choice(total, 4, replace=False) + 1
     )
 
 

@@ -26,7 +26,7 @@ from deitalk.cli.paths import hold_targets
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
-from deitalk.cli.signals import Commands, Stopped, Terminated, install, uninstall
+from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
@@ -35,7 +35,6 @@ from rig.errors import ExistsError, RigError, one_line
 app = CheckedCommands(
     name="deitalk",
     help="Speech in, an acted MetaHuman face out.",
-    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -84,18 +83,19 @@ def main() -> None:
     """Run a command; what a user can mend is one line on stderr.
 
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
-    that SIGTERM or SIGHUP stopped, otherwise 1.
+    that Ctrl-C, SIGTERM or SIGHUP stopped, otherwise 1.
     """
     escape_what_cannot_be_encoded()
     try:
         install()
-        sys.exit(app(prog_name="deitalk", standalone_mode=False))
+        code = app(prog_name="deitalk", standalone_mode=False)
+        if code == CTRL_C_CODE:
+            _stop()
+        sys.exit(code)
     except UsageError as error:
         _fail(_usage(error), 2)
-    except typer.Abort:
-        _fail("stopped", 1)
-    except (Stopped, Terminated) as error:
-        _stop(error.__cause__ if isinstance(error, Stopped) else error)
+    except (typer.Abort, Terminated):
+        _stop()
     except ExistsError as error:
         _fail(f"{error}, or add --force to replace it")
     except (DeitalkError, RigError) as error:
@@ -112,9 +112,13 @@ def main() -> None:
         uninstall()
 
 
-def _stop(signal: BaseException | None) -> None:
-    assert isinstance(signal, Terminated)
-    _fail(f"stopped by {signal.name}", signal.exit_code)
+def _stop() -> None:
+    """Say what stopped the command: a signal, or Ctrl-C."""
+    signal = received()
+    if signal is None:
+        _fail("stopped", CTRL_C_CODE)
+    else:
+        _fail(f"stopped by {signal.name}", signal.exit_code)
 
 
 def _usage(error: Any) -> str:

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 from types import FrameType
-from typing import Any
-
-from typer.core import TyperGroup
 
 NAMES = ("SIGTERM", "SIGHUP", "SIGBREAK")
 """Of these a system has some: Windows has no SIGHUP, all others no SIGBREAK."""
+CTRL_C_CODE = 130
+"""Exit code of a command that Ctrl-C stopped; typer gives it for any `KeyboardInterrupt`."""
 QUIET_SECONDS = 5.0
 """Signals so soon after the first one are dropped: they must not interrupt the cleaning up."""
 
@@ -45,33 +44,20 @@ class Terminated(KeyboardInterrupt):
         return 128 + self.number
 
 
-class Stopped(Exception):
-    """A command that ended by `Terminated`; its ``__cause__`` is the signal."""
-
-
-class Commands(TyperGroup):
-    """The root group; without it typer reports every `KeyboardInterrupt` as an abort."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
-        try:
-            return super().invoke(ctx)
-        except Terminated as error:
-            raise Stopped from error
-
-
 class _Handler:
     """Raises `Terminated`, but not again while the program cleans up."""
 
     def __init__(self) -> None:
         self._last = -float("inf")
+        self.raised: Terminated | None = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         now = monotonic()
         if now - self._last < QUIET_SECONDS:
             return
         self._last = now
-        raise Terminated(number)
+        self.raised = Terminated(number)
+        raise self.raised
 
 
 def install() -> None:
@@ -86,6 +72,12 @@ def install() -> None:
     for number in _numbers():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def received() -> Terminated | None:
+    """The signal that was raised since `install`: typer turns it into an exit code of its own."""
+    handlers = [signal.getsignal(number) for number in _numbers()]
+    return next((h.raised for h in handlers if isinstance(h, _Handler)), None)
 
 
 def uninstall() -> None:
