@@ -1,0 +1,85 @@
+"""docs/dataset.md: its table names every column, its example is a dataset that trains."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deitalk.config import DataConfig, load_config
+from deitalk.corpus.build import COLUMNS
+from deitalk.data import folder as reader
+from deitalk.data.check import check_dataset
+from deitalk.data.folder import REQUIRED, read_clips, read_intensity, read_phones
+from deitalk.data.windows import Batches
+from deitalk.evaluate import ADULT_YEARS
+from rig import default_controls
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs/dataset.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The folder that the page's Python makes."""
+    folder = tmp_path_factory.mktemp("page")
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        exec(compile(block, "dataset.md", "exec"), {})
+    return folder / "my_captures"
+
+
+def columns():
+    """Column -> whether the page says it is needed."""
+    rows = re.findall(r"^\| `(\w+)` \| (yes|no) \|", PAGE, re.M)
+    return {name: needed == "yes" for name, needed in rows}
+
+
+def test_page_names_every_column():
+    named = columns()
+    assert [name for name, needed in named.items() if needed] == list(REQUIRED)
+    said = reader.__doc__.split("clips.csv             ")[1].split("\n    audio/")[0]
+    assert set(named) == set(re.findall(r"\w+", said))
+    assert set(COLUMNS) <= set(named)
+
+
+def test_page_states_the_numbers_of_the_code():
+    assert f"−{reader.MAX_OFFSET_SECONDS:g} to {reader.MAX_OFFSET_SECONDS:g}" in PAGE
+    assert f"children (under {ADULT_YEARS})" in PAGE
+    for option in re.findall(r"`data\.(\w+)`", PAGE):
+        assert option in DataConfig.model_fields
+
+
+def test_example_is_read_as_the_page_says(example):
+    anna, ben = read_clips(example)
+    assert (anna.name, anna.emotion, anna.speaker, anna.split) == (
+        "anna_01", "happy", "anna", "train",
+    )  # fmt: skip
+    assert (ben.voice, ben.source, ben.offset_seconds) == ("neutral", "recording", 0)
+    assert [phone for _, _, phone in read_phones(anna.phones)] == ["AA", "M", "SIL"]
+    assert read_intensity(anna.intensity, np.array([0.75])) == pytest.approx(0.4)
+
+
+def test_example_has_no_errors(example):
+    checks = {check.name: check for check in check_dataset(example)}
+    assert "error" not in {check.level for check in checks.values()}
+    for name in ("files", "controls", "lengths", "speakers"):
+        assert checks[name].level == "ok", checks[name]
+
+
+def test_example_gives_windows_to_train_on(example):
+    config = load_config(ROOT / "configs/tiny.yaml")
+    batches = Batches(read_clips(example, "train"), default_controls(), config.data, 0, 2)
+    window = next(iter(batches))
+    assert window.curves.shape == (2, 32, 185)
+    assert window.curves[..., default_controls().index("CTRL_C_jaw.ty")].max() > 0.3
+    assert window.emotion.argmax(dim=1).tolist() == [2, 2]
+
+
+@pytest.mark.slow
+def test_example_trains(example, tmp_path):
+    from deitalk.train import train
+
+    best = train(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
+    assert best["step"] in (3, 6)
