@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from deitalk.checkpoint import load_model
 from deitalk.config import Config, load_config
@@ -25,6 +24,7 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.evaluate import evaluate
 from deitalk.evaluation.report import as_json
 from deitalk.train import train
+from deitalk.yaml_text import read_yaml
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
@@ -75,11 +75,7 @@ def read_variants(folder: Path) -> list[Variant]:
 
 
 def _variant(path: Path) -> Variant:
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from None
+    tree = read_yaml(path)
     if not isinstance(tree, dict) or set(tree) != {"base", "overrides"}:
         raise ConfigError(f"{path}: needs two keys, base (a file) and overrides (a list)")
     base, overrides = tree["base"], tree["overrides"]

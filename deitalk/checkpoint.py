@@ -9,6 +9,7 @@
 
 import hashlib
 import json
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,18 +18,18 @@ import yaml
 
 from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
-from rig import ControlSet, default_controls
+from deitalk.weights_file import check_fit, network_shapes, read_shapes, read_weights
+from rig import ControlSet, default_controls, limits
+from rig.errors import quoted
 from rig.files import output_folder
+from rig.reading import check_file, open_file, read_json
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from deitalk.models import DEITalk
 
 FORMAT_VERSION = 1
 EMBEDDED = ("default", "compact", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
-MAX_BYTES = 4 * 1024**3
 
 
 def embedded_models() -> list[str]:
@@ -109,12 +110,16 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     about = read_about(folder)
     weights = folder / "model.safetensors"
     about.pop("controls", None)
-    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    size = check_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError)
+    with open_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError) as stream:
+        digest = hashlib.sha256()
+        while part := stream.read(limits.MIB):
+            digest.update(part)
     return {
         "name": str(name_or_path),
         **about,
-        "bytes": weights.stat().st_size,
-        "sha256": digest,
+        "bytes": size,
+        "sha256": digest.hexdigest(),
     }
 
 
@@ -122,15 +127,15 @@ def read_about(folder: Path) -> dict[str, Any]:
     """What a folder's ``model.json`` says, if this version reads it."""
     path = folder / "model.json"
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError)
         version, _, _ = about["format_version"], about["control_set"], about["controls"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (CheckpointError, KeyError, TypeError):
         raise CheckpointError(
             f"{path}: missing or damaged; save the model again with `deitalk train`"
         ) from None
     if version != FORMAT_VERSION:
         raise CheckpointError(
-            f"{path}: format version {version}, this deitalk reads {FORMAT_VERSION}; "
+            f"{path}: format version {quoted(version)}, this deitalk reads {FORMAT_VERSION}; "
             "use the deitalk that wrote it, or train again"
         )
     return dict(about)
@@ -152,6 +157,8 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         If there is no such model, its weights are damaged or too large, they do not fit its
         configuration, or it belongs to another control set.
     """
+    import torch
+
     from deitalk.devices import require_device
     from deitalk.models import DEITalk
 
@@ -164,15 +171,12 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         )
     controls = default_controls()
     _check_controls(folder, controls)
-    weights = read_weights(folder / "model.safetensors")
-    model = DEITalk(config.model, controls, pretrained=False)
-    try:
-        model.load_state_dict({name: value.float() for name, value in weights.items()})
-    except RuntimeError:
-        raise CheckpointError(
-            f"{folder / 'model.safetensors'}: weights do not fit {folder / 'config.yaml'}; both "
-            "must be of one model"
-        ) from None
+    make = partial(DEITalk, config.model, controls, pretrained=False)
+    path = folder / "model.safetensors"
+    check_fit(path, read_shapes(path), network_shapes(make))
+    with torch.device("cpu"):  # also where another network is only sized
+        model = make()
+        model.load_state_dict(read_weights(path))  # half precision becomes float32
     try:
         return model.to(device).eval()
     except (RuntimeError, AssertionError) as error:
@@ -184,24 +188,6 @@ def _check_controls(folder: Path, controls: ControlSet) -> None:
     about = read_about(folder)
     if about["control_set"] != controls.id or about["controls"] != list(controls.names):
         raise CheckpointError(
-            f"{folder}: made for control set {about['control_set']!r}, this deitalk drives "
+            f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
-
-
-def read_weights(path: Path) -> "dict[str, Tensor]":
-    """Every tensor of a safetensors file, all of them finite."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    if path.stat().st_size > MAX_BYTES:
-        raise CheckpointError(f"{path}: {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
-    try:
-        weights: dict[str, Tensor] = load_file(path)
-    except (SafetensorError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise CheckpointError(f"{path}: no safetensors file ({reason}); copy it again") from None
-    spoilt = [name for name, value in weights.items() if not value.isfinite().all()]
-    if spoilt:
-        raise CheckpointError(f"{path}: {spoilt[0]} is not finite; train again or copy it again")
-    return weights

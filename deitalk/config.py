@@ -9,11 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     ValidationError,
     ValidationInfo,
@@ -21,45 +17,46 @@ from pydantic import (
     model_validator,
 )
 
+from deitalk.config_fields import (
+    Dilation,
+    Odd,
+    Phases,
+    Positive,
+    Recurrent,
+    Section,
+    Seed,
+    SpectraRate,
+    SpectrumSeconds,
+    Steps,
+    Width,
+    Window,
+    Workers,
+    check_encoder,
+)
 from deitalk.errors import ConfigError
-
-
-def _odd(value: int) -> int:
-    if value % 2 == 0:
-        raise ValueError("must be odd, so that it has a centre")
-    return value
-
-
-Positive = Annotated[int, Field(ge=1)]
-Odd = Annotated[Positive, AfterValidator(_odd)]
-
-
-class Section(BaseModel):
-    """A frozen group of settings that refuses unknown keys."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
-    )
+from deitalk.yaml_text import load_yaml, read_yaml
+from rig import limits
+from rig.errors import quoted, shorten
 
 
 class MelConfig(Section):
     """Mel spectrogram, Spec-BiLSTM, Time-BiLSTM and temporal attention (SDFA §3.1-3.3, §4.4)."""
 
     kind: Literal["mel"] = "mel"
-    window_seconds: float = Field(
-        default=0.064, gt=0, description="length of one spectrum (FFT_win)"
+    window_seconds: SpectrumSeconds = Field(
+        default=0.064, description="length of one spectrum (FFT_win)"
     )
-    frame_rate: float = Field(default=125.0, gt=0, description="spectra per second; 1 / FFT_hop")
-    n_mels: int = Field(default=128, ge=4, description="mel bins (F)")
-    conv_channels: tuple[Positive, Positive, Positive] = (32, 64, 64)
-    spec_hidden: Positive = Field(default=32, description="Spec-BiLSTM units per direction")
-    spectral_size: Positive = Field(default=256, description="features of one spectrum (C_spec)")
-    time_stack: Positive = Field(default=1, description="spectra joined before the Time-BiLSTM")
-    time_hidden: Positive = Field(default=256, description="Time-BiLSTM units per direction")
-    time_layers: Positive = 2
-    window_frames: Positive = Field(default=64, description="spectra the attention sees (L)")
+    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second; 1 / FFT_hop")
+    n_mels: int = Field(default=128, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    conv_channels: tuple[Width, Width, Width] = (32, 64, 64)
+    spec_hidden: Width = Field(default=32, description="Spec-BiLSTM units per direction")
+    spectral_size: Width = Field(default=256, description="features of one spectrum (C_spec)")
+    time_stack: Window = Field(default=1, description="spectra joined before the Time-BiLSTM")
+    time_hidden: Width = Field(default=256, description="Time-BiLSTM units per direction")
+    time_layers: Recurrent = 2
+    window_frames: Window = Field(default=64, description="spectra the attention sees (L)")
     query_frames: Odd = Field(default=7, description="K_qry; Paper silent")
-    attention_size: Positive = Field(default=128, description="C_att; Paper silent")
+    attention_size: Width = Field(default=128, description="C_att; Paper silent")
     recurrence: Literal["window", "segment"] = Field(
         default="window", description="Time-BiLSTM once per window (the paper) or along the clip"
     )
@@ -71,9 +68,12 @@ class MelConfig(Section):
         description="add the window's own centre to what it attends to, and normalise",
     )
     rig_layers: int = Field(
-        default=0, ge=0, description="BiLSTMs along rig frames behind the attention; not in SDFA"
+        default=0,
+        ge=0,
+        le=limits.RECURRENT_LAYERS,
+        description="BiLSTMs along rig frames behind the attention; not in SDFA",
     )
-    phases: Positive = Field(
+    phases: Phases = Field(
         default=1,
         description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
     )
@@ -107,20 +107,26 @@ class Wav2VecConfig(Section):
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
 
+    @field_validator("encoder")
+    @classmethod
+    def _shape_fits(cls, value: dict[str, Any]) -> dict[str, Any]:
+        check_encoder(value)
+        return value
+
 
 class ConformerConfig(Section):
     """Mel spectrogram and conformer blocks; not in the papers."""
 
     kind: Literal["conformer"] = "conformer"
-    window_seconds: float = Field(default=0.032, gt=0, description="length of one spectrum")
-    n_mels: int = Field(default=80, ge=4, description="mel bins (F)")
-    stem_channels: Positive = 256
-    hidden_size: Positive = Field(default=384, description="width of a block")
-    layers: Positive = 2
-    heads: Positive = 4
-    intermediate_size: Positive = Field(default=512, description="width within a block")
+    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    stem_channels: Width = 256
+    hidden_size: Width = Field(default=384, description="width of a block")
+    layers: int = Field(default=2, ge=1, le=limits.LAYERS)
+    heads: Width = 4
+    intermediate_size: Width = Field(default=512, description="width within a block")
     kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
-    phases: Positive = Field(
+    phases: Phases = Field(
         default=1,
         description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
     )
@@ -136,16 +142,22 @@ class ModelConfig(Section):
     control_set: str = "metahuman-185@mh4"
     positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
     intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
-    emotion_size: Positive = Field(default=128, description="width of S_emo and E_in")
-    saliency_frames: Positive | None = Field(
+    emotion_size: Width = Field(default=128, description="width of S_emo and E_in")
+    saliency_frames: int | None = Field(
         default=None,
+        ge=1,
+        le=limits.SALIENCY_FRAMES,
         description="frames the embedding of Eq. 5 is pooled over; null: the whole clip",
     )
-    style_size: Positive = Field(default=16, description="width of the emotional style embedding")
-    motion_channels: tuple[Positive, ...] = Field(default=(384, 384, 768, 768), min_length=1)
-    classifier_size: Positive = 64
-    decoder_channels: Positive = 512
-    decoder_dilations: tuple[Positive, ...] = Field(default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1)
+    style_size: Width = Field(default=16, description="width of the emotional style embedding")
+    motion_channels: tuple[Width, ...] = Field(
+        default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
+    )
+    classifier_size: Width = 64
+    decoder_channels: Width = 512
+    decoder_dilations: tuple[Dilation, ...] = Field(
+        default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1, max_length=limits.LAYERS
+    )
     decoder_residual: bool = Field(
         default=False, description="carry every layer's input past it; not in the paper"
     )
@@ -182,8 +194,8 @@ class LossConfig(Section):
 class DataConfig(Section):
     """How clips become windows (DEITalk §4.1)."""
 
-    window_frames: Positive = 128
-    stride_frames: Positive = 5
+    window_frames: int = Field(default=128, ge=1, le=limits.TRAINING_FRAMES)
+    stride_frames: int = Field(default=5, ge=1, le=limits.TRAINING_FRAMES)
     augment: bool = Field(default=False, description="deitalk.augment on every training window")
     noise_folder: str | None = Field(default=None, description="recordings of noise to mix in")
     room_folder: str | None = Field(default=None, description="room impulse responses")
@@ -205,23 +217,25 @@ class TrainConfig(Section):
     optimizer: Literal["adam", "adamw"] = "adam"
     weight_decay: float = Field(default=0.0, ge=0)
     schedule: Literal["constant", "one_cycle"] = "constant"
-    batch_size: Positive = 32
-    epochs: float = Field(default=300, gt=0, description="passes over all training windows")
-    steps: Positive | None = Field(default=None, description="stop after this many steps instead")
+    batch_size: int = Field(default=32, ge=1, le=limits.BATCH)
+    epochs: float = Field(
+        default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training windows"
+    )
+    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
     gradient_clip: float | None = Field(default=None, gt=0)
     ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
     frozen_frontend: str | None = Field(
         default=None, description="model whose frontend is taken and does not learn"
     )
-    evaluate_every: Positive = Field(
+    evaluate_every: Steps = Field(
         default=500, description="steps between evaluations and checkpoints"
     )
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32",
         description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
     )
-    seed: int = 0
-    workers: int = Field(default=0, ge=0, description="processes that prepare windows")
+    seed: Seed = 0
+    workers: Workers = Field(default=0, description="processes that prepare windows")
     teacher: str | None = Field(
         default=None,
         description="model (name or folder) whose speech features are learnt; not in the paper",
@@ -274,24 +288,30 @@ class KarrasConfig(Section):
     """Convolutions over frequency, then over time (in the way of Karras et al. 2017)."""
 
     kind: Literal["karras"] = "karras"
-    window_seconds: float = Field(default=0.016, gt=0, description="length of one spectrum")
-    frame_rate: float = Field(default=125.0, gt=0, description="spectra per second")
-    lags: Annotated[int, Field(ge=8)] = Field(default=32, description="autocorrelation numbers")
-    window_frames: Annotated[int, Field(ge=2)] = Field(default=64, description="spectra a frame")
-    formant_channels: tuple[Positive, ...] = Field(default=(72, 108, 162, 243, 256), min_length=1)
-    articulation_channels: tuple[Positive, ...] = Field(default=(256,) * 5, min_length=1)
+    window_seconds: SpectrumSeconds = Field(default=0.016, description="length of one spectrum")
+    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second")
+    lags: int = Field(default=32, ge=8, le=limits.MEL_BINS, description="autocorrelation numbers")
+    window_frames: Window = Field(default=64, ge=2, description="spectra a frame")
+    formant_channels: tuple[Width, ...] = Field(
+        default=(72, 108, 162, 243, 256), min_length=1, max_length=limits.LAYERS
+    )
+    articulation_channels: tuple[Width, ...] = Field(
+        default=(256,) * 5, min_length=1, max_length=limits.LAYERS
+    )
 
 
 class VocaConfig(Section):
     """Convolutions over a window of speech features (in the way of Cudeiro et al. 2019)."""
 
     kind: Literal["voca"] = "voca"
-    window_seconds: float = Field(default=0.032, gt=0, description="length of one spectrum")
-    frame_rate: float = Field(default=60.0, gt=0, description="feature rows per second")
-    n_mels: Annotated[int, Field(ge=8)] = Field(default=40, description="mel bins before the DCT")
-    n_mfcc: Annotated[int, Field(ge=2)] = Field(default=26, description="cepstral coefficients")
-    window_frames: Annotated[int, Field(ge=2)] = Field(default=16, description="rows a frame")
-    channels: tuple[Positive, ...] = Field(default=(32, 32, 64, 64), min_length=1)
+    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    frame_rate: SpectraRate = Field(default=60.0, description="feature rows per second")
+    n_mels: int = Field(default=40, ge=8, le=limits.MEL_BINS, description="mel bins before the DCT")
+    n_mfcc: int = Field(default=26, ge=2, le=limits.MEL_BINS, description="cepstral coefficients")
+    window_frames: Window = Field(default=16, ge=2, description="rows a frame")
+    channels: tuple[Width, ...] = Field(
+        default=(32, 32, 64, 64), min_length=1, max_length=limits.LAYERS
+    )
 
 
 class DEITalkFeaturesConfig(Section):
@@ -310,10 +330,10 @@ class SDFAModelConfig(Section):
     motion: Literal["gradients", "offsets"] = Field(
         default="gradients", description="what is predicted: deformation gradients, vertex offsets"
     )
-    shared_size: Positive | None = Field(
+    shared_size: Width | None = Field(
         default=512, description="width of z_dec; null: the encoder's output goes on as it is"
     )
-    branch_sizes: tuple[Positive, ...] = (512, 256)
+    branch_sizes: tuple[Width, ...] = Field(default=(512, 256), max_length=limits.LAYERS)
     weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
     seal_mm: float = Field(
         default=0.0,
@@ -326,9 +346,10 @@ class MeshDataConfig(Section):
     """Mesh sequences and the bases of their gradients (SDFA §4.1, §4.3, §4.4)."""
 
     fps: float = Field(default=60.0, gt=0, le=240, description="frames per second of the meshes")
-    identities: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+    identities: tuple[Annotated[int, Field(ge=0, le=limits.SEED)], ...] = Field(
         default=(0, 1, 2, 3, 4, 5, 6, 7),
         min_length=1,
+        max_length=limits.SPEAKERS,
         description="embedded heads that act a dataset folder's curves",
     )
     emotions: tuple[str, ...] | None = Field(
@@ -344,8 +365,11 @@ class MeshDataConfig(Section):
     basis_error_mm: float = Field(
         default=0.5, gt=0, description="what the bases may cost where the face moves most"
     )
-    basis_frames: Annotated[int, Field(ge=2)] = Field(
-        default=400, description="frames that the bases are fitted to"
+    basis_frames: int = Field(
+        default=400,
+        ge=2,
+        le=limits.TRAINING_FRAMES,
+        description="frames that the bases are fitted to",
     )
 
 
@@ -354,14 +378,19 @@ class MeshTrainConfig(Section):
 
     learning_rate: float = Field(default=1e-4, gt=0)
     schedule: Literal["constant", "one_cycle"] = "constant"
-    segment_frames: Annotated[int, Field(ge=2)] = Field(
-        default=2, description="adjacent frames drawn together; 2: the paper's pairs"
+    segment_frames: int = Field(
+        default=2,
+        ge=2,
+        le=limits.BATCH,
+        description="adjacent frames drawn together; 2: the paper's pairs",
     )
-    batch_size: Annotated[int, Field(ge=2)] = Field(
-        default=100, description="frames; a multiple of segment_frames"
+    batch_size: int = Field(
+        default=100, ge=2, le=limits.BATCH, description="frames; a multiple of segment_frames"
     )
-    epochs: float = Field(default=50, gt=0, description="passes over all training frames")
-    steps: Positive | None = Field(default=None, description="stop after this many steps instead")
+    epochs: float = Field(
+        default=50, gt=0, le=limits.TRAINING_PASSES, description="passes over all training frames"
+    )
+    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
     gradient_clip: float | None = Field(default=None, gt=0)
     ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
     loss_decay: float = Field(
@@ -382,11 +411,11 @@ class MeshTrainConfig(Section):
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32", description="bfloat16: faster on CPUs with AMX, far slower elsewhere"
     )
-    evaluate_every: Positive = Field(
+    evaluate_every: Steps = Field(
         default=500, description="steps between evaluations and checkpoints"
     )
-    seed: int = 0
-    workers: int = Field(default=0, ge=0, description="processes that prepare segments")
+    seed: Seed = 0
+    workers: Workers = Field(default=0, description="processes that prepare segments")
 
     @field_validator("batch_size")
     @classmethod
@@ -421,6 +450,10 @@ class SDFAConfig(Section):
 AnyConfig = Config | SDFAConfig
 
 
+_PROBLEMS = 5
+"""Problems that are named in one message."""
+
+
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
     """Check a tree of settings; one with ``kind: sdfa`` gives an `SDFAConfig`.
 
@@ -438,7 +471,10 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
         kind = SDFAConfig if tree.get("kind") == "sdfa" else Config
         return kind.model_validate(tree)
     except ValidationError as error:
-        problems = "; ".join(_problem(item) for item in error.errors())
+        items = error.errors(include_url=False, include_context=False)
+        problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
+        if len(items) > _PROBLEMS:
+            problems += f"; {len(items) - _PROBLEMS} more"
         raise ConfigError(f"configuration: {problems}") from None
 
 
@@ -448,8 +484,7 @@ def _problem(item: Any) -> str:
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         rule = "unknown key"
-    value = repr(item["input"])
-    return f"{key}={value if len(value) <= 60 else value[:57] + '...'}: {rule}"
+    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule}"
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
@@ -468,11 +503,7 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
         If the file is missing, is no YAML mapping, or holds an unknown key or a bad value.
     """
     path = Path(path)
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from None
+    tree = read_yaml(path) or {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
     for override in overrides:
@@ -483,13 +514,14 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
 def _override(tree: dict[str, Any], override: str) -> None:
     key, equals, value = override.partition("=")
     if not equals:
-        raise ConfigError(f"override {override!r} has no '='; write train.batch_size=8")
+        raise ConfigError(f"override {quoted(override)} has no '='; write train.batch_size=8")
     *parents, leaf = key.split(".")
+    if len(parents) >= limits.NESTING:
+        raise ConfigError(f"override {quoted(override)} nests {len(parents)} levels; name a key")
     for parent in parents:
         tree = tree.setdefault(parent, {})
         if not isinstance(tree, dict):
-            raise ConfigError(f"override {override!r}: {parent!r} is a value, not a section")
-    try:
-        tree[leaf] = yaml.safe_load(value)
-    except yaml.YAMLError:
-        raise ConfigError(f"override {override!r}: {value!r} is no YAML value") from None
+            raise ConfigError(
+                f"override {quoted(override)}: {quoted(parent)} is a value, not a section"
+            )
+    tree[leaf] = load_yaml(value, f"override {quoted(override)}")

@@ -11,6 +11,8 @@
 """
 
 import json
+import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +21,19 @@ import torch
 import yaml
 from safetensors.torch import save
 
-from deitalk.checkpoint import FORMAT_VERSION, model_folder, read_about, read_weights
+from deitalk.checkpoint import FORMAT_VERSION, model_folder, read_about
 from deitalk.config import DEITalkFeaturesConfig, SDFAConfig, SDFAModelConfig, load_config
 from deitalk.deformation_decoder import InversePCA
 from deitalk.devices import require_device
 from deitalk.errors import CheckpointError
 from deitalk.mesh_head import MeshHead
 from deitalk.sdfa import SDFA
+from deitalk.weights_file import Shapes, check_fit, network_shapes, read_shapes, read_weights
+from rig import limits
+from rig.errors import shorten
 from rig.files import output_folder
 from rig.mesh import TriMesh
+from rig.reading import check_expansion, check_file, read_npz
 
 FROZEN = "inverse_pca"
 """Name of the frozen layers in the weights."""
@@ -142,20 +148,25 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
     config = load_config(path / "config.yaml")
     if not isinstance(config, SDFAConfig):
         raise CheckpointError(f"{path}: no SDFA model but curves; use deitalk.load_model")
-    weights = _all_numbers(read_weights(path / "model.safetensors"))
+    weights_path = path / "model.safetensors"
+    shapes = whole_shapes(weights_path)
     try:
-        with np.load(path / "templates.npz", allow_pickle=False) as file:
-            vertices, faces = file["vertices"], file["faces"]
-        meshes = [TriMesh(rows.astype(np.float64), faces) for rows in vertices]
-        templates = dict(zip(about["speakers"], meshes, strict=True))
-        layers = _empty_layers(weights)
-        fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
-        model = mesh_kind(config.model)(
-            config.model, layers, about["speakers"], templates, fps=fps, unit_mm=unit_mm
-        )
+        templates = read_templates(path, about["speakers"])
+        fps, unit_mm = _rates(about)
+        build = partial(mesh_kind(config.model), config.model)
+
+        def make() -> SDFA:
+            layers = _empty_layers(shapes)
+            return build(layers, tuple(templates), templates, fps=fps, unit_mm=unit_mm)
+
+        check_fit(weights_path, shapes, network_shapes(make))
+        weights = _all_numbers(read_weights(weights_path))
+        model = make()
         model.load_state_dict(weights)
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+    except CheckpointError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:
+        reason = shorten(" ".join(str(error).split()), 160)
         raise CheckpointError(f"{path}: files do not fit one another ({reason})") from None
     if isinstance(model, MeshHead) and model.encoder.fingerprint != about.get("decodes_sha256"):
         raise CheckpointError(
@@ -169,11 +180,62 @@ def load_sdfa(folder: Path | str, *, device: str = "cpu") -> SDFA:
         raise CheckpointError(f"device {device!r}: {reason}; use the device cpu") from None
 
 
-def _empty_layers(weights: dict[str, torch.Tensor]) -> dict[str, InversePCA]:
+def _empty_layers(shapes: Shapes) -> dict[str, InversePCA]:
     """Frozen layers of the sizes that the weights have, by branch."""
     end = f".{FROZEN}.components"
     return {
-        name.removeprefix("decoder.branches.").removesuffix(end): InversePCA(*value.shape)
-        for name, value in weights.items()
+        name.removeprefix("decoder.branches.").removesuffix(end): InversePCA(*shape)
+        for name, shape in shapes.items()
         if name.endswith(end)
     }
+
+
+def whole_shapes(path: Path) -> Shapes:
+    """Shapes of a weight file once `_all_numbers` has put back what it leaves out.
+
+    Raises
+    ------
+    CheckpointError
+        As `read_shapes`; or if a frozen layer expands to far more than the file.
+    """
+    shapes = read_shapes(path)
+    end = f"{FROZEN}.moving"
+    total = 0
+    for name in [name for name in shapes if name.endswith(end)]:
+        layer, width = name.removesuffix(".moving"), shapes.pop(name)
+        for part in ("components", "mean"):
+            kept = shapes.get(f"{layer}.{part}", ())
+            shapes[f"{layer}.{part}"] = (*kept[:-1], *width)
+            total += math.prod(shapes[f"{layer}.{part}"])
+    size = check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+    check_expansion(4 * total, size, path, error=CheckpointError)
+    return shapes
+
+
+def read_templates(folder: Path, speakers: Any) -> dict[str, TriMesh]:
+    """Expressionless mesh of every speaker, from ``templates.npz``.
+
+    Raises
+    ------
+    CheckpointError, MeshError
+        If the file is damaged, or has not one mesh for each name.
+    """
+    arrays = read_npz(folder / "templates.npz", limit=limits.MESH_BYTES, error=CheckpointError)
+    vertices, faces = arrays["vertices"], arrays["faces"]
+    is_list = isinstance(speakers, list) and all(isinstance(name, str) for name in speakers)
+    if not is_list or not 0 < len(speakers) <= limits.SPEAKERS:
+        raise ValueError(f"speakers must be 1 to {limits.SPEAKERS} names")
+    if vertices.dtype.kind != "f" or vertices.ndim != 3 or len(set(speakers)) != len(vertices):
+        raise ValueError(f"templates of shape {vertices.shape} for {len(speakers)} speakers")
+    meshes = [TriMesh(rows.astype(np.float64), faces) for rows in vertices]
+    return dict(zip(speakers, meshes, strict=True))
+
+
+def _rates(about: dict[str, Any]) -> tuple[float, float]:
+    """Frames per second, and millimetres in a unit of the templates."""
+    fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
+    if not limits.FPS_LOWEST <= fps <= limits.FPS_HIGHEST:
+        raise ValueError(f"fps is {fps:g}")
+    if not 0 < unit_mm <= limits.COORDINATE:
+        raise ValueError(f"unit_mm is {unit_mm:g}")
+    return fps, unit_mm

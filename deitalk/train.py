@@ -29,6 +29,7 @@ from deitalk.models import DEITalk, Output
 from deitalk.run_folder import go_on, keep, open_folder, picture_path
 from deitalk.run_tables import Journal, summary_writer
 from deitalk.update import update
+from deitalk.weights_file import network_shapes
 from deitalk.workers import end_with_parent
 from rig import ControlSet
 
@@ -156,6 +157,7 @@ def _prepare(
     config: Config, clips: Sequence[Clip], start_from: Path | None, ears: Ears | None
 ) -> tuple[Run, DEITalk | None, Ears | None]:
     """The run at step 0, its teacher and what it hears with."""
+    network_shapes(lambda: DEITalk(config.model, pretrained=False))  # not too large to be built
     torch.manual_seed(config.train.seed)
     model = DEITalk(config.model)
     teacher = read_teacher(config.train.teacher, model)

@@ -46,7 +46,8 @@ def read_yaml(path: Path, *, error: ErrorClass = ConfigError) -> Any:
     ConfigError
         Or what `error` makes: if the file cannot be read, or as `load_yaml`.
     """
-    return load_yaml(read_text(path, limits.YAML_BYTES, error=error), path, error=error)
+    text = read_text(path, limits.YAML_BYTES, error=error, may_be_empty=True)
+    return load_yaml(text, path, error=error)
 
 
 def load_yaml(text: str, where: object, *, error: ErrorClass = ConfigError) -> Any:

@@ -147,6 +147,8 @@ WORKERS = 256
 """Processes that prepare training batches."""
 SEED = 2**63 - 1
 """Seed of a random generator; the lowest is 0."""
+SPEAKERS = 256
+"""Speakers, each with a template mesh, of one mesh model."""
 TENSORS = 10_000
 """Tensors of a model file."""
 TRAINING_PASSES = 1.0e6

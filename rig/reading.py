@@ -51,7 +51,9 @@ _ARCHIVE_ERRORS = (
 )
 
 
-def check_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> int:
+def check_file(
+    path: Path, limit: int, *, error: ErrorClass = FormatError, may_be_empty: bool = False
+) -> int:
     """Return the size of a regular file in bytes, without opening it.
 
     Parameters
@@ -62,6 +64,8 @@ def check_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> in
         Most bytes it may have.
     error : callable
         Makes the exception from its message.
+    may_be_empty : bool
+        Whether a file of no bytes is taken.
 
     Raises
     ------
@@ -75,7 +79,7 @@ def check_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> in
     if not stat.S_ISREG(status.st_mode):
         kind = next((word for test, word in _KINDS if test(status.st_mode)), "is something else")
         raise error(f"{path} {kind}, not a file")
-    if status.st_size == 0:
+    if status.st_size == 0 and not may_be_empty:
         raise error(f"{path} is empty")
     if status.st_size > limit:
         raise error(
@@ -85,9 +89,11 @@ def check_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> in
     return status.st_size
 
 
-def open_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> BinaryIO:
+def open_file(
+    path: Path, limit: int, *, error: ErrorClass = FormatError, may_be_empty: bool = False
+) -> BinaryIO:
     """Open a regular file for reading bytes; arguments and errors as `check_file`."""
-    check_file(path, limit, error=error)
+    check_file(path, limit, error=error, may_be_empty=may_be_empty)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         stream = os.fdopen(os.open(path, flags), "rb")
@@ -99,9 +105,11 @@ def open_file(path: Path, limit: int, *, error: ErrorClass = FormatError) -> Bin
     return stream
 
 
-def read_bytes(path: Path, limit: int, *, error: ErrorClass = FormatError) -> bytes:
+def read_bytes(
+    path: Path, limit: int, *, error: ErrorClass = FormatError, may_be_empty: bool = False
+) -> bytes:
     """Return the contents of a regular file; arguments and errors as `check_file`."""
-    with open_file(path, limit, error=error) as stream:
+    with open_file(path, limit, error=error, may_be_empty=may_be_empty) as stream:
         try:
             data = stream.read(limit + 1)
         except OSError as problem:
@@ -112,13 +120,18 @@ def read_bytes(path: Path, limit: int, *, error: ErrorClass = FormatError) -> by
 
 
 def read_text(
-    path: Path, limit: int, *, error: ErrorClass = FormatError, errors: str = "strict"
+    path: Path,
+    limit: int,
+    *,
+    error: ErrorClass = FormatError,
+    errors: str = "strict",
+    may_be_empty: bool = False,
 ) -> str:
     """Return the text of a regular file: UTF-8 with or without mark, UTF-16 with mark.
 
     Parameters
     ----------
-    path, limit, error
+    path, limit, error, may_be_empty
         As for `check_file`.
     errors : str
         "strict", or "replace" where names do not matter.
@@ -128,7 +141,8 @@ def read_text(
     FormatError
         Or what `error` makes: as `check_file`, or if the bytes are no such text.
     """
-    return decode_text(read_bytes(path, limit, error=error), path, error=error, errors=errors)
+    data = read_bytes(path, limit, error=error, may_be_empty=may_be_empty)
+    return decode_text(data, path, error=error, errors=errors)
 
 
 def decode_text(

@@ -55,7 +55,7 @@ def test_every_variant_changes_what_its_name_says():
         ("[]", "needs two keys"),
         ("base: a.yaml", "needs two keys"),
         ("base: 3\noverrides: []", "must be a file"),
-        ("base: absent.yaml\noverrides: []", "cannot be read"),
+        ("base: absent.yaml\noverrides: []", "does not exist"),
         ("base: base.yaml\noverrides: [loss.velocty=0]", "unknown key"),
         ("base: sdfa.yaml\noverrides: []", "SDFA has no ablations"),
         (": :", "cannot be read as YAML"),

@@ -166,7 +166,7 @@ def test_overrides(tmp_path):
         ("train.batch_size", "no '='"),
         ("name.first=x", "'name' is a value"),
         ("train.nonsense=1", "train.nonsense=1: unknown key"),
-        ("train.steps=[1", "no YAML value"),
+        ("train.steps=[1", "cannot be read as YAML"),
     ],
 )
 def test_bad_override(tmp_path, override, said):

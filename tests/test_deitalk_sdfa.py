@@ -446,7 +446,7 @@ def test_folders_of_the_two_kinds_are_told_apart(tmp_path):
     with pytest.raises(CheckpointError, match="moves meshes"):
         load_model(tmp_path / "m")
     (tmp_path / "m/templates.npz").write_bytes(b"no")
-    with pytest.raises(CheckpointError, match="do not fit one another"):
+    with pytest.raises(CheckpointError, match="no archive of numpy arrays"):
         load_sdfa(tmp_path / "m")
     (tmp_path / "m/config.yaml").write_text("name: other\n")
     with pytest.raises(CheckpointError, match="no SDFA model"):

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from deitalk.audio import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
+from deitalk.config_fields import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
@@ -294,6 +295,10 @@ def _encoder_config(shape: Mapping[str, Any]) -> "Wav2Vec2Config":
                 f"encoder key {key!r} is none of transformers' Wav2Vec2Config; known are such as "
                 "hidden_size, num_hidden_layers, num_attention_heads, conv_dim"
             )
+    try:
+        check_encoder(shape)
+    except ValueError as error:
+        raise ConfigError(f"the encoder's shape is impossible: {error}; mend it") from None
     fixed = {"apply_spec_augment": False, "layerdrop": 0.0, "add_adapter": False}
     try:
         return Wav2Vec2Config(**{**shape, **fixed})

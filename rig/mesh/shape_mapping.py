@@ -28,7 +28,7 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
         else:
             for row in csv.DictReader(text.splitlines()):
                 value = _value(row.get("value") or 1.0)
-                mapping.setdefault(row["shape"], {})[row["control"]] = value
+                mapping.setdefault(_name(row["shape"]), {})[_name(row["control"])] = value
     except (ValueError, KeyError, AttributeError, TypeError, OverflowError, csv.Error):
         mapping = {}
     if len(mapping) > POINT_NAMES:
@@ -39,6 +39,12 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
             'or JSON {"smile_L": {"mouthCornerPullL": 1.0}}'
         )
     return mapping
+
+
+def _name(text: str | None) -> str:
+    if not text:
+        raise ValueError("every row names a shape and a control")
+    return text
 
 
 def _value(text: Any) -> float:

@@ -1,0 +1,80 @@
+"""Types and limits of the fields of a configuration."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from rig import limits
+from rig.errors import quoted
+
+
+def _odd(value: int) -> int:
+    if value % 2 == 0:
+        raise ValueError("must be odd, so that it has a centre")
+    return value
+
+
+Width = Annotated[int, Field(ge=1, le=limits.WIDTH)]
+"""Channels, features or units of a layer."""
+Window = Annotated[int, Field(ge=1, le=limits.WINDOW_FRAMES)]
+"""Spectra or frames that are seen at once."""
+Odd = Annotated[int, Field(ge=1, le=limits.KERNEL), AfterValidator(_odd)]
+"""Frames of a kernel."""
+Recurrent = Annotated[int, Field(ge=1, le=limits.RECURRENT_LAYERS)]
+Dilation = Annotated[int, Field(ge=1, le=limits.DILATION)]
+Phases = Annotated[int, Field(ge=1, le=limits.PHASES)]
+SpectrumSeconds = Annotated[float, Field(gt=0, le=limits.WINDOW_SECONDS)]
+SpectraRate = Annotated[float, Field(gt=1, le=limits.SPECTRA_PER_SECOND)]
+Steps = Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)]
+Seed = Annotated[int, Field(ge=0, le=limits.SEED)]
+Workers = Annotated[int, Field(ge=0, le=limits.WORKERS)]
+Positive = Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)]
+
+
+_ENCODER_LIMITS: dict[str, int] = {
+    "num_hidden_layers": limits.LAYERS,
+    "num_attention_heads": limits.WIDTH,
+    "conv_kernel": limits.KERNEL,
+    "conv_stride": limits.KERNEL,
+    "num_conv_pos_embeddings": limits.WINDOW_FRAMES,
+    "num_conv_pos_embedding_groups": limits.WIDTH,
+    "num_feat_extract_layers": limits.LAYERS,
+}
+"""Largest number of a key of transformers' Wav2Vec2Config; `limits.WIDTH` for all others."""
+_ENCODER_VALUES = 1000
+
+
+def check_encoder(shape: Mapping[str, Any]) -> None:
+    """Check the shape of a wav2vec 2.0 encoder before anything is built from it.
+
+    Parameters
+    ----------
+    shape : mapping
+        Keys of transformers' ``Wav2Vec2Config``.
+
+    Raises
+    ------
+    ValueError
+        If a number, text or list is beyond its limit.
+    """
+    if len(shape) > _ENCODER_VALUES:
+        raise ValueError(f"has {len(shape)} keys; at most {_ENCODER_VALUES} are read")
+    for key, value in shape.items():
+        values = value if isinstance(value, list | tuple) else [value]
+        if len(values) > limits.LAYERS:
+            raise ValueError(f"{quoted(key)} has {len(values)} values; at most {limits.LAYERS}")
+        most = _ENCODER_LIMITS.get(key, limits.WIDTH)
+        for item in values:
+            if isinstance(item, int | float) and not abs(item) <= most:
+                raise ValueError(f"{quoted(key)} is {quoted(item)}; at most {most}")
+            if isinstance(item, str | list | tuple | dict) and len(item) > _ENCODER_VALUES:
+                raise ValueError(f"{quoted(key)} is too long; at most {_ENCODER_VALUES}")
+
+
+class Section(BaseModel):
+    """A frozen group of settings that refuses unknown keys."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
+    )

@@ -1,0 +1,167 @@
+"""Run a reader on fuzzed inputs in workers with bounded memory and time, and keep what fails.
+
+An input is one of: read; refused in one line (RigError, DeitalkError); or a failure: any other
+exception or warning, a message that is too long or of several lines, more than the time, or a
+worker that ends (memory, crash).
+"""
+
+import os
+import select
+import signal
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deitalk.errors import DeitalkError
+from rig.errors import RigError
+from rig.limits import MESSAGE_CHARACTERS
+
+from .readers import Reader, Seed, input_of
+
+SECONDS = 5.0
+BYTES = 2**30
+_BATCH = 2000
+
+
+@dataclass
+class Outcome:
+    """What became of the inputs of one reader."""
+
+    read: int = 0
+    refused: int = 0
+    failures: list[tuple[int, str]] = field(default_factory=list)
+    slowest: float = 0.0
+
+
+def attempt(reader: Reader, path: Path) -> str:
+    """Read one file: "" if read, "refused", or what went wrong."""
+    try:
+        reader.read(path)
+    except (RigError, DeitalkError) as error:
+        text = str(error)
+        if "\n" in text or len(text) > MESSAGE_CHARACTERS or not text:
+            return f"message of {len(text)} characters: {text[:200]!r}"
+        return "refused"
+    except BaseException as error:
+        frame = error.__traceback__
+        while frame is not None and frame.tb_next is not None:
+            frame = frame.tb_next
+        where = "" if frame is None else f"{frame.tb_frame.f_code.co_filename}:{frame.tb_lineno}"
+        return f"{type(error).__name__} at {where}: {str(error)[:200]!r}"
+    return ""
+
+
+def in_process(reader: Reader, name: str, count: int, seed: int, folder: Path) -> Outcome:
+    """Fuzz without workers, for a few inputs whose time is checked afterwards."""
+    seeds = reader.seeds(folder)
+    outcome = Outcome()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for index in range(count):
+            path = _written(folder, seeds, f"{name}:{seed}:{index}")
+            start = time.perf_counter()
+            _count(outcome, index, attempt(reader, path))
+            outcome.slowest = max(outcome.slowest, time.perf_counter() - start)
+    return outcome
+
+
+def in_workers(
+    reader: Reader, name: str, first: int, last: int, seed: int, keep: Path
+) -> Iterator[Outcome]:
+    """Fuzz inputs first … last - 1; yields the same growing outcome after every batch.
+
+    Inputs that fail are written to the folder `keep`.
+    """
+    outcome = Outcome()
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        seeds = reader.seeds(folder)
+        for one in seeds:  # imports happen here, before memory is measured
+            (folder / one.name).write_bytes(one.data)
+            attempt(reader, folder / one.name)
+        while first < last:
+            stop = min(first + _BATCH, last)
+            first = _batch(reader, name, seeds, first, stop, seed, folder, outcome, keep)
+            yield outcome
+
+
+def _batch(
+    reader: Reader, name: str, seeds: list[Seed], first: int, stop: int, seed: int, folder: Path,
+    outcome: Outcome, keep: Path,
+) -> int:  # fmt: skip
+    """One worker's inputs; returns the first that it did not reach."""
+    pipe, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.close(pipe)
+            _work(reader, name, seeds, first, stop, seed, folder, write)
+        finally:
+            os._exit(1)
+    os.close(write)
+    now, buffer, reason = first, b"", ""
+    while now < stop:
+        ready, _, _ = select.select([pipe], [], [], SECONDS)
+        data = os.read(pipe, 65_536) if ready else b""
+        if not data:
+            reason = "killed or crashed" if ready else f"longer than {SECONDS:g} s"
+            break
+        *lines, buffer = (buffer + data).split(b"\n")
+        for line in lines:
+            said = line.decode("utf-8", "replace")
+            _count(outcome, now, said)
+            if said not in ("", "refused"):
+                _keep(keep, name, seeds, now, seed, said)
+            now += 1
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    os.close(pipe)
+    if now < stop:
+        _count(outcome, now, reason)
+        _keep(keep, name, seeds, now, seed, reason)
+        now += 1
+    return now
+
+
+def _work(
+    reader: Reader, name: str, seeds: list[Seed], first: int, stop: int, seed: int, folder: Path,
+    write: int,
+) -> None:  # fmt: skip
+    """In the child: bounded memory, one line of text for every input."""
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * os.sysconf("SC_PAGE_SIZE") + BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    warnings.simplefilter("error")
+    for index in range(first, stop):
+        path = _written(folder, seeds, f"{name}:{seed}:{index}")
+        said = attempt(reader, path).replace("\n", "\\n")
+        os.write(write, said.encode("utf-8", "replace") + b"\n")
+    signal.pause()
+
+
+def _written(folder: Path, seeds: list[Seed], key: str) -> Path:
+    file, data = input_of(seeds, key)
+    (folder / file).write_bytes(data)
+    return folder / file
+
+
+def _count(outcome: Outcome, index: int, said: str) -> None:
+    if said == "":
+        outcome.read += 1
+    elif said == "refused":
+        outcome.refused += 1
+    else:
+        outcome.failures.append((index, said))
+
+
+def _keep(folder: Path, name: str, seeds: list[Seed], index: int, seed: int, said: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    file, data = input_of(seeds, f"{name}:{seed}:{index}")
+    (folder / f"{name}-{seed}-{index}-{file}").write_bytes(data)
+    with (folder / "failures.txt").open("a") as log:
+        log.write(f"{name} {seed} {index} {file}: {said}\n")
