@@ -14,7 +14,9 @@ A kill at any moment leaves whole files; ``state.pt`` is the last that an evalua
 what is beyond it is made again by the run that goes on.
 """
 
+import errno
 import math
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -135,10 +137,22 @@ def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list
 
 
 def save_state(out: Path, parts: dict[str, Any], numbers: dict[str, float]) -> None:
-    """Write ``state.pt``: the states of modules and optimisers, and numbers."""
+    """Write ``state.pt``: the states of modules and optimisers, and numbers.
+
+    Raises
+    ------
+    OSError
+        If the disk is full.
+    """
     states = {name: part.state_dict() for name, part in parts.items()}
-    with atomic_write(out / "state.pt") as beside:
-        torch.save(states | numbers, beside)
+    try:
+        with atomic_write(out / "state.pt") as beside, beside.open("wb") as file:
+            torch.save(states | numbers, file)
+    except (OSError, RuntimeError) as error:
+        # torch raises an error of its own over that of the file.
+        reason = error if isinstance(error, OSError) else error.__context__
+        code = getattr(reason, "errno", None) or errno.EIO
+        raise OSError(code, os.strerror(code), str(out / "state.pt")) from None
 
 
 def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:

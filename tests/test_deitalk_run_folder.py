@@ -1,11 +1,15 @@
 """What a run leaves: numbers for two readers, the best weights, pictures no older than its state."""
 
+import errno
 import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from deitalk import run_folder
 from deitalk.errors import MissingError
 from deitalk.run_folder import go_on, keep, picture_path, restore_state
 from deitalk.run_tables import Journal
@@ -46,6 +50,19 @@ def test_going_on_drops_what_is_beyond_the_state(tmp_path):
         "000003.png", "000006.png", "mine.png"
     ]  # fmt: skip
     assert (tmp_path / "metrics.csv").read_text() == "step,total\n3,0.333333\n6,0.166667\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full (Linux)")
+def test_a_state_on_a_full_disk_is_an_error_of_the_system_that_names_it(tmp_path, monkeypatch):
+    @contextmanager
+    def full(path):
+        yield Path("/dev/full")
+
+    monkeypatch.setattr(run_folder, "atomic_write", full)
+    with pytest.raises(OSError, match="No space left on device") as caught:
+        run_folder.save_state(tmp_path, parts(), {"step": 1})
+    assert caught.value.errno == errno.ENOSPC
+    assert caught.value.filename == str(tmp_path / "state.pt")
 
 
 def scalars(folder) -> dict[str, list[tuple[int, float]]]:
