@@ -274,8 +274,8 @@ class _FFmpegSource:
                 "r",
                 format=self.demuxer,
                 container_options={"codec_whitelist": ",".join(sorted(_DECODERS))},
-                metadata_errors="replace",
                 io_open=_refuse,
+                **_lenient(av.__version__),
             ) as container:
                 yield container
         except (av.FFmpegError, OSError, MemoryError, OverflowError) as error:
@@ -362,6 +362,11 @@ def _seconds(packet: "Packet[AudioStream]") -> float:
     if packet.duration is None or packet.time_base is None:
         return 0.0
     return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
+
+
+def _lenient(version: str) -> dict[str, Any]:
+    """Arguments for PyAV to open a file whose tags are not UTF-8; 19 needs none."""
+    return {"metadata_errors": "replace"} if int(version.partition(".")[0]) < 19 else {}
 
 
 class _Seekable(io.BytesIO):

@@ -13,13 +13,21 @@ CODECS = {
 
 
 def write_sound(
-    path: Path, samples: np.ndarray, rate: int, *, faststart: bool = True, picture: bool = False
+    path: Path,
+    samples: np.ndarray,
+    rate: int,
+    *,
+    faststart: bool = True,
+    picture: bool = False,
+    title: str | None = None,
 ) -> Path:
     """Encode samples (N, C) in the usual way of the suffix, beside a picture if asked."""
     options = {"movflags": "+faststart"} if faststart and path.suffix[1:] in ("m4a", "mp4") else {}
     formats = {"m4a": "mp4", "mka": "matroska", "mkv": "matroska", "aac": "adts", "wma": "asf"}
     kind = formats.get(path.suffix[1:], path.suffix[1:])
     with av.open(f"file:{path}", "w", format=kind, options=options) as container:
+        if title is not None:
+            container.metadata["title"] = title
         layout = {1: "mono", 2: "stereo"}[samples.shape[1]]
         track = container.add_stream(CODECS[path.suffix[1:]], rate=rate, layout=layout)
         track.bit_rate = 128_000

@@ -119,6 +119,15 @@ def test_container_without_content_is_one_line(tmp_path, capfd, name, content, w
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("suffix", ["m4a", "mka", "mp3"])
+def test_tags_that_are_no_utf_8_do_no_harm(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    write_sound(path, np.stack([tone(48000)], 1), 48000, title="Zoe Z.")
+    content = path.read_bytes()
+    assert b"Zoe Z." in content
+    assert load_audio(content.replace(b"Zoe Z.", b"Zo\xeb Z.")).duration > 0.9
+
+
 def test_half_written_m4a_is_one_line(tmp_path):
     path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000)], 1), 48000, faststart=False)
     path.write_bytes(path.read_bytes()[:5000])  # the index comes last

@@ -151,6 +151,20 @@ def test_delays_do_not_add_up_over_ten_minutes():
     assert report.n_skipped == 0 and report.worst_lateness < 1 / 30
 
 
+def test_the_last_frame_is_sent_however_late():
+    with Receiver(port=0) as receiver:
+        fake = FakeTime(stall_at=[4], stall=0.5)
+        report = send(
+            arkit_curves(5),
+            make_protocol("livelink", "anna", ()),
+            ("127.0.0.1", receiver.port),
+            clock=fake.clock,
+        )
+        packets = [decode(data) for data in received(receiver, report.n_sent)]
+    assert report.n_sent + report.n_skipped == 5
+    assert packets[-1].values[JAW] == pytest.approx(1.0)
+
+
 def test_frames_whose_time_has_passed_are_skipped():
     fake = FakeTime(stall_at=[3], stall=0.5)
     report = send(

@@ -96,7 +96,7 @@ def send(
         curves = convert(curves, protocol.control_set)
     clock = clock or Clock()
     with _connected(address) as link:
-        run = _Run(curves, protocol, link, clock, first_frame)
+        run = _Run(curves, protocol, link, clock, first_frame, loop=loop)
         if on_start is not None:
             on_start()
         run.begin()
@@ -121,9 +121,11 @@ class _Run:
         link: socket.socket,
         clock: Clock,
         first_frame: int,
+        *,
+        loop: bool,
     ) -> None:
         self.curves, self.protocol, self.link, self.clock = curves, protocol, link, clock
-        self.first_frame = first_frame
+        self.first_frame, self.loop = first_frame, loop
         self.index = self.n_sent = self.n_skipped = 0
         self.start = self.worst = 0.0
 
@@ -142,6 +144,8 @@ class _Run:
             self.clock.sleep(wait)
         late = self.clock.now() - due
         missed = int(late * fps)
+        if not self.loop:  # the last frame is sent however late: none follows it
+            missed = min(missed, len(self.curves) - 1 - self.index)
         if missed > 0:
             self.n_skipped += missed
             self.index += missed
