@@ -141,6 +141,7 @@ def output_folder(
             yield stage
             _commit(stage, folder, kind)
         finally:
+            recover(folder)  # where an interrupt came while files were exchanged
             shutil.rmtree(stage, ignore_errors=True)
 
 
