@@ -1,0 +1,235 @@
+"""Examples in noise and music, operating points, and the tables of a comparison.
+
+Letters: S samples at 16 kHz, T rig frames at 30 Hz.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio import load_audio
+from deitalk.data.folder import Clip, read_clips, read_phones
+from deitalk.errors import DataError
+from deitalk.evaluation.noise import mix, named_noises, pink_noise
+from deitalk.evaluation.voice_activity.detectors import Detector, Setting, decide, make_detector
+from deitalk.evaluation.voice_activity.scores import (
+    Counts,
+    Labels,
+    label_frames,
+    score_activity,
+    share,
+)
+from deitalk.frames import SAMPLE_RATE, frame_count
+
+SNRS_DB = (20, 15, 10, 5, 0)
+CHOICE_SNRS_DB = (10, 0)
+"""Levels at which operating points are chosen."""
+CLEAN_SNR_DB = 50
+"""Pink noise under clean speech: the padding of a dataset and the pauses of speech engines are
+digital silence, which no microphone gives."""
+
+Floats = NDArray[np.float32]
+Condition = tuple[str, int]
+"""Name of the noise and speech-to-noise ratio in dB."""
+CLEAN: Condition = ("clean", CLEAN_SNR_DB)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A clip of speech with its labels."""
+
+    waveform: Floats
+    labels: Labels
+    group: str
+    """Where the speech is from: ``espeak``, ``librispeech``, ..."""
+
+    def heard(self, condition: Condition, noises: dict[str, Floats], seed: int) -> Floats:
+        """The speech in noise that begins anywhere in its recording [shape=(S,)]."""
+        name, snr_db = condition
+        noise = noises[name]
+        start = np.random.default_rng(seed).integers(len(noise))
+        return mix(self.waveform, np.roll(noise, -start), snr_db, self.labels.speech)
+
+
+def read_examples(folder: Path, splits: Sequence[str], per_group: int) -> list[Example]:
+    """Clips with phones, up to `per_group` of each source of speech, spread over its speakers.
+
+    Raises
+    ------
+    DataError
+        If no clip of the splits has phones.
+    """
+    groups: dict[str, dict[Path, Clip]] = defaultdict(dict)
+    for clip in read_clips(folder):
+        if clip.split in splits and clip.phones is not None:
+            groups[clip.speaker.partition(":")[0]].setdefault(clip.audio, clip)
+    chosen = [
+        (group, clip)
+        for group, clips in sorted(groups.items())
+        for clip in list(clips.values())[:: max(1, len(clips) // per_group)][:per_group]
+    ]
+    if not chosen:
+        raise DataError(
+            f"{folder}: no clip of {' or '.join(splits)} has phones; make more with "
+            "`deitalk corpus build`"
+        )
+    return [_example(clip, group) for group, clip in chosen]
+
+
+def _example(clip: Clip, group: str) -> Example:
+    assert clip.phones is not None
+    waveform = load_audio(clip.audio).waveform
+    return Example(
+        waveform, label_frames(read_phones(clip.phones), frame_count(len(waveform))), group
+    )
+
+
+Results = dict[tuple[str, Condition, str], Counts]
+"""Counts by name of the detector, condition and group of clips."""
+
+
+def choose_setting(
+    detector: Detector,
+    examples: Sequence[Example],
+    conditions: Sequence[Condition],
+    noises: dict[str, Floats],
+) -> Setting:
+    """Operating point with the highest mean `Counts.suitability` over `conditions`."""
+    if len(detector.settings) == 1:
+        return detector.settings[0]
+    counts: dict[tuple[Setting, Condition], Counts] = defaultdict(Counts)
+    for waveform, condition, example in _heard(examples, conditions, noises):
+        modes = {setting.mode for setting in detector.settings}
+        evidence = {mode: detector.evidence(waveform, mode) for mode in modes}
+        for setting in detector.settings:
+            active = decide(evidence[setting.mode], setting)
+            counts[setting, condition] += score_activity(active, example.labels)
+
+    def suitability(setting: Setting) -> float:
+        return float(np.nanmean([counts[setting, c].suitability for c in conditions]))
+
+    return max(detector.settings, key=suitability)
+
+
+def compare(
+    detectors: dict[Detector, Setting],
+    examples: Sequence[Example],
+    conditions: Sequence[Condition],
+    noises: dict[str, Floats],
+) -> Results:
+    """Score detectors at their operating points; all hear the same mixtures."""
+    results: Results = defaultdict(Counts)
+    for waveform, condition, example in _heard(examples, conditions, noises):
+        for detector, setting in detectors.items():
+            begun = process_time()
+            active = decide(detector.evidence(waveform, setting.mode), setting)
+            spent = Counts(
+                cpu_seconds=process_time() - begun, audio_seconds=len(waveform) / SAMPLE_RATE
+            )
+            counts = score_activity(active, example.labels) + spent
+            results[detector.name, condition, example.group] += counts
+    return dict(results)
+
+
+def _heard(
+    examples: Sequence[Example], conditions: Sequence[Condition], noises: dict[str, Floats]
+) -> Iterator[tuple[Floats, Condition, Example]]:
+    for seed, example in enumerate(examples):
+        for condition in conditions:
+            yield example.heard(condition, noises, seed), condition, example
+
+
+COLUMNS: tuple[tuple[str, Callable[[Counts], str]], ...] = (
+    ("hits", lambda c: f"{c.hit_rate:.1%}"),
+    ("false alarms", lambda c: f"{c.false_alarm_rate:.1%}"),
+    ("balanced accuracy", lambda c: f"{c.balanced_accuracy:.1%}"),
+    ("missed onsets", lambda c: f"{c.missed_onset_rate:.1%}"),
+    ("speech, mouth shut", lambda c: f"{share(c.shut, c.speech):.1%}"),
+    ("pause, mouth open", lambda c: f"{share(c.open, c.settled):.1%}"),
+    ("CPU ms per s", lambda c: f"{1000 * share(c.cpu_seconds, c.audio_seconds):.1f}"),
+)
+
+
+def level_table(results: Results, music: Sequence[str]) -> str:
+    """Every measure by detector and level, all noises pooled and all music pooled (Markdown)."""
+    pooled: dict[tuple[str, str], Counts] = defaultdict(Counts)
+    for (detector, (name, snr_db), _), counts in results.items():
+        kind = "music" if name in music else "noise"
+        label = "clean" if (name, snr_db) == CLEAN else f"{kind} {snr_db} dB"
+        pooled[label, detector] += counts
+    rows = [
+        [label, detector, *(show(counts) for _, show in COLUMNS)]
+        for (label, detector), counts in pooled.items()
+    ]
+    return _markdown(["condition", "detector", *(name for name, _ in COLUMNS)], rows)
+
+
+def condition_table(results: Results) -> str:
+    """Balanced accuracy by condition, and by source of speech, a column a detector (Markdown)."""
+    pooled: dict[tuple[str, str], Counts] = defaultdict(Counts)
+    sources: dict[tuple[str, str], Counts] = defaultdict(Counts)
+    for (detector, (name, snr_db), group), counts in results.items():
+        label = "clean" if (name, snr_db) == CLEAN else f"{name} {snr_db} dB"
+        pooled[label, detector] += counts
+        sources[f"all conditions, {group}", detector] += counts
+    pooled.update(sources)
+    names = list(dict.fromkeys(detector for _, detector in pooled))
+    rows = [
+        [label, *(f"{pooled[label, name].balanced_accuracy:.1%}" for name in names)]
+        for label in dict.fromkeys(label for label, _ in pooled)
+    ]
+    return _markdown(["condition", *names], rows)
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def run(
+    folder: Path, noise: str, music: str, names: Sequence[str], per_group: int
+) -> Iterator[str]:
+    """Lines of the report: the clips, the operating points and both tables.
+
+    Parameters
+    ----------
+    folder : Path
+        Dataset folder whose clips have phones.
+    noise, music : str
+        As `named_noises` reads them.
+    names : sequence of str
+        Of detectors.
+    per_group : int
+        Most clips of each source of speech, for choosing and for scoring.
+
+    Raises
+    ------
+    DataError, MissingError
+        If an input cannot be used or a detector's package is not installed.
+    """
+    found = [make_detector(name) for name in names]
+    noises = named_noises(noise)
+    tuning = read_examples(folder, ("train",), per_group)
+    examples = read_examples(folder, ("validation", "test"), per_group)
+    pieces = named_noises(music)
+    sounds = {"clean": pink_noise(30 * SAMPLE_RATE), **noises, **pieces}
+    scored, choice = (
+        [CLEAN, *((name, snr) for name in (*noises, *pieces) for snr in levels)]
+        for levels in (SNRS_DB, CHOICE_SNRS_DB)
+    )
+    for which, clips in (("chosen on", tuning), ("scored on", examples)):
+        seconds = sum(len(clip.waveform) for clip in clips) / SAMPLE_RATE
+        yield f"{which} {len(clips)} clips, {seconds:.0f} s"
+    detectors = {d: choose_setting(d, tuning, choice, sounds) for d in found}
+    for detector, setting in detectors.items():
+        yield f"{detector.name}: {setting}"
+    results = compare(detectors, examples, scored, sounds)
+    yield ""
+    yield level_table(results, list(pieces))
+    yield ""
+    yield condition_table(results)
