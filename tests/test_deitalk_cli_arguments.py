@@ -183,6 +183,8 @@ def test_convert_rejects_hostile_numbers_and_names(
         (["--host", "a" * 70], "cannot send to"),
         (["--host", ".."], "cannot send to"),
         (["--subject", "\udcff"], "is no UTF-8"),
+        (["--subject", ""], "subject has 0 bytes"),
+        (["--subject", "x" * 10_000], "subject has 10000 bytes"),
         (["--port", "65536"], "1 to 65535"),
         (["--protocol", "[red]"], "[red]"),
         (["--fps", "-1"], "fps=-1"),
@@ -192,6 +194,12 @@ def test_convert_rejects_hostile_numbers_and_names(
 def test_livelink_rejects_hostile_addresses(refused, command, options, expected):
     code, line = refused("livelink", command, "no-such-file", *options)
     assert code in (1, 2) and expected in line
+
+
+@pytest.mark.parametrize("host", ["\udcff", "a" * 70, "no host"])
+def test_livelink_receive_rejects_hostile_addresses(refused, host):
+    code, line = refused("livelink", "receive", "-o", "take.csv", "--host", host)
+    assert code == 1 and "cannot listen on" in line
 
 
 @pytest.mark.parametrize(

@@ -226,6 +226,8 @@ def _source(
         audio = source / "audio.wav"
         path = curves_of(source)
         return read_curves(path, control_set=None), audio if audio.is_file() else None
+    if not source.is_file():
+        raise DeitalkError(f"{source} is not a regular file; give a take, curves or a recording")
     try:
         find_format(source, readable=True)
     except FormatError:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arkit import ARKIT_ID, arkit_controls, udp_order
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted
 from rig.livelink import osc
-from rig.livelink.packet import PORT, Packet, encode
+from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 """Our device id: 36 characters, as receivers that misread the length expect."""
@@ -143,10 +143,13 @@ def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol
     Raises
     ------
     FormatError
-        If the name is unknown (see `find_protocol`), or `subject` cannot be written as UTF-8.
+        If the name is unknown (see `find_protocol`), or `subject` is empty, too long, or cannot be
+        written as UTF-8.
     """
     try:
-        subject.encode()
+        size = len(subject.encode())
     except UnicodeEncodeError:
-        raise FormatError(f"subject {subject!r} is no UTF-8; give another name") from None
+        raise FormatError(f"subject {quoted(subject)} is no UTF-8; give another name") from None
+    if size > MAX_TEXT_BYTES or (name == "livelink" and not size):
+        raise FormatError(f"subject has {size} bytes; 1 to {MAX_TEXT_BYTES} are allowed")
     return find_protocol(name).make(subject, names)

@@ -83,7 +83,7 @@ class Receiver:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
             self._socket.bind((host, port))
-        except (OSError, OverflowError, UnicodeError) as error:
+        except (OSError, OverflowError, TypeError, UnicodeError) as error:
             self._socket.close()
             reason = getattr(error, "strerror", None) or error
             raise FormatError(f"cannot listen on {host}:{port}: {reason}") from error
