@@ -230,7 +230,8 @@ def keep(
     float
         The highest score now.
     """
-    summary = {"step": step, "development": scores}
+    known = {name: value for name, value in scores.items() if math.isfinite(value)}
+    summary = {"step": step, "development": known}  # JSON has no NaN
     if scores["score"] >= best_score:
         best_score = scores["score"]
         save(out / "best", summary)

@@ -79,27 +79,34 @@ def test_a_folder_without_variants_is_refused(tmp_path):
         read_variants(tmp_path)
 
 
-def test_train_score_and_go_on(tmp_path, monkeypatch):
-    data = write_dataset(tmp_path / "data", 2, 2)
-    table = pd.read_csv(data / "clips.csv")
+ASKED = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
+VARIANTS = [
+    Variant("full", CONFIGS / "tiny.yaml", ()),
+    Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
+]
+
+
+@pytest.fixture
+def data(tmp_path) -> Path:
+    folder = write_dataset(tmp_path / "data", 2, 2)
+    table = pd.read_csv(folder / "clips.csv")
     table["split"] = ["train", "train", "validation", "test"]
-    table.to_csv(data / "clips.csv", index=False)
-    variants = [
-        Variant("full", CONFIGS / "tiny.yaml", ()),
-        Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
-    ]
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def fails(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_train_score_and_go_on(data, tmp_path, monkeypatch):
     out = tmp_path / "runs"
-    runs: list[str] = []
-    asked = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
-
-    def fails(*_: object) -> None:
-        raise KeyboardInterrupt
-
     monkeypatch.setattr(deitalk.train, "keep", fails)  # after the rows of the first evaluation
     with pytest.raises(KeyboardInterrupt):
-        ablate(variants, data, out, **asked)
+        ablate(VARIANTS, data, out, **ASKED)
     monkeypatch.undo()
-    scores = ablate(variants, data, out, **asked, says=lambda run, _: runs.append(run))
+    runs: list[str] = []
+    scores = ablate(VARIANTS, data, out, **ASKED, says=lambda run, _: runs.append(run))
     assert list(dict.fromkeys(runs)) == [
         "full seed0", "full seed1", "still seed0", "still seed1"
     ]  # fmt: skip
@@ -118,20 +125,24 @@ def test_train_score_and_go_on(tmp_path, monkeypatch):
     real = deitalk.ablate.train
     monkeypatch.setattr("deitalk.ablate.train", spy)
     before = (out / "ablations.json").read_text()
-    ablate(variants, data, out, **asked)
+    ablate(VARIANTS, data, out, **ASKED)
     assert (out / "ablations.json").read_text() == before
     assert trained == [True]  # only the run without a report, from where it was
-    with pytest.raises(DataError, match="other settings"):
-        ablate(variants, data, out, **(asked | {"steps": 3}))
 
+
+def test_other_settings_and_edited_files_are_refused(data, tmp_path):
+    out, asked = tmp_path / "runs", ASKED | {"seeds": 1}
+    ablate(VARIANTS[:1], data, out, **asked)
+    with pytest.raises(DataError, match="other settings"):
+        ablate(VARIANTS[:1], data, out, **(asked | {"steps": 3}))
     (out / "ablations.md").write_text("my notes")
     with pytest.raises(TargetError, match=r"ablations\.md was changed since deitalk wrote it"):
-        ablate(variants, data, out, **asked)
+        ablate(VARIANTS[:1], data, out, **asked)
     assert (out / "ablations.md").read_text() == "my notes"
     (out / "ablations.md").unlink()
     (out / "full/seed0/report.json").write_text("[")
     with pytest.raises(DataError, match=r"report\.json: no evaluation; remove it"):
-        ablate(variants, data, out, **asked)
+        ablate(VARIANTS[:1], data, out, **asked)
 
 
 def test_a_folder_of_the_user_is_refused_before_any_training(tmp_path):

@@ -17,7 +17,8 @@ from deitalk.data.folder import read_clips
 from deitalk.drawing import can_draw
 from deitalk.errors import ConfigError, DataError
 from deitalk.models import DEITalk
-from deitalk.train import Loss, _accelerator, _start, _step, control_weights, n_steps, train
+from deitalk.train import _accelerator, _start, _step, n_steps, train
+from deitalk.training_loss import Loss, control_weights
 from rig import default_controls
 
 CONTROLS = default_controls()
