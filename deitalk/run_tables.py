@@ -1,10 +1,9 @@
 """The numbers of a training run: rows of CSV files, and TensorBoard's events.
 
-A killed run leaves rows beyond its last state, and perhaps half of a row or of a header; `forget`
-drops them, so that the run that goes on writes every row once.
+A killed run leaves rows beyond its last state, and a full disk half of a row; `forget` drops them,
+so that the run that goes on writes every row once.
 """
 
-import csv
 import math
 from pathlib import Path
 from typing import Any
@@ -71,13 +70,14 @@ def summary_writer() -> Any:
 
 
 def log(path: Path, step: int, values: dict[str, float]) -> None:
-    """Append a row to a CSV file; the first one writes the header."""
-    is_new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if is_new:
-            writer.writerow(["step", *values])
-        writer.writerow([step, *(f"{value:.6g}" for value in values.values())])
+    """Append a row to a CSV file; the first one is written with the header, both or none."""
+    row = ",".join([str(step), *(f"{value:.6g}" for value in values.values())]) + "\n"
+    if path.exists():
+        with path.open("ab", buffering=0) as file:  # one system call: a kill does not cut it
+            file.write(row.encode())
+        return
+    with atomic_write(path) as beside:
+        beside.write_text(",".join(["step", *values]) + "\n" + row, encoding="utf-8")
 
 
 def forget(path: Path, step: int) -> None:

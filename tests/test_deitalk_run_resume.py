@@ -210,6 +210,14 @@ def test_half_written_rows_are_forgotten(tmp_path, text, kept):
     assert path.read_text() == (kept or "step,total\n") + "75,0.9\n"
 
 
+def test_a_log_is_never_without_a_row(tmp_path):
+    total = count_writes(tmp_path, lambda: log(tmp_path / "a.csv", 25, {"total": 1.0}))
+    for number in range(1, total + 1):
+        path = tmp_path / f"{number}.csv"
+        kill_at_write(number, tmp_path, lambda path=path: log(path, 25, {"total": 1.0}))
+        assert not path.exists() or path.read_text() == "step,total\n25,1\n"
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [(b"step,total\nmine,1\n", "line 2 does not begin with a step"), (b"\xff\n", "no UTF-8 text")],
