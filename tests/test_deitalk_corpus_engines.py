@@ -219,8 +219,8 @@ def test_festival_labels():
 
 
 def test_festival_batch_survives_quotes_and_nothing_to_say():
-    if reason := festival.missing():
-        pytest.skip(reason)
+    if "slt" not in festival.voices():
+        pytest.skip("needs the festival voice slt; apt-get install festival festvox-us-slt-hts")
     jobs = [festival.Job('He said "bob \\ up" (twice).'), festival.Job("..."), festival.Job("Bob.")]
     first, second, third = festival.synthesise_batch(jobs)
     assert second is None
