@@ -92,7 +92,8 @@ def _take_folder(folder: Path) -> list[Finding]:
         findings.append(Finding("warning", folder, "no take.json: this is no take of deitalk"))
     durations: dict[str, float] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in CURVE_SUFFIXES or path.name in ("take.json", *OTHER_CSV):
+        is_other = path.name.startswith(".") or path.name in ("take.json", *OTHER_CSV)
+        if is_other or path.suffix.lower() not in CURVE_SUFFIXES:
             continue
         found = _file(path)
         findings += found

@@ -186,6 +186,12 @@ def test_glb_is_checked(tmp_path):
     assert not validate(path).ok
 
 
+def test_hidden_files_of_a_take_folder_are_no_curves(tmp_path):
+    write_curves(tmp_path / "curves.csv", talking())
+    (tmp_path / ".deitalk-manifest.json").write_text('{"schema": "deitalk.manifest/1"}')
+    assert texts(tmp_path, "error") == []
+
+
 def test_empty_folder_and_absent_path(tmp_path):
     assert not validate(tmp_path).ok
     with pytest.raises(FormatError, match="does not exist"):
