@@ -91,13 +91,13 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
     command = ("-m", "deitalk", "livelink", "receive", "-o", str(out), "--port", "0")
     with start(*command) as process:
         port = int(re.search(r":(\d+)", process.stderr.readline())[1])
-        send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))
+        sent = send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))
         time.sleep(0.3)
         process.send_signal(number)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 0, said
     assert "frames of 'anna'" in said
-    assert len(read_take(out).ticks) >= 15
+    assert len(read_take(out).ticks) >= sent.n_sent  # a busy machine skips frames
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
 
 
