@@ -67,7 +67,7 @@ def build(
     if not found and (hours <= 0 or not engines):
         raise DataError(
             "nothing to build from: no speech engine is installed and no recordings are given; "
-            "install espeak-ng (apt-get install espeak-ng) or name --recordings"
+            "install espeak-ng (pip install espeakng-loader) or name --recordings"
         )
     shards = building.recorded_shards(found, seed, alignments)
     if hours > 0:
