@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control import NEWER_ONLY, SETS, Control, read_table
-from rig.errors import ControlError
+from rig.errors import ControlError, quoted
 from rig.limits import CONTROL_SET_BYTES, CONTROLS
 from rig.reading import read_text
 
 DEFAULT_ID = "metahuman-185@mh4"
+_LONGEST_NAME = 100
 SIDES = {"left": "L", "right": "R", "center": "C"}
 
 Indices = NDArray[np.intp]
@@ -267,11 +268,13 @@ class ControlSet:
         return {name: _indices(places) for name, places in members.items()}
 
     def _unknown(self, name: str) -> str:
-        near = difflib.get_close_matches(name, [*self.names, *self._older_aliases], n=3, cutoff=0.6)
+        known = [*self.names, *self._older_aliases]
+        is_short = len(name) <= _LONGEST_NAME  # comparing takes the product of the lengths
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.6) if is_short else []
         hint = (
             f"did you mean {', '.join(near)}?" if near else "see `deitalk controls` for the names"
         )
-        return f"unknown control {name!r} in {self.id}; {hint}"
+        return f"unknown control {quoted(name)} in {self.id}; {hint}"
 
 
 @cache

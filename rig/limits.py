@@ -60,6 +60,10 @@ FPS_HIGHEST = 1000.0
 """Frames per second; the fastest face captures are 240."""
 FRAMES = 1_296_000
 """Frames of a clip: three hours at 120 fps."""
+GAP_FRAMES = 36_000
+"""Frames that a take with time codes may lack: 20 minutes at 30 fps."""
+GAP_SHARE = 10
+"""Frames that it may last for each that it has, beyond `GAP_FRAMES`."""
 VALUES = 2**28
 """Frames times curves: 1 GiB as float32."""
 CONTROLS = 4096

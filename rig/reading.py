@@ -10,6 +10,8 @@ import math
 import os
 import re
 import stat
+import sys
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -48,6 +50,7 @@ _ARCHIVE_ERRORS = (
     RuntimeError,
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,
 )
 
 
@@ -319,6 +322,8 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
             raise ValueError(f"array {quoted(entry.filename)} is cut short, or longer than it says")
         flat = np.empty(count, dtype)
         _fill(stream, flat.view(np.uint8))
+    if dtype.kind == "U" and (flat.view(f"{dtype.byteorder}u4") > sys.maxunicode).any():
+        raise ValueError(f"array {quoted(entry.filename)} holds what is no text")
     array = flat.reshape(shape, order="F" if is_fortran else "C")
     array.setflags(write=False)
     return array

@@ -188,3 +188,16 @@ def test_names_of_takes():
     assert take_name("My_Slate", 3, "anna") == "My_Slate_3_anna.csv"
     with pytest.raises(CurveError, match="may hold no underscore"):
         take_name("slate", 1, "my_phone")
+
+
+def test_take_rejects_hours_without_frames(tmp_path):
+    """Three frames an hour apart are no take; a gap of 19 minutes is."""
+    codes = ["00:00:00:00.000", "00:00:00:02.000", "00:19:00:00.000"]
+    rows = [f"{code},61," + ",".join(["0"] * 61) for code in codes]
+    header = "Timecode,BlendShapeCount," + ",".join(arkit_controls().names)
+    path = tmp_path / "a_1_b.csv"
+    path.write_text("\n".join([header, *rows]))
+    assert len(read_take(path).to_curves(30)) == 19 * 60 * 30 + 1
+    path.write_text("\n".join([header, *rows]).replace("00:19", "03:19"))
+    with pytest.raises(FormatError, match="a take of 3 frames lasts 358201; at most 36030"):
+        read_take(path).to_curves(30)

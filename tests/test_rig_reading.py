@@ -164,6 +164,8 @@ def archive(path, members, compression=zipfile.ZIP_DEFLATED):
         (npy((2,), "|O", b"\0" * 16), "not numbers or text"),
         (npy((2**60,), "<U0"), "not numbers or text"),
         (npy((1,), "<c8", b"\0" * 8), "not numbers or text"),
+        (npy((1,), "<U1", b"\0\0\x11\0"), "holds what is no text"),
+        (npy((1,), ">U1", b"\xff\0\0\0"), "holds what is no text"),
         (b"\x93NUMPY\x09\x00", "no archive of numpy arrays"),
         (b"", "no archive of numpy arrays"),
     ],

@@ -82,7 +82,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
             intensity=_array(path, data, "intensity", (0,)) if "intensity" in data else None,
             control_set=set_id,
         )
-    except CurveError as error:
+    except (CurveError, OverflowError) as error:
         raise FormatError(f"{path}: {error}") from error
     if data.get("n_frames", len(curves)) != len(curves):
         raise FormatError(

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rig import limits
 from rig.arkit import ARKIT_ID, arkit_controls
 from rig.controls import ControlSet, check_unique
-from rig.curves import RigCurves, snap_fps
+from rig.curves import RigCurves, check_clip, snap_fps
 from rig.errors import CurveError, FormatError
 from rig.formats.fixed_point import Block, Text, rows
 from rig.formats.wide_csv import read_header, read_numbers
@@ -71,17 +72,33 @@ class LiveLinkTake:
         Raises
         ------
         FormatError
-            If the columns are neither.
+            If the columns are neither, or most of the take's time has no frame.
+        CurveError
+            If there are more frames than `limits.FRAMES`.
         """
         controls = _controls_of(self.names)
         places = {controls.canonical(n): i for i, n in enumerate(self.names) if controls.knows(n)}
         names = tuple(name for name in controls.names if name in places)
         fps = snap_fps(fps or self.fps)
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
-        grid = np.arange(int(seconds[-1] * fps + 0.5) + 1) / fps
-        columns = [np.interp(grid, seconds, self.values[:, places[name]]) for name in names]
-        values = np.stack(columns, axis=1).astype(np.float32)
+        n_frames = int(seconds[-1] * fps + 0.5) + 1
+        self._check_gaps(n_frames)
+        check_clip(n_frames, len(controls))
+        grid = np.arange(n_frames) / fps
+        values = np.empty((n_frames, len(names)), np.float32)
+        for column, name in enumerate(names):
+            with np.errstate(over="ignore", invalid="ignore"):  # named by RigCurves
+                values[:, column] = np.interp(grid, seconds, self.values[:, places[name]])
+        values.setflags(write=False)  # not copied again
         return RigCurves(values, names, fps, control_set=controls.id).reorder(controls)
+
+    def _check_gaps(self, n_frames: int) -> None:
+        most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
+        if n_frames > most:
+            raise FormatError(
+                f"a take of {len(self.ticks)} frames lasts {n_frames}; at most {most} are made of "
+                "it: cut it where nothing was recorded"
+            )
 
 
 def read_take(path: Path) -> LiveLinkTake:

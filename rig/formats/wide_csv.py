@@ -156,11 +156,24 @@ def _read_table(
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
+def _as_numbers(column: "pd.Series[Any]") -> NDArray[np.float64]:
+    """Return a column as numbers, NaN where a cell is none."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(np.float64)
+    except OverflowError:  # a whole number of hundreds of digits
+        return np.array([_as_number(cell) for cell in column])
+
+
+def _as_number(cell: Any) -> float:
+    try:
+        return float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
 def _bad_cell(path: Path, header: Sequence[str], table: pd.DataFrame) -> FormatError:
     """Return the error that names the first cell that is no finite number."""
-    numbers = np.stack(
-        [pd.to_numeric(table[i], errors="coerce").to_numpy(np.float64) for i in table.columns], 1
-    )
+    numbers = np.stack([_as_numbers(table[i]) for i in table.columns], 1)
     row, place = (int(i) for i in np.argwhere(~(np.abs(numbers) <= LARGEST))[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]

@@ -5,6 +5,7 @@ import json
 import random
 import re
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 
@@ -165,7 +166,8 @@ def mutated_npz(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> byt
             break
     stream = io.BytesIO()
     kind = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
-    with zipfile.ZipFile(stream, "w", kind) as archive:
+    with zipfile.ZipFile(stream, "w", kind) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of names that come twice
         for name, content in members:
             archive.writestr(name, content)
     return stream.getvalue()
