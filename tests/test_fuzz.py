@@ -3,13 +3,16 @@
 ``python -m tests.fuzz --count 100000`` is the nightly size, in workers of bounded memory.
 """
 
+import os
 import time
 
 import pytest
-from fuzz.readers import SLOW, readers
+from fuzz import run
+from fuzz.mutate import mutated
+from fuzz.readers import SLOW, Reader, Seed, readers
 from fuzz.run import attempt, in_process
 
-COUNT = 1000
+COUNT = int(os.environ.get("FUZZ_COUNT", "1000"))
 READERS = readers()
 
 
@@ -31,9 +34,6 @@ def test_every_seed_is_read(name, tmp_path):
 
 
 def test_a_reader_that_fails_is_found(tmp_path):
-    from fuzz.mutate import mutated
-    from fuzz.readers import Reader, Seed
-
     def read(path):
         return int(path.read_bytes())
 
@@ -44,29 +44,21 @@ def test_a_reader_that_fails_is_found(tmp_path):
 
 def test_a_worker_that_hangs_or_takes_memory_is_ended(tmp_path, monkeypatch):
     pytest.importorskip("resource", reason="limits of memory need Unix")
-    from fuzz import run
-    from fuzz.mutate import mutated
-    from fuzz.readers import Reader, Seed
-
-    calls = []
+    monkeypatch.setattr(run, "SECONDS", 0.3)
+    monkeypatch.setattr(run, "PATIENCE", 2)
+    parent = os.getpid()
 
     def read(path):
-        calls.append(path)
-        if len(calls) == 2:  # the first call warms up, before the worker is made
-            time.sleep(60)
-        return bytearray(3 * 2**30)
+        if os.getpid() == parent:
+            return None  # the seed, read before a worker is made
+        if path.read_bytes().startswith(b"m"):
+            return bytearray(3 * 2**30)
+        time.sleep(60)
+        return None
 
-    monkeypatch.setattr(run, "SECONDS", 0.5)
-    hungry = Reader(lambda folder: [Seed("n.txt", b"x", mutated)], lambda path: read(path))
-    monkeypatch.setattr(run, "attempt", lambda reader, path: run_attempt(reader, path, calls))
-    *_, outcome = run.in_workers(hungry, "n", 0, 2, 0, tmp_path / "keep")
-    reasons = [said for _, said in outcome.failures]
-    assert len(reasons) == 2 and "longer than 0.5 s" in reasons[0]
-    assert (tmp_path / "keep" / "failures.txt").exists()
-
-
-def run_attempt(reader, path, calls):
-    if not calls:
-        calls.append(path)
-        return ""
-    return attempt(reader, path)
+    for data, reason in ((b"m", "MemoryError"), (b"s", "longer than 0.3 s")):
+        seed = Seed("n.txt", data, lambda rng, same, corpus: same)
+        hungry = Reader(lambda folder, seed=seed: [seed], read)
+        *_, outcome = run.in_workers(hungry, "n", 0, 2, 0, tmp_path / reason)
+        assert [said.startswith(reason) for _, said in outcome.failures] == [True, True]
+        assert reason in (tmp_path / reason / "failures.txt").read_text()

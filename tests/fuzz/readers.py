@@ -76,7 +76,7 @@ def _curve_seeds(suffix: str, folder: Path) -> list[Seed]:
 
     kind = mutated_npz if suffix == ".npz" else mutated_json if "json" in suffix else mutated
     seeds = []
-    for n_frames in (2, 6):
+    for n_frames in (2, 3):
         path = folder / f"c{suffix}"
         write_curves(path, _curves(n_frames))
         seeds.append(Seed(path.name, path.read_bytes(), kind))

@@ -22,6 +22,8 @@ from rig.limits import MESSAGE_CHARACTERS
 from .readers import Reader, Seed, input_of
 
 SECONDS = 5.0
+"""Processor time of one input; a busy machine may take `PATIENCE` times as long."""
+PATIENCE = 12
 BYTES = 2**30
 _BATCH = 2000
 
@@ -62,9 +64,9 @@ def in_process(reader: Reader, name: str, count: int, seed: int, folder: Path) -
         warnings.simplefilter("error")
         for index in range(count):
             path = _written(folder, seeds, f"{name}:{seed}:{index}")
-            start = time.perf_counter()
+            start = time.process_time()
             _count(outcome, index, attempt(reader, path))
-            outcome.slowest = max(outcome.slowest, time.perf_counter() - start)
+            outcome.slowest = max(outcome.slowest, time.process_time() - start)
     return outcome
 
 
@@ -104,10 +106,10 @@ def _batch(
     os.close(write)
     now, buffer, reason = first, b"", ""
     while now < stop:
-        ready, _, _ = select.select([pipe], [], [], SECONDS)
-        data = os.read(pipe, 65_536) if ready else b""
+        reason = _waited(pipe, child)
+        data = b"" if reason else os.read(pipe, 65_536)
         if not data:
-            reason = "killed or crashed" if ready else f"longer than {SECONDS:g} s"
+            reason = reason or "killed or crashed"
             break
         *lines, buffer = (buffer + data).split(b"\n")
         for line in lines:
@@ -124,6 +126,21 @@ def _batch(
         _keep(keep, name, seeds, now, seed, reason)
         now += 1
     return now
+
+
+def _waited(pipe: int, child: int) -> str:
+    """Wait until a worker says something: "", or that it takes too long."""
+    begun, used = time.monotonic(), _processor_seconds(child)
+    while not select.select([pipe], [], [], SECONDS / 10)[0]:
+        spent = _processor_seconds(child) - used
+        if spent > SECONDS or time.monotonic() - begun > PATIENCE * SECONDS:
+            return f"longer than {SECONDS:g} s"
+    return ""
+
+
+def _processor_seconds(process: int) -> float:
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _work(
