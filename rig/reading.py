@@ -256,7 +256,14 @@ def read_npz(
         raise error(f"{path} is no archive of numpy arrays: {_reason(problem)}") from None
 
 
-def check_expansion(n_bytes: int, file_bytes: int, where: object, *, error: ErrorClass) -> None:
+def check_expansion(
+    n_bytes: int,
+    file_bytes: int,
+    where: object,
+    *,
+    error: ErrorClass,
+    floor: int = limits.EXPANDED_BYTES,
+) -> None:
     """Refuse a file that expands to far more than its size.
 
     Parameters
@@ -269,11 +276,13 @@ def check_expansion(n_bytes: int, file_bytes: int, where: object, *, error: Erro
         Begins the message: a path.
     error : callable
         Makes the exception from its message.
+    floor : int
+        Bytes that are made of any file, however small.
     """
-    if n_bytes > max(limits.EXPANDED_BYTES, limits.EXPANSION * file_bytes):
+    if n_bytes > max(floor, limits.EXPANSION * file_bytes):
         raise error(
             f"{where} of {_size(file_bytes)} expands to {_size(n_bytes)}; at most "
-            f"{_size(limits.EXPANDED_BYTES)}, or {limits.EXPANSION} times the file, are made"
+            f"{_size(floor)}, or {limits.EXPANSION} times the file, are made"
         )
 
 

@@ -159,3 +159,16 @@ def test_unreal_json_has_keys_for_both_routes(tmp_path):
     assert "CTRL_neckCorrectivesMultiplyerU" not in data["board"]
     with pytest.raises(FormatError, match="no format has the suffix"):
         read_curves(tmp_path / "c.unreal.jsonx")
+
+
+@pytest.mark.parametrize(("last", "fits"), [(33_419, True), (33_420, False)])
+def test_few_keys_far_apart_are_bounded(tmp_path, last, fits):
+    """32 MiB of 251 raw curves are 33,420 frames."""
+    path = tmp_path / "c.rigmapper.csv"
+    keys = f"CTRL_expressions_jawOpen,0,0\nCTRL_expressions_jawOpen,{last},1\n"
+    path.write_text("curve_name, frame_number, value\n" + keys)
+    if fits:
+        assert len(read_curves(path, control_set=None)) == last + 1
+    else:
+        with pytest.raises(FormatError, match="94 bytes expands to"):
+            read_curves(path)

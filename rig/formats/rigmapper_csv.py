@@ -16,8 +16,9 @@ from rig.curves import RigCurves
 from rig.errors import FormatError, quoted, shorten
 from rig.formats.fixed_point import Block, Text, rendered, rows
 from rig.formats.wide_csv import LARGEST, read_header, read_quietly
-from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, VALUES
+from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, SPARSE_BYTES, VALUES
 from rig.mapping import controls_of
+from rig.raw import raw_controls
 from rig.reading import check_expansion, check_file
 
 HEADER = ("curve_name", "frame_number", "value")
@@ -86,7 +87,9 @@ def _count_frames(path: Path, frame: np.ndarray[Any, Any], n_curves: int) -> int
         )
     n_frames = int(last) + 1
     size = check_file(path, CURVES_BYTES)
-    check_expansion(4 * n_frames * n_curves, size, path, error=FormatError)
+    check_expansion(
+        4 * n_frames * len(raw_controls()), size, path, error=FormatError, floor=SPARSE_BYTES
+    )
     return n_frames
 
 

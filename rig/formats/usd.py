@@ -14,7 +14,7 @@ from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.morph_head import METRES_PER_CM, morph_head
-from rig.limits import CURVES_BYTES, FRAMES
+from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.raw import RAW_ID, board_to_raw, raw_controls
 from rig.reading import check_expansion, check_file
 
@@ -88,7 +88,9 @@ def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) 
     if not 0 < n_frames <= FRAMES:
         raise FormatError(f"{path} runs from time code {start:g} to {end:g}; that is no clip")
     size = check_file(path, CURVES_BYTES)
-    check_expansion(4 * n_frames * len(raw_controls()), size, path, error=FormatError)
+    check_expansion(
+        4 * n_frames * len(raw_controls()), size, path, error=FormatError, floor=SPARSE_BYTES
+    )
     rows = [np.asarray(values.Get(start + i) or (), np.float32) for i in range(n_frames)]
     found = raw_controls().resolve([str(name) for name in names.Get() or ()])
     if any(len(row) != len(found) for row in rows):
