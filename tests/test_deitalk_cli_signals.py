@@ -10,6 +10,7 @@ import pytest
 
 from deitalk.cli import main
 from deitalk.cli.signals import Terminated, held, install
+from deitalk.errors import DeitalkError
 from rig import RigCurves
 from rig.arkit import ARKIT_ID, arkit_controls
 from rig.formats.livelink_csv import read_take
@@ -107,6 +108,20 @@ def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():
         signal.raise_signal(signal.SIGTERM)
     assert (caught.value.name, caught.value.exit_code) == ("SIGTERM", 143)
     signal.raise_signal(signal.SIGTERM)  # 5 s have not passed
+
+
+def test_a_signal_is_named_where_a_library_turns_it_into_an_error(monkeypatch, capsys):
+    def swallow(*_: object, **__: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Terminated:
+            raise DeitalkError("model.safetensors: no safetensors file") from None
+
+    monkeypatch.setattr("deitalk.cli.app", swallow)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 143
+    assert capsys.readouterr().err == "deitalk: stopped by SIGTERM\n"
 
 
 def test_after_a_command_sigterm_ends_the_process_at_once(monkeypatch, capsys):

@@ -6,7 +6,7 @@ import pytest
 from interrupt import count_writes, kill_at_write
 
 from rig.errors import TargetError
-from rig.files import begin_folder, changed_files, kind_of, replace_recorded
+from rig.files import begin_folder, changed_files, kind_of, record, replace_recorded
 from rig.files.recorded import settle
 
 
@@ -62,3 +62,14 @@ def test_a_kill_at_any_write_leaves_the_old_file_or_the_new_one_and_either_is_kn
         assert changed_files(folder) == []
         write(folder, "other")
         assert (folder / "table.csv").read_text() == "other"
+
+
+def test_a_kill_while_files_are_listed_leaves_nothing_after_the_next(tmp_path):
+    (tmp_path / "page.html").write_text("page")
+    total = count_writes(tmp_path, lambda: record(tmp_path, ["page.html"], kind="take"))
+    for number in range(1, total + 1):
+        kill_at_write(number, tmp_path, lambda: record(tmp_path, ["page.html"], kind="take"))
+        record(tmp_path, ["page.html"], kind="take")
+        assert sorted(path.name for path in tmp_path.iterdir()) == [
+            ".deitalk-manifest.json", "page.html"
+        ]  # fmt: skip

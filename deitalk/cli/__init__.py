@@ -90,12 +90,12 @@ def main() -> None:
         install()
         code = app(prog_name="deitalk", standalone_mode=False)
         if code == CTRL_C_CODE:
-            _stop()
+            _fail("stopped", CTRL_C_CODE)
         sys.exit(code)
     except UsageError as error:
         _fail(_usage(error), 2)
     except (typer.Abort, Terminated):
-        _stop()
+        _fail("stopped", CTRL_C_CODE)
     except ExistsError as error:
         _fail(f"{error}, or add --force to replace it")
     except (DeitalkError, RigError) as error:
@@ -112,15 +112,6 @@ def main() -> None:
         uninstall()
 
 
-def _stop() -> None:
-    """Say what stopped the command: a signal, or Ctrl-C."""
-    signal = received()
-    if signal is None:
-        _fail("stopped", CTRL_C_CODE)
-    else:
-        _fail(f"stopped by {signal.name}", signal.exit_code)
-
-
 def _usage(error: Any) -> str:
     """What is wrong with the command line, and which command tells how it is right."""
     problem = str(error.format_message()).rstrip(".")
@@ -129,6 +120,9 @@ def _usage(error: Any) -> str:
 
 
 def _fail(message: str, code: int = 1) -> None:
+    """Print one line and leave; after a signal the line names it, whatever error it ended in."""
+    if (stopped := received()) is not None:
+        message, code = f"stopped by {stopped.name}", stopped.exit_code
     with suppress(OSError):  # the terminal may be gone
         typer.secho(f"deitalk: {one_line(message)}", fg="red", err=True)
     sys.exit(code)

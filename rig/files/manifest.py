@@ -11,7 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from rig.errors import TargetError
-from rig.files.atomic import atomic_write
+from rig.files.atomic import atomic_write, remove_leftovers
+from rig.files.lock import claim
 
 MANIFEST = ".deitalk-manifest.json"
 SCHEMA = "deitalk.manifest/1"
@@ -78,9 +79,13 @@ def record(folder: Path, names: Iterable[str], *, kind: str) -> None:
     kind : str
         What the folder is, where the manifest is begun.
     """
-    old = read_manifest(folder)
-    new = {name: digest_of(folder / name) for name in names}
-    write_manifest(folder, Manifest(old.kind if old else kind, (old.files if old else {}) | new))
+    with claim(folder):
+        remove_leftovers(folder, MANIFEST)  # of a process that was killed here
+        old = read_manifest(folder)
+        new = {name: digest_of(folder / name) for name in names}
+        write_manifest(
+            folder, Manifest(old.kind if old else kind, (old.files if old else {}) | new)
+        )
 
 
 def kind_of(folder: Path) -> str | None:
