@@ -151,6 +151,8 @@ def save_state(out: Path, parts: dict[str, Any], numbers: dict[str, float]) -> N
     except (OSError, RuntimeError) as error:
         # torch raises an error of its own over that of the file.
         reason = error if isinstance(error, OSError) else error.__context__
+        if isinstance(reason, KeyboardInterrupt):
+            raise reason from None
         code = getattr(reason, "errno", None) or errno.EIO
         raise OSError(code, os.strerror(code), str(out / "state.pt")) from None
 

@@ -65,6 +65,19 @@ def test_a_state_on_a_full_disk_is_an_error_of_the_system_that_names_it(tmp_path
     assert caught.value.filename == str(tmp_path / "state.pt")
 
 
+def test_an_interrupt_while_a_state_is_written_stays_one(tmp_path, monkeypatch):
+    def save(*_: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise RuntimeError("unexpected pos 704 vs 598")  # noqa: B904
+
+    monkeypatch.setattr(torch, "save", save)
+    with pytest.raises(KeyboardInterrupt):
+        run_folder.save_state(tmp_path, parts(), {"step": 1})
+    assert list(tmp_path.iterdir()) == []
+
+
 def scalars(folder) -> dict[str, list[tuple[int, float]]]:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
