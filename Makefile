@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-AUDIO ?= deitalk/samples/promise.flac
+AUDIO ?= docs/samples/promise.flac
 EMOTION ?= happy
 TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
@@ -32,8 +32,8 @@ demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folde
 
 page: deitalk/preview/app/index.html  ## Build the preview page (needs npm)
 
-deitalk/preview/app/index.html: $(wildcard web/*.json web/*.ts web/*.html web/src/*)
-	cd web && npm install --no-audit --no-fund && npm run build
+deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/*)
+	cd deitalk/preview/web && npm install --no-audit --no-fund && npm run build
 
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)
@@ -67,15 +67,15 @@ pictures: setup  ## Draw docs/pictures, the embedded head in pictures
 	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 
 figure: setup-dev  ## Draw docs/curves.png, the README's picture
-	$(BIN)/deitalk plot deitalk/samples/promise.flac --emotion happy -o docs/curves.png --force
+	$(BIN)/deitalk plot docs/samples/promise.flac --emotion happy -o docs/curves.png --force
 
 docs: setup  ## Write docs/api.md from the docstrings
 	$(BIN)/python docs/make_api.py
 
 sample:  ## Synthesise the bundled sample (needs flite)
-	flite -voice slt -t "$(SAMPLE_TEXT)" -o deitalk/samples/promise.wav
-	$(PYTHON) -c "import soundfile as s; p='deitalk/samples/promise'; s.write(p+'.flac', *s.read(p+'.wav'))"
-	rm deitalk/samples/promise.wav
+	flite -voice slt -t "$(SAMPLE_TEXT)" -o docs/samples/promise.wav
+	$(PYTHON) -c "import soundfile as s; p='docs/samples/promise'; s.write(p+'.flac', *s.read(p+'.wav'))"
+	rm docs/samples/promise.wav
 
 clean:  ## Remove what the other targets made
 	rm -rf $(VENV) take runs corpus .pytest_cache .mypy_cache .ruff_cache

@@ -26,24 +26,24 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from deitalk.audio import Recording, load_audio
-    from deitalk.checkpoint import load_model
+    from deitalk.audio.arrays import recording_from_array
+    from deitalk.audio.load import Recording, load_audio
     from deitalk.emotions import EMOTIONS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
-    from deitalk.mesh_pipeline import MeshPerformance, animate_mesh
-    from deitalk.performance import Performance
-    from deitalk.pipeline import animate
-    from deitalk.recording_arrays import recording_from_array
+    from deitalk.models.checkpoint import load_model
+    from deitalk.pipeline.curves import animate
+    from deitalk.pipeline.mesh import MeshPerformance, animate_mesh
+    from deitalk.pipeline.performance import Performance
 
 _HOMES = {
-    "audio": ("Recording", "load_audio"),
-    "checkpoint": ("load_model",),
+    "audio.load": ("Recording", "load_audio"),
+    "models.checkpoint": ("load_model",),
     "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
-    "mesh_pipeline": ("MeshPerformance", "animate_mesh"),
-    "performance": ("Performance",),
-    "pipeline": ("animate",),
-    "recording_arrays": ("recording_from_array",),
+    "pipeline.mesh": ("MeshPerformance", "animate_mesh"),
+    "pipeline.performance": ("Performance",),
+    "pipeline.curves": ("animate",),
+    "audio.arrays": ("recording_from_array",),
 }
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rig.controls import Control, ControlSet, default_controls
     from rig.curves import EMOTIONS, RigCurves, concatenate, frames_to_time, rest_curves
-    from rig.edit import ClampReport, clamp, gain, smooth
+    from rig.curves.edit import ClampReport, clamp, gain, smooth
     from rig.formats import WriteReport, read_curves, write_curves
 
 __all__ = [
@@ -29,7 +29,7 @@ __all__ = [
 _HOMES = {
     "controls": ("Control", "ControlSet", "default_controls"),
     "curves": ("EMOTIONS", "RigCurves", "concatenate", "frames_to_time", "rest_curves"),
-    "edit": ("ClampReport", "clamp", "gain", "smooth"),
+    "curves.edit": ("ClampReport", "clamp", "gain", "smooth"),
     "formats": ("WriteReport", "read_curves", "write_curves"),
 }
 

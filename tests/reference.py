@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from deitalk import animate
-from deitalk.mesh_pipeline import animate_mesh
+from deitalk.pipeline.mesh import animate_mesh
 from rig import default_controls
 
-SAMPLE = Path(__file__).parents[1] / "deitalk/samples/promise.flac"
+SAMPLE = Path(__file__).parents[1] / "docs/samples/promise.flac"
 TOLERANCE = 1e-5
 
 

@@ -85,6 +85,6 @@ def test_type_hints_reach_a_user_s_own_code(tmp_path):
         capture_output=True, text=True, cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""},
     )  # fmt: skip
     lines = done.stdout.splitlines()
-    assert 'Revealed type is "deitalk.performance.Performance"' in lines[0]
+    assert 'Revealed type is "deitalk.pipeline.performance.Performance"' in lines[0]
     assert 'incompatible type "str"; expected "float"' in lines[1]
     assert lines[2].startswith("Found 1 error")

@@ -8,11 +8,11 @@ import pytest
 
 from deitalk.config import DataConfig, load_config
 from deitalk.corpus.build import COLUMNS
-from deitalk.data import folder as reader
-from deitalk.data.check import check_dataset
-from deitalk.data.folder import REQUIRED, read_clips, read_intensity, read_phones
+from deitalk.data import clips as reader
+from deitalk.data.checks import check_dataset
+from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones
 from deitalk.data.windows import Batches
-from deitalk.evaluate import ADULT_YEARS
+from deitalk.evaluation.curves import ADULT_YEARS
 from rig import default_controls
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,7 +79,7 @@ def test_example_gives_windows_to_train_on(example):
 
 @pytest.mark.slow
 def test_example_trains(example, tmp_path):
-    from deitalk.train import train
+    from deitalk.training.curves import train
 
     best = train(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
     assert best["step"] in (3, 6)

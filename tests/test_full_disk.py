@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from test_deitalk_pipeline import SMALL
 
-from deitalk.benchmark import speechlike
-from deitalk.checkpoint import save_model
 from deitalk.cli import main
 from deitalk.config import Config
-from deitalk.models import DEITalk
+from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
 from rig import default_controls, write_curves
 from rig.curves import RigCurves
 from rig.mesh import TriMesh, write_obj
+from tests.deitalk.pipeline.test_curves import SMALL
 
 PAGE = 4096  # bytes; what a tmpfs rounds files up to
 SHARES = (0.0, 0.04, 0.3, 0.6, 0.9, 0.99)

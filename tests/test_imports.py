@@ -48,7 +48,9 @@ def test_imports_point_down_only(path):
 
 def test_the_walk_sees_imports_inside_functions(tmp_path):
     path = tmp_path / "x.py"
-    path.write_text("def f():\n    import torch.nn\n    from deitalk.train import train\n")
+    path.write_text(
+        "def f():\n    import torch.nn\n    from deitalk.training.curves import train\n"
+    )
     assert imported(path) == {"torch", "deitalk"}
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from deitalk.checkpoint import embedded_models
 from deitalk.cli import app
+from deitalk.models.checkpoint import embedded_models
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

@@ -41,9 +41,9 @@ def ablate(
     deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
     """
     with console().status("loading"):
-        from deitalk.ablate import ablate as run
-        from deitalk.ablate import as_markdown, read_variants
         from deitalk.errors import ConfigError
+        from deitalk.training.ablation import ablate as run
+        from deitalk.training.ablation import as_markdown, read_variants
 
         variants = read_variants(configs)
     unknown = set(only or ()) - {variant.name for variant in variants}

@@ -23,9 +23,9 @@ from deitalk.cli.options import (
 from deitalk.cli.paths import reserve_file, reserve_folder
 
 if TYPE_CHECKING:
-    from deitalk.audio import Recording
-    from deitalk.performance import Performance
-    from deitalk.take import Extra
+    from deitalk.audio.load import Recording
+    from deitalk.pipeline.performance import Performance
+    from deitalk.pipeline.take import Extra
 
 
 def animate(
@@ -117,7 +117,7 @@ def _check(
 ) -> None:
     """Refuse what could not be written, before an hour of speech is animated for it."""
     from deitalk.errors import DeitalkError
-    from deitalk.take import KIND, check_take
+    from deitalk.pipeline.take import KIND, check_take
     from rig.curves import snap_fps
 
     if fps is not None:
@@ -148,8 +148,8 @@ def _perform(
     with console().status("loading the network"):
         import torch
 
-        from deitalk.checkpoint import load_model
-        from deitalk.pipeline import animate as perform
+        from deitalk.models.checkpoint import load_model
+        from deitalk.pipeline.curves import animate as perform
 
         torch.set_num_threads(min(threads, os.cpu_count() or 1))
         network = load_model(model, device=device)
@@ -161,7 +161,7 @@ def _perform(
 
 def _read(speech: str, asked: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
     """Read what was given before the network is loaded: a mistake shows at once."""
-    from deitalk.audio import load_audio
+    from deitalk.audio.load import load_audio
     from deitalk.emotions import check_intensity, parse_emotion, read_intensity_curve
 
     check_intensity(asked["intensity"])
@@ -181,8 +181,8 @@ def _write_take(
     preview: bool,
     force: bool,
 ) -> None:
-    from deitalk.checkpoint import describe_model
-    from deitalk.take import write_take
+    from deitalk.models.checkpoint import describe_model
+    from deitalk.pipeline.take import write_take
 
     about = describe_model(model)
     extras = _extras(preview)

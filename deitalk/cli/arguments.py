@@ -57,8 +57,8 @@ def finite(value: float | None) -> float | None:
 
 def usable_device(name: str) -> str:
     """Return the name of a kind of device that torch has, or refuse it."""
-    from deitalk.devices import check_device
     from deitalk.errors import DeitalkError
+    from deitalk.models.devices import check_device
 
     try:
         return check_device(name)

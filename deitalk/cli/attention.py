@@ -12,7 +12,7 @@ from deitalk.cli.paths import reserve_picture
 from deitalk.errors import DataError
 
 if TYPE_CHECKING:
-    from deitalk.attention_plot import AttentionMap
+    from deitalk.figures.attention import AttentionMap
 
 
 def attention(
@@ -45,7 +45,7 @@ def attention(
 
     deitalk attention DATA --clips 20 -o attention.png
     """
-    from deitalk.drawing import check_drawing
+    from deitalk.figures.canvas import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(source, phones))
@@ -78,10 +78,10 @@ def _listen(
     device: str,
 ) -> "tuple[AttentionMap, ...]":
     """Draw what a model does; the means over vowels and plosives, where phones are known."""
-    from deitalk.attention import attention_of, corpus_attention, load_listener
-    from deitalk.attention_plot import attention_maps, plot_attention, plot_clip
-    from deitalk.audio import load_audio
-    from deitalk.data.folder import read_phones
+    from deitalk.audio.load import load_audio
+    from deitalk.data.clips import read_phones
+    from deitalk.evaluation.attention import attention_of, corpus_attention, load_listener
+    from deitalk.figures.attention import attention_maps, plot_attention, plot_clip
 
     network = load_listener(model, device=device)
     if source.is_dir():

@@ -32,7 +32,7 @@ def benchmark(
     if mesh:
         _table_4(threads, repeats, as_json=as_json)
         return
-    from deitalk import benchmark as measures
+    from deitalk.evaluation import benchmark_curves as measures
 
     lengths = (60.0, 600.0, 3600.0) if memory else ()
     result: dict[str, Any] = {"model": model}
@@ -65,7 +65,7 @@ def benchmark(
 
 def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
     with console().status("measuring"):
-        from deitalk.mesh_timing import as_markdown, table_4
+        from deitalk.evaluation.benchmark_mesh import as_markdown, table_4
 
         report = table_4(threads, repeats)
     if as_json:

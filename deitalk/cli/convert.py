@@ -64,7 +64,7 @@ def convert(
     """
     from rig import read_curves, write_curves
     from rig.controls import DEFAULT_ID
-    from rig.mapping import convert as to_set
+    from rig.conversion.convert import convert as to_set
 
     if list_formats:
         _print_formats()
@@ -86,10 +86,10 @@ def convert(
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:
     """What the curves become before they are written; nothing where the format decides."""
-    from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
+    from rig.conversion.arkit import ARKIT_ID
+    from rig.conversion.raw import RAW_ID
     from rig.formats.table import find_format
-    from rig.raw import RAW_ID
 
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
     if rig not in sets:

@@ -96,7 +96,7 @@ def sheet(
     force: Force = False,
 ) -> None:
     """Draw the articulation tables: channels of a sentence, phones by emotions on a face."""
-    from deitalk.corpus import sheet as pictures
+    from deitalk.corpus import figures as pictures
     from rig.files import output_folder
 
     reserve_folder(out, kind="pictures", force=force)

@@ -35,7 +35,7 @@ def check(
     --------
     deitalk data check my_capture/
     """
-    from deitalk.data.check import check_dataset
+    from deitalk.data.checks import check_dataset
 
     with bar("reading") as progress:
         checks = check_dataset(folder, most=most, progress=progress)

@@ -60,7 +60,7 @@ def evaluate(
         reserve_file(out, force=force)
     if picture is not None:
         reserve_picture(picture, force=force)
-    from deitalk.mesh_pipeline import is_sdfa
+    from deitalk.pipeline.mesh import is_sdfa
 
     if is_sdfa(model):
         _refuse_for_meshes(noise=noise, captured=captured, picture=picture)
@@ -75,15 +75,15 @@ def evaluate(
 
     _write(report, as_markdown(report), out, as_json=as_json)
     if picture is not None:
-        from deitalk.evaluation.picture import draw
+        from deitalk.figures.evaluation import draw
 
         draw(report, picture)
 
 
 def _score(model: str, data: Path, **options: Any) -> dict[str, Any]:
     with console().status("loading"):
-        from deitalk.checkpoint import load_model
-        from deitalk.evaluate import evaluate as score
+        from deitalk.evaluation.curves import evaluate as score
+        from deitalk.models.checkpoint import load_model
 
         network = load_model(model)
     with bar("evaluating") as progress:
@@ -101,8 +101,8 @@ def _score_mesh(
     as_json: bool,
 ) -> None:
     with console().status("loading"):
-        from deitalk.evaluate_mesh import as_markdown, evaluate_mesh
-        from deitalk.mesh_checkpoint import load_sdfa
+        from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
+        from deitalk.models.mesh_checkpoint import load_sdfa
 
         network = load_sdfa(model)
     with bar("evaluating") as progress:

@@ -43,8 +43,8 @@ def sheet(
     deitalk face sheet emotions --identity Dana --columns 5 -o dana.png
     """
     from rig.face import build_head
+    from rig.face.contact_sheet import draw_sheet, sheet_tiles
     from rig.face.render.png import write_png
-    from rig.face.sheet import draw_sheet, sheet_tiles
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
@@ -73,8 +73,8 @@ def identities(
     deitalk face identities -o people.png
     """
     from rig.face import IDENTITIES
+    from rig.face.contact_sheet import draw_people
     from rig.face.render.png import write_png
-    from rig.face.sheet import draw_people
 
     for number, person in enumerate(IDENTITIES):
         emit(f"{number}\t{person.name}")
@@ -99,7 +99,7 @@ def export(
     deitalk face export --identity Dana -o dana.glb
     """
     from rig.face import build_head
-    from rig.face.export import CORRECTIVES, write_head
+    from rig.retarget.arkit_head import CORRECTIVES, write_head
 
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")

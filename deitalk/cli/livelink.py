@@ -231,7 +231,7 @@ def _source(
     try:
         find_format(source, readable=True)
     except FormatError:
-        from deitalk.pipeline import animate
+        from deitalk.pipeline.curves import animate
 
         console().print(f"acting {source.name}")
         performance = animate(source, emotion, model=model, intensity=intensity)
@@ -240,15 +240,15 @@ def _source(
 
 
 def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
-    from rig.mapping import convert
+    from rig.conversion.convert import convert
 
     return convert(curves, _rig_id(rig))
 
 
 def _rig_id(rig: str) -> str:
-    from rig.arkit import ARKIT_ID
     from rig.controls import DEFAULT_ID
-    from rig.raw import RAW_ID
+    from rig.conversion.arkit import ARKIT_ID
+    from rig.conversion.raw import RAW_ID
 
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID}
     if rig not in sets:
@@ -267,7 +267,7 @@ def _player(audio: Path | None) -> Callable[[], None]:
             f"playing audio needs the package sounddevice and PortAudio ({error}); "
             "pip install sounddevice, or leave --play out"
         ) from error
-    from deitalk.audio import load_audio
+    from deitalk.audio.load import load_audio
 
     recording = load_audio(audio)
     return lambda: sounddevice.play(recording.waveform, 16_000)

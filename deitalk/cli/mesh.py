@@ -11,8 +11,8 @@ from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
-    from deitalk.mesh_pipeline import MeshPerformance
-    from rig.mesh.apply import RetargetReport
+    from deitalk.pipeline.mesh import MeshPerformance
+    from rig.retarget.retarget_files import RetargetReport
 
 
 def mesh(
@@ -69,7 +69,7 @@ def mesh(
     }  # fmt: skip
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
-        from deitalk.mesh_pipeline import animate_mesh, is_sdfa
+        from deitalk.pipeline.mesh import animate_mesh, is_sdfa
 
         if mesh is None or is_sdfa(model):
             performance = animate_mesh(
@@ -93,8 +93,8 @@ def _check(
     if fps is not None:
         snap_fps(fps)
     if mesh is not None and mesh.suffix.lower() != ".glb":  # one of those may be driven unread
-        from rig.mesh.apply import read_shapes
-        from rig.mesh.landmarks import read_landmarks
+        from rig.retarget.landmarks import read_landmarks
+        from rig.retarget.retarget_files import read_shapes
 
         shapes = read_shapes(mesh)
         if landmarks is not None:
@@ -109,8 +109,8 @@ def _write(
     *,
     force: bool,
 ) -> dict[str, Any]:
-    from deitalk.mesh_pipeline import GLB_TOLERANCE_MM
-    from rig.mesh.apply import retarget_sequence
+    from deitalk.pipeline.mesh import GLB_TOLERANCE_MM
+    from rig.retarget.retarget_files import retarget_sequence
 
     if mesh is not None:
         report = retarget_sequence(
@@ -141,9 +141,9 @@ def _on_own_mesh(
     acted: dict[str, Any],
 ) -> dict[str, Any]:
     """Curves first, then as `deitalk retarget`."""
-    from deitalk.checkpoint import load_model
-    from deitalk.pipeline import animate
-    from rig.mesh.apply import retarget_curves
+    from deitalk.models.checkpoint import load_model
+    from deitalk.pipeline.curves import animate
+    from rig.retarget.retarget_files import retarget_curves
 
     network = load_model(acted["model"], device=device)
     performance = animate(speech, **(acted | {"model": network}), progress=progress)

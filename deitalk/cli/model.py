@@ -31,9 +31,9 @@ def export(
     --------
     deitalk model export runs/mel/best -o my_model --data "my captures"
     """
-    from deitalk.checkpoint import describe_model, load_model, model_folder, save_model
     from deitalk.config import Config, load_config
     from deitalk.errors import CheckpointError
+    from deitalk.models.checkpoint import describe_model, load_model, model_folder, save_model
 
     source = model_folder(model)
     reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
@@ -53,7 +53,7 @@ def info(
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Show control set, size, hash and training of a model."""
-    from deitalk.checkpoint import describe_model, embedded_models
+    from deitalk.models.checkpoint import describe_model, embedded_models
 
     about = describe_model(model)
     if as_json:

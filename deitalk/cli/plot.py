@@ -24,13 +24,13 @@ def plot(
     --------
     deitalk plot speech.wav --emotion happy -o curves.png
     """
-    from deitalk.drawing import check_drawing
+    from deitalk.figures.canvas import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(speech, emotion))
     with bar("animating") as progress:
-        from deitalk.pipeline import animate
-        from deitalk.plot import plot as draw
+        from deitalk.figures.performance import plot as draw
+        from deitalk.pipeline.curves import animate
 
         performance = animate(speech, emotion, model=model, intensity=intensity, progress=progress)
     draw(performance, out, f"{speech.name}, {emotion}")

@@ -43,11 +43,11 @@ def preview(
 
     deitalk preview take/ --versus other/ -o compare.html
     """
-    from deitalk.preview.checks import find_warnings
     from deitalk.preview.needs import PAGES, check_needs
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
     from deitalk.preview.video import render_video
+    from deitalk.preview.warnings import find_warnings
 
     targets = [out] if out else _beside(source)
     for note in check_needs(targets, backend):  # type: ignore[arg-type]
@@ -83,7 +83,7 @@ def _beside(source: Path) -> list[Path]:
 
 def _record(source: Path, target: Path) -> None:
     """List a preview of a take among the take's own files, so that a new take removes it."""
-    from deitalk.take import KIND, PREVIEW_FILES
+    from deitalk.pipeline.take import KIND, PREVIEW_FILES
     from rig.files import kind_of, record
 
     is_own = target.parent == source and target.name in PREVIEW_FILES

@@ -12,7 +12,7 @@ from deitalk.cli.paths import curves_of, reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
-    from rig.mesh.apply import RetargetReport
+    from rig.retarget.retarget_files import RetargetReport
 
 
 def retarget(
@@ -58,7 +58,7 @@ def retarget(
     deitalk retarget take/ --mesh scan.obj --landmarks scan.json -o out.glb
     """
     from rig import read_curves
-    from rig.mesh.apply import retarget_curves
+    from rig.retarget.retarget_files import retarget_curves
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")

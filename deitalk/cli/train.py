@@ -11,7 +11,7 @@ from deitalk.cli.console import bar, console
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
     from deitalk.config import SDFAConfig
-    from deitalk.train import Progress
+    from deitalk.training.curves import Progress
 
 
 def train(
@@ -49,9 +49,9 @@ def train(
         _train_sdfa(settings, data, out, resume=resume)
         return
     with console().status("loading"):
-        from deitalk.checkpoint import model_folder
-        from deitalk.drawing import can_draw
-        from deitalk.train import train as fit
+        from deitalk.figures.canvas import can_draw
+        from deitalk.models.checkpoint import model_folder
+        from deitalk.training.curves import train as fit
 
         if not can_draw():
             console().print("without pictures in OUT/curves: pip install matplotlib")
@@ -92,7 +92,7 @@ def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
 
 def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) -> None:
     with console().status("loading"):
-        from deitalk.train_sdfa import train_sdfa as fit
+        from deitalk.training.mesh import train_sdfa as fit
     with bar("training") as progress:
         best = fit(
             settings,

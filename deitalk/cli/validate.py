@@ -25,7 +25,7 @@ def validate(
 
     deitalk validate MySlate_1_iPhone.csv --json
     """
-    from rig.validate import validate as check
+    from rig.validation.curves import validate as check
 
     validation = check(path)
     if as_json:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.corpus.engines import espeak
-from deitalk.corpus.phones import PHONES, VOWELS, ipa_to_phones
+from deitalk.corpus.phone_alphabets import PHONES, VOWELS, ipa_to_phones
 from deitalk.corpus.recordings import Recording, read_waveform
 from deitalk.corpus.utterance import SAMPLE_RATE, Phone, Utterance, contiguous
 from deitalk.errors import AudioError, MissingError

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.corpus.phones import BILABIALS, LABIODENTALS, VOWELS
+from deitalk.corpus.phone_alphabets import BILABIALS, LABIODENTALS, VOWELS
 from deitalk.corpus.utterance import Phone
 
 CHANNELS = (

@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deitalk.audio import SAMPLE_RATE
-from deitalk.corpus.acting import act
+from deitalk.audio.load import SAMPLE_RATE
 from deitalk.corpus.alignment import aligned_utterances
 from deitalk.corpus.performance import CURVE_RATE, Take, perform, split_of
 from deitalk.corpus.recordings import Recording
-from deitalk.corpus.sources import synthetic_utterances
+from deitalk.corpus.rig_targets import act
+from deitalk.corpus.synthesis import synthetic_utterances
 from deitalk.corpus.utterance import Utterance
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.audio import FRAME_RATE, SAMPLE_RATE
-from deitalk.corpus.acting import intensity_envelope
+from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
 from deitalk.corpus.articulation import articulate
-from deitalk.corpus.phones import VOWELS
-from deitalk.corpus.prosody import (
+from deitalk.corpus.phone_alphabets import VOWELS
+from deitalk.corpus.prosody_contours import (
     Contour,
     apply_contour,
     contour_at,
     prosody_index,
     random_contour,
 )
+from deitalk.corpus.rig_targets import intensity_envelope
 from deitalk.corpus.utterance import Phone, Utterance
 
 CURVE_RATE = 60

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.audio import load_audio
+from deitalk.audio.load import load_audio
 from deitalk.errors import ConfigError, DataError
 
 LONGEST_SECONDS = 600
@@ -80,7 +80,7 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
 
 
 def read_waveform(path: Path | str) -> np.ndarray:
-    """Audio file as 16 kHz mono, read as `deitalk.audio.load_audio` reads it for animation.
+    """Audio file as 16 kHz mono, read as `deitalk.audio.load.load_audio` reads it for animation.
 
     Parameters
     ----------

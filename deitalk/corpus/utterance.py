@@ -17,7 +17,7 @@ class Phone:
     start, end : float
         Seconds from the beginning of the waveform.
     name : str
-        A member of `deitalk.corpus.phones.PHONES`; ``SIL`` for silence.
+        A member of `deitalk.corpus.phone_alphabets.PHONES`; ``SIL`` for silence.
     """
 
     start: float

@@ -12,18 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.errors import DataError
-from rig.errors import RigError
-from rig.mesh import (
+from rig.deformation.basis import (
+    VARIANCES,
     Bases,
-    DeformationSolver,
     GradientBasis,
     fit_basis,
-    pack_vertices,
     read_bases,
-    small_parts,
     write_bases,
 )
-from rig.mesh.basis import VARIANCES
+from rig.deformation.gradients import pack_vertices
+from rig.deformation.reconstruct import DeformationSolver, small_parts
+from rig.errors import RigError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
 Floats = NDArray[np.float64]
@@ -102,7 +101,7 @@ def fit_mesh_bases(
 
     Notes
     -----
-    Deviation: the paper keeps 97 % of the variance of unweighted numbers; see `rig.mesh.basis`.
+    Deviation: the paper keeps 97 % of the variance of unweighted numbers; see `rig.deformation.basis`.
     All speakers share the bases, and the weights are from the mean of their triangles' areas.
     """
     areas = np.mean([triangle_areas(t) for t in templates.values()], axis=0)

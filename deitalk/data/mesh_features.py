@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from deitalk.activity import normalise_level
-from deitalk.audio import frame_times
+from deitalk.audio.load import frame_times
+from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.mesh_folder import MeshClip, Rows
 from deitalk.data.mesh_segments import Segment, SegmentBatches, Spoken
 from deitalk.emotions import parse_emotion
 from deitalk.errors import DataError
-from deitalk.frontends.deitalk_features import DEITalkFeatures
+from deitalk.models.curve_features import DEITalkFeatures
 
 
 class FeatureSegments(SegmentBatches):

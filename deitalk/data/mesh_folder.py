@@ -6,7 +6,7 @@
     clips.csv              clip, speaker, split, emotion (empty where it is not known)
     templates/<speaker>.ply    the expressionless mesh; all have the same triangles
     audio/<clip>.flac      16 kHz
-    bases.npz              bases of stretch s and rotation r (`rig.mesh.basis`)
+    bases.npz              bases of stretch s and rotation r (`rig.deformation.basis`)
     offsets.npz            basis of vertex offsets
     bases.csv              what each size of them costs on held-out frames
     lips.npz               upper, lower: facing vertices of the lips' rims; optional
@@ -28,12 +28,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from deitalk.audio import SAMPLE_RATE, load_audio
-from deitalk.data.folder import SPLITS
+from deitalk.audio.load import SAMPLE_RATE, load_audio
+from deitalk.data.clips import SPLITS
 from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError
+from rig.deformation.gradients import pack_vertices
 from rig.files import output_folder
-from rig.mesh import TriMesh, pack_vertices, read_ply, write_ply
+from rig.mesh import TriMesh, read_ply, write_ply
 
 FORMAT_VERSION = 2
 MOTION = ("stretch", "rotation", "offsets", "lips")

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
-from deitalk.activity import normalise_level
-from deitalk.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
+from deitalk.audio.mel import SAMPLE_RATE, derivative
+from deitalk.audio.voice_activity import normalise_level
+from deitalk.data.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
 from deitalk.data.mesh_folder import MOTION, MeshClip
 from deitalk.errors import DataError
-from deitalk.features import SAMPLE_RATE, derivative
 from deitalk.frontends.windows import Encoder
 
 Floats = NDArray[np.float64]

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deitalk.audio import SAMPLE_RATE, load_audio
+from deitalk.audio.load import SAMPLE_RATE, load_audio
 from deitalk.config import MeshDataConfig
-from deitalk.data.folder import SPLITS, Clip, read_clips
+from deitalk.data.clips import SPLITS, Clip, read_clips
 from deitalk.data.mesh_folder import (
     LIPS_FILE,
     Lips,
@@ -49,7 +49,7 @@ def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
     Parameters
     ----------
     data : Path
-        A mesh folder, a folder in VOCASET's layout, or a dataset folder (`deitalk.data.folder`).
+        A mesh folder, a folder in VOCASET's layout, or a dataset folder (`deitalk.data.clips`).
     config : MeshDataConfig
         Frame rate, and for a dataset folder heads and number of clips.
     built : Path

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.audio import SAMPLE_RATE, Recording
+from deitalk.audio.load import SAMPLE_RATE, Recording
 from deitalk.metrics import correlation
 
 RATE = 60
@@ -130,7 +130,7 @@ class _Key:
 @lru_cache(maxsize=8)
 def _predicted_jaw(key: _Key) -> Floats | None:
     """The embedded model's jaw at 60 frames per second [shape=(T,)]; None without a model."""
-    from deitalk.pipeline import animate
+    from deitalk.pipeline.curves import animate
 
     network = _network()
     if network is None:
@@ -145,6 +145,6 @@ def _predicted_jaw(key: _Key) -> Floats | None:
 
 @lru_cache(maxsize=1)
 def _network() -> Any:
-    from deitalk.checkpoint import embedded_models, load_model
+    from deitalk.models.checkpoint import embedded_models, load_model
 
     return load_model("default") if "default" in embedded_models() else None

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
-from deitalk.activity import normalise_level
-from deitalk.audio import frame_count, load_audio
-from deitalk.augment import Surroundings, augment, change_speed, speed_factor
+from deitalk.audio.load import frame_count, load_audio
+from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
+from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
-from deitalk.data.folder import Clip, read_intensity
+from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
+from deitalk.data.clips import Clip, read_intensity
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.features import RIG_RATE, SAMPLE_RATE
 from rig import ControlSet, read_curves
 
 if TYPE_CHECKING:
-    from deitalk.ears import Ears
+    from deitalk.data.frozen_features import Ears
 
 
 class Window(NamedTuple):

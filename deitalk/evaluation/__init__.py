@@ -1,1 +1,1 @@
-"""Measures on finished curves, one file a question; `deitalk.evaluate` asks them all."""
+"""Measures on finished curves, one file a question; `deitalk.evaluation.curves` asks them all."""

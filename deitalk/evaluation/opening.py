@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.activity import speech_activity
-from deitalk.closures import Phones
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.evaluation.lip_closures import Phones
 from rig import ControlSet
 
 Floats = NDArray[np.float32]

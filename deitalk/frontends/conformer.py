@@ -11,10 +11,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.mel import RIG_RATE, MelSpectrogram
 from deitalk.config import ConformerConfig
 from deitalk.errors import ConfigError
-from deitalk.features import RIG_RATE, MelSpectrogram
-from deitalk.frontends.segments import encode_in_segments, phase_shifts
+from deitalk.frontends.chunking import encode_in_segments, phase_shifts
 
 SEGMENT_FRAMES = 64
 """Rig frames of a clip that are encoded at once."""

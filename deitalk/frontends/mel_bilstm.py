@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.nn.utils.parametrizations import weight_norm
 
+from deitalk.audio.mel import SAMPLE_RATE, MelSpectrogram, nearest_spectra
 from deitalk.config import MelConfig
-from deitalk.features import SAMPLE_RATE, MelSpectrogram, nearest_spectra
-from deitalk.frontends.segments import encode_in_segments, phase_shifts
+from deitalk.frontends.chunking import encode_in_segments, phase_shifts
 
 SEGMENT_FRAMES = 960
 """Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
@@ -158,7 +158,7 @@ class RigBiLSTM(nn.Module):
 
     Not in the papers; meant for noise, where a sound must be guessed from its neighbours. W begins
     at 0, so that a model without such layers can teach one with them and start it
-    (`deitalk.distillation`).
+    (`deitalk.training.distillation`).
 
     Parameters
     ----------

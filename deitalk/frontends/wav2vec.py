@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
-from deitalk.config_fields import check_encoder
+from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:

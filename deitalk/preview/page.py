@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import MissingError
-from deitalk.preview.checks import find_warnings
 from deitalk.preview.pack import pack
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.warnings import find_warnings
 from rig.curves import EMOTIONS
 from rig.face import build_head
 from rig.face.identity import Identity
-from rig.face.portable import head_arrays
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
+from rig.face.web_export import head_arrays
 from rig.files import atomic_write, check_file
 
 BUNDLE = Path(__file__).parent / "app" / "index.html"

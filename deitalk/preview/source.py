@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.data.folder import read_phones
-from deitalk.decoding import open_sound
+from deitalk.audio.decoding import open_sound
+from deitalk.data.clips import read_phones
 from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, read_curves
 

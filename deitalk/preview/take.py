@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from deitalk.audio import SAMPLE_RATE
-from deitalk.performance import Performance
+from deitalk.audio.load import SAMPLE_RATE
+from deitalk.pipeline.performance import Performance
 from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource

@@ -10,8 +10,8 @@ from deitalk.preview.panel import Panel, label
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from rig.curves import EMOTIONS
 from rig.face import build_head
+from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
-from rig.face.mesh import vertex_normals
 from rig.face.render import VIEWS, Renderer, make_renderer
 from rig.face.render.lettering import Picture
 from rig.face.render.renderer import Backend

@@ -4,8 +4,8 @@
 files: skull, lips, lids, teeth and hair are formulas (see docs/face.md).
 """
 
+from rig.face.geometry.mesh import Mesh
 from rig.face.head import Head, build_head
 from rig.face.identity import IDENTITIES, Identity
-from rig.face.mesh import Mesh
 
 __all__ = ["IDENTITIES", "Head", "Identity", "Mesh", "build_head"]

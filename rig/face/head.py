@@ -6,23 +6,23 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig import default_controls
+from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face import ears, eyes, hair, teeth
-from rig.face.bindings import bindings
-from rig.face.contact import Arch, Seal
+from rig.face.cache import Arrays, load_or_build
+from rig.face.geometry import ears, eyes, hair, teeth
+from rig.face.geometry.mesh import Array, Index, Mesh, join, mirrored
+from rig.face.geometry.skin import Skin, build_skin, paint_skin
+from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
-from rig.face.jaw import Jaw
-from rig.face.lids import Lids
-from rig.face.mesh import Array, Index, Mesh, join, mirrored
-from rig.face.shapes import ShapeMaker
-from rig.face.shapes_face import FACE_SHAPES
-from rig.face.shapes_mouth import MOUTH_SHAPES
-from rig.face.shapes_other import neck_shapes, side_shapes
-from rig.face.skin import Skin, build_skin, paint_skin
-from rig.face.store import Arrays, load_or_build
-from rig.face.tongue import Tongue
-from rig.face.topology import EYE_L, EYE_R, FILLER, MOUTH
+from rig.face.motion.bindings import bindings
+from rig.face.motion.contact import Arch, Seal
+from rig.face.motion.jaw import Jaw
+from rig.face.motion.lids import Lids
+from rig.face.motion.shapes import ShapeMaker
+from rig.face.motion.shapes_face import FACE_SHAPES
+from rig.face.motion.shapes_mouth import MOUTH_SHAPES
+from rig.face.motion.shapes_other import neck_shapes, side_shapes
+from rig.face.motion.tongue import Tongue
 
 Inputs = dict[str, Array]
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
@@ -295,7 +295,7 @@ def build_head(identity: int | str | Identity = 0) -> Head:
 
 @lru_cache(maxsize=16)
 def _head(identity: Identity) -> Head:
-    from rig.face.loops import anatomy
+    from rig.face.geometry.loops import anatomy
 
     arrays = load_or_build(identity, _build)
     skin = Skin(

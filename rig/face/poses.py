@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rig import default_controls
+from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.mesh import Array
+from rig.face.geometry.mesh import Array
 
 MOUTH_POSES: dict[str, dict[str, float]] = {
     "rest": {},

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arkit import ARKIT_ID, raw_to_arkit
 from rig.controls import DEFAULT_ID, ControlSet
+from rig.conversion.arkit import ARKIT_ID, raw_to_arkit
+from rig.conversion.convert import convert, known_controls
+from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
-from rig.edit import ClampReport, clamp
+from rig.curves.edit import ClampReport, clamp
 from rig.errors import FormatError
 from rig.files import atomic_write
+from rig.files.reading import open_file
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
-from rig.mapping import convert, known_controls
-from rig.raw import RAW_ID
-from rig.reading import open_file
 
 RANGE_TOLERANCE = 1e-4
 """Excess over a range that a reader takes for rounding and clamps."""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arkit import ARKIT_ID, arkit_controls
 from rig.controls import ControlSet
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.curves_csv import fps_of
-from rig.formats.fixed_point import Block, rows
+from rig.formats.decimal_text import Block, rows
 from rig.formats.wide_csv import read_header, read_numbers
 
 PREFIX = "blendShapes."

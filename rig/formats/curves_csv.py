@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.controls import ControlSet
+from rig.conversion.convert import controls_of, known_controls
 from rig.curves import RigCurves, snap_fps
 from rig.errors import FormatError
-from rig.formats.fixed_point import Block, rows
+from rig.formats.decimal_text import Block, rows
 from rig.formats.wide_csv import read_header, read_numbers
 from rig.limits import FPS_HIGHEST
-from rig.mapping import controls_of, known_controls
 
 DECIMALS = 6
 """Digits of a value: half a millionth of error at most."""

@@ -12,10 +12,10 @@ import numpy as np
 from rig.controls import ControlSet
 from rig.curves import EMOTIONS, RigCurves
 from rig.errors import CurveError, FormatError, quoted
+from rig.files.reading import read_json
 from rig.formats.curves_csv import DECIMALS, names_of_set
-from rig.formats.fixed_point import Block, rows
+from rig.formats.decimal_text import Block, rows
 from rig.limits import CONTROLS, JSON_CURVES_BYTES
-from rig.reading import read_json
 
 SCHEMA = "deitalk.curves/1"
 

@@ -8,9 +8,9 @@ import numpy as np
 from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import CurveError, FormatError, RigError, quoted
+from rig.files.reading import read_npz
 from rig.formats.curves_csv import names_of_set
 from rig.limits import CONTROLS
-from rig.reading import read_npz
 
 SCHEMA = "deitalk.curves/1"
 

@@ -13,10 +13,10 @@ import numpy as np
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.formats.fixed_point import Block, rows
+from rig.files.reading import check_file
+from rig.formats.decimal_text import Block, rows
 from rig.formats.wide_csv import read_matrix
 from rig.limits import CURVES_BYTES
-from rig.reading import check_file
 
 DECIMALS = 6
 

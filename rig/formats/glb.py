@@ -7,9 +7,9 @@ Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, 
 from pathlib import Path
 
 from rig.curves import RigCurves
-from rig.formats.morph_head import METRES_PER_CM, morph_head
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.shapes import ShapeSet
+from rig.retarget.morph_head import METRES_PER_CM, morph_head
 
 
 def write(path: Path, curves: RigCurves) -> None:

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import limits
-from rig.arkit import ARKIT_ID, arkit_controls
 from rig.controls import ControlSet, check_unique
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.curves import RigCurves, check_clip, snap_fps
 from rig.errors import CurveError, FormatError
-from rig.formats.fixed_point import Block, Text, rows
+from rig.formats.decimal_text import Block, Text, rows
 from rig.formats.wide_csv import read_header, read_numbers
-from rig.raw import PREFIX, RAW_ID, raw_controls
 
 TICKS_PER_SECOND = 60_000
 """A tick is a thousandth of a sixtieth of a second: the last digit of a time code."""

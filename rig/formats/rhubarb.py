@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rig.controls import ControlSet, default_controls
+from rig.conversion.visemes import Cue, cues, cues_to_curves
 from rig.curves import RigCurves, n_frames_for
 from rig.errors import FormatError, quoted
+from rig.files.reading import check_expansion, check_file, read_text
 from rig.formats.curves_json import read_object
 from rig.limits import CUES_BYTES, SECONDS
-from rig.reading import check_expansion, check_file, read_text
-from rig.visemes import Cue, cues, cues_to_curves
 
 
 def write_tsv(path: Path, curves: RigCurves) -> None:

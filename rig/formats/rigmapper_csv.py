@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 
 from rig.controls import ControlSet
+from rig.conversion.convert import controls_of
+from rig.conversion.raw import raw_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted, shorten
-from rig.formats.fixed_point import Block, Text, rendered, rows
+from rig.files.reading import check_expansion, check_file
+from rig.formats.decimal_text import Block, Text, rendered, rows
 from rig.formats.wide_csv import LARGEST, read_header, read_quietly
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, SPARSE_BYTES, VALUES
-from rig.mapping import controls_of
-from rig.raw import raw_controls
-from rig.reading import check_expansion, check_file
 
 HEADER = ("curve_name", "frame_number", "value")
 DECIMALS = 6

@@ -4,8 +4,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.arkit import ARKIT_ID
 from rig.controls import DEFAULT_ID, ControlSet
+from rig.conversion.arkit import ARKIT_ID
+from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats import (
@@ -20,7 +21,6 @@ from rig.formats import (
     unreal_json,
     viseme_json,
 )
-from rig.raw import RAW_ID
 
 Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
 Writer = Callable[[Path, RigCurves], None]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.controls import default_controls
+from rig.conversion.raw import board_to_raw
 from rig.curves import RigCurves
-from rig.formats.fixed_point import Block, rows
-from rig.raw import board_to_raw
+from rig.formats.decimal_text import Block, rows
 
 SCHEMA = "deitalk.unreal/1"
 DECIMALS = 6

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from rig.controls import ControlSet
+from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.formats.morph_head import METRES_PER_CM, morph_head
+from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
-from rig.raw import RAW_ID, board_to_raw, raw_controls
-from rig.reading import check_expansion, check_file
+from rig.retarget.morph_head import METRES_PER_CM, morph_head
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
 STILL_CM = 1e-3

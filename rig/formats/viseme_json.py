@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
+from rig.conversion.visemes import OCULUS, names, weights
 from rig.curves import RigCurves
-from rig.formats.fixed_point import Block, rows
-from rig.visemes import OCULUS, names, weights
+from rig.formats.decimal_text import Block, rows
 
 SCHEMA = "deitalk.visemes/1"
 DECIMALS = 4

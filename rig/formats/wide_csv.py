@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from rig.errors import FormatError, quoted, shorten
+from rig.files.reading import check_expansion, check_file, decode_text, open_file
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
-from rig.reading import check_expansion, check_file, decode_text, open_file
 
 MAX_COLUMNS = CONTROLS + 16
 """Controls, and the columns of times and counts beside them."""

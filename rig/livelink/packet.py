@@ -47,7 +47,7 @@ class Packet:
     rate : tuple of int
         Numerator and denominator of the frame rate, both above 0.
     values : array [shape=(61,)]
-        In packet order, see `rig.arkit.udp_order`.
+        In packet order, see `rig.conversion.arkit.udp_order`.
     """
 
     device: str

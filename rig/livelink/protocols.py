@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arkit import ARKIT_ID, arkit_controls, udp_order
+from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.errors import FormatError, quoted
 from rig.livelink import osc
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode

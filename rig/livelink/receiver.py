@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from rig.arkit import arkit_controls, udp_order
+from rig.conversion.arkit import arkit_controls, udp_order
 from rig.errors import FormatError
 from rig.formats.livelink_csv import TICKS_PER_DAY, TICKS_PER_SECOND, LiveLinkTake
 from rig.livelink.packet import PORT, Packet, decode

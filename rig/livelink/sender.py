@@ -9,10 +9,10 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.conversion.convert import convert, known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.livelink.protocols import LiveProtocol
-from rig.mapping import convert, known_controls
 
 REST_REPEATS = 3
 """UDP may lose a datagram; a face that stays open is worse than three packets."""

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
+from rig.files.reading import check_file, load_json, open_file
 from rig.limits import MESH_BYTES
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh, vertex_normals
-from rig.reading import check_file, load_json, open_file
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
 _FLOAT, _UINT = 5126, 5125

@@ -14,10 +14,10 @@ import numpy as np
 
 from rig.errors import FormatError, MeshError, TopologyError, quoted
 from rig.files import atomic_write, output_folder
+from rig.files.reading import open_file
 from rig.limits import MESH_BYTES, TRIANGLES, VERTICES
 from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
-from rig.reading import open_file
 
 NEUTRAL_WORDS = ("neutral", "base", "rest", "basis", "default")
 """A file is taken as the neutral one if its name holds one of these words."""

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.files import atomic_write, output_folder
+from rig.files.reading import check_file, open_file
 from rig.limits import MESH_BYTES, TRIANGLES
 from rig.mesh.ply_elements import Lists, read_element, read_header
 from rig.mesh.trimesh import TriMesh, check_length
-from rig.reading import check_file, open_file
 
 
 def read_ply(path: Path | str) -> TriMesh:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from rig.errors import FormatError, MeshError, quoted
 from rig.files import atomic_write
+from rig.files.reading import read_npz
 from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
 from rig.mesh.trimesh import TriMesh
-from rig.reading import read_npz
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class ShapeSet:
     deltas : array [shape=(K, V, 3)]
         Displacement of every vertex at weight 1; kept as float32.
     landmarks : mapping of str to int
-        Named vertices, for registration; see `rig.mesh.landmarks`.
+        Named vertices, for registration; see `rig.retarget.landmarks`.
 
     Raises
     ------

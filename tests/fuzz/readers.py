@@ -187,8 +187,8 @@ def _mesh_seeds(suffix: str, folder: Path) -> list[Seed]:
 
 
 def _read_mesh(path: Path) -> object:
-    from rig.mesh.apply import read_shapes
     from rig.mesh.glb_reader import morph_names
+    from rig.retarget.retarget_files import read_shapes
 
     if path.suffix == ".glb":
         morph_names(path)
@@ -196,7 +196,7 @@ def _read_mesh(path: Path) -> object:
 
 
 def _landmark_seeds(folder: Path) -> list[Seed]:
-    from rig.mesh.landmarks import NEEDED
+    from rig.retarget.landmarks import NEEDED
 
     marks = {name: [0.1 * i, 0, 0] if i % 2 else i % 4 for i, name in enumerate(NEEDED)}
     table = "name,vertex\n" + "".join(f"{name},{i % 4}\n" for i, name in enumerate(NEEDED))
@@ -209,7 +209,7 @@ def _landmark_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_landmarks(path: Path) -> object:
-    from rig.mesh.landmarks import read_landmarks
+    from rig.retarget.landmarks import read_landmarks
 
     return read_landmarks(path, _mesh())
 
@@ -223,8 +223,8 @@ def _mapping_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_mapping(path: Path) -> object:
-    from rig.mesh.blendshapes import match_shapes
-    from rig.mesh.shape_mapping import read_mapping
+    from rig.retarget.blendshapes import match_shapes
+    from rig.retarget.shape_mapping import read_mapping
 
     return match_shapes(("smile", "b", "jawOpen"), mapping=read_mapping(path))
 
@@ -233,9 +233,9 @@ def _read_mapping(path: Path) -> object:
 
 
 def _tiny(folder: Path) -> Path:
-    from deitalk.checkpoint import save_model
     from deitalk.config import Config, load_config
-    from deitalk.models import DEITalk
+    from deitalk.models.checkpoint import save_model
+    from deitalk.models.curve_model import DEITalk
 
     config = load_config(CONFIGS / "tiny.yaml")
     assert isinstance(config, Config)
@@ -260,10 +260,10 @@ def _model_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_model_file(path: Path) -> object:
-    from deitalk.checkpoint import read_about
     from deitalk.config import load_config
-    from deitalk.mesh_checkpoint import read_templates, whole_shapes
-    from deitalk.weights_file import read_weights
+    from deitalk.models.checkpoint import read_about
+    from deitalk.models.mesh_checkpoint import read_templates, whole_shapes
+    from deitalk.models.weights_file import read_weights
 
     if path.name == "config.yaml":
         return load_config(path)
@@ -285,7 +285,7 @@ def _read_whole_model(path: Path) -> object:
     import shutil
     import tempfile
 
-    from deitalk.checkpoint import load_model
+    from deitalk.models.checkpoint import load_model
 
     good = path.parent / "tiny"
     with tempfile.TemporaryDirectory() as made:
@@ -349,7 +349,7 @@ def _audio_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_audio(path: Path) -> object:
-    from deitalk.audio import load_audio
+    from deitalk.audio.load import load_audio
 
     return load_audio(path)
 

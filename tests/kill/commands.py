@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from deitalk.benchmark import speechlike
+from deitalk.evaluation.benchmark_curves import speechlike
 from rig import RigCurves, default_controls, write_curves
 
 from .processes import Process
@@ -96,7 +96,7 @@ def _old_take(folder: Path, seconds: float = 0.8) -> None:
 
 
 def _dataset(folder: Path) -> None:
-    from dataset import write_dataset
+    from tests.dataset import write_dataset
 
     _notes(folder)
     write_dataset(folder / "data", n_train=2, n_validation=1)
@@ -114,7 +114,7 @@ def _curves(folder: Path) -> None:
 
 def _packets(process: Process) -> None:
     """Send a second of a face once the command listens."""
-    from rig.arkit import arkit_controls
+    from rig.conversion.arkit import arkit_controls
     from rig.livelink import Packet, encode
 
     process.wait(partial(_listens, process), seconds=20)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.corpus.engines.espeak_library import Server, known_voice, library
-from deitalk.corpus.phones import STOPS, ipa_to_phones
+from deitalk.corpus.phone_alphabets import STOPS, ipa_to_phones
 from deitalk.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 from deitalk.errors import ConfigError, DataError, MissingError
 

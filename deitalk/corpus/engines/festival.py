@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from deitalk.corpus.engines.espeak import check_ranges
-from deitalk.corpus.phones import festival_to_phone
+from deitalk.corpus.phone_alphabets import festival_to_phone
 from deitalk.corpus.recordings import read_waveform
 from deitalk.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 from deitalk.errors import AudioError, ConfigError, MissingError

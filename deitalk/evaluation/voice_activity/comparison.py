@@ -12,10 +12,11 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.audio import load_audio
-from deitalk.data.folder import Clip, read_clips, read_phones
+from deitalk.audio.frames import SAMPLE_RATE, frame_count
+from deitalk.audio.load import load_audio
+from deitalk.audio.noise import mix, named_noises, pink_noise
+from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import DataError
-from deitalk.evaluation.noise import mix, named_noises, pink_noise
 from deitalk.evaluation.voice_activity.detectors import Detector, Setting, decide, make_detector
 from deitalk.evaluation.voice_activity.scores import (
     Counts,
@@ -24,7 +25,6 @@ from deitalk.evaluation.voice_activity.scores import (
     score_activity,
     share,
 )
-from deitalk.frames import SAMPLE_RATE, frame_count
 
 SNRS_DB = (20, 15, 10, 5, 0)
 CHOICE_SNRS_DB = (10, 0)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.activity import speech_activity
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.errors import DataError, MissingError
-from deitalk.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
 
 LONGEST_GAP = 6
 """Frames (0.2 s) without speech that are bridged in the output of other packages' detectors."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.activity import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
+from deitalk.audio.frames import FRAME_RATE, frame_times
+from deitalk.audio.voice_activity import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
 from deitalk.errors import DataError
-from deitalk.frames import FRAME_RATE, frame_times
 
 SHORTEST_PAUSE_SECONDS = 0.2
 """Silences up to this are closures of stop consonants: speech."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.face.mesh import Array, unit
+from rig.face.geometry.mesh import Array, unit
 
 NEAR, FAR = 15.0, 140.0
 

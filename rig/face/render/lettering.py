@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.face.mesh import Array
+from rig.face.geometry.mesh import Array
 
 Picture = NDArray[np.uint8]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
-from rig.face.mesh import Array, Mesh
+from rig.face.geometry.mesh import Array, Mesh
 from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
 from rig.face.render.shading import glsl, glsl_background

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.face.mesh import Index
+from rig.face.geometry.mesh import Index
 
 Float = NDArray[np.float32]
 Int = NDArray[np.int32]

@@ -3,7 +3,7 @@
 from typing import Literal, Protocol
 
 from rig.errors import RigError
-from rig.face.mesh import Array, Mesh, vertex_normals
+from rig.face.geometry.mesh import Array, Mesh, vertex_normals
 from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
 from rig.face.render.opengl import OpenGLRenderer, open_context

@@ -7,7 +7,7 @@ ground ambient, and a gentle shoulder. sRGB is taken as a square, which is cheap
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.face.mesh import Array, unit
+from rig.face.geometry.mesh import Array, unit
 
 LIGHTS = (
     # direction to the light, colour times strength

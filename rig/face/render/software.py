@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rig.face.mesh import Array, Index, Mesh, adjacency, unit
+from rig.face.geometry.mesh import Array, Index, Mesh, adjacency, unit
 from rig.face.render.camera import FAR, NEAR, View
 from rig.face.render.lettering import Picture
 from rig.face.render.raster import Float, Int, Screen, front_faces, middle_of, nearest_faces, planes

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from deitalk.audio import load_audio
+from deitalk.audio.load import load_audio
+from deitalk.audio.noise import named_noises, synthetic_music
 from deitalk.errors import DataError, MissingError
-from deitalk.evaluation.noise import named_noises, synthetic_music
 from deitalk.evaluation.voice_activity.comparison import (
     CLEAN,
     Example,

@@ -1,0 +1,1 @@
+"""Recordings to mono 16 kHz, and what is measured on them."""

@@ -1,0 +1,146 @@
+"""Recordings out of arrays of samples, and out of whatever else `deitalk.animate` is given.
+
+Legend: S samples per channel at the array's rate, C channels.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from deitalk.audio.load import MAX_SECONDS, Recording, load_audio, read_sound
+from deitalk.errors import AudioError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+MOST_CHANNELS = 64
+"""An array of more columns has its axes the other way round."""
+_FULL_SCALE = {"int8": 2.0**7, "uint8": 2.0**7, "int16": 2.0**15, "int32": 2.0**31}
+_FLOATS = ("float16", "float32", "float64")
+
+Samples: TypeAlias = "npt.NDArray[Any] | Tensor"
+Audio: TypeAlias = "str | Path | bytes | IO[bytes] | Recording | npt.NDArray[Any] | Tensor"
+
+
+def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
+    """Return a recording of anything that holds sound.
+
+    Parameters
+    ----------
+    audio : path, bytes, file object, Recording, array or tensor
+        See `deitalk.audio.load.load_audio` and `recording_from_array`.
+    sample_rate : float, optional
+        Hz, of an array or a tensor, which need it; nothing else takes it.
+
+    Raises
+    ------
+    AudioError
+        As either of them, and for a rate that is missing or too much.
+    """
+    if _is_array(audio):
+        if sample_rate is None:
+            raise AudioError(
+                f"an array does not say its rate; pass sample_rate in Hz with the "
+                f"{type(audio).__name__}"
+            )
+        return recording_from_array(audio, sample_rate)  # type: ignore[arg-type]
+    if sample_rate is not None:
+        raise AudioError(
+            f"sample_rate={sample_rate!r} belongs to an array of samples; leave it out, a "
+            f"{type(audio).__name__} says its own"
+        )
+    return audio if isinstance(audio, Recording) else load_audio(audio)  # type: ignore[arg-type]
+
+
+def recording_from_array(
+    samples: Samples,
+    sample_rate: float,
+    *,
+    name: str = "<array>",
+    max_seconds: float = MAX_SECONDS,
+) -> Recording:
+    """Read samples as mono 16 kHz; mixed, resampled and described as `load_audio` does.
+
+    Parameters
+    ----------
+    samples : array or tensor [shape=(S,) or (S, C)]
+        Floating point within ±1, or int8, uint8, int16 or int32 of full scale.
+    sample_rate : float
+        A whole number of Hz, 4,000 to 768,000.
+    name : str
+        What to call it in messages and in a take.
+    max_seconds : float
+        Longer recordings are refused.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    AudioError
+        Another shape or type, a rate that is no whole number or out of range, samples that are
+        not finite, none at all, or too many.
+    """
+    array = _array(samples)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or not 1 <= array.shape[1] <= MOST_CHANNELS:
+        raise AudioError(
+            f"{name} has shape {np.shape(samples)}; it must be (samples,) or (samples, channels) "
+            f"with up to {MOST_CHANNELS} channels: transpose it with .T"
+        )
+    return read_sound(name, _ArraySource(array, _rate(sample_rate)), max_seconds)
+
+
+def _is_array(audio: object) -> bool:
+    return hasattr(audio, "__array__") and not isinstance(audio, Recording)
+
+
+def _rate(sample_rate: float) -> int:
+    try:
+        rate = int(sample_rate)
+    except (TypeError, ValueError, OverflowError):
+        rate = -1
+    if isinstance(sample_rate, bool) or rate != sample_rate:
+        raise AudioError(f"sample_rate={sample_rate!r} must be a whole number of Hz, such as 48000")
+    return rate
+
+
+def _array(samples: Any) -> npt.NDArray[Any]:
+    """The samples as they are, on the CPU; only types whose full scale is known."""
+    if hasattr(samples, "detach"):  # a tensor
+        samples = samples.detach().cpu()
+        if samples.is_floating_point():
+            samples = samples.float()  # NumPy has no bfloat16
+    array = np.asarray(samples)
+    if array.dtype.name not in (*_FULL_SCALE, *_FLOATS):
+        raise AudioError(
+            f"samples of type {array.dtype.name} have no known full scale; pass floats within "
+            f"±1, or {', '.join(_FULL_SCALE)}"
+        )
+    return array
+
+
+class _ArraySource:
+    """An array as `deitalk.audio.decoding.SoundSource`."""
+
+    def __init__(self, array: npt.NDArray[Any], rate: int) -> None:
+        self.array, self.rate = array, rate
+        self.channels, self.promised = array.shape[1], len(array)
+        self.slack = 0
+        self.notes: list[str] = []
+
+    def blocks(self, size: int) -> Iterator[npt.NDArray[np.float32]]:
+        """Blocks (n, C) of `size` samples, full scale at 1, the last one shorter."""
+        kind = self.array.dtype.name
+        for start in range(0, len(self.array), size):
+            block = self.array[start : start + size]
+            if kind in _FLOATS:
+                yield block.astype(np.float32)
+            else:
+                middle = _FULL_SCALE[kind] if kind == "uint8" else 0.0
+                yield ((block.astype(np.float64) - middle) / _FULL_SCALE[kind]).astype(np.float32)

@@ -1,0 +1,359 @@
+"""Any recording -> mono float32 at 16 kHz (DEITalk §3.2), read in blocks so that hours fit.
+
+Legend: S samples at 16 kHz, T rig frames at 30 Hz, C channels, N samples at the source's rate.
+"""
+
+import wave
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import numpy.typing as npt
+
+from deitalk.audio.decoding import SoundSource, open_sound
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
+from deitalk.audio.notes import describe
+from deitalk.errors import AudioError
+from rig.files import atomic_write
+
+__all__ = [
+    "FRAME_RATE",
+    "SAMPLE_RATE",
+    "Recording",
+    "frame_count",
+    "frame_times",
+    "load_audio",
+    "read_sound",
+    "write_wav",
+]
+
+LOWEST_RATE, HIGHEST_RATE = 4_000, 768_000  # Hz accepted from a file
+MAX_SECONDS = 3 * 3600.0
+MAX_STREAM_BYTES = 2 * 1024**3  # of a file-like source, which is held in memory
+BLOCK_SAMPLES = 1 << 20  # per read, over all channels: 4 MB of float32
+LOUDEST_SAMPLE = 1e12  # beyond any PCM scaling: the file is not audio
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, repr=False)
+class Recording:
+    """One recording, ready for a model.
+
+    Attributes
+    ----------
+    waveform : ndarray (S,) float32
+        Mono, 16 kHz, without its mean (DC). Nominally within ±1.
+    source : str
+        The path, or ``<bytes>`` or ``<stream>``.
+    source_rate : int
+        Hz, before resampling.
+    channels : int
+        Before mixing.
+    clipped_fraction : float
+        Share of source samples inside flat runs (3 or more equal samples at full scale), 0 … 1.
+    warnings : tuple of str
+        What a listener may want to know; none of it stops the work.
+    """
+
+    waveform: FloatArray
+    source: str
+    source_rate: int
+    channels: int
+    clipped_fraction: float = 0.0
+    warnings: tuple[str, ...] = ()
+    sample_rate: int = SAMPLE_RATE
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds."""
+        return len(self.waveform) / self.sample_rate
+
+    @property
+    def n_frames(self) -> int:
+        """Rig frames at 30 Hz that cover the recording."""
+        return frame_count(len(self.waveform))
+
+    def __repr__(self) -> str:
+        count = len(self.warnings)
+        notes = f", {count} note{'s' * (count != 1)}" if count else ""
+        return (
+            f"<Recording {self.source!r}: {self.duration:.2f} s at {self.sample_rate} Hz (from "
+            f"{self.source_rate} Hz, {self.channels} channel{'s' * (self.channels != 1)}){notes}>"
+        )
+
+
+def load_audio(
+    source: str | Path | bytes | IO[bytes], *, max_seconds: float = MAX_SECONDS
+) -> Recording:
+    """Read a recording as mono 16 kHz.
+
+    wav, flac, ogg, opus and what else libsndfile knows; mp3, m4a, mp4, mov, webm, aac, wma through
+    FFmpeg's libraries, the first sound track of each. Channels are averaged; if they cancel
+    (phase-inverted stereo), the loudest one is taken instead. The length is N · 16000 / rate,
+    rounded. What a listener may want to know is in the recording's `warnings`: a file cut short,
+    channels that cancel, clipping, DC, a level far off, no speech.
+
+    Parameters
+    ----------
+    source : path, bytes or binary file object
+        A file object is read to its end, at most 2 GiB.
+    max_seconds : float
+        Longer recordings are refused.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    AudioError
+        Missing, unreadable, empty, not audio, without sound, not finite, too long, or of a rate
+        outside 4 … 768 kHz.
+
+    Notes
+    -----
+    Paper silent: §3.2 says only "via the Librosa library at a sampling frequency of 16kHz";
+    mixing, DC removal and soxr's HQ resampler are ours.
+    """
+    name, data = _name_and_data(source)
+    with open_sound(name, data) as sound:
+        return read_sound(name, sound, max_seconds)
+
+
+def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) -> Recording:
+    """Mix, resample and describe an open source; see `load_audio` for how and for the errors."""
+    _check_header(name, sound, max_seconds)
+    weights, warnings = _mixing_weights(name, sound)
+    reader = _MonoReader(name, sound, max_seconds)
+    for block in _finite_blocks(name, sound):
+        reader.add(block, weights)
+    waveform, notes = reader.finish()
+    return Recording(
+        waveform=waveform,
+        source=name,
+        source_rate=sound.rate,
+        channels=sound.channels,
+        clipped_fraction=reader.clipped_fraction,
+        warnings=(*sound.notes, *warnings, *notes, *describe(waveform)),
+    )
+
+
+def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
+    """Write mono 16-bit PCM at 16 kHz, atomically; samples beyond ±1 are clipped.
+
+    Parameters
+    ----------
+    path : str or Path
+        Replaced if it exists; its folder must exist.
+    waveform : array (S,)
+        Finite; 1.0 is full scale (32768 steps, so that 16-bit sources survive unchanged).
+
+    Raises
+    ------
+    AudioError
+        A waveform that is not 1-D and finite, or a place that cannot be written.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    if samples.ndim != 1 or not np.isfinite(samples).all():
+        raise AudioError(
+            f"waveform of shape {samples.shape} must be 1-D and finite to be written to {path}; "
+            "pass the samples of one channel"
+        )
+    try:
+        with (
+            atomic_write(path) as beside,
+            beside.open("wb") as raw,
+            wave.open(raw, "wb") as file,
+        ):
+            file.setparams((1, 2, SAMPLE_RATE, 0, "NONE", "NONE"))
+            for start in range(0, len(samples), BLOCK_SAMPLES):
+                scaled = np.rint(samples[start : start + BLOCK_SAMPLES] * 32768.0)
+                file.writeframes(scaled.clip(-32768, 32767).astype("<i2").tobytes())
+    except OSError as error:
+        raise AudioError(
+            f"cannot write {path}: {error.strerror or error}; name a folder that exists, "
+            "is writable and has space"
+        ) from error
+
+
+class _MonoReader:
+    """Mix, resample and measure block after block, keeping only the 16 kHz result."""
+
+    def __init__(self, name: str, sound: SoundSource, max_seconds: float) -> None:
+        import soxr
+
+        self.name, self.rate, self.max_seconds = name, sound.rate, max_seconds
+        self.promised, self.slack = sound.promised, sound.slack
+        self.resampler = soxr.ResampleStream(
+            sound.rate, SAMPLE_RATE, 1, dtype="float32", quality="HQ"
+        )
+        self.waveform = np.zeros(self._length(self.promised) + SAMPLE_RATE, np.float32)
+        self.filled = self.n_source = self.n_values = self.n_clipped = 0
+
+    def add(self, block: FloatArray, weights: FloatArray) -> None:
+        """Take one block (n, C) of the source."""
+        self.n_source += len(block)
+        self.n_values += block.size
+        self.n_clipped += _count_clipped(block)
+        if self.n_source > self.max_seconds * self.rate:
+            raise _too_long(self.name, self.n_source / self.rate, self.max_seconds)
+        self._append(self.resampler.resample_chunk(block @ weights))
+
+    @property
+    def clipped_fraction(self) -> float:
+        return self.n_clipped / max(self.n_values, 1)
+
+    def finish(self) -> tuple[FloatArray, list[str]]:
+        """The waveform (S,) and notes about it."""
+        if self.n_source == 0:
+            raise AudioError(f"{self.name} holds 0 samples; record or export it again")
+        self._append(self.resampler.resample_chunk(np.zeros(0, np.float32), last=True))
+        waveform = self.waveform[: self._length(self.n_source)]
+        offset, peak = _remove_dc(waveform)
+        notes = []
+        if self.n_source + self.slack < self.promised:
+            there, whole = self.n_source / self.rate, self.promised / self.rate
+            notes.append(f"cut short: {there:.2f} s of {whole:.2f} s are there")
+        if self.clipped_fraction > 1e-4:
+            notes.append(f"{self.clipped_fraction:.2%} of the samples are clipped")
+        if abs(offset) > 0.01 * max(peak, 1.0):
+            notes.append(f"removed a DC offset of {offset:+.3f}")
+        if peak > 8.0:
+            waveform /= peak
+            notes.append(f"samples reach {peak:.3g}, not ±1: scaled to a peak of 1")
+        return waveform, notes
+
+    def _length(self, n_source: int) -> int:
+        return max(1, round(n_source * SAMPLE_RATE / self.rate))
+
+    def _append(self, part: FloatArray) -> None:
+        end = self.filled + len(part)
+        if end > len(self.waveform):
+            grown = np.zeros(max(end, len(self.waveform) * 3 // 2), np.float32)
+            grown[: self.filled] = self.waveform[: self.filled]
+            self.waveform = grown
+        self.waveform[self.filled : end] = part
+        self.filled = end
+
+
+def _remove_dc(waveform: FloatArray) -> tuple[float, float]:
+    """Subtract the mean in place; give it and the peak that is left."""
+    offset = float(waveform.mean(dtype=np.float64))
+    waveform -= np.float32(offset)
+    return offset, float(max(waveform.max(), -waveform.min()))
+
+
+def _count_clipped(block: FloatArray) -> int:
+    """Samples (n, C) that sit in a run of three or more equal ones at full scale."""
+    loud = np.abs(block) >= 0.9999
+    if not loud.any():
+        return 0
+    flat = (block[1:] == block[:-1]) & loud[1:]
+    middle = flat[1:] & flat[:-1]  # sample i+1 equals both neighbours
+    run = np.zeros(block.shape, bool)
+    run[:-2] |= middle
+    run[1:-1] |= middle
+    run[2:] |= middle
+    return int(run.sum())
+
+
+def _mixing_weights(name: str, sound: SoundSource) -> tuple[FloatArray, list[str]]:
+    """Weights (C,) that make mono: the mean, or the loudest channel if the mean cancels."""
+    n_channels = sound.channels
+    mean = np.full(n_channels, 1 / n_channels, np.float32)
+    if n_channels == 1:
+        return mean, []
+    total = np.zeros(n_channels)
+    products = np.zeros((n_channels, n_channels))
+    n_samples = 0
+    for block in _finite_blocks(name, sound):
+        samples = block.astype(np.float64)
+        total += samples.sum(axis=0)
+        products += samples.T @ samples
+        n_samples += len(block)
+    if n_samples == 0:
+        return mean, []
+    covariance = products / n_samples - np.outer(total, total) / n_samples**2
+    power = covariance.diagonal()
+    unrelated = power.sum() / n_channels**2  # the mean's power if the channels were independent
+    if covariance.mean() >= 0.1 * unrelated:
+        return mean, []
+    loudest = int(power.argmax())
+    note = f"the {n_channels} channels cancel each other: took channel {loudest + 1} alone"
+    return np.eye(n_channels, dtype=np.float32)[loudest], [note]
+
+
+def _finite_blocks(name: str, sound: SoundSource) -> Iterator[FloatArray]:
+    """Blocks (n, C) float32 to the end of a recording, every sample finite."""
+    start = 0
+    for block in sound.blocks(max(1024, BLOCK_SAMPLES // sound.channels)):
+        if not max(block.max(), -block.min()) <= LOUDEST_SAMPLE:  # also true of NaN
+            at, channel = np.argwhere(~(np.abs(block) <= LOUDEST_SAMPLE))[0]
+            raise AudioError(
+                f"{name}: sample {start + at} ({(start + at) / sound.rate:.3f} s) is "
+                f"{block[at, channel]}; samples must be finite: export it as 16-bit PCM"
+            )
+        yield block
+        start += len(block)
+
+
+def _check_header(name: str, sound: SoundSource, max_seconds: float) -> None:
+    rate = sound.rate
+    if not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        raise AudioError(
+            f"{name} says its sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
+            f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
+        )
+    if sound.promised / rate > max_seconds:
+        raise _too_long(name, sound.promised / rate, max_seconds)
+
+
+def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:
+    return AudioError(
+        f"{name} lasts {seconds:.0f} s or more; the limit is {max_seconds:.0f} s "
+        f"({max_seconds / 3600:.3g} h): split it into shorter files"
+    )
+
+
+def _name_and_data(source: str | Path | bytes | IO[bytes]) -> tuple[str, bytes | None]:
+    """What to call the source in messages, and its bytes unless it is a path."""
+    if isinstance(source, str | Path):
+        _check_path(Path(source))
+        return str(source), None
+    if isinstance(source, bytes | bytearray | memoryview):
+        name, data = "<bytes>", bytes(source)
+    elif hasattr(source, "read"):
+        name, data = str(getattr(source, "name", "<stream>")), source.read(MAX_STREAM_BYTES + 1)
+    else:
+        raise AudioError(
+            f"a {type(source).__name__} is no recording; pass a path, bytes or a binary file"
+        )
+    if not isinstance(data, bytes):
+        raise AudioError(f"{name} is a text stream; open it in binary mode ('rb')")
+    if len(data) > MAX_STREAM_BYTES:
+        raise AudioError(f"{name} is larger than 2 GiB; save it to a file and pass the path")
+    if not data:
+        raise AudioError(f"{name} is empty (0 bytes); record or export it again")
+    return name, data
+
+
+def _check_path(path: Path) -> None:
+    """One line for everything that can be wrong with a path before its content matters."""
+    try:
+        if path.is_dir():
+            raise AudioError(f"{path} is a folder, not a recording; name one file in it")
+        if not path.exists():
+            raise AudioError(f"there is no recording {path}; check the path")
+        if not path.is_file():
+            raise AudioError(f"{path} is not a regular file; pass its content as bytes")
+        if path.stat().st_size == 0:
+            raise AudioError(f"{path} is empty (0 bytes); record or export it again")
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise AudioError(
+            f"cannot read {path}: {error.strerror}; check its name and permissions"
+        ) from error

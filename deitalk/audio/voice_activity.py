@@ -1,0 +1,298 @@
+"""When somebody speaks: voice activity at 30 Hz, the gates made of it, and the level of speech.
+
+Paper silent: neither paper says what the face does in silence. Here the mouth shuts and the
+expression decays by these gates, which see the whole clip. numpy only.
+
+Legend: S samples at 16 kHz, T rig frames at 30 Hz, K bands.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+
+WINDOW = 1024  # samples, 64 ms, centred on the frame's time
+BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
+TOP_BANDS = 4  # speech needs to rise in a few bands, not in all
+SILENCE_DB = -85.0  # per band, dBFS: below it there is nothing but dither
+SPEECH_RANGE_DB = 45.0  # what is this far below the loudest speech is breath and reverberation
+FLOOR_SECONDS = 12.0  # the noise may change this fast
+FLOOR_PERCENTILE = 10.0
+SHORT_SECONDS = 0.35  # too short to hold both speech and noise
+SHORT_FLOOR_DB = -60.0
+OPEN_DB, KEEP_DB = 9.0, 5.0  # hysteresis, excess over the noise floor
+LIKENESS_HZ = (200, 4000)  # where a voice has harmonics
+LIKENESS_BINS = 30  # 470 Hz: narrow enough that the colour of noise does not matter
+LONGEST_CLOSURE = 6  # frames; a gap up to 0.2 s is a stop consonant, not a pause
+LONGEST_DROWNED = 15  # frames; in noise a weak syllable beside the consonant is missed as well
+NOISY_DB, CLEAN_DB = 25.0, 40.0  # excess of the loudest speech, between the two in proportion
+SHORTEST_SPEECH = 2  # frames; a single one is a click
+
+MOUTH_OPENS, MOUTH_CLOSES = 3, 6  # frames: 0.1 s before speech, 0.2 s after
+EXPRESSION_RISES = 12  # 0.4 s before speech
+EXPRESSION_HOLDS, EXPRESSION_FADES = 45, 30  # 1.5 s, then 1 s
+REST_AT_END = 13  # frames of trailing silence (0.43 s) that end in a face wholly at rest
+HOLD_AT_END = 6  # frames (0.2 s) that change nothing yet; in between, in proportion
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def speech_activity(waveform: npt.ArrayLike) -> FloatArray:
+    """Where there is speech: 1, elsewhere 0.
+
+    The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
+    12 s around; a frame is speech where its four strongest bands rise above it, with
+    hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged, for a
+    mouth that stays shut through a drowned syllable is seen, and one that is ready to move in a
+    short pause is not. The level plays no part above -85 dBFS per band, so whispered and badly
+    gained recordings work.
+
+    Parameters
+    ----------
+    waveform : array (S,)
+        16 kHz.
+
+    Returns
+    -------
+    ndarray (T,) float32
+        T = ceil(30 · S / 16000). All 0 for silence and steady noise.
+
+    Notes
+    -----
+    A clip under 0.35 s is too short to show its noise floor: it counts as speech wherever it is
+    louder than -60 dBFS in a band.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    if len(samples) == 0:
+        return np.zeros(0, np.float32)
+    levels = _band_levels(samples)
+    excess = np.sort(levels - _noise_floor(levels), axis=1)[:, -TOP_BANDS:].mean(axis=1)
+    speech = _hysteresis(excess >= OPEN_DB, excess >= KEEP_DB)
+    speech = ~_without_short(~speech, _longest_gap(excess), keep_ends=True)
+    if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
+        speech = _without_short(speech, SHORTEST_SPEECH - 1)
+    return speech.astype(np.float32)
+
+
+def mouth_gate(activity: npt.ArrayLike) -> FloatArray:
+    """How far the mouth may open: 1 in speech, 0 in silence.
+
+    Opens over the 0.1 s before speech and closes over the 0.2 s after it, in raised cosines.
+
+    Parameters
+    ----------
+    activity : array (T,)
+        From `speech_activity`.
+
+    Returns
+    -------
+    ndarray (T,) float32
+        0 … 1.
+    """
+    since, until = _distances(activity)
+    return np.maximum(_fade(since / (MOUTH_CLOSES + 1)), _fade(until / (MOUTH_OPENS + 1)))
+
+
+def expression_gate(activity: npt.ArrayLike) -> FloatArray:
+    """How far the emotional expression shows: through pauses, but not beyond the act.
+
+    Rises over the 0.4 s before speech, holds through pauses of 1.5 s, then fades over 1 s. In
+    trailing silence the fade is complete by the last frame, however early that is: from 0.43 s
+    of silence on the face ends at rest, under 0.2 s the clip is taken to be cut and nothing
+    fades, in between in proportion.
+
+    Parameters
+    ----------
+    activity : array (T,)
+        From `speech_activity`.
+
+    Returns
+    -------
+    ndarray (T,) float32
+        0 … 1.
+    """
+    since, until = _distances(activity)
+    fading = _fade((since - EXPRESSION_HOLDS) / EXPRESSION_FADES)
+    gate = np.maximum(fading, _fade(until / (EXPRESSION_RISES + 1)))
+    if len(gate) and 0 < since[-1] < EXPRESSION_HOLDS + EXPRESSION_FADES:
+        trailing = int(since[-1])
+        depth = np.clip((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END), 0, 1)
+        held = max(trailing - EXPRESSION_FADES, trailing // 4)
+        progress = (np.arange(1, trailing + 1) - held) / (trailing - held)
+        gate[-trailing:] = 1 - depth * (1 - _fade(progress))
+    return gate
+
+
+def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = None) -> float:
+    """Level of the speech in a recording, pauses left out.
+
+    Parameters
+    ----------
+    waveform : array (S,)
+        16 kHz.
+    activity : array (T,), optional
+        From `speech_activity`, if it is known already.
+
+    Returns
+    -------
+    float
+        RMS over the speaking frames in dB re full scale; ``-inf`` if nobody speaks.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    active = np.asarray(speech_activity(samples) if activity is None else activity) > 0.5
+    energy, count = 0.0, 0
+    for start, stop in _runs(active) * SAMPLE_RATE // FRAME_RATE:
+        piece = samples[start:stop]
+        energy, count = energy + float(piece @ piece), count + len(piece)
+    return 10 * float(np.log10(energy / count)) if energy > 0 else -np.inf
+
+
+def normalise_level(
+    waveform: npt.ArrayLike, target_db: float = -23.0, activity: npt.ArrayLike | None = None
+) -> FloatArray:
+    """Scale a recording so that its speech has one level, whatever its pauses.
+
+    Parameters
+    ----------
+    waveform : array (S,)
+        16 kHz.
+    target_db : float
+        RMS of the speech afterwards, dB re full scale. Peaks may pass ±1; nothing is clipped.
+    activity : array (T,), optional
+        From `speech_activity`, if it is known already.
+
+    Returns
+    -------
+    ndarray (S,) float32
+        A copy; unchanged where nobody speaks.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    level = active_level_db(samples, activity)
+    gain = 10 ** ((target_db - level) / 20) if np.isfinite(level) else 1.0
+    return samples * np.float32(gain)
+
+
+def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
+    """How far even the most voiced of the active frames resemble noise.
+
+    Per frame the spectral flatness (geometric over arithmetic mean of the power) of eight narrow
+    bands between 200 and 4000 Hz, averaged. A voice has harmonics, and a low value; noise of any
+    colour has exp(-0.577) = 0.56 on average.
+
+    Parameters
+    ----------
+    waveform : array (S,)
+        16 kHz.
+    activity : array (T,)
+        From `speech_activity`.
+
+    Returns
+    -------
+    float
+        The lowest tenth of the active frames, 0 … 1; 0 where nothing is active.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    active = np.flatnonzero(np.asarray(activity) > 0.5)
+    window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
+    first = LIKENESS_HZ[0] * WINDOW // SAMPLE_RATE
+    n_bands = (LIKENESS_HZ[1] - LIKENESS_HZ[0]) * WINDOW // SAMPLE_RATE // LIKENESS_BINS
+    found = [np.zeros(1)]
+    for start in range(0, len(active), 2048):
+        frames = active[start : start + 2048]
+        spectrum = np.fft.rfft(_windows(samples, frames) * window)
+        power = np.abs(spectrum[:, first : first + n_bands * LIKENESS_BINS]) ** 2 + 1e-14
+        bands = power.reshape(len(frames), n_bands, LIKENESS_BINS)
+        flatness = np.exp(np.log(bands).mean(axis=2)) / bands.mean(axis=2)
+        found.append(flatness.mean(axis=1))
+    return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
+
+
+def _band_levels(samples: FloatArray) -> FloatArray:
+    """Power per band (T, K) in dB re full scale, not below `SILENCE_DB`."""
+    n_frames = frame_count(len(samples))
+    window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
+    scale = 2 / (WINDOW * float((window**2).sum()))  # bins of one band then sum to mean square
+    bins = np.ceil(np.array(BAND_EDGES_HZ) * WINDOW / SAMPLE_RATE).astype(int)
+    levels = np.empty((n_frames, len(bins) - 1), np.float32)
+    for first in range(0, n_frames, 2048):
+        frames = np.arange(first, min(first + 2048, n_frames))
+        power = np.abs(np.fft.rfft(_windows(samples, frames) * window)) ** 2 * scale
+        bands = np.add.reduceat(power[:, : bins[-1]], bins[:-1], axis=1)
+        levels[frames] = 10 * np.log10(np.maximum(bands, 10 ** (SILENCE_DB / 10)))
+    return levels
+
+
+def _windows(samples: FloatArray, frames: npt.NDArray[np.int64]) -> FloatArray:
+    """The `WINDOW` samples around every frame's time (n, WINDOW), zeros outside the clip."""
+    starts = frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+    low, high = int(starts[0]), int(starts[-1]) + WINDOW
+    piece = samples[max(low, 0) : min(high, len(samples))]
+    piece = np.pad(piece, (max(-low, 0), max(high - len(samples), 0)))
+    windows: FloatArray = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)[starts - low]
+    return windows
+
+
+def _noise_floor(levels: FloatArray) -> FloatArray:
+    """Level per band (T, K) above which there is more than noise, in dB."""
+    n_frames = len(levels)
+    if n_frames < SHORT_SECONDS * FRAME_RATE:
+        return np.full_like(levels, SHORT_FLOOR_DB - OPEN_DB)
+    half = round(FLOOR_SECONDS * FRAME_RATE / 2)
+    centres = np.unique(np.append(np.arange(0, n_frames, half // 3), n_frames - 1))
+    lowest = [
+        np.percentile(levels[max(0, c - half) : c + half], FLOOR_PERCENTILE, axis=0)
+        for c in centres
+    ]
+    floor = np.empty_like(levels)
+    for band, values in enumerate(np.array(lowest).T):
+        floor[:, band] = np.interp(np.arange(n_frames), centres, values)
+    loudest = np.percentile(levels.max(axis=1), 98)
+    floor = np.maximum(floor, np.float32(loudest - SPEECH_RANGE_DB))
+    return floor
+
+
+def _longest_gap(excess: FloatArray) -> int:
+    """Frames without speech that are no pause, by how far the loudest speech is above the noise."""
+    loudest = np.percentile(excess, 95)
+    gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
+    return round(float(gap))
+
+
+def _runs(mask: BoolArray) -> npt.NDArray[np.int64]:
+    """[start, stop) of every run of True: (n, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)
+
+
+def _hysteresis(opens: BoolArray, keeps: BoolArray) -> BoolArray:
+    """Runs of `keeps` that hold at least one frame of `opens`."""
+    kept = np.zeros_like(keeps)
+    for start, stop in _runs(keeps):
+        kept[start:stop] = opens[start:stop].any()
+    return kept
+
+
+def _without_short(mask: BoolArray, longest: int, *, keep_ends: bool = False) -> BoolArray:
+    """`mask` without its runs of up to `longest` frames, those at the clip's ends aside."""
+    result = mask.copy()
+    for start, stop in _runs(mask):
+        at_end = keep_ends and (start == 0 or stop == len(mask))
+        if stop - start <= longest and not at_end:
+            result[start:stop] = False
+    return result
+
+
+def _distances(activity: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Frames since the last and until the next speaking frame (T,) each; inf where none."""
+    active = np.asarray(activity) > 0.5
+    frames = np.arange(len(active), dtype=np.float32)
+    last = np.maximum.accumulate(np.where(active, frames, -np.inf))
+    following = np.minimum.accumulate(np.where(active, frames, np.inf)[::-1])[::-1]
+    return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
+
+
+def _fade(progress: npt.NDArray[np.floating]) -> FloatArray:
+    """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
+    faded: FloatArray = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
+    return faded

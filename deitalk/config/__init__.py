@@ -1,0 +1,40 @@
+"""Settings of models, losses, data and training; defaults are the papers' numbers.
+
+A YAML file in ``configs/`` holds only what differs. Modules take plain numbers; only the builders
+of networks and trainings read these classes.
+"""
+
+from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
+from deitalk.config.frontends import (
+    ConformerConfig,
+    DEITalkFeaturesConfig,
+    KarrasConfig,
+    MelConfig,
+    SDFAMelConfig,
+    VocaConfig,
+    Wav2VecConfig,
+)
+from deitalk.config.load import AnyConfig, load_config, parse_config
+from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
+
+__all__ = [
+    "AnyConfig",
+    "Config",
+    "ConformerConfig",
+    "DEITalkFeaturesConfig",
+    "DataConfig",
+    "KarrasConfig",
+    "LossConfig",
+    "MelConfig",
+    "MeshDataConfig",
+    "MeshTrainConfig",
+    "ModelConfig",
+    "SDFAConfig",
+    "SDFAMelConfig",
+    "SDFAModelConfig",
+    "TrainConfig",
+    "VocaConfig",
+    "Wav2VecConfig",
+    "load_config",
+    "parse_config",
+]

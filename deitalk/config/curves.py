@@ -1,0 +1,149 @@
+"""Settings of DEITalk, the model of 185 curves: network, loss, data and training."""
+
+from typing import Annotated, Literal
+
+from pydantic import (
+    Field,
+    ValidationInfo,
+    field_validator,
+)
+
+from deitalk.config.frontends import ConformerConfig, MelConfig, Wav2VecConfig
+from deitalk.config.section import (
+    Dilation,
+    Odd,
+    Section,
+    Seed,
+    Steps,
+    Width,
+    Workers,
+)
+from rig import limits
+
+
+class ModelConfig(Section):
+    """The network of DEITalk §3; defaults are §4.1's numbers."""
+
+    frontend: MelConfig | Wav2VecConfig | ConformerConfig = Field(
+        default_factory=Wav2VecConfig, discriminator="kind"
+    )
+    control_set: str = "metahuman-185@mh4"
+    positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
+    intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
+    emotion_size: Width = Field(default=128, description="width of S_emo and E_in")
+    saliency_frames: int | None = Field(
+        default=None,
+        ge=1,
+        le=limits.SALIENCY_FRAMES,
+        description="frames the embedding of Eq. 5 is pooled over; null: the whole clip",
+    )
+    style_size: Width = Field(default=16, description="width of the emotional style embedding")
+    motion_channels: tuple[Width, ...] = Field(
+        default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
+    )
+    classifier_size: Width = 64
+    decoder_channels: Width = 512
+    decoder_dilations: tuple[Dilation, ...] = Field(
+        default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1, max_length=limits.LAYERS
+    )
+    decoder_residual: bool = Field(
+        default=False, description="carry every layer's input past it; not in the paper"
+    )
+    kernel_size: Odd = 3
+    dropout: float = Field(default=0.0, ge=0, lt=1)
+
+
+class LossConfig(Section):
+    """The four-part loss (DEITalk Eq. 8) and what we add to it."""
+
+    contrast: float = Field(default=0.1, ge=0, description="lambda_1")
+    classification: float = Field(default=0.1, ge=0, description="lambda_2")
+    position: float = Field(default=1.0, ge=0, description="lambda_3")
+    velocity: float = Field(default=4.0, ge=0, description="lambda_4")
+    temperature: float = Field(default=0.07, gt=0, description="tau of Eq. 10")
+    intensity: float = Field(
+        default=0.0,
+        ge=0,
+        description="weight of labelled intensity on the saliency; not in the paper",
+    )
+    contact: float = Field(
+        default=0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
+    )
+    distillation: float = Field(
+        default=1.0,
+        ge=0,
+        description="weight of the distance to the features of train.teacher; not in the paper",
+    )
+    control_weights: dict[str, Annotated[float, Field(ge=0)]] = Field(
+        default_factory=dict, description="weight of a control or subset in Eq. 12-13 (default 1)"
+    )
+
+
+class DataConfig(Section):
+    """How clips become windows (DEITalk §4.1)."""
+
+    window_frames: int = Field(default=128, ge=1, le=limits.TRAINING_FRAMES)
+    stride_frames: int = Field(default=5, ge=1, le=limits.TRAINING_FRAMES)
+    augment: bool = Field(
+        default=False, description="deitalk.data.augment_waveform on every training window"
+    )
+    noise_folder: str | None = Field(default=None, description="recordings of noise to mix in")
+    room_folder: str | None = Field(default=None, description="room impulse responses")
+    real_fraction: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="share of windows from recorded (not synthetic) speech",
+    )
+    cache_gigabytes: float = Field(
+        default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"
+    )
+
+
+class TrainConfig(Section):
+    """Optimiser and schedule (DEITalk §4.1)."""
+
+    learning_rate: float = Field(default=1e-4, gt=0)
+    optimizer: Literal["adam", "adamw"] = "adam"
+    weight_decay: float = Field(default=0.0, ge=0)
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    batch_size: int = Field(default=32, ge=1, le=limits.BATCH)
+    epochs: float = Field(
+        default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training windows"
+    )
+    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(default=None, gt=0)
+    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    frozen_frontend: str | None = Field(
+        default=None, description="model whose frontend is taken and does not learn"
+    )
+    evaluate_every: Steps = Field(
+        default=500, description="steps between evaluations and checkpoints"
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32",
+        description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
+    )
+    seed: Seed = 0
+    workers: Workers = Field(default=0, description="processes that prepare windows")
+    teacher: str | None = Field(
+        default=None,
+        description="model (name or folder) whose speech features are learnt; not in the paper",
+    )
+
+    @field_validator("teacher")
+    @classmethod
+    def _there_is_someone_to_teach(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if value is not None and info.data.get("frozen_frontend") is not None:
+            raise ValueError("a frozen frontend learns nothing; set one of the two to null")
+        return value
+
+
+class Config(Section):
+    """Everything a run needs besides its data."""
+
+    name: str = "deitalk"
+    model: ModelConfig = ModelConfig()
+    loss: LossConfig = LossConfig()
+    data: DataConfig = DataConfig()
+    train: TrainConfig = TrainConfig()

@@ -1,0 +1,178 @@
+"""Settings of the speech frontends, one class each."""
+
+from typing import Any, Literal
+
+from pydantic import (
+    Field,
+    ValidationInfo,
+    field_validator,
+)
+
+from deitalk.config.section import (
+    Odd,
+    Phases,
+    Recurrent,
+    Section,
+    SpectraRate,
+    SpectrumSeconds,
+    Width,
+    Window,
+    check_encoder,
+)
+from rig import limits
+
+
+class MelConfig(Section):
+    """Mel spectrogram, Spec-BiLSTM, Time-BiLSTM and temporal attention (SDFA §3.1-3.3, §4.4)."""
+
+    kind: Literal["mel"] = "mel"
+    window_seconds: SpectrumSeconds = Field(
+        default=0.064, description="length of one spectrum (FFT_win)"
+    )
+    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second; 1 / FFT_hop")
+    n_mels: int = Field(default=128, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    conv_channels: tuple[Width, Width, Width] = (32, 64, 64)
+    spec_hidden: Width = Field(default=32, description="Spec-BiLSTM units per direction")
+    spectral_size: Width = Field(default=256, description="features of one spectrum (C_spec)")
+    time_stack: Window = Field(default=1, description="spectra joined before the Time-BiLSTM")
+    time_hidden: Width = Field(default=256, description="Time-BiLSTM units per direction")
+    time_layers: Recurrent = 2
+    window_frames: Window = Field(default=64, description="spectra the attention sees (L)")
+    query_frames: Odd = Field(default=7, description="K_qry; Paper silent")
+    attention_size: Width = Field(default=128, description="C_att; Paper silent")
+    recurrence: Literal["window", "segment"] = Field(
+        default="window", description="Time-BiLSTM once per window (the paper) or along the clip"
+    )
+    weight_norm: bool = Field(
+        default=True, description="weight normalisation on every weight (§4.4)"
+    )
+    centre: bool = Field(
+        default=False,
+        description="add the window's own centre to what it attends to, and normalise",
+    )
+    rig_layers: int = Field(
+        default=0,
+        ge=0,
+        le=limits.RECURRENT_LAYERS,
+        description="BiLSTMs along rig frames behind the attention; not in SDFA",
+    )
+    phases: Phases = Field(
+        default=1,
+        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+    )
+    dropout: float = Field(default=0.0, ge=0, lt=1)
+
+    @field_validator("recurrence")
+    @classmethod
+    def _stack_fits(cls, value: str, info: ValidationInfo) -> str:
+        if value == "window" and info.data.get("time_stack", 1) > 1:
+            raise ValueError("'window' takes no time_stack; use recurrence: segment")
+        return value
+
+    @field_validator("query_frames")
+    @classmethod
+    def _query_fits(cls, value: int, info: ValidationInfo) -> int:
+        if value > info.data.get("window_frames", value):
+            raise ValueError("must not be longer than window_frames")
+        return value
+
+
+class Wav2VecConfig(Section):
+    """wav2vec 2.0 (DEITalk §3.2): a published checkpoint, or a compact encoder of one's own."""
+
+    kind: Literal["wav2vec"] = "wav2vec"
+    checkpoint: str | None = Field(
+        default="facebook/wav2vec2-base-960h",
+        description="hub name or folder; null builds `encoder`",
+    )
+    encoder: dict[str, Any] = Field(
+        default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
+    )
+    freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
+
+    @field_validator("encoder")
+    @classmethod
+    def _shape_fits(cls, value: dict[str, Any]) -> dict[str, Any]:
+        check_encoder(value)
+        return value
+
+
+class ConformerConfig(Section):
+    """Mel spectrogram and conformer blocks; not in the papers."""
+
+    kind: Literal["conformer"] = "conformer"
+    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    stem_channels: Width = 256
+    hidden_size: Width = Field(default=384, description="width of a block")
+    layers: int = Field(default=2, ge=1, le=limits.LAYERS)
+    heads: Width = 4
+    intermediate_size: Width = Field(default=512, description="width within a block")
+    kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
+    phases: Phases = Field(
+        default=1,
+        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+    )
+    dropout: float = Field(default=0.1, ge=0, lt=1)
+
+
+class SDFAMelConfig(MelConfig):
+    """SDFA's encoder, and its two ablations (SDFA §5.2.2)."""
+
+    gathering: Literal["bilstm", "convolution"] = Field(
+        default="bilstm", description="what gathers a spectrum: Spec-BiLSTM, or convolutions"
+    )
+    summary: Literal["attention", "convolution"] = Field(
+        default="attention", description="what sums up a window: attention, or convolutions"
+    )
+
+    @field_validator("time_stack")
+    @classmethod
+    def _every_spectrum(cls, value: int) -> int:
+        if value != 1:
+            raise ValueError("SDFA hears every spectrum; leave it at 1")
+        return value
+
+    @field_validator("rig_layers")
+    @classmethod
+    def _no_rig(cls, value: int) -> int:
+        if value != 0:
+            raise ValueError("SDFA has no rig frames to go along; leave it at 0")
+        return value
+
+
+class KarrasConfig(Section):
+    """Convolutions over frequency, then over time (in the way of Karras et al. 2017)."""
+
+    kind: Literal["karras"] = "karras"
+    window_seconds: SpectrumSeconds = Field(default=0.016, description="length of one spectrum")
+    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second")
+    lags: int = Field(default=32, ge=8, le=limits.MEL_BINS, description="autocorrelation numbers")
+    window_frames: Window = Field(default=64, ge=2, description="spectra a frame")
+    formant_channels: tuple[Width, ...] = Field(
+        default=(72, 108, 162, 243, 256), min_length=1, max_length=limits.LAYERS
+    )
+    articulation_channels: tuple[Width, ...] = Field(
+        default=(256,) * 5, min_length=1, max_length=limits.LAYERS
+    )
+
+
+class VocaConfig(Section):
+    """Convolutions over a window of speech features (in the way of Cudeiro et al. 2019)."""
+
+    kind: Literal["voca"] = "voca"
+    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    frame_rate: SpectraRate = Field(default=60.0, description="feature rows per second")
+    n_mels: int = Field(default=40, ge=8, le=limits.MEL_BINS, description="mel bins before the DCT")
+    n_mfcc: int = Field(default=26, ge=2, le=limits.MEL_BINS, description="cepstral coefficients")
+    window_frames: Window = Field(default=16, ge=2, description="rows a frame")
+    channels: tuple[Width, ...] = Field(
+        default=(32, 32, 64, 64), min_length=1, max_length=limits.LAYERS
+    )
+
+
+class DEITalkFeaturesConfig(Section):
+    """What a trained DEITalk model has made of speech and emotion; the model stays as it is."""
+
+    kind: Literal["deitalk"] = "deitalk"
+    model: str = Field(default="default", description="name or folder of the DEITalk model")

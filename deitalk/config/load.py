@@ -1,0 +1,95 @@
+"""YAML files and ``section.key=value`` to checked settings; an unknown key is an error."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import (
+    ValidationError,
+)
+
+from deitalk.config.curves import Config
+from deitalk.config.mesh import SDFAConfig
+from deitalk.config.yaml_text import load_yaml, read_yaml
+from deitalk.errors import ConfigError
+from rig import limits
+from rig.errors import quoted, shorten
+
+AnyConfig = Config | SDFAConfig
+
+
+_PROBLEMS = 5
+"""Problems that are named in one message."""
+
+
+def parse_config(tree: dict[str, Any]) -> AnyConfig:
+    """Check a tree of settings; one with ``kind: sdfa`` gives an `SDFAConfig`.
+
+    Parameters
+    ----------
+    tree : dict
+        As a YAML file holds it; what is missing takes its default.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key, the value and the rule, all problems in one line.
+    """
+    try:
+        kind = SDFAConfig if tree.get("kind") == "sdfa" else Config
+        return kind.model_validate(tree)
+    except ValidationError as error:
+        items = error.errors(include_url=False, include_context=False)
+        problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
+        if len(items) > _PROBLEMS:
+            problems += f"; {len(items) - _PROBLEMS} more"
+        raise ConfigError(f"configuration: {problems}") from None
+
+
+def _problem(item: Any) -> str:
+    kinds = ("mel", "wav2vec", "karras", "voca", "deitalk")
+    key = ".".join(str(part) for part in item["loc"] if part not in kinds)
+    rule = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        rule = "unknown key"
+    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule}"
+
+
+def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
+    """Read a YAML file and apply overrides such as ``train.batch_size=8``.
+
+    Parameters
+    ----------
+    path : path
+        YAML; an empty file is the paper's configuration.
+    overrides : sequence of str
+        ``section.key=value``, the value in YAML; later ones win.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is no YAML mapping, or holds an unknown key or a bad value.
+    """
+    path = Path(path)
+    tree = read_yaml(path) or {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
+    for override in overrides:
+        _override(tree, override)
+    return parse_config(tree)
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    key, equals, value = override.partition("=")
+    if not equals:
+        raise ConfigError(f"override {quoted(override)} has no '='; write train.batch_size=8")
+    *parents, leaf = key.split(".")
+    if len(parents) >= limits.NESTING:
+        raise ConfigError(f"override {quoted(override)} nests {len(parents)} levels; name a key")
+    for parent in parents:
+        tree = tree.setdefault(parent, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(
+                f"override {quoted(override)}: {quoted(parent)} is a value, not a section"
+            )
+    tree[leaf] = load_yaml(value, f"override {quoted(override)}")

@@ -1,0 +1,147 @@
+"""Settings of SDFA and of the mesh head, the models of a mesh: network, data and training."""
+
+from typing import Annotated, Literal
+
+from pydantic import (
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
+from deitalk.config.section import (
+    Positive,
+    Section,
+    Seed,
+    Steps,
+    Width,
+    Workers,
+)
+from rig import limits
+
+
+class SDFAModelConfig(Section):
+    """A speech encoder and the decoder of SDFA §3.4; defaults are Tables 1-3."""
+
+    frontend: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig = Field(
+        default_factory=SDFAMelConfig, discriminator="kind"
+    )
+    motion: Literal["gradients", "offsets"] = Field(
+        default="gradients", description="what is predicted: deformation gradients, vertex offsets"
+    )
+    shared_size: Width | None = Field(
+        default=512, description="width of z_dec; null: the encoder's output goes on as it is"
+    )
+    branch_sizes: tuple[Width, ...] = Field(default=(512, 256), max_length=limits.LAYERS)
+    weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
+    seal_mm: float = Field(
+        default=0.0,
+        ge=0,
+        description="embedded heads: lips no further apart are brought together; not in the paper",
+    )
+
+
+class MeshDataConfig(Section):
+    """Mesh sequences and the bases of their gradients (SDFA §4.1, §4.3, §4.4)."""
+
+    fps: float = Field(default=60.0, gt=0, le=240, description="frames per second of the meshes")
+    identities: tuple[Annotated[int, Field(ge=0, le=limits.SEED)], ...] = Field(
+        default=(0, 1, 2, 3, 4, 5, 6, 7),
+        min_length=1,
+        max_length=limits.SPEAKERS,
+        description="embedded heads that act a dataset folder's curves",
+    )
+    emotions: tuple[str, ...] | None = Field(
+        default=None, description="emotions of such a folder that are acted; null: all"
+    )
+    clips: Positive | None = Field(
+        default=None, description="clips taken of its training split, evenly spread; null: all"
+    )
+    validation_clips: Positive = Field(
+        default=24, description="clips taken of its validation split; its test split stays unseen"
+    )
+    augment: bool = Field(default=True, description="all of §4.3")
+    basis_error_mm: float = Field(
+        default=0.5, gt=0, description="what the bases may cost where the face moves most"
+    )
+    basis_frames: int = Field(
+        default=400,
+        ge=2,
+        le=limits.TRAINING_FRAMES,
+        description="frames that the bases are fitted to",
+    )
+
+
+class MeshTrainConfig(Section):
+    """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and what a CPU needs."""
+
+    learning_rate: float = Field(default=1e-4, gt=0)
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    segment_frames: int = Field(
+        default=2,
+        ge=2,
+        le=limits.BATCH,
+        description="adjacent frames drawn together; 2: the paper's pairs",
+    )
+    batch_size: int = Field(
+        default=100, ge=2, le=limits.BATCH, description="frames; a multiple of segment_frames"
+    )
+    epochs: float = Field(
+        default=50, gt=0, le=limits.TRAINING_PASSES, description="passes over all training frames"
+    )
+    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(default=None, gt=0)
+    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    loss_decay: float = Field(
+        default=0.99, gt=0, lt=1, description="of the loss terms' second moments"
+    )
+    start_encoder: str | None = Field(
+        default=None,
+        description="DEITalk model whose mel encoder is the start; it then learns at a third of "
+        "the rate; not in the paper",
+    )
+    start_new: tuple[Literal["spectral", "recurrent", "attention"], ...] = Field(
+        default=(),
+        description="parts of the encoder that are not copied from it: what an ablation replaces",
+    )
+    lip_weight: float = Field(
+        default=0.0, ge=0, description="weight of the lips' rims; not in the paper"
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32", description="bfloat16: faster on CPUs with AMX, far slower elsewhere"
+    )
+    evaluate_every: Steps = Field(
+        default=500, description="steps between evaluations and checkpoints"
+    )
+    seed: Seed = 0
+    workers: Workers = Field(default=0, description="processes that prepare segments")
+
+    @field_validator("batch_size")
+    @classmethod
+    def _whole_segments(cls, value: int, info: ValidationInfo) -> int:
+        segment = info.data.get("segment_frames", 1)
+        if value % segment:
+            raise ValueError(f"must be a multiple of segment_frames, {segment}")
+        return value
+
+
+class SDFAConfig(Section):
+    """Everything a run of SDFA needs besides its data; ``kind: sdfa`` chooses it."""
+
+    kind: Literal["sdfa"]
+    name: str = "sdfa"
+    model: SDFAModelConfig = SDFAModelConfig()
+    data: MeshDataConfig = MeshDataConfig()
+    train: MeshTrainConfig = MeshTrainConfig()
+
+    @model_validator(mode="after")
+    def _features_are_computed_once(self) -> "SDFAConfig":
+        if self.model.frontend.kind != "deitalk":
+            return self
+        if self.data.fps != 30 or self.data.augment or self.train.start_encoder is not None:
+            raise ValueError(
+                "model.frontend.kind=deitalk needs data.fps=30, data.augment=false and no "
+                "train.start_encoder: its features are computed once, 30 a second"
+            )
+        return self

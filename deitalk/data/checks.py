@@ -1,0 +1,270 @@
+"""Is a dataset folder fit to train on? ``deitalk data check DIR``.
+
+Every clip is read once; what is wrong is said in a line with the clips it concerns. Files that
+training could not read (values out of their control's range among them) are unreadable here.
+
+The offset between sound and curves is the lag at which the jaw follows the level of the vowels
+best, pooled over the clips; `deitalk.data.offset` judges single ones. A lag means curves that are
+early or late, the most common fault of captures.
+
+Letters: T frames at 60 per second, L lags, C controls.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, Recording, load_audio
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.clips import SPLITS, Clip, read_clips, read_intensity, read_phones
+from deitalk.data.offset import (
+    JAW,
+    RATE,
+    heard_lags,
+    is_shifted,
+    lag_correlations,
+    loudness,
+    peak,
+    vowel_band,
+)
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DeitalkError
+from rig import ControlSet, RigCurves, default_controls, read_curves
+from rig.errors import RigError
+
+SHIFTED_SECONDS = 0.05
+"""Pooled lag beyond which the curves do not belong to the sound."""
+LENGTH_SECONDS = 0.1
+DEAD = 1e-3
+FEW = 0.05
+OPEN_SHARE = 0.25
+CLIPPED_SHARE = 0.01
+NAMED = 3
+"""Clips or controls that a line names."""
+
+Level = Literal["ok", "warning", "error"]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One row of the table: what was looked at, and what was found."""
+
+    name: str
+    level: Level
+    text: str
+
+
+class Measured(NamedTuple):
+    """What one clip says of itself."""
+
+    name: str
+    fps: float
+    source_rate: int
+    audio_seconds: float
+    curve_end: float
+    """Last frame's time on the audio's axis, seconds."""
+    missing: tuple[str, ...]
+    low: Floats
+    high: Floats
+    """Smallest and largest value of every control [shape=(C,)]; NaN where it is missing."""
+    lags: Floats
+    """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
+    heard_lags: Floats | None
+    """The same of the jaw that the embedded model hears; None where `lags` raise no suspicion."""
+    speech_share: float
+    open_share: float
+    """Mean jaw in silence by its 95th percentile in speech; NaN where unknown."""
+    clipped: float
+
+
+def check_dataset(
+    folder: Path | str,
+    *,
+    most: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> list[Check]:
+    """Look at every clip of a dataset folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Dataset folder.
+    most : int or None
+        Read at most so many clips, evenly spread.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    list of Check
+        One for every question, those that are well too.
+
+    Raises
+    ------
+    DataError
+        If ``clips.csv`` itself cannot be used.
+    """
+    controls = default_controls()
+    clips = read_clips(folder)
+    places = np.linspace(0, len(clips) - 1, min(most or len(clips), len(clips))).round().astype(int)
+    measured, unreadable = [], []
+    for done, place in enumerate(places):
+        try:
+            measured.append(measure(clips[place], controls))
+        except (DeitalkError, RigError) as error:
+            unreadable.append(f"{clips[place].name} ({error})")
+        progress((done + 1) / len(places))
+    checks = [
+        _verdict("files", "error", unreadable, f"{len(measured)} clips can be read", "unreadable"),
+        *_of_the_table(clips),
+    ]
+    return checks + (_of_the_clips(measured, controls) if measured else [])
+
+
+def measure(clip: Clip, controls: ControlSet) -> Measured:
+    """Read one clip and measure it; its phones and intensity are read too."""
+    recording, curves = _recording(str(clip.audio)), read_curves(clip.curves)
+    times = curves.times + clip.offset_seconds
+    if clip.phones is not None:
+        read_phones(clip.phones)
+    if clip.intensity is not None:
+        read_intensity(clip.intensity, times)
+    low, high = np.full(len(controls), np.nan), np.full(len(controls), np.nan)
+    known = [name for name in curves.names if name in controls.names]
+    places, columns = [controls.index(n) for n in known], [curves.index(n) for n in known]
+    low[places] = curves.values[:, columns].min(axis=0)
+    high[places] = curves.values[:, columns].max(axis=0)
+    speaking = speech_activity(recording.waveform) > 0
+    jaw = jaw_motion(curves, clip.offset_seconds, recording.duration)
+    lags = lag_correlations(loudness(vowel_band(recording.waveform)), jaw)
+    return Measured(
+        clip.name,
+        curves.fps,
+        recording.source_rate,
+        recording.duration,
+        float(times[-1]),
+        tuple(name for name in controls.names if name not in set(known)),
+        low,
+        high,
+        lags,
+        heard_lags(recording, lags, jaw),
+        float(speaking.mean()),
+        _open_in_silence(jaw, speaking),
+        recording.clipped_fraction,
+    )
+
+
+@lru_cache(maxsize=8)
+def _recording(path: str) -> Recording:
+    return load_audio(path)
+
+
+def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Floats:
+    """The jaw on the audio's axis at 60 frames per second; still if there is none."""
+    at = np.arange(int(seconds * RATE)) / RATE
+    if JAW not in curves.names:
+        return np.zeros(len(at))
+    jaw: Floats = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
+    return jaw
+
+
+def _open_in_silence(jaw: Floats, speaking: NDArray[np.bool_]) -> float:
+    frames = np.minimum(np.arange(len(jaw)) * FRAME_RATE // RATE, len(speaking) - 1)
+    heard = speaking[frames]
+    if not heard.any() or heard.all():
+        return float("nan")
+    return float(jaw[~heard].mean() / max(float(np.percentile(jaw[heard], 95)), 1e-3))
+
+
+def _verdict(name: str, level: Level, wrong: Sequence[str], well: str, fault: str) -> Check:
+    """A row that is well, or names the first few that are not."""
+    if not wrong:
+        return Check(name, "ok", well)
+    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
+    return Check(name, level, f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}")
+
+
+def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
+    """Splits, speakers and emotions."""
+    splits = Counter(clip.split for clip in clips)
+    counts = ", ".join(f"{splits[s]} {s}" for s in SPLITS)
+    missing = [f"no {s} clips" for s in SPLITS if not splits[s]]
+    homes: dict[str, set[str]] = {}
+    for clip in clips:
+        homes.setdefault(clip.speaker, set()).add(clip.split)
+    leaking = [f"{who} ({', '.join(sorted(at))})" for who, at in homes.items() if len(at) > 1]
+    emotions = Counter(clip.emotion for clip in clips if clip.split == "train")
+    total = max(sum(emotions.values()), 1)
+    rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
+    shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
+    return [
+        _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})"),
+        _verdict(
+            "speakers", "error", leaking, f"{len(homes)}, each in one split", "in several splits"
+        ),
+        _verdict("emotions", "warning", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
+    ]
+
+
+def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check]:
+    """Names, rates, lengths, offset, silence, ranges and channels that never move."""
+    rates = Counter(clip.fps for clip in clips)
+    frames = ", ".join(f"{n} at {rate:g} Hz" for rate, n in sorted(rates.items()))
+    lengths = [
+        f"{c.name} ({c.curve_end + 1 / c.fps - c.audio_seconds:+.2f} s)"
+        for c in clips
+        if abs(c.curve_end + 1 / c.fps - c.audio_seconds) > LENGTH_SECONDS
+    ]
+    incomplete = [f"{c.name} (lacks {len(c.missing)}, {c.missing[0]})" for c in clips if c.missing]
+    narrow = [f"{c.name} ({c.source_rate} Hz)" for c in clips if c.source_rate < SAMPLE_RATE]
+    clipped = [f"{c.name} ({c.clipped:.0%})" for c in clips if c.clipped > CLIPPED_SHARE]
+    mute = [c.name for c in clips if c.speech_share == 0]
+    gaping = [f"{c.name} ({c.open_share:.0%})" for c in clips if c.open_share > OPEN_SHARE]
+    return [
+        _verdict("controls", "error", incomplete, f"all {len(controls)} in every clip", "clips"),
+        Check("frame rates", "ok", frames),
+        _verdict("sample rates", "warning", narrow, "16 kHz or more", "below 16 kHz"),
+        _verdict("lengths", "warning", lengths, "sound and curves end together", "differ"),
+        _offset(clips),
+        _verdict("clipping", "warning", clipped, "none", "clips distort"),
+        _verdict("speech", "warning", mute, "in every clip", "clips hold none"),
+        _verdict("silence", "warning", gaping, "the mouth shuts", "clips keep it open"),
+        _movement(clips, controls),
+    ]
+
+
+def _offset(clips: Sequence[Measured]) -> Check:
+    """Lag of the jaw behind the level, pooled, and the clips that differ clearly."""
+    known = [clip for clip in clips if np.isfinite(clip.lags).all()]
+    if not known:
+        return Check("offset", "warning", "unknown: no clip of 2 s whose jaw and loudness move")
+    pooled = np.mean([clip.lags for clip in known], axis=0)
+    lag = peak(pooled) / RATE
+    text = f"curves {lag * 1000:+.0f} ms after the sound (r {pooled.max():.2f})"
+    if abs(lag) > SHIFTED_SECONDS:
+        return Check("offset", "warning", f"{text}; set offset_s to mend it")
+    shifted = [
+        f"{clip.name} ({peak(clip.heard_lags) / RATE * 1000:+.0f} ms)"
+        for clip in known
+        if clip.heard_lags is not None and is_shifted(clip.heard_lags)
+    ]
+    return _verdict("offset", "warning", shifted, text, f"clips seem shifted; all: {text}")
+
+
+def _movement(clips: Sequence[Measured], controls: ControlSet) -> Check:
+    """Controls that never move in any clip; those of the lips are named."""
+    lows, highs = (np.array([getattr(c, side) for c in clips]) for side in ("low", "high"))
+    present = np.isfinite(lows).any(axis=0)
+    travel = np.zeros(len(controls))
+    travel[present] = np.nanmax(highs[:, present], axis=0) - np.nanmin(lows[:, present], axis=0)
+    moves = travel >= DEAD
+    lips = [controls.names[i] for i in controls.subset("lip") if present[i] and not moves[i]]
+    text = f"{moves.sum()} of {len(controls)} controls move"
+    return _verdict("movement", "warning", lips, text, f"lip controls never move ({text})")

@@ -1,0 +1,185 @@
+"""The dataset folder: ``clips.csv`` and the files it names.
+
+::
+
+    clips.csv             clip, audio, curves, emotion, speaker, split[, voice, source, offset_s,
+                          phones, intensity, transcript, language, age]
+    audio/<name>.flac     any file `deitalk.audio.load.load_audio` reads
+    curves/<clip>.npz     any file `rig.read_curves` reads, at any rate
+    phones/<name>.csv     start, end, phone (seconds)             optional
+    intensity/<clip>.csv  time, intensity                         optional
+
+Several clips may share one recording: the same words acted in several emotions. ``voice`` is the
+emotion the *voice* acts where that differs from the curves'.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
+
+SPLITS = ("train", "validation", "test")
+MAX_BYTES = 512 * 1024**2
+MAX_OFFSET_SECONDS = 3600.0
+REQUIRED = ("clip", "audio", "curves", "emotion", "speaker", "split")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One row of ``clips.csv``, its paths made absolute."""
+
+    name: str
+    audio: Path
+    curves: Path
+    emotion: str
+    speaker: str
+    split: str
+    voice: str
+    source: str
+    """Where the speech is from: an engine's name, or ``recording``."""
+    offset_seconds: float
+    """Curves start this long after the audio."""
+    phones: Path | None
+    intensity: Path | None
+
+
+def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
+    """Rows of a dataset folder.
+
+    Raises
+    ------
+    DataError
+        If ``clips.csv`` is missing, is no table or lacks a column, or holds an unknown emotion
+        or split, a doubled or nameless clip, an offset that is no number, or a path that leaves
+        the folder or does not exist.
+    """
+    folder = Path(folder)
+    table = folder / "clips.csv"
+    if not table.is_file():
+        raise DataError(f"{folder}: holds no clips.csv; see `deitalk corpus build --help`")
+    frame = _read_table(table, REQUIRED, dtype=str, keep_default_na=False)
+    _check_values(table, frame)
+    rows: list[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]
+    clips = [_clip(folder, row) for row in rows if split is None or row["split"] == split]
+    return clips
+
+
+def _read_table(path: Path, columns: Sequence[str], **options: Any) -> pd.DataFrame:
+    """Read a CSV file that must have some columns."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise DataError(f"{path}: larger than {MAX_BYTES} bytes; divide the dataset")
+        frame: pd.DataFrame = pd.read_csv(path, encoding="utf-8-sig", **options)
+    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{path}: cannot be read as CSV ({reason}); save it as UTF-8") from None
+    missing = [name for name in columns if name not in frame.columns]
+    if missing:
+        raise DataError(
+            f"{path}: lacks the column {', '.join(missing)}; needs {', '.join(columns)}"
+        )
+    return frame
+
+
+def _check_values(table: Path, frame: pd.DataFrame) -> None:
+    """Names differ, emotions and splits are known."""
+    if (frame["clip"] == "").any():
+        raise DataError(f"{table}: a clip has no name; name every row")
+    doubled = frame["clip"][frame["clip"].duplicated()]
+    if len(doubled):
+        raise DataError(f"{table}: clip {doubled.iloc[0]!r} appears twice; names must differ")
+    known = {"emotion": EMOTIONS, "split": SPLITS, "voice": ("", *EMOTIONS)}
+    for column in known.keys() & set(frame.columns):
+        unknown = frame[column][~frame[column].isin(known[column])]
+        if len(unknown):
+            names = ", ".join(filter(None, known[column]))
+            raise DataError(f"{table}: {column} {unknown.iloc[0]!r} is unknown; known are {names}")
+
+
+def _clip(folder: Path, row: dict[str, str]) -> Clip:
+    return Clip(
+        name=row["clip"],
+        audio=_inside(folder, row["audio"]),
+        curves=_inside(folder, row["curves"]),
+        emotion=row["emotion"],
+        speaker=row["speaker"],
+        split=row["split"],
+        voice=row.get("voice") or row["emotion"],
+        source=row.get("source") or "recording",
+        offset_seconds=_offset(folder, row),
+        phones=_inside(folder, row["phones"]) if row.get("phones") else None,
+        intensity=_inside(folder, row["intensity"]) if row.get("intensity") else None,
+    )
+
+
+def _offset(folder: Path, row: dict[str, str]) -> float:
+    text = row.get("offset_s") or "0"
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) <= MAX_OFFSET_SECONDS:
+        raise DataError(
+            f"{folder}/clips.csv: offset_s {text!r} of clip {row['clip']!r} must be a number of "
+            f"seconds within ±{MAX_OFFSET_SECONDS:g}"
+        )
+    return value
+
+
+def _inside(folder: Path, name: str) -> Path:
+    path = folder / name
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise DataError(f"{folder}/clips.csv: {name!r} leaves the folder; use a path inside it")
+    if not path.is_file():
+        raise DataError(f"{folder}/clips.csv: {name!r} does not exist; mend the path")
+    return path
+
+
+def read_intensity(path: Path, times: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Labelled intensity at given seconds [shape=(T,)]; linear between rows, held beyond.
+
+    Raises
+    ------
+    DataError
+        If the file has no rows, its times do not rise, or an intensity is not within 0 to 1.
+    """
+    frame = _numbers(path, ("time", "intensity"))
+    known, values = frame["time"].to_numpy(), frame["intensity"].to_numpy()
+    if not len(known) or not (np.diff(known) > 0).all() or values.min() < 0 or values.max() > 1:
+        raise DataError(
+            f"{path}: needs rows of rising time (seconds) and intensity from 0 to 1; "
+            "mend it or leave the column empty"
+        )
+    held: NDArray[np.float32] = np.interp(times, known, values).astype(np.float32)
+    return held
+
+
+def _numbers(path: Path, columns: Sequence[str], *text: str) -> pd.DataFrame:
+    """A table whose named columns are finite numbers."""
+    frame = _read_table(path, (*columns, *text), keep_default_na=False)
+    for name in columns:
+        frame[name] = pd.to_numeric(frame[name], errors="coerce")
+        if not np.isfinite(frame[name]).all():
+            raise DataError(f"{path}: {name} holds something that is no number; mend the row")
+    return frame
+
+
+def read_phones(path: Path) -> list[tuple[float, float, str]]:
+    """Rows (start, end, phone) of a phone file, seconds.
+
+    Raises
+    ------
+    DataError
+        If a time is no number, or a phone ends before it starts.
+    """
+    frame = _numbers(path, ("start", "end"), "phone")
+    if (frame["end"] < frame["start"]).any():
+        raise DataError(f"{path}: a phone ends before it starts; start and end are seconds")
+    return list(zip(frame["start"], frame["end"], frame["phone"], strict=True))

@@ -1,0 +1,78 @@
+"""A frontend that is borrowed and left as it is: only what lies behind it learns.
+
+The paper trains behind a published encoder; ours can train behind that of another model. Such a
+frontend says the same of a clip every time, so where nothing augments the sound it is asked once a
+clip, and a step costs a fraction: captures can be fitted, or variants compared, in minutes.
+
+Letters: S samples, T rig frames, D width of the features.
+"""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.data.clips import Clip
+from deitalk.errors import ConfigError
+from deitalk.models.checkpoint import load_model
+from deitalk.models.curve_model import DEITalk
+
+
+class Ears:
+    """The frontend of a trained model, and what it heard of each clip.
+
+    Parameters
+    ----------
+    name : str
+        An embedded model or a model folder.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._owner = load_model(name)
+        self._heard: dict[Clip, NDArray[np.float16]] = {}
+
+    def lend_to(self, model: DEITalk) -> None:
+        """Give `model` a copy of the frontend that no gradient reaches.
+
+        Raises
+        ------
+        ConfigError
+            If the model's frontend is built otherwise.
+        """
+        if model.config.frontend != self._owner.config.frontend:
+            raise ConfigError(
+                f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
+                "begin with that model's own config.yaml"
+            )
+        frontend = model.get_submodule("frontend").requires_grad_(False)
+        frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
+
+    def hear(self, clip: Clip, waveform: NDArray[np.float32], n_frames: int) -> NDArray[np.float16]:
+        """Features of a whole clip, computed at the first call.
+
+        Parameters
+        ----------
+        clip : Clip
+            What is remembered.
+        waveform : ndarray [shape=(S,)]
+            16 kHz, level-normalised.
+        n_frames : int
+            Rig frames T; beyond the recording there is silence.
+
+        Returns
+        -------
+        ndarray [shape=(T, D)]
+        """
+        known = self._heard.get(clip)
+        if known is None or len(known) < n_frames:
+            length = n_frames * SAMPLE_RATE // FRAME_RATE
+            padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
+            features = self._owner.frontend.encode(torch.from_numpy(padded), n_frames)
+            known = self._heard[clip] = features.numpy().astype(np.float16)
+        return known

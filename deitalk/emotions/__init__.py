@@ -1,0 +1,23 @@
+"""Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
+
+from deitalk.emotions.tracks import (
+    EMOTIONS,
+    EmotionTrack,
+    IntensityCurve,
+    check_intensity,
+    parse_emotion,
+    read_emotion_track,
+    read_intensity_curve,
+    write_intensity_csv,
+)
+
+__all__ = [
+    "EMOTIONS",
+    "EmotionTrack",
+    "IntensityCurve",
+    "check_intensity",
+    "parse_emotion",
+    "read_emotion_track",
+    "read_intensity_curve",
+    "write_intensity_csv",
+]

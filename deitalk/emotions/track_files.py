@@ -1,0 +1,312 @@
+"""Tables of keys from any spreadsheet, from JSON or YAML, as columns.
+
+A spreadsheet's CSV: commas, semicolons or tabs between cells; decimal points or commas; UTF-8 with
+or without mark, UTF-16 with mark; quoted cells; Excel's first line ``sep=;``; empty rows. Names of
+columns are told apart neither by case nor by the spaces around them.
+"""
+
+import csv
+import io
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deitalk.errors import EmotionError
+from rig import limits
+from rig.errors import quoted, shorten
+from rig.files.reading import load_json, read_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SHEET_SUFFIXES = (".csv", ".tsv")
+TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")
+_SEPARATORS = ",;\t"
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of equal length.
+
+    Attributes
+    ----------
+    numbers : dict of str to ndarray (K,) float64
+        All finite.
+    texts : dict of str to list of str (K)
+        Lower case, without the spaces around them.
+    rows : ndarray (K,) int64
+        Number of each key in its file, from 1: empty rows are left out.
+    """
+
+    numbers: dict[str, Floats]
+    texts: dict[str, list[str]]
+    rows: npt.NDArray[np.int64]
+
+
+class Table(ABC):
+    """What a file holds, before it is known which columns are wanted."""
+
+    path: Path
+    names: frozenset[str]
+
+    @abstractmethod
+    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
+        """Return columns by name; EmotionError names the first cell that is missing or bad."""
+
+
+def read_table(path: Path) -> Table:
+    """Read a table of keys; see the module for what is understood.
+
+    Raises
+    ------
+    EmotionError
+        If the file cannot be read, is too large, has another suffix or holds no keys.
+    """
+    suffix = path.suffix.lower()
+    if suffix in SHEET_SUFFIXES:
+        return _sheet(path, read_text(path, limits.TRACK_BYTES, error=EmotionError))
+    if suffix == ".json":
+        text = read_text(path, limits.TRACK_JSON_BYTES, error=EmotionError)
+        return _keys(path, load_json(text, path, error=EmotionError))
+    if suffix in (".yaml", ".yml"):
+        from deitalk.config.yaml_text import read_yaml
+
+        return _keys(path, read_yaml(path, error=EmotionError))
+    raise EmotionError(
+        f"{path}: suffix {quoted(suffix)} is none of {', '.join(TRACK_SUFFIXES)}; rename or convert"
+    )
+
+
+def number(value: object, name: str, where: str) -> float:
+    """Return a value as a finite number, be its decimal a point or a comma; else EmotionError."""
+    try:
+        found = _number(value)
+    except (TypeError, ValueError, OverflowError):
+        found = float("nan")
+    if not np.isfinite(found):
+        raise EmotionError(f"{where}: {name} is {quoted(value)}; it must be a finite number")
+    return found
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool):
+        raise TypeError("a truth value is no number")
+    if isinstance(value, str) and re.fullmatch(r"\s*[-+]?\d*,\d+\s*", value[:40]):
+        value = value.replace(",", ".")
+    return float(value)  # type: ignore[arg-type]
+
+
+def missing(path: Path, row: int, name: str, needed: Sequence[str]) -> EmotionError:
+    """Return the error of a key without a value."""
+    return EmotionError(
+        f"{path}, key {row}: no {name!r}; every key needs {', '.join(dict.fromkeys(needed))}"
+    )
+
+
+# --- spreadsheets
+
+
+@dataclass(frozen=True)
+class _Sheet(Table):
+    path: Path
+    text: str
+    """Lines under the header."""
+    header: tuple[str, ...]
+    separator: str
+
+    @property
+    def names(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset(self.header)
+
+    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
+        wanted = (*numbers, *texts)
+        for name in wanted:
+            if name not in self.header:
+                raise missing(self.path, 1, name, wanted)
+        for decimal in (".", ","):
+            table = self._parsed(wanted, numbers, decimal)
+            # pandas reads a column of True and False as 1 and 0: look at its cells.
+            if table is not None and not any(table[n].dropna().isin((0, 1)).all() for n in numbers):
+                found = _complete(table, numbers, texts)
+                if found is not None:
+                    return found
+        return self._checked(wanted, numbers, texts)
+
+    def _checked(
+        self, wanted: Sequence[str], numbers: Sequence[str], texts: Sequence[str]
+    ) -> Columns:
+        """Columns with decimals of both kinds; or the error that names the first bad cell."""
+        import pandas as pd
+
+        table = self._parsed(wanted, (), ".")
+        assert table is not None
+        cells = table.fillna("").apply(lambda column: column.str.strip())
+        converted = cells.copy()
+        for name in numbers:
+            points = cells[name].str.replace(",", ".")
+            converted[name] = pd.to_numeric(points, errors="coerce").astype(float)
+        found = _complete(converted, numbers, texts)
+        if found is not None:
+            return found
+        for row, values in enumerate(cells.to_dict("records")):
+            if any(values.values()):
+                self._check_row(row, {str(k): v for k, v in values.items()}, numbers)
+        raise _no_keys(self.path)
+
+    def _check_row(self, row: int, cells: Mapping[str, str], numbers: Sequence[str]) -> None:
+        for name, cell in cells.items():
+            if not cell:
+                raise missing(self.path, row, name, tuple(cells))
+        for name in numbers:
+            number(cells[name], name, f"{self.path}, key {row}")
+
+    def _parsed(
+        self, wanted: Sequence[str], numbers: Sequence[str], decimal: str
+    ) -> "pd.DataFrame | None":
+        """Wanted columns; None if a number cannot be read so."""
+        import pandas as pd
+
+        beyond = len(self.header)
+        places = {self.header.index(name): name for name in wanted} | {beyond: ""}
+        options: dict[str, Any] = {
+            "sep": self.separator,
+            "header": None,
+            "names": list(range(beyond + 1)),  # one more: a separator at the end
+            "usecols": list(places),
+            "dtype": {i: float if name in numbers else str for i, name in places.items()},
+            "na_values": {i: [""] for i, name in places.items() if name in numbers},
+            "decimal": decimal,
+            "keep_default_na": False,
+            "skipinitialspace": True,
+            "index_col": False,
+        }
+        # An empty row of all columns comes first, so that a row may be shorter: it is number 0.
+        full = '""' + self.separator * len(self.header) + "\n"
+        try:
+            table: pd.DataFrame = pd.read_csv(io.StringIO(full + self.text), **options)
+        except pd.errors.EmptyDataError:
+            raise _no_keys(self.path) from None
+        except (pd.errors.ParserError, csv.Error) as error:
+            reason = " ".join(shorten(str(error), 200).split())
+            raise EmotionError(f"{self.path} cannot be parsed: {reason}; mend the file") from None
+        except (ValueError, OverflowError):
+            if not numbers:
+                raise
+            return None
+        too_long = table[beyond].fillna("").str.strip() != ""
+        if too_long.any():
+            raise EmotionError(
+                f"{self.path}, key {int(np.argmax(too_long))}: more cells than the {beyond} of the "
+                "header; quote numbers with decimal commas, or use semicolons between cells"
+            )
+        return table.rename(columns=places)[list(wanted)]
+
+
+def _complete(
+    table: "pd.DataFrame", numbers: Sequence[str], texts: Sequence[str]
+) -> Columns | None:
+    """Columns without empty rows; None if a cell is missing or no finite number."""
+    values = {name: table[name].to_numpy(np.float64) for name in numbers}
+    words = {name: table[name].fillna("").str.strip().str.lower() for name in texts}
+    is_empty = np.ones(len(table), bool)
+    for column in values.values():
+        is_empty &= np.isnan(column)
+    for text in words.values():
+        is_empty &= (text == "").to_numpy(bool)
+    kept = np.flatnonzero(~is_empty)
+    found = {name: column[kept] for name, column in values.items()}
+    kept_words = {name: text.iloc[kept].tolist() for name, text in words.items()}
+    whole = all(np.isfinite(column).all() for column in found.values())
+    if not len(kept) or not whole or not all(all(column) for column in kept_words.values()):
+        return None
+    return Columns(found, kept_words, kept)
+
+
+def _no_keys(path: Path) -> EmotionError:
+    return EmotionError(f"{path} holds no keys; give a list of keys with a 'time' each")
+
+
+def _sheet(path: Path, text: str) -> _Sheet:
+    """A spreadsheet's header and separator."""
+    lines = text.count("\n") + text.count("\r") - text.count("\r\n")
+    if lines > limits.KEYS + 2:
+        raise EmotionError(f"{path} has {lines} lines; at most {limits.KEYS} keys are read")
+    line, rest = _first_line(text.lstrip("\r\n"))
+    told = re.fullmatch(r'"?sep=(.)"?[,;\t]*', line.strip(" "), re.IGNORECASE)
+    if told:
+        line, rest = _first_line(rest)
+    separator = told[1] if told else max(_SEPARATORS, key=_outside_quotes(line).count)
+    if separator not in _SEPARATORS:
+        raise EmotionError(f"{path}: 'sep={separator}' is none of comma, semicolon and tab")
+    try:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error as error:
+        raise EmotionError(f"{path} cannot be parsed: {error}; mend the file") from None
+    header = tuple(cell.strip().lower() for cell in cells)
+    if len(header) > limits.TRACK_COLUMNS:
+        raise EmotionError(
+            f"{path} has {len(header)} columns; at most {limits.TRACK_COLUMNS} are read"
+        )
+    doubled = sorted({name for name in header if name and header.count(name) > 1})
+    if doubled:
+        raise EmotionError(f"{path}: column {quoted(doubled[0])} comes twice; rename one")
+    return _Sheet(path, rest, header, separator)
+
+
+def _first_line(text: str) -> tuple[str, str]:
+    end = re.search(r"\r\n|\r|\n", text)
+    if end is None:
+        return text[: limits.HEADER_BYTES], ""
+    return text[: min(end.start(), limits.HEADER_BYTES)], text[end.end() :]
+
+
+def _outside_quotes(line: str) -> str:
+    return re.sub(r'"[^"]*"?', "", line)
+
+
+# --- lists of keys
+
+
+@dataclass(frozen=True)
+class _Keys(Table):
+    path: Path
+    content: list[Mapping[str, Any]]
+
+    @property
+    def names(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset(name for key in self.content for name in key)
+
+    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
+        wanted = (*numbers, *texts)
+        found: dict[str, Floats] = {name: np.empty(len(self.content)) for name in numbers}
+        words: dict[str, list[str]] = {name: [] for name in texts}
+        for i, key in enumerate(self.content):
+            for name in wanted:
+                if key.get(name) in (None, ""):
+                    raise missing(self.path, i + 1, name, wanted)
+            for name in numbers:
+                found[name][i] = number(key[name], name, f"{self.path}, key {i + 1}")
+            for name in texts:
+                words[name].append(str(key[name]).strip().lower())
+        return Columns(found, words, np.arange(1, len(self.content) + 1))
+
+
+def _keys(path: Path, content: Any) -> _Keys:
+    """A list of keys, alone or as ``keys``."""
+    if isinstance(content, dict):
+        content = content.get("keys")
+    if not isinstance(content, list) or not content:
+        raise _no_keys(path)
+    if len(content) > limits.KEYS:
+        raise EmotionError(f"{path} has {len(content)} keys; at most {limits.KEYS} are read")
+    if not all(isinstance(key, dict) for key in content):
+        raise _no_keys(path)
+    return _Keys(path, [{str(k).strip().lower(): v for k, v in key.items()} for key in content])

@@ -1,0 +1,321 @@
+"""Which emotion, and how strongly, at every moment: labels, mixtures, keyframes, edited curves.
+
+DEITalk §3.1 conditions on one label per clip (ETH-3D: neutral, angry, happy, sad, surprised).
+Deviation: here the label becomes weights (T, 5) that may mix and change over time; a label is the
+special case of a constant one-hot.
+
+Weights are not negative and sum to 1: what a user leaves open goes to neutral, so ``happy=0.7``
+is 70 % happy and 30 % neutral.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from deitalk.emotions.track_files import TRACK_SUFFIXES, Columns, Table, number, read_table
+from deitalk.errors import EmotionError
+from rig.errors import quoted
+from rig.files import atomic_write
+from rig.limits import SECONDS
+
+EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
+MAX_INTENSITY = 4.0  # 1 is as the voice says; beyond 4 no face is left
+ROUNDING = 1e-4  # files round their weights
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EmotionTrack:
+    """Emotion weights over time: linear between keys, held before the first and after the last.
+
+    Attributes
+    ----------
+    times : ndarray (K,) float64
+        Seconds, strictly rising.
+    weights : ndarray (K, 5) float64
+        In the order of `EMOTIONS`; each row is not negative and sums to 1.
+    """
+
+    times: Floats
+    weights: Floats
+
+    def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """Weights (T, 5) float32 at `times` (T,) in seconds."""
+        seconds = np.asarray(times, float)
+        weights = np.empty((*seconds.shape, len(EMOTIONS)), np.float32)
+        for i, column in enumerate(self.weights.T):
+            weights[..., i] = np.interp(seconds, self.times, column)
+        return weights
+
+
+@dataclass(frozen=True)
+class IntensityCurve:
+    """Emotional intensity over time, as written by a take and edited by hand.
+
+    Attributes
+    ----------
+    times : ndarray (K,) float64
+        Seconds, strictly rising.
+    values : ndarray (K,) float64
+        0 (neutral reading) … 4; 1 is as predicted for the average voice.
+    """
+
+    times: Floats
+    values: Floats
+
+    def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """Intensity (T,) float32 at `times` (T,): linear between keys, held outside."""
+        values: npt.NDArray[np.float32] = np.interp(
+            np.asarray(times, float), self.times, self.values
+        ).astype(np.float32)
+        return values
+
+
+def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") -> EmotionTrack:
+    """An emotion in any of its spellings, as a track.
+
+    Parameters
+    ----------
+    emotion : str, Path, mapping or EmotionTrack
+        ``"happy"``; ``"happy=0.7,surprised=0.3"``; ``{"happy": 0.7}``; or the path of a CSV, JSON
+        or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1). Keys at the
+        same time mix. A table ``time,<emotion>,…`` of weights, such as a take's
+        ``intensity.csv``, is read too.
+
+    Returns
+    -------
+    EmotionTrack
+
+    Raises
+    ------
+    EmotionError
+        Unknown emotion, weights that are negative, not finite or above 1 together, or a file
+        that is missing or malformed.
+    """
+    if isinstance(emotion, EmotionTrack):
+        return emotion
+    if isinstance(emotion, Mapping):
+        return _constant(_weights(emotion, "emotion weights"))
+    if isinstance(emotion, Path) or Path(emotion).suffix.lower() in TRACK_SUFFIXES:
+        return read_emotion_track(emotion)
+    if "=" in emotion:
+        return _constant(_weights(_pairs(emotion), f"{emotion!r}"))
+    return _constant(_weights({emotion.strip().lower(): 1.0}, f"{emotion!r}"))
+
+
+def read_emotion_track(path: str | Path) -> EmotionTrack:
+    """Read keyframes; see `parse_emotion` for the formats and errors."""
+    path = Path(path)
+    table = read_table(path)
+    is_wide = "emotion" not in table.names and bool(set(EMOTIONS) & table.names)
+    if is_wide:
+        return _from_weights(path, table)
+    keys = table.columns(("time", "strength"), ("emotion",))
+    times = _checked_times(path, keys)
+    codes = _emotion_codes(keys.texts["emotion"])
+    first = np.concatenate([[True], np.diff(times) > 0])
+    moment = np.cumsum(first) - 1  # keys at one time mix
+    doubled = _first_doubled(moment * len(EMOTIONS) + codes)
+    if doubled is not None:
+        raise EmotionError(
+            f"{path}, key {keys.rows[doubled]}: {EMOTIONS[codes[doubled]]!r} twice at the same "
+            "time; keep one"
+        )
+    weights = np.zeros((int(moment[-1]) + 1, len(EMOTIONS)))
+    weights[moment, codes] = keys.numbers["strength"]
+    return EmotionTrack(times[first], _distributions(path, times[first], weights))
+
+
+def _from_weights(path: Path, table: Table) -> EmotionTrack:
+    """A table of weights, one row for each time."""
+    present = [name for name in EMOTIONS if name in table.names]
+    keys = table.columns(("time", *present))
+    times = _checked_times(path, keys)
+    still = np.diff(times) <= 0
+    if still.any():
+        row = int(np.argmax(still)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: {present[0]!r} twice at the same time; keep one"
+        )
+    weights = np.zeros((len(times), len(EMOTIONS)))
+    for name in present:
+        weights[:, EMOTIONS.index(name)] = keys.numbers[name]
+    return EmotionTrack(times, _distributions(path, times, weights))
+
+
+def _checked_times(path: Path, keys: Columns) -> Floats:
+    """Times of keys, checked to be within a clip and not to fall."""
+    times = keys.numbers["time"]
+    outside = ~(np.abs(times) <= SECONDS)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} s is beyond {SECONDS:g} s, the "
+            "longest clip; times are seconds"
+        )
+    falls = np.diff(times) < 0
+    if falls.any():
+        row = int(np.argmax(falls)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} comes after {times[row - 1]:g}; "
+            "sort the keys"
+        )
+    return times
+
+
+def _emotion_codes(names: Sequence[str]) -> npt.NDArray[np.int64]:
+    """Place of each name in `EMOTIONS`."""
+    place = {name: i for i, name in enumerate(EMOTIONS)}
+    unknown = next((name for name in names if name not in place), None)
+    if unknown is not None:
+        raise _unknown(unknown)
+    return np.array([place[name] for name in names], np.int64)
+
+
+def _first_doubled(codes: npt.NDArray[np.int64]) -> int | None:
+    """Place of the first number that was there before."""
+    _, first = np.unique(codes, return_index=True)
+    again = np.ones(len(codes), bool)
+    again[first] = False
+    return int(np.argmax(again)) if again.any() else None
+
+
+def _distributions(path: Path, times: Floats, weights: Floats) -> Floats:
+    """Rows that sum to 1, as `_weights` makes them; EmotionError names the first that cannot."""
+    total = weights.sum(axis=1)
+    bad = (weights < 0).any(axis=1) | (total > 1 + ROUNDING)
+    if bad.any():
+        row = int(np.argmax(bad))
+        named = dict(zip(EMOTIONS, weights[row].tolist(), strict=True))
+        _weights(named, f"{path}, time {times[row]:g}")  # says what is wrong
+    whole = weights.copy()
+    whole[:, 0] += np.maximum(0.0, 1 - total)
+    whole /= whole.sum(axis=1, keepdims=True)
+    return whole
+
+
+def read_intensity_curve(path: str | Path) -> IntensityCurve:
+    """Read a curve with at least the columns ``time`` (seconds) and ``intensity``.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV of any spreadsheet (such as a take's ``intensity.csv``), JSON or YAML.
+
+    Returns
+    -------
+    IntensityCurve
+
+    Raises
+    ------
+    EmotionError
+        Missing columns, times that do not rise, or intensities outside 0 … 4.
+    """
+    path = Path(path)
+    keys = read_table(path).columns(("time", "intensity"))
+    times, values = _checked_times(path, keys), keys.numbers["intensity"]
+    still = np.diff(times) <= 0
+    if still.any():
+        row = int(np.argmax(still)) + 1
+        raise EmotionError(
+            f"{path}, key {keys.rows[row]}: time {times[row]:g} must be after {times[row - 1]:g}; "
+            "sort the rows"
+        )
+    outside = ~((values >= 0) & (values <= MAX_INTENSITY))
+    if outside.any():
+        row = int(np.argmax(outside))
+        check_intensity(float(values[row]), f"{path}, key {keys.rows[row]}")
+    return IntensityCurve(times, values)
+
+
+def check_intensity(value: float, where: str = "intensity") -> float:
+    """`value` itself if it is a possible intensity (finite, 0 … 4), else EmotionError."""
+    if not 0 <= value <= MAX_INTENSITY:
+        raise EmotionError(
+            f"{where}: intensity {value:g} must be 0 to {MAX_INTENSITY:g}; "
+            "0 is neutral, 1 as the voice says"
+        )
+    return value
+
+
+def write_intensity_csv(
+    path: str | Path,
+    *,
+    times: npt.ArrayLike,
+    weights: npt.ArrayLike,
+    saliency: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    intensity: npt.ArrayLike,
+) -> None:
+    """Write ``frame,time,<5 emotions>,saliency,predicted,intensity``, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+        Replaced if it exists.
+    times : array (T,)
+        Seconds.
+    weights : array (T, 5)
+        Emotion weights.
+    saliency : array (T,)
+        e_sim of DEITalk Eq. 5, 0 … 1.
+    predicted : array (T,)
+        Intensity from the voice alone.
+    intensity : array (T,)
+        Intensity as applied; this column is read back by `read_intensity_curve`.
+    """
+    columns = np.column_stack([times, weights, saliency, predicted, intensity])
+    header = ("frame", "time", *EMOTIONS, "saliency", "predicted", "intensity")
+    with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for frame, (time, *values) in enumerate(columns.tolist()):
+            writer.writerow([frame, f"{time:.6f}", *(f"{value:.6g}" for value in values)])
+
+
+def _constant(weights: Floats) -> EmotionTrack:
+    return EmotionTrack(np.zeros(1), weights[None])
+
+
+def _weights(strengths: Mapping[str, float], where: str) -> Floats:
+    """Weights (5,) that sum to 1 from named strengths; the rest goes to neutral."""
+    weights = np.zeros(len(EMOTIONS))
+    for name, strength in strengths.items():
+        if name not in EMOTIONS:
+            raise _unknown(name)
+        value = number(strength, name, where)
+        if value < 0:
+            raise EmotionError(f"{where}: {name} is {value:g}; strengths must be 0 to 1")
+        weights[EMOTIONS.index(name)] = value
+    total = weights.sum()
+    if total > 1 + ROUNDING:
+        raise EmotionError(
+            f"{where}: strengths sum to {total:g}; they must not exceed 1: lower them, or use "
+            "the intensity for a stronger emotion"
+        )
+    weights[0] += max(0.0, 1 - total)
+    weights /= weights.sum()
+    return weights
+
+
+def _unknown(name: str) -> EmotionError:
+    return EmotionError(f"unknown emotion {quoted(name)}; known are {', '.join(EMOTIONS)}")
+
+
+def _pairs(text: str) -> dict[str, float]:
+    """``"happy=0.7, sad=0.1"`` -> {"happy": 0.7, "sad": 0.1}."""
+    strengths: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        name = name.lower()
+        if not equals:
+            raise EmotionError(f"{part.strip()!r} in {text!r} must be written <emotion>=<strength>")
+        if name in strengths:
+            raise EmotionError(f"{name!r} is given twice in {text!r}; give each emotion once")
+        strengths[name] = number(value, name or "strength", repr(text))
+    return strengths

@@ -1,0 +1,172 @@
+"""Where a model with temporal attention listens, recording by recording (SDFA §3.3, §5.2.3).
+
+Letters: T frames, L spectra of a window, D features.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from deitalk.audio.load import load_audio
+from deitalk.audio.mel import RIG_RATE, nearest_spectra
+from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.data.clips import Clip, read_clips, read_phones
+from deitalk.errors import CheckpointError, DataError
+from deitalk.evaluation.lip_closures import VOWELS
+from deitalk.figures.attention import PLOSIVES, AttentionMap, attention_at
+from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.models.checkpoint import load_model, model_folder, read_about
+
+
+class Attention(NamedTuple):
+    """Attention over one recording."""
+
+    weights: NDArray[np.float32]
+    """Of every frame on the spectra about it [shape=(T, L)]; rows sum to 1, L // 2 is its own."""
+    fps: float
+    """Frames per second."""
+    frame_rate: float
+    """Spectra per second."""
+
+
+def load_listener(model: str | Path, *, device: str = "cpu") -> Any:
+    """Read a model of either kind, DEITalk or SDFA.
+
+    Raises
+    ------
+    CheckpointError
+        If there is none.
+    """
+    if read_about(model_folder(model)).get("kind") == "sdfa":
+        from deitalk.models.mesh_checkpoint import load_sdfa
+
+        return load_sdfa(model, device=device)
+    return load_model(model, device=device)
+
+
+def attention_of(network: Any, waveform: NDArray[np.float32]) -> Attention:
+    """Attention of a model over a recording.
+
+    Parameters
+    ----------
+    network : DEITalk or SDFA
+        With SDFA's encoder.
+    waveform : array [shape=(S,)]
+        16 kHz, any level.
+
+    Raises
+    ------
+    CheckpointError
+        If the model has no temporal attention.
+    """
+    if hasattr(network, "attention_weights"):
+        rate = network.config.frontend.frame_rate
+        return Attention(network.attention_weights(waveform), network.fps, rate)
+    frontend = network.frontend
+    if not isinstance(frontend, MelFrontend):
+        raise CheckpointError(
+            "this model hears by wav2vec 2.0, which has no temporal attention; choose one with a "
+            "mel frontend, such as default"
+        )
+    sound = normalise_level(waveform, activity=speech_activity(waveform))
+    n_frames = max(int(np.ceil(len(waveform) * RIG_RATE / 16_000 - 1e-9)), 1)
+    weights = frontend_attention(frontend, torch.from_numpy(sound), n_frames)
+    config = frontend.config
+    return Attention(weights.cpu().numpy(), RIG_RATE, config.frame_rate / config.time_stack)
+
+
+@torch.no_grad()
+def frontend_attention(
+    frontend: MelFrontend, waveform: torch.Tensor, n_frames: int
+) -> torch.Tensor:
+    """Weights [shape=(T, L)] with which a mel frontend attends; 0 outside the recording.
+
+    Parameters
+    ----------
+    frontend : MelFrontend
+        Its Time-BiLSTM runs along the clip here, as `recurrence: segment` has it.
+    waveform : Tensor [shape=(S,)]
+        16 kHz, level-normalised.
+    n_frames : int
+        T.
+
+    Raises
+    ------
+    CheckpointError
+        If the Time-BiLSTM runs once a window.
+    """
+    config = frontend.config
+    if config.recurrence == "window":
+        raise CheckpointError("maps are drawn for recurrence: segment; this model has window")
+    device = next(frontend.parameters()).device
+    centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
+    length = int(centres[-1]) + 1
+    mel = frontend.mel(waveform.unsqueeze(0).to(device), length * config.time_stack, 0)
+    spectral = frontend.spectral(mel)
+    memory = frontend.recurrent(spectral.reshape(1, length, -1))[0][0]  # (K, D)
+    window, half = config.window_frames // config.time_stack, config.query_frames // 2
+    index = centres.unsqueeze(1) + torch.arange(window) - window // 2
+    about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
+    silent = torch.nn.functional.pad(memory, (0, 0, half, half))  # the query sees 0 outside
+    inside = (index >= 0) & (index < length)
+    rows = [
+        frontend.attention.windows(memory[part.clamp(0, length - 1)], silent[asked + half])[1]
+        for part, asked in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
+    ]
+    weights = torch.cat(rows) * inside.to(device)
+    return weights / weights.sum(dim=1, keepdim=True)
+
+
+def corpus_attention(
+    network: Any, folder: Path, *, split: str = "validation", n_clips: int = 20
+) -> tuple[AttentionMap, AttentionMap]:
+    """Attention at every vowel and plosive of some recordings of a dataset folder.
+
+    Parameters
+    ----------
+    network : DEITalk or SDFA
+        From `load_listener`.
+    folder : Path
+        A dataset folder whose clips have phones.
+    split : str
+        train, validation or test.
+    n_clips : int
+        Recordings, evenly over the split's.
+
+    Returns
+    -------
+    vowels, plosives : AttentionMap
+
+    Raises
+    ------
+    DataError
+        If the split has no clip with phones, or those hold no vowel or no plosive.
+    """
+    clips = {clip.audio: clip for clip in read_clips(folder, split) if clip.phones is not None}
+    if not clips:
+        raise DataError(f"{folder}: no clip of split {split!r} has phones; name another split")
+    known = list(clips.values())
+    chosen = np.unique(np.linspace(0, len(known) - 1, n_clips).round().astype(int))
+    kinds = zip(*(_maps(network, known[i]) for i in chosen), strict=True)
+    vowels, plosives = (
+        AttentionMap(
+            np.concatenate([m.rows for m in maps]), tuple(p for m in maps for p in m.phones)
+        )
+        for maps in kinds
+    )
+    if not vowels.phones or not plosives.phones:
+        raise DataError(f"{folder}: the phones of {len(chosen)} clips hold no vowel or no plosive")
+    return vowels, plosives
+
+
+def _maps(network: Any, clip: Clip) -> tuple[AttentionMap, AttentionMap]:
+    assert clip.phones is not None
+    heard = attention_of(network, load_audio(clip.audio).waveform)
+    phones = read_phones(clip.phones)
+    vowels, plosives = (
+        attention_at(heard.weights, phones, heard.fps, names) for names in (VOWELS, PLOSIVES)
+    )
+    return vowels, plosives

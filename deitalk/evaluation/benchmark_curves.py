@@ -1,0 +1,130 @@
+"""How fast and how large: stages, real-time factor, memory. ``deitalk benchmark``.
+
+Every number is measured in one run on this machine; the share of the clip's duration (RTF) says
+more than milliseconds. Memory is measured in a process of its own, because a peak never falls.
+"""
+
+import json
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TABLE_4_SECONDS = 5.1
+"""Length of the clip of SDFA's Table 4 (there: 5,095 ms of audio, animated at 60 fps)."""
+TABLE_4_MILLISECONDS = {"audio": 553.92, "audio feature": 4200.69, "animation feature": 545.03}
+"""Published for SDFA on an i7-8700K; other machine, other output, so no ratio is printed."""
+
+
+def speechlike(seconds: float, seed: int = 0) -> NDArray[np.float32]:
+    """Noise with the spectrum and the rhythm of speech: syllables at 4 Hz, pauses.
+
+    One minute is made and repeated, so that a long clip costs little more than itself.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(seconds * 16_000)
+    times = np.arange(min(n, 60 * 16_000)) / 16_000
+    tone = np.sin(2 * np.pi * np.cumsum(120 + 20 * np.sin(2 * np.pi * 0.7 * times)) / 16_000)
+    noise = rng.standard_normal(len(times))
+    rhythm = np.maximum(np.sin(2 * np.pi * 4 * times), 0) * (
+        np.sin(2 * np.pi * 0.23 * times) > -0.8
+    )
+    minute = (0.1 * rhythm * (tone + 0.2 * noise)).astype(np.float32)
+    return np.resize(minute, n)
+
+
+def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str, Any]:
+    """Stages of animating one clip, the best of several runs, after imports and loading.
+
+    Returns
+    -------
+    dict
+        Seconds of every stage, their sum, and RTF (sum over the clip's seconds); wall and CPU.
+    """
+    import torch
+
+    from deitalk.audio.load import Recording
+    from deitalk.models.checkpoint import load_model
+    from deitalk.pipeline.curves import animate
+
+    torch.set_num_threads(threads)
+    network = load_model(model)
+    recording = Recording(speechlike(seconds), "speechlike noise", 16_000, 1, 0.0, ())
+    animate(recording, "happy", model=network)
+    runs: list[dict[str, Any]] = []
+    for _ in range(repeats):
+        wall, cpu = time.perf_counter(), time.process_time()
+        performance = animate(recording, "happy", model=network)
+        runs.append(
+            {
+                "wall_seconds": time.perf_counter() - wall,
+                "cpu_seconds": time.process_time() - cpu,
+                "stages": performance.timings,
+            }
+        )
+    best = min(runs, key=lambda run: run["cpu_seconds"])
+    return {
+        "clip_seconds": seconds,
+        "threads": threads,
+        **best,
+        "rtf_cpu": best["cpu_seconds"] / seconds,
+        "rtf_wall": best["wall_seconds"] / seconds,
+    }
+
+
+def peak_memory(model: str, seconds: float) -> dict[str, float]:
+    """Peak memory of a process that animates one long clip, in MB, and its seconds."""
+    script = (
+        "import json, sys, time\n"
+        "from deitalk.evaluation.benchmark_curves import peak_megabytes, speechlike\n"
+        "from deitalk.pipeline.curves import animate\n"
+        "from deitalk.audio.load import Recording\n"
+        "from deitalk.models.checkpoint import load_model\n"
+        "network = load_model(sys.argv[1])\n"
+        "recording = Recording(speechlike(float(sys.argv[2])), 'noise', 16000, 1, 0.0, ())\n"
+        "began = time.perf_counter()\n"
+        "animate(recording, 'happy', model=network)\n"
+        "print(json.dumps({'megabytes': peak_megabytes(),"
+        " 'wall_seconds': time.perf_counter() - began}))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, model, str(seconds)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    result: dict[str, float] = json.loads(done.stdout)
+    return {"clip_seconds": seconds, **result}
+
+
+def peak_megabytes() -> float:
+    """Highest resident memory of this process so far.
+
+    On Linux from the kernel's own mark: `getrusage` also counts what the process that started
+    this one held.
+    """
+    status = Path("/proc/self/status")
+    if status.is_file():
+        (line,) = (row for row in status.read_text().splitlines() if row.startswith("VmHWM"))
+        return int(line.split()[1]) / 1024
+    import resource
+
+    unit = 1024**2 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+def machine() -> dict[str, str]:
+    """What this was measured on."""
+    import torch
+
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "processor": platform.processor() or platform.machine(),
+        "system": platform.system(),
+    }

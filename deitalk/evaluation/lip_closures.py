@@ -1,0 +1,129 @@
+"""Do the lips meet when they must? Bilabial closures scored against vowels.
+
+A closure's score is the highest value of the lips-together curve within the closure widened by
+two frames; a vowel's is the same within the vowel, if it stays 67 ms away from every closure and
+every f, v, w. Letters: T frames at 30 per second, N events.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio.mel import RIG_RATE
+from deitalk.metrics import area_under_curve, correlation, hit_rate
+
+BILABIAL = frozenset("PBM")
+NEAR_LIPS = frozenset(("P", "B", "M", "F", "V", "W"))
+VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
+WIDEN_FRAMES = 2
+CLEAR_SECONDS = 0.067
+MAX_LAG_FRAMES = 4
+
+Phones = Sequence[tuple[float, float, str]]
+Floats = NDArray[np.float32]
+
+
+class ClosureScores(NamedTuple):
+    """Highest lips-together values of events, and frames inside and outside closures."""
+
+    closures: Floats
+    """[shape=(N,)]."""
+    vowels: Floats
+    inside: Floats
+    """Values of the frames within closures."""
+    outside: Floats
+    """Values of the frames within clear vowels."""
+
+
+class Closures(NamedTuple):
+    """How well closures are found."""
+
+    hit_rate: float
+    """Share found where 5 % of the vowels alarm."""
+    window_auc: float
+    frame_auc: float
+    reached: float
+    """Share of found closures whose curve is at least 0.9 for two frames or more."""
+    n_closures: int
+    n_vowels: int
+
+
+def closure_scores(lips: Floats, phones: Phones) -> ClosureScores:
+    """Score one clip.
+
+    Parameters
+    ----------
+    lips : ndarray [shape=(T,)]
+        Mean of the lips-together controls at 30 frames per second.
+    phones : sequence of (start, end, name)
+        Seconds.
+    """
+    times = np.arange(len(lips)) / RIG_RATE
+    busy = [(start, end) for start, end, name in phones if name in NEAR_LIPS]
+    closures, vowels = [], []
+    inside, outside = np.zeros(len(lips), bool), np.zeros(len(lips), bool)
+    for start, end, name in phones:
+        within = (times >= start) & (times < end)
+        if name in BILABIAL:
+            slack = WIDEN_FRAMES / RIG_RATE
+            window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
+            if window.any():
+                closures.append(lips[window].max())
+            inside |= within
+        elif name in VOWELS and within.any() and _clear(start, end, busy):
+            vowels.append(lips[within].max())
+            outside |= within
+    return ClosureScores(
+        np.array(closures, np.float32), np.array(vowels, np.float32), lips[inside], lips[outside]
+    )
+
+
+def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
+    return all(end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy)
+
+
+def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = ()) -> Closures:
+    """Pool clips. `held` says of every closure whether 0.9 was kept for two frames."""
+    closures, vowels, inside, outside = (
+        np.concatenate([score[i] for score in scores]) if scores else np.zeros(0, np.float32)
+        for i in range(4)
+    )
+    found = closures > (np.quantile(vowels, 0.95) if len(vowels) else np.inf)
+    kept = np.asarray(held, bool)
+    reached = float(kept[found].mean()) if len(kept) and found.any() else float("nan")
+    return Closures(
+        hit_rate(closures, vowels),
+        area_under_curve(closures, vowels),
+        area_under_curve(inside, outside),
+        reached,
+        len(closures),
+        len(vowels),
+    )
+
+
+def held_closures(lips: Floats, phones: Phones, level: float = 0.9) -> list[bool]:
+    """For every bilabial, whether the curve stays at `level` for two frames of its window."""
+    times = np.arange(len(lips)) / RIG_RATE
+    out = []
+    slack = WIDEN_FRAMES / RIG_RATE + 1e-9
+    for start, end, name in phones:
+        window = (times >= start - slack) & (times <= end + slack)
+        if name in BILABIAL and window.any():
+            high = lips[window] >= level
+            out.append(bool((high[1:] & high[:-1]).any()))
+    return out
+
+
+def best_lag(target: Floats, predicted: Floats) -> int:
+    """Frames the prediction comes late: the shift with the highest correlation, within ±4."""
+    lags = range(-MAX_LAG_FRAMES, MAX_LAG_FRAMES + 1)
+    edge = MAX_LAG_FRAMES
+    if len(target) <= 3 * edge:
+        return 0
+    middle = target[edge:-edge]
+    scores = [
+        correlation(middle, predicted[edge + lag : len(predicted) - edge + lag]) for lag in lags
+    ]
+    return list(lags)[int(np.nanargmax(scores))] if np.isfinite(scores).any() else 0

@@ -1,0 +1,301 @@
+"""Score a mesh model on held-out speech: ``deitalk evaluate MODEL --data DIR``, MODEL one of SDFA.
+
+An embedded head acts the curves of a dataset folder's recordings, which is the truth; the model
+hears the recordings alone. Errors are distances in mm on a head of known size.
+
+Letters: T frames, V vertices, P facing pairs of the lips' rims.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.data.clips import Clip, read_phones
+from deitalk.data.mesh_folder import Lips
+from deitalk.data.mesh_sources import act, acted_clips, head_lips
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError, DataError
+from deitalk.evaluation.lip_closures import BILABIAL, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
+from deitalk.evaluation.mesh_emotion import acted_by_curves, expression_probe, expression_table
+from deitalk.models.mesh_head import Direction, MeshHead
+from deitalk.models.mesh_model import SDFA
+from rig.face import build_head
+from rig.face.identity import IDENTITIES
+
+Floats = NDArray[np.float64]
+Phones = Sequence[tuple[float, float, str]]
+
+CLOSED_MM = 1.0
+"""Lips no further apart than this read as closed."""
+WINDOW_SECONDS = WIDEN_FRAMES / 30
+"""A bilabial's gap is the smallest within the phone widened by so much."""
+EMOTION = "neutral"
+"""SDFA has no input for another."""
+
+
+def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Floats:
+    """Mean distance of the facing pairs over the middle half of the mouth.
+
+    Parameters
+    ----------
+    vertices : array [shape=(T, V, 3)]
+        In units of `unit_mm`.
+    lips : Lips
+        Rims, from corner to corner.
+    unit_mm : float
+        Millimetres in a unit.
+
+    Returns
+    -------
+    array [shape=(T,), mm]
+        0 where the lips meet; lips pushed through one another are as far apart as open ones.
+    """
+    quarter = len(lips.upper) // 4
+    middle = slice(quarter, len(lips.upper) - quarter)
+    apart = vertices[:, lips.upper[middle]] - vertices[:, lips.lower[middle]]
+    return np.asarray(unit_mm * np.linalg.norm(apart.astype(np.float64), axis=-1).mean(axis=1))
+
+
+def smallest_gaps(
+    gap: Floats, phones: Phones, fps: float
+) -> tuple[list[float], list[float], list[float]]:
+    """Smallest gap at every bilabial, at every bilabial after an /s/, and in every clear vowel.
+
+    Parameters
+    ----------
+    gap : array [shape=(T,), mm]
+        From `lip_gap`.
+    phones : sequence of (start, end, name)
+        Seconds and ARPABET names.
+    fps : float
+        Frames per second of `gap`.
+
+    Returns
+    -------
+    bilabials, after_s, vowels : list of float, mm
+        A vowel is clear if it keeps 67 ms from every p b m f v w.
+    """
+    times = np.arange(len(gap)) / fps
+    plain = [(start, end, name.rstrip("012")) for start, end, name in phones]
+    busy = [(start, end) for start, end, name in plain if name in NEAR_LIPS]
+    bilabials: list[float] = []
+    after_s: list[float] = []
+    vowels: list[float] = []
+    for (_, _, before), (start, end, name) in pairwise([(0.0, 0.0, ""), *plain]):
+        slack = WINDOW_SECONDS if name in BILABIAL else 0.0
+        window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
+        if not window.any():
+            continue
+        smallest = float(gap[window].min())
+        if name in BILABIAL:
+            bilabials.append(smallest)
+            if before == "S":
+                after_s.append(smallest)
+        elif name in VOWELS and all(
+            end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy
+        ):
+            vowels.append(smallest)
+    return bilabials, after_s, vowels
+
+
+class Tally:
+    """What is collected of one source's clips, of the model or of the truth."""
+
+    def __init__(self) -> None:
+        self.clips = 0
+        self.errors: dict[str, list[Floats]] = {}
+        self.gaps: dict[str, list[float]] = {
+            f"{who}_{kind}": []
+            for who in ("model", "unsealed", "curves", "truth")
+            for kind in ("bilabial", "after_s", "vowel")
+        }
+
+    def summary(self) -> dict[str, float]:
+        """Means over frames, shares and medians over phones."""
+        out: dict[str, float] = {"clips": float(self.clips)}
+        out |= {name: float(np.concatenate(rows).mean()) for name, rows in self.errors.items()}
+        for name, gaps in self.gaps.items():
+            if name.startswith("model"):
+                out[f"{name.removeprefix('model_')}s"] = float(len(gaps))
+            label = name.removeprefix("model_")
+            out[f"{label}_closed"] = (
+                float(np.mean(np.array(gaps) <= CLOSED_MM)) if gaps else float("nan")
+            )
+            out[f"{label}_gap_mm"] = float(np.median(gaps)) if gaps else float("nan")
+        return out
+
+
+def evaluate_mesh(
+    model: SDFA,
+    data: Path,
+    *,
+    split: str = "test",
+    most: int | None = None,
+    transitions: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Any]:
+    """Score a model that moves the embedded heads.
+
+    Parameters
+    ----------
+    model : SDFA
+        In evaluation mode.
+    data : Path
+        Dataset folder; the heads take turns. Its neutral clips are used, or those of all emotions
+        where the model has them.
+    split : str
+        ``validation`` for choices, ``test`` once.
+    most : int or None
+        At most so many clips, evenly spread.
+    transitions : bool
+        Only clips in which an /s/ goes over into /m/, /b/ or /p/ (SDFA Fig. 3).
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    dict
+        ``groups``: per source of speech, or per emotion, and over ``all``: `mesh_mm`, `lips_mm`,
+        mean distance over all vertices and over the lips' rims; `still_mm`, what lips that never
+        move would score; `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`;
+        `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of vowels,
+        which should stay open; `unsealed_...`, the same without the model's seal
+        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the truth; `curves_...`, where the
+        model is a mesh head, of the rig acting the curves of the same DEITalk model.
+        ``expression``, of a mesh head: `deitalk.evaluation.mesh_emotion.expression_probe`.
+
+    Raises
+    ------
+    CheckpointError
+        If the model moves other faces.
+    DataError
+        If the split has no such clips.
+    """
+    _check_heads(model)
+    lips = head_lips()
+    emotions = EMOTIONS if isinstance(model, MeshHead) else (EMOTION,)
+    clips = acted_clips(data, split, emotions, None if transitions else most)
+    if transitions:
+        clips = [clip for clip in clips if _has_transition(clip)][:most]
+    if not clips:
+        which = " or ".join(emotions)
+        raise DataError(f"{data}: no {which} clips in the split {split!r}; name another")
+    groups: dict[str, Tally] = {"all": Tally()}
+    for i, clip in enumerate(clips):
+        group = clip.emotion if isinstance(model, MeshHead) else clip.source
+        tallies = groups["all"], groups.setdefault(group, Tally())
+        _score(tallies, model, clip, model.speakers[i % len(model.speakers)], lips)
+        progress((i + 1) / len(clips))
+    report = {
+        "kind": "mesh",
+        "split": split,
+        "motion": model.config.motion,
+        "encoder": model.config.frontend.kind,
+        "groups": {name: tally.summary() for name, tally in groups.items() if tally.clips},
+    }
+    if isinstance(model, MeshHead):
+        report["expression"] = expression_probe(model, [clip.audio for clip in clips])
+    return report
+
+
+def _check_heads(model: SDFA) -> None:
+    known = {identity.name for identity in IDENTITIES}
+    faces = build_head(0).skin.faces
+    for speaker, template in model.templates.items():
+        if speaker not in known or not np.array_equal(template.faces, faces):
+            raise CheckpointError(
+                f"speaker {speaker!r} is no embedded head; only models trained on those are scored "
+                "against a dataset folder"
+            )
+
+
+def _has_transition(clip: Clip) -> bool:
+    names = [name for _, _, name in read_phones(clip.phones)] if clip.phones else []
+    return any(a == "S" and b in BILABIAL for a, b in pairwise(names))
+
+
+def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips: Lips) -> None:
+    waveform, truth = act(clip, speaker, model.fps)
+    seen = _seen(model, clip, waveform, speaker) | {"truth": truth}
+    n_frames = min(map(len, seen.values()))
+    seen = {who: vertices[:n_frames] for who, vertices in seen.items()}
+    rest = model.template(speaker).vertices[lips.both]
+    still = model.unit_mm * np.linalg.norm(seen["truth"][:, lips.both] - rest, axis=-1)
+    rows = {"still_mm": still.mean(axis=1)}
+    for who, label in (("model", ""), ("curves", "curves_")):
+        if who in seen:
+            error = model.unit_mm * np.linalg.norm(seen[who] - seen["truth"], axis=-1)
+            rows[f"{label}mesh_mm"] = error.mean(axis=1)
+            rows[f"{label}lips_mm"] = error[:, lips.both].mean(axis=1)
+    phones = read_phones(clip.phones) if clip.phones else []
+    found = {}
+    for who, vertices in seen.items():
+        gaps = smallest_gaps(lip_gap(vertices, lips, model.unit_mm), phones, model.fps)
+        for kind, values in zip(("bilabial", "after_s", "vowel"), gaps, strict=True):
+            found[f"{who}_{kind}"] = values
+    for tally in tallies:
+        tally.clips += 1
+        for name, row in rows.items():
+            tally.errors.setdefault(name, []).append(row)
+        for name, values in found.items():
+            tally.gaps[name] += values
+
+
+def _seen(
+    model: SDFA, clip: Clip, waveform: NDArray[np.float32], speaker: str
+) -> dict[str, NDArray[np.float32]]:
+    """Vertices (T, V, 3): the model's, those before its seal, those of the curves it decodes."""
+    direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
+    seal, model.seal = model.seal, None
+    try:
+        unsealed = model.predict_mesh(waveform, speaker, direction=direction)
+    finally:
+        model.seal = seal
+    seen = {"model": unsealed if seal is None else seal(unsealed), "unsealed": unsealed}
+    if isinstance(model, MeshHead):
+        seen["curves"] = acted_by_curves(model, clip.audio, speaker, clip.emotion)
+    return seen
+
+
+ROWS = {
+    "clips": "clips", "lips_mm": "lips, mean error, mm", "still_mm": "lips that never move, mm",
+    "curves_lips_mm": "lips, mean error, the rig with the same network's curves, mm",
+    "mesh_mm": "all vertices, mean error, mm",
+    "curves_mesh_mm": "all vertices, the rig with the curves, mm", "bilabials": "p b m",
+    "bilabial_closed": "p b m closed to 1 mm", "bilabial_gap_mm": "p b m, median gap, mm",
+    "unsealed_bilabial_closed": "p b m closed, before the seal",
+    "unsealed_bilabial_gap_mm": "p b m, median gap before the seal, mm",
+    "curves_bilabial_closed": "p b m closed, the rig with the curves",
+    "curves_bilabial_gap_mm": "p b m, median gap, the rig with the curves, mm",
+    "truth_bilabial_closed": "p b m closed, truth", "after_ss": "p b m after s",
+    "after_s_closed": "p b m after s closed", "after_s_gap_mm": "p b m after s, median gap, mm",
+    "unsealed_after_s_closed": "p b m after s closed, before the seal",
+    "unsealed_after_s_gap_mm": "p b m after s, median gap before the seal, mm",
+    "vowels": "vowels", "vowel_closed": "vowels closed",
+    "unsealed_vowel_closed": "vowels closed, before the seal",
+    "curves_vowel_closed": "vowels closed, the rig with the curves",
+    "vowel_gap_mm": "vowels, median gap, mm",
+    "truth_vowel_closed": "vowels closed, truth", "truth_vowel_gap_mm": "vowels, median gap, truth",
+}  # fmt: skip
+
+
+def as_markdown(report: dict[str, Any]) -> str:
+    """Scores down, sources across."""
+    groups = report["groups"]
+    lines = [
+        f"Split: {report['split']}; encoder {report['encoder']}, {report['motion']}.",
+        "",
+        "| | " + " | ".join(groups) + " |",
+        "|---" * (len(groups) + 1) + "|",
+    ]
+    for key, label in ROWS.items():
+        values = [scores.get(key, float("nan")) for scores in groups.values()]
+        if not (key.startswith("curves") and np.isnan(values).all()):
+            lines.append(f"| {label} | " + " | ".join(f"{value:.3g}" for value in values) + " |")
+    if "expression" in report:
+        lines += ["", *expression_table(report["expression"])]
+    return "\n".join(lines) + "\n"

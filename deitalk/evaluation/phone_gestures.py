@@ -1,0 +1,139 @@
+"""Does the mouth do what each phone needs? Contacts, bite and rounding, phone by phone.
+
+The protocol is `deitalk.evaluation.lip_closures`': the highest value of a curve within a phone widened by two
+frames, against the same in phones that stay 67 ms away from all that share the gesture. Letters:
+T frames.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.audio.mel import RIG_RATE
+from deitalk.evaluation.lip_closures import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
+from deitalk.metrics import area_under_curve, correlation, hit_rate
+from rig import ControlSet
+
+Floats = NDArray[np.float32]
+MAX_LAG_FRAMES = 4
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """A gesture of the lips, the phones that need it and those that share some of it."""
+
+    controls: tuple[str, ...]
+    """Parts of control names; the gesture's curve is their mean."""
+    phones: tuple[str, ...]
+    against: frozenset[str]
+    near: frozenset[str]
+    """Phones whose neighbourhood is no fair counter-example."""
+    widen: int = WIDEN_FRAMES
+
+
+CLOSURE = Gesture(("lipsTogether",), ("P", "B", "M"), VOWELS, frozenset("P B M F V W".split()))
+BITE = Gesture(("lipBiteD",), ("F", "V"), VOWELS, frozenset("P B M F V".split()))
+ROUND = frozenset("UW OW UH AO OY AW ER R W SH ZH CH JH".split())
+ROUNDING = Gesture(
+    ("mouth_funnel", "mouth_purse"), ("UW", "OW", "W", "SH"),
+    frozenset("IY IH EH EY AE AH S Z T D N L".split()), ROUND, widen=0,
+)  # fmt: skip
+GESTURES = {"closure": CLOSURE, "bite": BITE, "rounding": ROUNDING}
+
+Peaks = dict[str, list[float]]
+
+
+def gesture_curve(curves: Floats, controls: ControlSet, gesture: Gesture) -> Floats:
+    """Mean of a gesture's controls [shape=(T,)]."""
+    names = controls.names
+    places = [i for i, n in enumerate(names) if any(part in n for part in gesture.controls)]
+    mean: Floats = curves[:, places].mean(axis=1)
+    return mean
+
+
+def gesture_peaks(curve: Floats, phones: Phones, gesture: Gesture) -> Peaks:
+    """Highest value within every phone of interest, by name; ``-`` holds the counter-examples.
+
+    Parameters
+    ----------
+    curve : ndarray [shape=(T,)]
+        At 30 frames per second.
+    phones : sequence of (start, end, name)
+        Seconds.
+    gesture : Gesture
+        What is looked for.
+    """
+    times = np.arange(len(curve)) / RIG_RATE
+    busy = [(start, end) for start, end, name in phones if name in gesture.near]
+    peaks: Peaks = defaultdict(list)
+    slack = gesture.widen / RIG_RATE + 1e-9
+    for start, end, name in phones:
+        if name in gesture.phones:
+            window = curve[(times >= start - slack) & (times <= end + slack)]
+            if len(window):
+                peaks[name].append(float(window.max()))
+        elif name in gesture.against:
+            window = curve[(times >= start) & (times < end)]
+            if len(window) and _clear(start, end, busy):
+                peaks["-"].append(float(window.max()))
+    return dict(peaks)
+
+
+def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
+    return all(end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy)
+
+
+def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[str, float]]:
+    """Per phone: number, share found where 5 % of the counter-examples alarm, and AUC."""
+    pooled: Peaks = defaultdict(list)
+    for peaks in collected:
+        for name, values in peaks.items():
+            pooled[name] += values
+    others = np.array(pooled["-"])
+    return {
+        name: {
+            "n": len(pooled[name]),
+            "hits": hit_rate(np.array(pooled[name]), others),
+            "auc": area_under_curve(np.array(pooled[name]), others),
+        }
+        for name in gesture.phones
+    }
+
+
+def jaw_in_contact(lips: Floats, jaw: Floats, level: float = 0.9) -> float:
+    """Mean opening of the jaw while the lips are together; NaN where they never are."""
+    held = lips >= level
+    return float(jaw[held].mean()) if held.any() else float("nan")
+
+
+def lag_scores(target: Floats, predicted: Floats) -> NDArray[np.float64]:
+    """Correlation with the prediction read 4 frames early ... 4 frames late [shape=(9,)]."""
+    edge = MAX_LAG_FRAMES
+    if len(target) <= 3 * edge:
+        return np.full(2 * edge + 1, np.nan)
+    middle = target[edge:-edge]
+    last = len(predicted) - edge
+    return np.array(
+        [correlation(middle, predicted[edge + k : last + k]) for k in range(-edge, edge + 1)]
+    )
+
+
+def global_lag_ms(scores: Sequence[NDArray[np.float64]]) -> float:
+    """One lag for all clips: the peak of their mean `lag_scores`, between frames by a parabola.
+
+    Positive where the prediction comes late.
+    """
+    known = [row for row in scores if np.isfinite(row).all()]
+    if not known:
+        return float("nan")
+    mean = np.mean(known, axis=0)
+    best = int(mean.argmax())
+    offset = 0.0
+    if 0 < best < len(mean) - 1:
+        before, top, after = mean[best - 1 : best + 2]
+        bend = before - 2 * top + after
+        offset = 0.5 * float(before - after) / float(bend) if bend < 0 else 0.0
+    return 1000 * (best - MAX_LAG_FRAMES + offset) / RIG_RATE

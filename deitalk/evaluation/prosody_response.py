@@ -1,0 +1,114 @@
+"""Does the face follow how strongly the voice speaks? Voices made livelier, on purpose.
+
+`deitalk.corpus.prosody_contours.apply_contour` changes level, treble, pitch and speed along a known
+contour. Two questions: does the intensity heard follow the contour (Spearman, within speech), and
+does the livelier of two takes of one recording open and express more? The baseline for the first
+is the level of the recording at a fixed gain, smoothed over the speech as the label is. A voice
+has liveliness of its own, so the label is the contour and that, weighted as the corpus weights
+them. Letters: T frames.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.stats import spearmanr
+
+from deitalk.audio.load import FRAME_RATE, Recording
+from deitalk.corpus.prosody_contours import (
+    SMOOTHING_SECONDS,
+    Contour,
+    apply_contour,
+    contour_at,
+    prosody_index,
+    random_contour,
+)
+
+Floats = NDArray[np.float32]
+NATURAL_WEIGHT = 0.6
+"""Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.performance`."""
+STEP_Z = 1.2
+"""Standard deviations by which a take is made livelier, or duller."""
+RAMP_SECONDS = 0.3
+
+
+def spearman(label: Floats, heard: Floats, within: NDArray[np.bool_]) -> float:
+    """Rank correlation over some frames; NaN if one does not move or there are under 10."""
+    a, b = label[within], heard[within]
+    if len(a) < 10 or np.ptp(a) < 1e-6 or np.ptp(b) < 1e-6:
+        return float("nan")
+    return float(spearmanr(a, b).statistic)
+
+
+def level_curve(waveform: Floats, n_frames: int) -> Floats:
+    """Level in dB at a fixed gain, smoothed over half a second of speech [shape=(T,)].
+
+    Pauses do not count, as in the prosody index: the strongest baseline that only hears level.
+
+    Parameters
+    ----------
+    waveform : ndarray [shape=(S,)]
+        16 kHz.
+    n_frames : int
+        Frames T, 30 per second.
+    """
+    centres = np.round(np.arange(n_frames) * 16_000 / FRAME_RATE).astype(int)
+    padded = np.pad(waveform.astype(np.float64), (400, 800))
+    power = np.square(padded[centres[:, None] + np.arange(800)]).mean(axis=1)
+    level = 10 * np.log10(power + 1e-10)
+    speaking = level > np.percentile(level, 95) - 25
+    sigma = SMOOTHING_SECONDS * FRAME_RATE
+    usual = level[speaking].mean() if speaking.any() else 0.0
+    total = gaussian_filter1d(np.where(speaking, level - usual, 0), sigma, mode="constant")
+    weight = gaussian_filter1d(speaking.astype(float), sigma, mode="constant")
+    smooth: Floats = (usual + total / (weight + 0.02)).astype(np.float32)
+    return smooth
+
+
+class Modified(NamedTuple):
+    """A recording made livelier or duller."""
+
+    take: Recording
+    z: Floats
+    """The contour at every frame of the take [shape=(T,)]."""
+    frames: NDArray[np.intp]
+    """The frame of the recording that every frame of the take was [shape=(T,)]."""
+
+
+def modified(recording: Recording, contour: Contour) -> Modified:
+    """A recording along a contour."""
+    waveform, (source, moved) = apply_contour(recording.waveform, contour)
+    take = replace(recording, waveform=waveform)
+    times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
+    frames = np.round(times * FRAME_RATE).astype(np.intp).clip(0, recording.n_frames - 1)
+    return Modified(take, contour_at(contour, times).astype(np.float32), frames)
+
+
+def constant(z: float, seconds: float) -> Contour:
+    """One liveliness throughout."""
+    return np.array([0.0, max(seconds, 0.1)]), np.array([z, z])
+
+
+def halves(z: float, seconds: float) -> Contour:
+    """`z` in the first half and -`z` in the second."""
+    middle = seconds / 2
+    knots = np.array([0.0, middle - RAMP_SECONDS / 2, middle + RAMP_SECONDS / 2, seconds])
+    return knots, np.array([z, z, -z, -z])
+
+
+def wandering(recording: Recording, seed: int) -> tuple[Recording, Floats, Floats]:
+    """A recording along a random contour; the contour, and the liveliness it gives [shape=(T,)].
+
+    The liveliness is the contour plus `NATURAL_WEIGHT` times the voice's own, as in the corpus.
+    """
+    contour = random_contour(recording.duration, np.random.default_rng(seed))
+    waveform, (source, moved) = apply_contour(recording.waveform, contour)
+    take = replace(recording, waveform=waveform)
+    times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
+    applied = contour_at(contour, times)
+    own = prosody_index(recording.waveform, recording.n_frames)
+    natural = np.interp(times, np.arange(recording.n_frames) / FRAME_RATE, own)
+    lively = applied + NATURAL_WEIGHT * natural
+    return take, applied.astype(np.float32), lively.astype(np.float32)

@@ -1,0 +1,147 @@
+"""A small fixed set of validation clips that training is steered by.
+
+Real speech where the data has any: the score that chooses weights is measured on voices and
+microphones that the loss never sees.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.clips import Clip, read_phones
+from deitalk.data.windows import cut, load_material, n_clip_frames
+from deitalk.emotions import EMOTIONS
+from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
+from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
+from deitalk.models.curve_model import DEITalk
+from rig import ControlSet
+
+MAX_CLIPS = 60
+ARTICULATION = (
+    "CTRL_C_jaw.ty",
+    "CTRL_L_mouth_lipsTogetherD.ty",
+    "CTRL_L_mouth_pressD.ty",
+    "CTRL_L_mouth_lipBiteD.ty",
+    "CTRL_L_mouth_funnelU.ty",
+    "CTRL_L_mouth_purseU.ty",
+    "CTRL_L_mouth_stretch.ty",
+    "CTRL_L_mouth_upperLipRaise.ty",
+    "CTRL_L_mouth_lowerLipDepress.ty",
+    "CTRL_C_tongue_tipMove.ty",
+    "CTRL_C_tongue_bendTwist.ty",
+    "CTRL_C_jaw_fwdBack.ty",
+)
+"""One control for every articulation channel (the left one of a pair)."""
+
+
+class Example(NamedTuple):
+    """A whole clip at 30 frames per second."""
+
+    waveform: NDArray[np.float32]
+    curves: NDArray[np.float32]
+    emotion: str
+    intensity: NDArray[np.float32]
+    phones: list[tuple[float, float, str]]
+
+
+def lips_together(curves: NDArray[np.float32], controls: ControlSet) -> NDArray[np.float32]:
+    """Mean of the four lips-together controls [shape=(T,)]."""
+    places = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
+    mean: NDArray[np.float32] = curves[:, places].mean(axis=1)
+    return mean
+
+
+@dataclass(frozen=True)
+class DevelopmentSet:
+    """Clips and the control set they are of."""
+
+    examples: tuple[Example, ...]
+    controls: ControlSet
+
+    @classmethod
+    def of(cls, clips: list[Clip], controls: ControlSet) -> "DevelopmentSet":
+        """Choose up to 60 clips: recorded ones first, evenly spread over the list."""
+        recorded = [clip for clip in clips if clip.source == "recording"]
+        chosen = recorded or clips
+        places = np.linspace(0, len(chosen) - 1, min(MAX_CLIPS, len(chosen))).round().astype(int)
+        return cls(tuple(load_example(chosen[i], controls) for i in places), controls)
+
+    @torch.no_grad()
+    def score(self, model: DEITalk) -> dict[str, float]:
+        """Errors, correlations and closures; ``score`` is what weights are chosen by.
+
+        ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
+        over `ARTICULATION`, and the r of the intensity within speech: what a viewer notices,
+        equally weighted. Data without phones or intensity is scored by the rest; an empty set by 0.
+
+        Parameters
+        ----------
+        model : DEITalk
+            On any device, in evaluation mode.
+        """
+        rows: list[dict[str, float]] = []
+        closures: list[ClosureScores] = []
+        for example in self.examples:
+            predicted, strength = predict(model, example)
+            rows.append(self._row(example, predicted, strength))
+            lips = lips_together(predicted, self.controls)
+            closures.append(closure_scores(lips, example.phones))
+        names = rows[0] if rows else {}
+        means = {name: _mean([row[name] for row in rows]) for name in names}
+        pooled = summarise_closures(closures)
+        means |= {"auc": pooled.window_auc, "hits": pooled.hit_rate}
+        parts = [means.get(name, 0.0) for name in ("auc", "hits", "jaw_r", "mean_r", "intensity_r")]
+        finite = [part for part in parts if np.isfinite(part)]
+        return means | {"score": float(np.mean(finite)) if finite else 0.0}
+
+    def _row(
+        self, example: Example, predicted: NDArray[np.float32], strength: NDArray[np.float32] | None
+    ) -> dict[str, float]:
+        target = example.curves
+        places = [self.controls.index(n) for n in ARTICULATION if n in self.controls.names]
+        rs = [correlation(target[:, i], predicted[:, i]) for i in places]
+        row = {
+            "lpe": lip_parameter_error(target, predicted, self.controls),
+            "epe": emotion_parameter_error(target, predicted, self.controls),
+            "jaw_r": rs[0],
+            "mean_r": _mean(rs),
+        }
+        speaking = speech_activity(example.waveform)[: len(target)] > 0
+        known = np.isfinite(example.intensity) & speaking
+        row["intensity_r"] = (
+            correlation(example.intensity[known], strength[known])
+            if strength is not None and known.any()
+            else float("nan")
+        )
+        return row
+
+
+def load_example(clip: Clip, controls: ControlSet) -> Example:
+    """Read a whole clip, resampled to 30 frames per second."""
+    material = load_material(clip, controls)
+    n_frames = n_clip_frames(len(material.waveform))
+    waveform, curves, intensity, _ = cut(material, 0, n_frames)
+    phones = read_phones(clip.phones) if clip.phones else []
+    return Example(waveform, curves, clip.emotion, intensity, phones)
+
+
+@torch.no_grad()
+def predict(
+    model: DEITalk, example: Example
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """The network's own curves [shape=(T, C)] and intensity [shape=(T,)], nothing added."""
+    n_frames = len(example.curves)
+    device = next(model.parameters()).device
+    analysis = model.analyse(torch.from_numpy(example.waveform).to(device), n_frames)
+    one_hot = torch.eye(len(EMOTIONS), device=device)[EMOTIONS.index(example.emotion)]
+    curves: NDArray[np.float32] = model.decode(analysis, one_hot.expand(n_frames, -1)).cpu().numpy()
+    return curves, None if analysis.strength is None else analysis.strength.cpu().numpy()
+
+
+def _mean(values: list[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")

@@ -1,0 +1,60 @@
+"""Curves against the waveform, to see what a take does: ``deitalk plot``."""
+
+from pathlib import Path
+from typing import Any
+
+from deitalk.figures.canvas import draw_waveform, drawing
+from deitalk.pipeline.performance import Performance
+
+ROWS = (
+    ("jaw", ("CTRL_C_jaw.ty",)),
+    ("lips together", ("CTRL_L_mouth_lipsTogetherD.ty",)),
+    ("rounding", ("CTRL_L_mouth_funnelU.ty", "CTRL_L_mouth_purseU.ty")),
+    ("lip on teeth", ("CTRL_L_mouth_lipBiteD.ty",)),
+    ("expression", ("CTRL_L_mouth_cornerPull.ty", "CTRL_L_mouth_cornerDepress.ty",
+                    "CTRL_L_brow_down.ty", "CTRL_L_brow_raiseIn.ty", "CTRL_L_eye_cheekRaise.ty")),
+    ("lids", ("CTRL_L_eye_blink.ty",)),
+)  # fmt: skip
+"""Rows of the picture: a title and the controls drawn."""
+
+
+def plot(performance: Performance, path: Path, title: str) -> None:
+    """Draw a performance: waveform with intensity, then a row per group of controls.
+
+    Parameters
+    ----------
+    performance : Performance
+        What `deitalk.pipeline.curves.animate` gave.
+    path : Path
+        .png, .svg or .pdf.
+    title : str
+        Printed above the waveform.
+
+    Raises
+    ------
+    MissingError
+        If matplotlib is not installed.
+    """
+    with drawing(path, (12, 1.3 * (len(ROWS) + 1.6))) as figure:
+        axes = figure.subplots(
+            len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))]
+        )
+        _waveform(axes[0], performance, title)
+        times = performance.curves.times
+        for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
+            for name in names:
+                short = name.removeprefix("CTRL_").removesuffix(".ty")
+                axis.plot(times, performance.curves[name], lw=1.2, label=short)
+            axis.set_ylabel(label, rotation=0, ha="right", va="center")
+            axis.set_ylim(-0.05, 1.05)
+            axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
+        axes[-1].set_xlabel("seconds")
+
+
+def _waveform(axis: Any, performance: Performance, title: str) -> None:
+    draw_waveform(axis, performance.recording.waveform)
+    strength = axis.twinx()
+    strength.plot(performance.curves.times, performance.curves.intensity, color="crimson")
+    strength.set_ylim(0, 1.05)
+    strength.set_ylabel("intensity", color="crimson")
+    axis.set_title(title, loc="left")

@@ -1,0 +1,1 @@
+"""The networks of both papers, one file per stage, and their model folders."""

@@ -1,0 +1,231 @@
+"""DEITalk's network: the stages of §3, wired in the order of Fig. 2."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from deitalk.config import ModelConfig
+from deitalk.emotions import EMOTIONS
+from deitalk.frontends import build_frontend
+from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
+from deitalk.models.positions import dynamic_positions
+from deitalk.models.rig_decoder import RigDecoder
+from rig import ControlSet, default_controls
+
+DECODE_FRAMES = 1024
+"""Rig frames decoded at once on a long clip (34 s)."""
+
+
+class Output(NamedTuple):
+    """What training needs of one batch."""
+
+    curves: Tensor
+    """Predicted curves [shape=(B, T, C)]."""
+    intensity: Intensity | None
+    emotion_logits: Tensor | None
+    """[shape=(B, 5)]."""
+    motion_embedding: Tensor | None
+    """m_max [shape=(B, E)]; only where the captured curves were given."""
+    speech: Tensor | None = None
+    """Speech features [shape=(B, T, D)]."""
+
+
+class Analysis(NamedTuple):
+    """What the network hears in a whole clip, before an emotion is chosen."""
+
+    speech: Tensor
+    """Speech features [shape=(T, D)]."""
+    guidance: Tensor | None
+    """E_in [shape=(T, E)]."""
+    saliency: Tensor | None
+    """e_sim [shape=(T,), range -1 to 1]."""
+    strength: Tensor | None
+    """Predicted intensity [shape=(T,), range 0 to 1]."""
+
+
+class DEITalk(nn.Module):
+    """Speech and emotion to control curves (DEITalk §3, Fig. 2).
+
+    Parameters
+    ----------
+    config : ModelConfig
+    controls : ControlSet or None
+        The rig; the default set if None.
+    pretrained : bool
+        Read the wav2vec 2.0 checkpoint that the configuration names.
+    """
+
+    def __init__(
+        self, config: ModelConfig, controls: ControlSet | None = None, *, pretrained: bool = True
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.controls = controls or default_controls()
+        self.frontend = build_frontend(config.frontend, pretrained)
+        size = self.frontend.output_size
+        n_emotions, n_controls = len(EMOTIONS), len(self.controls.names)
+        guidance_size = config.emotion_size if config.intensity else 0
+        if config.intensity:
+            self.intensity = DynamicIntensity(
+                size,
+                config.emotion_size,
+                config.classifier_size,
+                n_emotions,
+                config.saliency_frames,
+            )
+            self.motion = MotionEncoder(
+                n_controls, config.motion_channels, config.kernel_size, config.emotion_size
+            )
+        self.decoder = RigDecoder(
+            in_size=size,
+            style_size=config.style_size,
+            guidance_size=guidance_size,
+            channels=config.decoder_channels,
+            dilations=config.decoder_dilations,
+            kernel_size=config.kernel_size,
+            n_emotions=n_emotions,
+            rest=torch.tensor(self.controls.rest),
+            dropout=config.dropout,
+            residual=config.decoder_residual,
+        )
+
+    def forward(
+        self,
+        waveform: Tensor,
+        emotion: Tensor,
+        frames: Tensor,
+        total: Tensor,
+        curves: Tensor | None = None,
+    ) -> Output:
+        """Predict one batch of windows.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(B, S)]
+            16 kHz, level-normalised; begins with the first frame of the window. Or what the
+            frontend has made of it already [shape=(B, T, D)].
+        emotion : Tensor [shape=(B, 5)]
+            Weights of the emotional styles.
+        frames : Tensor [shape=(B, T)]
+            Frame indices in the whole clip.
+        total : Tensor [shape=(B,)]
+            Frames of the whole clip.
+        curves : Tensor [shape=(B, T, C)] or None
+            Captured curves, for the motion encoder.
+        """
+        heard = waveform.dim() == 3
+        speech = waveform if heard else self.frontend(waveform, frames.shape[1])  # (B, T, D)
+        intensity = self.intensity(speech) if self.config.intensity else None
+        predicted = self.decoder(
+            self.place(speech, frames, total), emotion, intensity.guidance if intensity else None
+        )
+        if intensity is None:
+            return Output(predicted, None, None, None, speech)
+        return Output(
+            predicted,
+            intensity,
+            self.intensity.classify(intensity.features),
+            None if curves is None else temporal_maximum(self.motion(curves)),
+            speech,
+        )
+
+    def place(self, speech: Tensor, frames: Tensor, total: Tensor) -> Tensor:
+        """Add the dynamic positional encoding (Eq. 3)."""
+        if not self.config.positions:
+            return speech
+        return speech + dynamic_positions(frames, total, speech.shape[-1])
+
+    @torch.no_grad()
+    def analyse(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Analysis:
+        """Describe a whole clip in bounded memory.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(S,)]
+            16 kHz, level-normalised.
+        n_frames : int
+            Rig frames T of the clip.
+        progress : callable
+            Told the share of the frontend's work that is done, 0 to 1.
+        """
+        speech = self.frontend.encode(waveform, n_frames, progress=progress)
+        if not self.config.intensity:
+            return Analysis(speech, None, None, None)
+        module = self.intensity
+        embedding = None
+        if module.saliency_frames is None:
+            pieces = (
+                module.project(piece).amax(dim=0) for piece in torch.split(speech, DECODE_FRAMES)
+            )
+            embedding = torch.stack(list(pieces)).amax(dim=0).unsqueeze(0)
+        margin = (module.saliency_frames or 0) // 2
+        parts = []
+        for first, last, start, stop in _pieces(n_frames, margin):
+            said = module(speech[first:last].unsqueeze(0), embedding)
+            inner = slice(start - first, stop - first)
+            rows = (said.guidance, said.saliency, said.strength)
+            parts.append(tuple(row[0, inner] for row in rows))
+        guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
+        return Analysis(speech, guidance, saliency, strength)
+
+    @torch.no_grad()
+    def decode(self, analysis: Analysis, emotion: Tensor) -> Tensor:
+        """Curves of a whole clip, piece by piece; equal to one piece to rounding.
+
+        Parameters
+        ----------
+        analysis : Analysis
+            Of the whole clip.
+        emotion : Tensor [shape=(T, 5)]
+            Weights of the emotional styles, frame by frame.
+
+        Returns
+        -------
+        Tensor [shape=(T, C)]
+        """
+        return self._by_pieces(self.decoder, analysis, emotion, len(self.controls.names))
+
+    @torch.no_grad()
+    def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
+        """What the decoder has made of speech, style and intensity, before the curves.
+
+        The input of its last layer, from which another face than the rig can be decoded
+        (`deitalk.models.mesh_head`); arguments as `decode`.
+
+        Returns
+        -------
+        Tensor [shape=(T, decoder_channels)]
+        """
+        width = self.config.decoder_channels
+        return self._by_pieces(self.decoder.hidden, analysis, emotion, width)
+
+    def _by_pieces(
+        self, decode: Callable[..., Tensor], analysis: Analysis, emotion: Tensor, width: int
+    ) -> Tensor:
+        total = len(analysis.speech)
+        rows = analysis.speech.new_empty(total, width)
+        for first, last, start, stop in _pieces(total, self.decoder.margin):
+            frames = torch.arange(first, last, device=rows.device).unsqueeze(0)
+            speech = analysis.speech[first:last].unsqueeze(0)
+            guidance = analysis.guidance
+            decoded = decode(
+                self.place(speech, frames, frames.new_tensor([total])),
+                emotion[first:last].unsqueeze(0),
+                None if guidance is None else guidance[first:last].unsqueeze(0),
+            )
+            rows[start:stop] = decoded[0, start - first : stop - first]
+        return rows
+
+
+def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:
+    """Ranges that cover a clip: (first, last) with margin, (start, stop) without."""
+    for start in range(0, total, DECODE_FRAMES):
+        stop = min(start + DECODE_FRAMES, total)
+        yield max(start - margin, 0), min(stop + margin, total), start, stop

@@ -1,0 +1,160 @@
+"""Dynamic emotional intensity: which frames carry the emotion (DEITalk §3.3, Eq. 4-6).
+
+A linear layer maps speech features to emotion features S_emo; a motion encoder maps captured
+curves to M_emo. Contrastive learning pulls their pooled embeddings together. The cosine between
+a frame and the clip's embedding is the emotional saliency, and saliency times feature is the
+intensity the decoder is guided by.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.models.temporal_conv import TemporalConv
+
+
+class Intensity(NamedTuple):
+    """What the module says of every frame."""
+
+    features: Tensor
+    """S_emo [shape=(B, T, E)]."""
+    embedding: Tensor
+    """s_max [shape=(B, E)], the clip's (Eq. 4)."""
+    saliency: Tensor
+    """e_sim [shape=(B, T), range -1 to 1] (Eq. 5)."""
+    guidance: Tensor
+    """E_in [shape=(B, T, E)] (Eq. 6)."""
+    strength: Tensor
+    """Predicted intensity [shape=(B, T), range 0 to 1]: the saliency, calibrated."""
+
+
+def temporal_maximum(features: Tensor) -> Tensor:
+    """Largest value of every feature over the clip: (B, T, E) to (B, E) (Eq. 4)."""
+    return features.amax(dim=1)
+
+
+def local_maximum(features: Tensor, frames: int) -> Tensor:
+    """Largest value of every feature within ``frames // 2`` frames of each frame, (B, T, E)."""
+    half = frames // 2
+    pooled = F.max_pool1d(features.transpose(1, 2), 2 * half + 1, stride=1, padding=half)
+    return pooled.transpose(1, 2)
+
+
+def emotional_saliency(features: Tensor, embedding: Tensor) -> Tensor:
+    """Cosine of every frame with the embedding around it (Eq. 5).
+
+    Parameters
+    ----------
+    features : Tensor [shape=(B, T, E)]
+        S_emo, any scale.
+    embedding : Tensor [shape=(B, E) or (B, T, E)]
+        Pooled over the clip, or around every frame.
+
+    Returns
+    -------
+    Tensor [shape=(B, T), range -1 to 1]
+
+    Notes
+    -----
+    Paper silent: a zero vector; its saliency is 0.
+    """
+    if embedding.dim() == 2:
+        embedding = embedding.unsqueeze(1)
+    return F.cosine_similarity(features, embedding, dim=-1)
+
+
+class DynamicIntensity(nn.Module):
+    """Speech features to emotional saliency and guidance.
+
+    Parameters
+    ----------
+    in_size : int
+        Width of the speech features.
+    emotion_size : int
+        Width E of S_emo.
+    classifier_size : int
+        Hidden width of the emotion classifier (§4.1: 64, then 5).
+    n_emotions : int
+    saliency_frames : int or None
+        Frames that Eq. 5 compares with. None pools over the whole clip, as printed.
+        Deviation: with a number the embedding is pooled around every frame, so that a long take
+        keeps the contrast that a training window had and can be computed in chunks.
+    """
+
+    def __init__(
+        self,
+        in_size: int,
+        emotion_size: int,
+        classifier_size: int,
+        n_emotions: int,
+        saliency_frames: int | None,
+    ) -> None:
+        super().__init__()
+        self.saliency_frames = saliency_frames
+        self.project = nn.Linear(in_size, emotion_size)
+        self.classifier = nn.Sequential(
+            nn.Linear(emotion_size, classifier_size),
+            nn.ReLU(),
+            nn.Linear(classifier_size, n_emotions),
+        )
+        # Deviation: two numbers turn the cosine into an intensity of 0..1 an artist can read;
+        # the slope is kept positive, so that intensity rises with saliency.
+        self.slope = nn.Parameter(torch.tensor(1.0))
+        self.offset = nn.Parameter(torch.tensor(0.0))
+
+    def forward(self, speech: Tensor, embedding: Tensor | None = None) -> Intensity:
+        """Map speech features (B, T, D) to `Intensity`.
+
+        `embedding` (B, E) is the whole clip's where `speech` is a piece of it.
+        """
+        features = self.project(speech)
+        if embedding is None:
+            embedding = temporal_maximum(features)
+        around = embedding
+        if self.saliency_frames is not None:
+            around = local_maximum(features, self.saliency_frames)
+        saliency = emotional_saliency(features, around)
+        strength = torch.sigmoid(4 * (F.softplus(self.slope) * saliency + self.offset))
+        return Intensity(features, embedding, saliency, saliency.unsqueeze(-1) * features, strength)
+
+    def classify(self, features: Tensor) -> Tensor:
+        """Emotion logits (B, n_emotions) from S_emo (B, T, E).
+
+        Paper silent: how frames become one decision; we average the frames' logits.
+        """
+        logits: Tensor = self.classifier(features).mean(dim=1)
+        return logits
+
+
+class MotionEncoder(nn.Module):
+    """Captured curves to M_emo: a four-layer TCN and a linear layer (§3.3, §4.1).
+
+    Parameters
+    ----------
+    n_controls : int
+    channels : sequence of int
+        One per layer; the dilations are 1, 2, 4, 8, ...
+    kernel_size : int
+    emotion_size : int
+    """
+
+    def __init__(
+        self, n_controls: int, channels: Sequence[int], kernel_size: int, emotion_size: int
+    ) -> None:
+        super().__init__()
+        sizes = [n_controls, *channels]
+        self.layers = nn.Sequential(
+            *(
+                TemporalConv(sizes[i], sizes[i + 1], kernel_size, 2**i, dropout=0.0)
+                for i in range(len(channels))
+            )
+        )
+        self.project = nn.Linear(sizes[-1], emotion_size)
+
+    def forward(self, curves: Tensor) -> Tensor:
+        """Map curves (B, T, C) to M_emo (B, T, E)."""
+        out: Tensor = self.project(self.layers(curves.transpose(1, 2)).transpose(1, 2))
+        return out

@@ -1,0 +1,193 @@
+"""The take folder: everything one performance leaves behind.
+
+::
+
+    take/
+      take.json        source, model and its hash, control set, settings, timings, files
+      curves.csv       frame, time, 185 controls
+      curves.json      the same with emotion and intensity (schema deitalk.curves/1)
+      neutral.npz      the neutral reading: what intensity 0 gives
+      intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
+      audio.wav        the recording, 16 kHz mono, in time with the curves
+      <Slate>_1_deitalk.csv    Live Link Face, for Unreal's importer
+      <Slate>.unreal.json      for the script that runs inside Unreal
+"""
+
+import json
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk import __version__
+from deitalk.audio.load import frame_times, write_wav
+from deitalk.emotions import write_intensity_csv
+from deitalk.pipeline.performance import Performance
+from rig import write_curves
+from rig.errors import TargetError
+from rig.files import check_folder, output_folder
+from rig.formats.exchange import exchange_names, write_exchange_files
+from rig.text import decodable_values
+
+SCHEMA = "deitalk.pipeline.take/1"
+FILES = {
+    "curves.csv": "185 control curves: frame, time, one column per control",
+    "curves.json": "the same curves with emotion and intensity, schema deitalk.curves/1",
+    "neutral.npz": "the neutral reading of the same speech, what intensity 0 gives",
+    "intensity.csv": "emotion weights, saliency, predicted and applied intensity; edit the last "
+    "column and give it back with --intensity-curve",
+    "audio.wav": "the recording as 16 kHz mono, in time with the curves",
+    "take.json": "this file",
+}
+
+Extra = Callable[[Path, Performance], dict[str, str]]
+"""Writes more files into the folder; returns their names and descriptions."""
+
+
+KIND = "take"
+PREVIEW_FILES = ("preview.html", "preview.mp4")
+
+
+def write_take(
+    folder: Path,
+    performance: Performance,
+    *,
+    settings: dict[str, Any],
+    model: dict[str, Any],
+    fps: float | None = None,
+    force: bool = False,
+    extras: tuple[Extra, ...] = (),
+) -> Path:
+    """Write a take folder: all of its files or none.
+
+    Parameters
+    ----------
+    folder : Path
+        New or empty, or a take if `force` is set; missing folders above are made.
+    performance : Performance
+        What `deitalk.pipeline.curves.animate` gave.
+    settings : dict
+        What was asked for, for ``take.json``.
+    model : dict
+        What `deitalk.models.checkpoint.describe_model` says of the model.
+    fps : float, optional
+        Rate of the curves; 30 by default.
+    force : bool
+        Replace the files of an existing take; other files in its folder stay.
+    extras : tuple of callables
+        Further writers, such as Live Link or a preview.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    rig.errors.ExistsError
+        If a take is there and `force` is not set.
+    rig.errors.TargetError
+        If the folder holds something else, a file of the take was edited, or writing fails.
+    """
+    inputs = (performance.recording.source,)
+    try:
+        with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
+            _fill(stage, performance, settings, model, fps, extras)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise TargetError(
+            f"cannot write {folder}: {reason}; free space or name another folder"
+        ) from None
+    return folder
+
+
+def check_take(
+    folder: Path, *, source: str, force: bool, inputs: Iterable[Path | str | None] = ()
+) -> None:
+    """Refuse a folder that no take can be written to, before a recording is animated.
+
+    Parameters
+    ----------
+    folder : Path
+        See `write_take`.
+    source : str
+        Path of the recording, after which files are named.
+    force : bool
+        Whether a take that is there may be replaced.
+    inputs : iterable of path or None
+        Other files that are read.
+
+    Raises
+    ------
+    rig.errors.TargetError
+        As `write_take`.
+    """
+    names = (*FILES, *PREVIEW_FILES, *exchange_names(Path(source).stem))
+    check_folder(folder, kind=KIND, force=force, inputs=(source, *inputs), names=names)
+
+
+def _fill(
+    folder: Path,
+    performance: Performance,
+    settings: dict[str, Any],
+    model: dict[str, Any],
+    fps: float | None,
+    extras: tuple[Extra, ...],
+) -> None:
+    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    neutral = performance.neutral if fps is None else performance.neutral.resample(fps)
+    write_curves(folder / "curves.csv", curves)
+    write_curves(folder / "curves.json", curves)
+    write_curves(folder / "neutral.npz", neutral)
+    times = frame_times(len(performance.curves))
+    write_intensity_csv(
+        folder / "intensity.csv",
+        times=times,
+        weights=_track(performance.curves.emotion),
+        saliency=performance.saliency,
+        predicted=performance.predicted,
+        intensity=_track(performance.curves.intensity),
+    )
+    write_wav(folder / "audio.wav", performance.recording.waveform)
+    slate = Path(performance.recording.source).stem
+    files = FILES | write_exchange_files(folder, curves, slate=slate)
+    for extra in extras:
+        files |= extra(folder, performance)
+    about = {
+        "schema": SCHEMA,
+        "deitalk": __version__,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "source": _source(performance),
+        "model": model,
+        "control_set": curves.control_set,
+        "fps": curves.fps,
+        "frames": len(curves),
+        "settings": settings,
+        "clipped_values": performance.clipped,
+        "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
+        "files": files,
+    }
+    (folder / "take.json").write_text(
+        json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
+    )
+
+
+def _track(values: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    """A track every performance has."""
+    assert values is not None, "a performance carries its emotion and intensity"
+    return values
+
+
+def _source(performance: Performance) -> dict[str, Any]:
+    recording = performance.recording
+    return {
+        "name": recording.source,
+        "seconds": round(recording.duration, 4),
+        "sample_rate": recording.source_rate,
+        "channels": recording.channels,
+        "clipped_fraction": recording.clipped_fraction,
+        "warnings": list(recording.warnings),
+    }

@@ -1,0 +1,1 @@
+"""Rules after the network: arrays in, arrays out."""

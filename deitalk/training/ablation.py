@@ -1,0 +1,263 @@
+"""What does each part earn? Train variants with several seeds and score them: ``deitalk ablate``.
+
+A variant is a file of a few lines: a base configuration and overrides (``configs/ablations/``).
+Every run has its own folder and goes on where it stopped::
+
+    OUT/<variant>/seed0/      a run folder (see `deitalk.training.run_folder`)
+    OUT/<variant>/seed0/report.json    its evaluation; a run that has one is done
+    OUT/ablations.json, OUT/ablations.md
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deitalk.config import Config, load_config
+from deitalk.config.yaml_text import read_yaml
+from deitalk.data.frozen_features import Ears
+from deitalk.errors import ConfigError, DataError
+from deitalk.evaluation.curves import evaluate
+from deitalk.evaluation.report import as_json
+from deitalk.models.checkpoint import load_model
+from deitalk.training.curves import train
+from rig.files import atomic_write, begin_folder, claim, replace_recorded
+
+METRICS = {
+    "lpe": "LPE", "epe": "EPE", "bilabial_window_auc": "bilabial AUC",
+    "bilabial_hits_at_5_percent": "bilabials found", "jaw_r": "jaw r",
+    "articulation_r": "mean r", "intensity_rho": "intensity Spearman",
+    "jerk_per_speed": "jerk / speed", "recognised": "emotions named",
+}  # fmt: skip
+"""Rows of the evaluation that the table shows, and what it calls them."""
+FULL = "full"
+"""The variant that comes first in the table."""
+KIND = "ablations"
+"""What the manifest calls the folder."""
+Says = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One configuration to train."""
+
+    name: str
+    base: Path
+    overrides: tuple[str, ...]
+
+    def config(self, seed: int, steps: int | None, common: Sequence[str] = ()) -> Config:
+        """Configuration of one run; `common` are overrides that every variant has."""
+        run = [f"name={self.name}", f"train.seed={seed}"]
+        if steps is not None:
+            run += [f"train.steps={steps}"]
+        config = load_config(self.base, [*common, *self.overrides, *run])
+        if not isinstance(config, Config):
+            raise ConfigError(f"{self.base}: SDFA has no ablations here; base on a DEITalk config")
+        return config
+
+
+def read_variants(folder: Path) -> list[Variant]:
+    """Variants of a folder, `FULL` first.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or a file is not a base and a list of overrides.
+    """
+    files = sorted(folder.glob("*.yaml"), key=lambda path: (path.stem != FULL, path.stem))
+    if not files:
+        raise ConfigError(f"{folder}: holds no .yaml; each gives a base and overrides")
+    return [_variant(path) for path in files]
+
+
+def _variant(path: Path) -> Variant:
+    tree = read_yaml(path)
+    if not isinstance(tree, dict) or set(tree) != {"base", "overrides"}:
+        raise ConfigError(f"{path}: needs two keys, base (a file) and overrides (a list)")
+    base, overrides = tree["base"], tree["overrides"]
+    if not isinstance(base, str) or not isinstance(overrides, list):
+        raise ConfigError(f"{path}: base={base!r} must be a file, overrides={overrides!r} a list")
+    variant = Variant(path.stem, path.parent / base, tuple(map(str, overrides)))
+    variant.config(0, None)  # a wrong key is known before hours of training
+    return variant
+
+
+def ablate(
+    variants: Sequence[Variant],
+    data: Path,
+    out: Path,
+    *,
+    steps: int | None = None,
+    seeds: int = 3,
+    split: str = "test",
+    most: int | None = None,
+    probes: int = 2,
+    overrides: Sequence[str] = (),
+    says: Says = lambda run, share: None,
+) -> dict[str, Any]:
+    """Train and evaluate every variant with every seed; what is done is not done again.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        From `read_variants`.
+    data : Path
+        Dataset folder.
+    out : Path
+        Folder of the runs and of the table.
+    steps : int or None
+        Steps of every run; None: as configured.
+    seeds : int
+        Runs of every variant.
+    split, most, probes
+        As for `deitalk.evaluation.curves.evaluate`.
+    overrides : sequence of str
+        For all variants, such as ``data.noise_folder=noise``.
+    says : callable
+        Told the run and the share of its training that is done.
+
+    Returns
+    -------
+    dict
+        Variant: {source: {metric: {mean, sd, n}}}; written to `out` too.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If `out` holds runs with other settings, or the data lacks a split.
+    rig.errors.TargetError
+        If `out` holds what no ablation wrote, its table was edited, or another process writes
+        there.
+    """
+    with claim(out):
+        begin_folder(out, kind=KIND)
+        asked = {"split": split, "most": most, "probes": probes}
+        return _ablate(variants, data, out, steps, seeds, asked, overrides, says)
+
+
+def _ablate(
+    variants: Sequence[Variant],
+    data: Path,
+    out: Path,
+    steps: int | None,
+    seeds: int,
+    asked: dict[str, Any],
+    overrides: Sequence[str],
+    says: Says,
+) -> dict[str, Any]:
+    """Every run and the table, in a folder that is held."""
+    table = {}
+    lend = lru_cache(Ears)  # what a frozen frontend heard serves all runs
+    asked = {"data": str(data.resolve()), **asked}
+    for variant in variants:
+        reports = []
+        for seed in range(seeds):
+            folder = out / variant.name / f"seed{seed}"
+            config = variant.config(seed, steps, overrides)
+            reports.append(_report(folder, config, data, asked, says, lend))
+        table[variant.name] = _summary(reports)
+        _write(out, table, asked["split"], seeds)
+    return table
+
+
+def _report(
+    folder: Path,
+    config: Config,
+    data: Path,
+    asked: dict[str, Any],
+    says: Says,
+    lend: Callable[[str], Ears],
+) -> dict[str, Any]:
+    """The evaluation of one run: read, or made."""
+    path = folder / "report.json"
+    name = f"{folder.parent.name} {folder.name}"
+    if path.is_file():
+        return _finished(path, config, asked)
+    frozen = config.train.frozen_frontend
+    ears = None if frozen is None else lend(frozen)
+    _train(folder, config, data, ears, lambda share: says(name, share))
+    options = {key: asked[key] for key in ("split", "most", "probes")}
+    report = evaluate(load_model(folder / "best"), data, **options)
+    with atomic_write(path) as beside:
+        beside.write_text(as_json(report | {"asked": asked}), encoding="utf-8")
+    loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return loaded
+
+
+def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, Any]:
+    """A report that is there, if it answers what is asked now."""
+    try:
+        report: dict[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError, RecursionError):
+        raise DataError(f"{path}: no evaluation; remove it, and it is made again") from None
+    if load_config(path.parent / "config.yaml") != config or report.get("asked") != asked:
+        raise DataError(
+            f"{path.parent}: was trained or evaluated with other settings; "
+            "ask for the same, or name another folder"
+        )
+    return report
+
+
+def _train(
+    folder: Path, config: Config, data: Path, ears: Ears | None, says: Callable[[float], None]
+) -> None:
+    train(
+        config,
+        data,
+        folder,
+        resume=True,
+        ears=ears,
+        progress=lambda step, total, values: says(step / total),
+    )
+
+
+def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Mean and standard deviation over the seeds, per source."""
+    return {
+        source: {metric: _spread(reports, source, metric) for metric in METRICS}
+        for source in reports[0]["groups"]
+    }
+
+
+def _spread(reports: Sequence[dict[str, Any]], source: str, metric: str) -> dict[str, float]:
+    values = [_value(report, source, metric) for report in reports]
+    finite = [value for value in values if value is not None]
+    if not finite:
+        return {"mean": float("nan"), "sd": float("nan"), "n": 0}
+    sd = float(np.std(finite, ddof=1)) if len(finite) > 1 else float("nan")
+    return {"mean": float(np.mean(finite)), "sd": sd, "n": len(finite)}
+
+
+def _value(report: dict[str, Any], source: str, metric: str) -> float | None:
+    groups = report.get("emotions", {}) if metric == "recognised" else report["groups"]
+    value: float | None = groups.get(source, {}).get(metric)
+    return value
+
+
+def _write(out: Path, table: dict[str, Any], split: str, seeds: int) -> None:
+    replace_recorded(out, "ablations.json", as_json(table))
+    replace_recorded(out, "ablations.md", as_markdown(table, split, seeds))
+
+
+def as_markdown(table: dict[str, Any], split: str, seeds: int) -> str:
+    """One table a source: variants down, metrics across, mean ± standard deviation."""
+    lines = [f"Split: {split}; {seeds} seeds, mean ± standard deviation."]
+    sources = list(dict.fromkeys(source for scores in table.values() for source in scores))
+    for source in sources:
+        lines += ["", f"## {source}", "", "| | " + " | ".join(METRICS.values()) + " |"]
+        lines.append("|---" * (len(METRICS) + 1) + "|")
+        for name, scores in table.items():
+            cells = [_cell(scores.get(source, {}).get(metric)) for metric in METRICS]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(score: dict[str, float] | None) -> str:
+    if score is None or not score["n"]:
+        return "–"
+    shown = f"{score['mean']:.3g}"
+    return shown if score["n"] < 2 else f"{shown} ± {score['sd']:.2g}"

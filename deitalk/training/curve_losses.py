@@ -1,0 +1,147 @@
+"""The four-part loss (DEITalk §3.5, Eq. 8-13) and the two parts we add.
+
+Letters: B batch, T frames, C controls, E width of the joint embedding.
+"""
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from deitalk.config import LossConfig
+from deitalk.models.curve_model import Output
+
+
+def contrast_loss(speech: Tensor, motion: Tensor, temperature: float) -> Tensor:
+    """Pull the embeddings of one clip together, push those of others apart (Eq. 9-10).
+
+    Parameters
+    ----------
+    speech, motion : Tensor [shape=(B, E)]
+        s_max and m_max; row i of both belongs to clip i.
+    temperature : float
+        tau > 0.
+
+    Returns
+    -------
+    Tensor, scalar
+        0 for perfect pairs and tau -> 0; log B where every pair is alike.
+    """
+    similarity = F.normalize(speech, dim=-1) @ F.normalize(motion, dim=-1).T / temperature
+    target = torch.arange(len(similarity), device=similarity.device)
+    return (F.cross_entropy(similarity, target) + F.cross_entropy(similarity.T, target)) / 2
+
+
+def classification_loss(logits: Tensor, emotion: Tensor) -> Tensor:
+    """Cross entropy of the predicted emotional style (Eq. 11).
+
+    Parameters
+    ----------
+    logits : Tensor [shape=(B, 5)]
+        Before the softmax.
+    emotion : Tensor [shape=(B, 5)]
+        One-hot, or weights that sum to 1.
+    """
+    return F.cross_entropy(logits, emotion)
+
+
+def position_loss(target: Tensor, predicted: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Squared distance of the curves, summed over controls, averaged over frames (Eq. 12).
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, C)]
+        Captured and predicted curves.
+    weights : Tensor [shape=(C,)] or None
+        Weight of every control's square; the paper's are 1.
+    """
+    square = (target - predicted).square()
+    return (square if weights is None else square * weights).sum(-1).mean()
+
+
+def velocity_loss(target: Tensor, predicted: Tensor, weights: Tensor | None = None) -> Tensor:
+    """`position_loss` of the differences between successive frames (Eq. 13)."""
+    return position_loss(target.diff(dim=1), predicted.diff(dim=1), weights)
+
+
+def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
+    """Squared error of the predicted intensity where one is labelled.
+
+    Not in the paper, which has no labels; a corpus that knows what prosody it applied does.
+
+    Parameters
+    ----------
+    target : Tensor [shape=(B, T)]
+        Labelled intensity in 0..1; NaN where there is none.
+    strength : Tensor [shape=(B, T)]
+        Predicted intensity in 0..1.
+    """
+    known = torch.isfinite(target)
+    square = (torch.where(known, target, 0.0) - strength).square() * known
+    return square.sum() / known.sum().clamp(min=1)
+
+
+def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
+    """Punish lips that fail to meet: a bilabial is a contact, not a correlation.
+
+    Not in the paper. Where the target's lips are closed (> 0.9), falling short of 0.95 costs the
+    square of what is missing;
+    everywhere, the prediction's side of one half is scored by a cross entropy, so that the curve
+    is decided rather than blurred.
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, K)]
+        The lips-together controls.
+    """
+    shut = F.relu(0.95 - predicted).square() * (target > 0.9)
+    decided = F.binary_cross_entropy_with_logits(8 * (predicted - 0.5), target.clamp(0, 1))
+    return shut.mean() + 0.1 * decided
+
+
+def total_loss(
+    output: Output,
+    curves: Tensor,
+    emotion: Tensor,
+    intensity: Tensor,
+    *,
+    config: LossConfig,
+    weights: Tensor | None,
+    contact_controls: Tensor,
+) -> dict[str, Tensor]:
+    """Every part, and their weighted sum as ``total`` (Eq. 8).
+
+    Parameters
+    ----------
+    output : Output
+        Of the network, given `curves` too.
+    curves : Tensor [shape=(B, T, C)]
+        Captured.
+    emotion : Tensor [shape=(B, 5)]
+        Captured emotion that the classifier is to hear.
+    intensity : Tensor [shape=(B, T)]
+        NaN where unknown.
+    config : LossConfig
+        Weights of the parts.
+    weights : Tensor [shape=(C,)] or None
+        Of the controls, in Eq. 12-13.
+    contact_controls : Tensor [shape=(K,)]
+        Indices of the lips-together controls.
+    """
+    parts = {
+        "position": position_loss(curves, output.curves, weights),
+        "velocity": velocity_loss(curves, output.curves, weights),
+    }
+    if output.intensity is not None and output.emotion_logits is not None:
+        if config.contrast and output.motion_embedding is not None:
+            parts["contrast"] = contrast_loss(
+                output.intensity.embedding, output.motion_embedding, config.temperature
+            )
+        parts["classification"] = classification_loss(output.emotion_logits, emotion)
+        parts["intensity"] = intensity_loss(intensity, output.intensity.strength)
+    if config.contact:
+        parts["contact"] = contact_loss(
+            curves[..., contact_controls], output.curves[..., contact_controls]
+        )
+    settings = config.model_dump()
+    parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
+    return parts

@@ -1,0 +1,143 @@
+"""The loss of SDFA: values and differences of every branch, weighed automatically (§4.2).
+
+Letters: B segments, T frames, K components of a basis, P pairs of facing lip vertices.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import torch
+from torch import Tensor, nn
+
+from deitalk.models.deformation_decoder import Coefficients
+
+LIPS = "lips"
+"""Name of the term that the paper does not have."""
+SEAL_MM = 1.0
+"""Gap at which facing vertices weigh half as much as where they touch."""
+
+
+def value_loss(predicted: Tensor, target: Tensor, deviations: Tensor) -> Tensor:
+    """Squared error of a frame, over its triangles weighted by area (Eq. 7).
+
+    Parameters
+    ----------
+    predicted, target : Tensor [shape=(B, T, K)]
+        Coefficients of adjacent frames.
+    deviations : Tensor [shape=(K,)]
+        Weighted standard deviation along each component.
+
+    Notes
+    -----
+    The components are orthogonal under the weights, so this is the squared error of the 6 N or
+    3 N numbers themselves, less what no coefficients can give, at a thousandth of the work.
+    Deviation: the paper weighs every triangle alike; small dense ones on the rims of lips and lids
+    would then count most and show least.
+    """
+    return ((predicted - target) * deviations).square().sum(dim=-1).mean()
+
+
+def difference_loss(predicted: Tensor, target: Tensor, deviations: Tensor) -> Tensor:
+    """Squared error of x_t - x_(t-1) (Eq. 8); arguments as `value_loss`."""
+    error = (predicted - target) * deviations
+    return (error[:, 1:] - error[:, :-1]).square().sum(dim=-1).mean()
+
+
+def motion_terms(
+    predicted: Coefficients, target: Coefficients, deviations: dict[str, Tensor]
+) -> dict[str, Tensor]:
+    """The terms of §4.2: ``<branch>_value`` and ``<branch>_difference`` of every branch."""
+    parts: dict[str, Tensor] = {}
+    for name, given in predicted.items():
+        arguments = given, target[name], deviations[name]
+        parts[f"{name}_value"] = value_loss(*arguments)
+        parts[f"{name}_difference"] = difference_loss(*arguments)
+    return parts
+
+
+def term_names(branches: list[str], *, lips: bool) -> tuple[str, ...]:
+    """Names of `motion_terms`, and of the lips' where it is asked for."""
+    names = [f"{name}_{kind}" for name in branches for kind in ("value", "difference")]
+    return (*names, LIPS) if lips else tuple(names)
+
+
+def lip_loss(predicted: Tensor, target: Tensor, rest_parting: Tensor) -> Tensor:
+    """Squared error in mm of the lips' rims and of what parts them.
+
+    Deviation: not in the paper. Lips are a hundredth of the surface and all of a /b/: an error
+    that is nothing on the cheek leaves them open. The parting counts most where it is small.
+
+    Parameters
+    ----------
+    predicted, target : Tensor [shape=(B, T, 2 P, 3)]
+        Offsets of the upper, then of the lower rim, mm.
+    rest_parting : Tensor [shape=(B, 1, P, 3)]
+        Upper less lower rim of the templates, mm.
+    """
+    place = (predicted - target).square().sum(dim=-1).mean()
+    given, wanted = (upper - lower for upper, lower in
+                     (rims.chunk(2, dim=2) for rims in (predicted, target)))  # fmt: skip
+    gap: Tensor = (wanted + rest_parting).norm(dim=-1)
+    weight = 1 / (1 + gap / SEAL_MM)
+    parting = ((given - wanted).square().sum(dim=-1) * weight).mean()
+    return place + 4 * parting
+
+
+class AutomaticWeights(nn.Module):
+    """Scale every term by how large it has lately been (the dynamic scalars of Karras et al. 2017).
+
+    The form used, for every term l of step t::
+
+        v_t = decay v_(t-1) + (1 - decay) l_t^2        v_0 = 0
+        scaled = l_t / (sqrt(v_t / (1 - decay^t)) + epsilon)
+
+    as Adam scales gradients by their second moment. v is no part of the gradient. The total is the
+    sum of the scaled terms, so that each weighs about 1 whatever its unit, and keeps that weight
+    as it falls.
+
+    Paper silent: SDFA §4.2 says no more than "the dynamic scalars proposed by Karras et al."; it
+    prints no formula, decay or epsilon. The form is that of Karras et al.'s loss normalisation as
+    remembered: their paper is not at hand to check it against.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Terms that `forward` will be given.
+    decay : float
+        Karras et al.'s beta_2.
+    epsilon : float
+        Keeps a term of zero finite.
+    """
+
+    second_moment: Tensor
+    steps: Tensor
+
+    def __init__(self, names: tuple[str, ...], decay: float = 0.99, epsilon: float = 1e-8) -> None:
+        super().__init__()
+        self.names, self.decay, self.epsilon = names, decay, epsilon
+        self.register_buffer("second_moment", torch.zeros(len(names), dtype=torch.float64))
+        self.register_buffer("steps", torch.zeros((), dtype=torch.int64))
+
+    def forward(
+        self, parts: dict[str, Tensor], factors: Mapping[str, float] = MappingProxyType({})
+    ) -> Tensor:
+        """Sum of the scaled terms; when training, the means move on first.
+
+        A step whose terms are not finite leaves the means as they were. `factors` weigh scaled
+        terms that shall not weigh 1 (not in the paper).
+        """
+        terms = torch.stack([parts[name] for name in self.names])
+        if self.training and bool(terms.isfinite().all()):
+            squared = terms.detach().double().square().to(self.second_moment.device)
+            self.second_moment.lerp_(squared, 1 - self.decay)
+            self.steps += 1
+        weights = self.weights().to(terms)
+        weights = weights * weights.new_tensor([factors.get(name, 1.0) for name in self.names])
+        return (terms * weights).sum()
+
+    def weights(self) -> Tensor:
+        """Factor of every term now; 1 before the first step."""
+        if not int(self.steps):
+            return torch.ones_like(self.second_moment)
+        moment = self.second_moment / (1 - self.decay ** int(self.steps))
+        return 1 / (moment.sqrt() + self.epsilon)

@@ -1,0 +1,248 @@
+"""The folder of a training run, and how an interrupted one goes on.
+
+::
+
+    config.yaml          every setting of the run
+    metrics.csv          losses, gradient norm and learning rate, a row every 25 steps
+    development.csv      development scores, a row an evaluation
+    curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
+    tensorboard/         both tables as TensorBoard's events, where they are asked for
+    best/, last/         model folders
+    state.pt             everything a killed run needs to go on exactly
+
+A kill at any moment leaves whole files; ``state.pt`` is the last that an evaluation writes, and
+what is beyond it is made again by the run that goes on.
+"""
+
+import errno
+import math
+import os
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from deitalk.config import AnyConfig, load_config
+from deitalk.errors import ConfigError, DataError
+from deitalk.training.run_tables import forget
+from rig.files import (
+    atomic_write,
+    begin_folder,
+    check_folder,
+    claim,
+    kind_of,
+    record,
+    recover,
+    remove_leftovers,
+    replace_recorded,
+)
+
+MAY_CHANGE = ("name", "train.workers", "train.evaluate_every")
+"""Settings that a resumed run may have changed."""
+KIND = "run"
+"""What the manifest calls the folder."""
+_BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
+"""What shows that a run has done something."""
+_MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "templates.npz")
+
+
+@contextmanager
+def open_folder(
+    out: Path, config: AnyConfig, *, resume: bool, writes: bool = True
+) -> Iterator[None]:
+    """Keep a run folder for this run until the block ends, and write the configuration there.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    config : Config or SDFAConfig
+        Settings of the run that begins or goes on.
+    resume : bool
+        Go on with the run that is there; where there is none, begin it.
+    writes : bool
+        Whether this is the process that writes; for others nothing is done.
+
+    Raises
+    ------
+    DataError
+        If a run is there and `resume` is not set.
+    ConfigError
+        If the run that goes on was begun with other settings.
+    rig.errors.TargetError
+        If the folder holds what no run wrote, files of the run were edited, or another process
+        trains there.
+    """
+    if not writes:
+        yield
+        return
+    with claim(out):
+        is_ours = kind_of(out) == KIND
+        if is_ours and not resume and any((out / name).exists() for name in _BEGUN):
+            raise DataError(
+                f"{out}: holds a run already; set resume to go on with it, or name another folder"
+            )
+        if resume:
+            _adopt(out)
+        begin_folder(out, kind=KIND)
+        for folder in (out / "best", out / "last"):
+            recover(folder)
+            check_folder(folder, kind="model", force=True)
+        remove_leftovers(out / "curves")
+        if resume and (out / "config.yaml").is_file():
+            _check_settings(out, config)
+        settings = config.model_dump(mode="json")
+        replace_recorded(out, "config.yaml", yaml.safe_dump(settings, sort_keys=False))
+        yield
+
+
+def _check_settings(out: Path, config: AnyConfig) -> None:
+    before = load_config(out / "config.yaml").model_dump(mode="json")
+    settings = config.model_dump(mode="json")
+    changed = [key for key in _differences(before, settings) if key not in MAY_CHANGE]
+    if changed:
+        raise ConfigError(
+            f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
+            "own config.yaml"
+        )
+
+
+def _adopt(out: Path) -> None:
+    """List the files of a run that was begun before run folders had a manifest."""
+    if kind_of(out) is not None or not (out / "state.pt").is_file():
+        return
+    if not (out / "config.yaml").is_file():
+        return
+    for folder in (out / "best", out / "last"):
+        if (folder / "model.json").is_file() and kind_of(folder) is None:
+            names = [path.name for path in folder.iterdir() if path.name in _MODEL_FILES]
+            record(folder, names, kind="model")
+    record(out, ["config.yaml"], kind=KIND)
+
+
+def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list[str]:
+    """Dotted keys whose values differ between two trees."""
+    out = []
+    for key in sorted(a.keys() | b.keys()):
+        first, second = a.get(key), b.get(key)
+        if isinstance(first, dict) and isinstance(second, dict):
+            out += _differences(first, second, f"{prefix}{key}.")
+        elif first != second:
+            out.append(prefix + key)
+    return out
+
+
+def save_state(out: Path, parts: dict[str, Any], numbers: dict[str, float]) -> None:
+    """Write ``state.pt``: the states of modules and optimisers, and numbers.
+
+    Raises
+    ------
+    OSError
+        If the disk is full.
+    """
+    states = {name: part.state_dict() for name, part in parts.items()}
+    try:
+        with atomic_write(out / "state.pt") as beside, beside.open("wb") as file:
+            torch.save(states | numbers, file)
+    except (OSError, RuntimeError) as error:
+        # torch raises an error of its own over that of the file.
+        reason = error if isinstance(error, OSError) else error.__context__
+        if isinstance(reason, KeyboardInterrupt):
+            raise reason from None
+        code = getattr(reason, "errno", None) or errno.EIO
+        raise OSError(code, os.strerror(code), str(out / "state.pt")) from None
+
+
+def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:
+    """Read ``state.pt`` into the parts that `save_state` was given; return the numbers.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged or of another model.
+    """
+    path = out / "state.pt"
+    try:
+        state = torch.load(path, weights_only=True, map_location="cpu")
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        return {name: state[name] for name in ("step", "best_score")}
+    except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError):
+        raise DataError(
+            f"{path}: damaged, or of another model; begin a run in another folder"
+        ) from None
+
+
+def go_on(out: Path, parts: dict[str, Any], *, forgets: bool) -> tuple[int, float]:
+    """Bring the parts to where a run stopped; return its step and the best score so far.
+
+    Without ``state.pt``, as after a kill before the first evaluation, the parts stay as they are
+    and the run begins at step 0. Rows and pictures beyond the step are dropped by the process that
+    `forgets`: the run will make them again.
+
+    Raises
+    ------
+    DataError
+        If ``state.pt`` is damaged or of another model, or a log is not one of a run.
+    """
+    numbers: dict[str, float] = {"step": 0, "best_score": -math.inf}
+    if (out / "state.pt").is_file():
+        numbers = restore_state(out, parts)
+    step = int(numbers["step"])
+    if forgets:
+        for name in ("metrics.csv", "development.csv"):
+            forget(out / name, step)
+        for picture in (out / "curves").glob("*.png"):
+            if picture.stem.isdecimal() and int(picture.stem) > step:
+                picture.unlink()
+    return step, float(numbers["best_score"])
+
+
+def keep(
+    out: Path,
+    parts: dict[str, Any],
+    step: int,
+    scores: dict[str, float],
+    best_score: float,
+    save: Callable[[Path, dict[str, Any]], None],
+) -> float:
+    """Write ``last/``, ``best/`` if no score was higher, and ``state.pt``.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    parts : dict
+        Modules and optimisers, for `save_state`.
+    step : int
+        Steps done.
+    scores : dict
+        Of the development set, with ``score``.
+    best_score : float
+        The highest before.
+    save : callable
+        Writes the weights to a model folder, with what is said of the training.
+
+    Returns
+    -------
+    float
+        The highest score now.
+    """
+    known = {name: value for name, value in scores.items() if math.isfinite(value)}
+    summary = {"step": step, "development": known}  # JSON has no NaN
+    if scores["score"] >= best_score:
+        best_score = scores["score"]
+        save(out / "best", summary)
+    save(out / "last", summary)
+    save_state(out, parts, {"step": step, "best_score": best_score})
+    return best_score
+
+
+def picture_path(out: Path, step: int) -> Path:
+    """Where an evaluation's curves are drawn; names sort by step."""
+    (out / "curves").mkdir(exist_ok=True)
+    return out / "curves" / f"{step:06d}.png"

@@ -1,0 +1,1 @@
+"""Curves from one control set to another: the board, raw curves, ARKit, visemes."""

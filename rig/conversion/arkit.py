@@ -1,0 +1,241 @@
+"""Raw MetaHuman curves to the shapes of Apple ARKit, and back.
+
+Unreal's own pose asset says which raw curves each of 51 ARKit shapes moves (``arkit.csv``: the
+weights, re-typed, small leaks below 0.04 left out; the 5.7 asset agrees within 0.02). Back from raw
+curves to shapes is a least-squares fit with weights in [0, 1].
+
+**The ARKit file is a lossy preview.** 76 of the 251 raw curves move under no shape at all, and in
+Epic's own captures about 45 % of the deformation lies outside what the shapes can say. The residual
+of the fit is reported per frame and summed.
+
+``MouthClose`` has no pose. Unreal's face blueprint sets the four lips-together curves to
+clamp(MouthClose / JawOpen, 0, 1); we use the same rule, both ways. So MouthClose never exceeds
+JawOpen: lips meet and do not cross.
+"""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.controls import Control, ControlSet
+from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
+from rig.curves import RigCurves
+from rig.errors import ControlError, CurveError
+
+ARKIT_ID = "arkit-61"
+HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
+ROTATION_LIMIT = 3.2
+"""Rotations are radians, within half a turn."""
+HEAD_DEGREES = {"HeadYaw": -50.0, "HeadPitch": 50.0, "HeadRoll": 50.0}
+"""Degrees that Unreal's face blueprint turns the head by for a value of 1."""
+GAZE_SIDE_DEGREES, GAZE_UP_DEGREES, GAZE_DOWN_DEGREES = 40.0, 30.0, 40.0
+"""Turn of an eye for a raw look curve at 1 (mh4 rig)."""
+LIPS_TOGETHER = tuple(f"{PREFIX}mouthLipsTogether{half}" for half in ("UL", "UR", "DL", "DR"))
+SMALLEST_JAW = 1e-4
+"""JawOpen below which MouthClose / JawOpen is taken as 0, as Unreal's safe division does."""
+MAX_SWEEPS = 60
+"""Of coordinate descent; the worst group (Pucker, Funnel) gains a factor 3 per sweep."""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ArkitFit:
+    """ARKit shapes and what they could not say.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        Of `arkit_controls`.
+    residual : array [shape=(T,), >= 0]
+        Distance between the raw curves and what the shapes make of them, per frame.
+    lost : float [range 0 to 1]
+        Share of the movement away from rest that the shapes leave out, over all frames: the root
+        of the ratio of the summed squares.
+    """
+
+    curves: RigCurves
+    residual: Floats
+    lost: float
+
+    def __str__(self) -> str:
+        return (
+            f"ARKit is a lossy preview: {self.lost:.0%} of the movement is outside its shapes "
+            f"(residual {float(self.residual.mean() if len(self.residual) else 0):.3g} per frame, "
+            f"{float(self.residual.sum()):.4g} in all)"
+        )
+
+
+@cache
+def arkit_controls() -> ControlSet:
+    """Return the 52 shapes and 9 rotations in the order of a Live Link Face CSV, ``arkit-61``."""
+    controls = []
+    for row in _table():
+        is_shape = row["kind"] == "blendshape"
+        low, high = (0.0, 1.0) if is_shape else (-ROTATION_LIMIT, ROTATION_LIMIT)
+        aliases = tuple(filter(None, [row["apple_name"]]))
+        controls.append(Control(row["name"], low, high, aliases=aliases))
+    return ControlSet(ARKIT_ID, tuple(controls))
+
+
+@cache
+def udp_order() -> NDArray[np.intp]:
+    """Return the CSV columns in the order of a Live Link Face packet [shape=(61,)]."""
+    return np.argsort([int(row["udp_index"]) for row in _table()])
+
+
+def arkit_to_raw(curves: RigCurves) -> RigCurves:
+    """Convert ARKit shapes to raw curves as Unreal does: sum of poses, clamped to [0, 1].
+
+    Head and eye rotations move no raw curve (the look shapes carry the gaze) and are left out.
+
+    Raises
+    ------
+    ControlError
+        If the curves are not ARKit shapes.
+    """
+    if curves.control_set != ARKIT_ID:
+        raise ControlError(f"curves are of {curves.control_set!r}; ARKit shapes are {ARKIT_ID!r}")
+    shapes = curves.reorder(arkit_controls())
+    raw = raw_controls()
+    values = shapes.values @ _poses() + raw.rest
+    jaw = shapes["JawOpen"]
+    ratio = np.where(jaw > SMALLEST_JAW, shapes["MouthClose"] / np.maximum(jaw, SMALLEST_JAW), 0)
+    values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
+    values = np.clip(values, 0, 1)
+    return replace(shapes, values=values, names=raw.names, control_set=RAW_ID)
+
+
+def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = None) -> ArkitFit:
+    """Fit ARKit shapes to raw curves.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        Raw curves; those that are absent rest.
+    head : array [shape=(T, 3)], optional
+        Yaw, pitch and roll of the head in degrees, as Unreal's face blueprint turns it.
+
+    Returns
+    -------
+    ArkitFit
+
+    Raises
+    ------
+    ControlError
+        If the curves are not raw curves.
+    CurveError
+        If `head` has another shape or a value is not finite.
+    """
+    if curves.control_set != RAW_ID:
+        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
+    raw = curves.reorder(raw_controls())
+    moved = raw.values - raw_controls().rest
+    arkit = arkit_controls()
+    values = _fit(moved)
+    jaw = values[:, arkit.index("JawOpen")]
+    together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
+    values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
+    _turn_eyes(values, raw)
+    if head is not None:
+        _turn_head(values, np.asarray(head, np.float32))
+    fitted = replace(raw, values=values, names=arkit.names, control_set=ARKIT_ID)
+    missed = arkit_to_raw(fitted).values - raw.values
+    total = float(np.square(moved, dtype=np.float64).sum())
+    lost = float(np.sqrt(np.square(missed, dtype=np.float64).sum() / total)) if total else 0.0
+    return ArkitFit(fitted, np.linalg.norm(missed, axis=1), min(lost, 1.0))
+
+
+def _fit(moved: Floats) -> Floats:
+    """Return weights in [0, 1] that best fit the poses [shape=(T, 61)].
+
+    A raw curve at 1 was clamped: it only says "1 or more". So the fit is to the clamped sum.
+    """
+    poses = _poses()
+    weights = np.zeros((len(moved), len(poses)), np.float32)
+    for shapes in _groups():
+        columns = np.flatnonzero(poses[shapes].any(axis=0))
+        weights[:, shapes] = _fit_group(moved[:, columns], poses[shapes][:, columns])
+    return weights
+
+
+def _fit_group(moved: Floats, poses: Floats) -> Floats:
+    """Fit shapes that share raw curves, by coordinate descent; one shape takes one exact step."""
+    weights = np.zeros((len(moved), len(poses)), np.float32)
+    size = (poses * poses).sum(axis=1)
+    is_clamped = moved >= 1 - 1e-6
+    if len(poses) == 1:
+        alone: Floats = np.clip(moved @ poses.T / size, 0, 1)
+        return alone
+    model = np.zeros_like(moved)
+    for _ in range(MAX_SWEEPS):
+        change = 0.0
+        for j, pose in enumerate(poses):
+            missed = np.where(is_clamped, np.maximum(moved - model, 0), moved - model)
+            better = np.clip(weights[:, j] + missed @ pose / size[j], 0, 1)
+            step = better - weights[:, j]
+            weights[:, j] = better
+            model += step[:, None] * pose
+            change = max(change, float(np.abs(step).max(initial=0)))
+        if change < 1e-6:
+            break
+    return weights
+
+
+@cache
+def _groups() -> list[list[int]]:
+    """Return shapes with a pose, those that share raw curves together."""
+    poses = _poses() > 0
+    groups: list[list[int]] = []
+    for shape in np.flatnonzero(poses.any(axis=1)).tolist():
+        touching = [g for g in groups if (poses[g].any(axis=0) & poses[shape]).any()]
+        groups = [g for g in groups if g not in touching]
+        groups.append(sorted([shape, *(member for g in touching for member in g)]))
+    return groups
+
+
+def _turn_eyes(values: Floats, raw: RigCurves) -> None:
+    """Write eye rotations in radians: yaw to the character's right and pitch down are positive."""
+    arkit = arkit_controls()
+    for side, letter in (("Left", "L"), ("Right", "R")):
+        look = {
+            way: raw[f"{PREFIX}eyeLook{way}{letter}"] for way in ("Up", "Down", "Left", "Right")
+        }
+        yaw = GAZE_SIDE_DEGREES * (look["Right"] - look["Left"])
+        pitch = GAZE_DOWN_DEGREES * look["Down"] - GAZE_UP_DEGREES * look["Up"]
+        values[:, arkit.index(f"{side}EyeYaw")] = np.radians(yaw)
+        values[:, arkit.index(f"{side}EyePitch")] = np.radians(pitch)
+
+
+def _turn_head(values: Floats, degrees: Floats) -> None:
+    if degrees.shape != (len(values), 3) or not np.isfinite(degrees).all():
+        raise CurveError(
+            f"head rotations of shape {degrees.shape} must be {(len(values), 3)} finite degrees: "
+            "yaw, pitch, roll"
+        )
+    for column, name in enumerate(HEAD):
+        values[:, arkit_controls().index(name)] = degrees[:, column] / HEAD_DEGREES[name]
+
+
+@cache
+def _poses() -> Floats:
+    """Return the raw curves that each shape moves [shape=(61, 251)]."""
+    raw = raw_controls()
+    table = _table()
+    poses = np.zeros((len(table), len(raw)), np.float32)
+    for i, row in enumerate(table):
+        for term in filter(None, row["pose"].split("|")):
+            name, weight = term.split(":")
+            poses[i, raw.index(name)] = float(weight)
+    return poses
+
+
+@cache
+def _table() -> list[dict[str, str]]:
+    with resources.files("rig.conversion").joinpath("arkit.csv").open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

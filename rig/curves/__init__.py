@@ -1,0 +1,25 @@
+"""Values of named controls over time, and changes that keep their meaning."""
+
+from rig.curves.rig_curves import (
+    EMOTIONS,
+    RigCurves,
+    check_clip,
+    concatenate,
+    frames_to_time,
+    n_frames_for,
+    rest_curves,
+    snap_fps,
+    time_to_frames,
+)
+
+__all__ = [
+    "EMOTIONS",
+    "RigCurves",
+    "check_clip",
+    "concatenate",
+    "frames_to_time",
+    "n_frames_for",
+    "rest_curves",
+    "snap_fps",
+    "time_to_frames",
+]

@@ -1,0 +1,323 @@
+"""Curves of a face: values over time for named controls, and what does not change their meaning.
+
+Frame i is at i/fps seconds. A clip of d seconds has ceil(fps * d) frames. Everything here is pure:
+each function returns new curves.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
+from rig.errors import ControlError, CurveError
+from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
+
+EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
+"""Column order of the emotion track."""
+NTSC_FILM = 24000 / 1001
+NTSC = 30000 / 1001
+NTSC_DOUBLE = 60000 / 1001
+STANDARD_RATES = (24.0, NTSC_FILM, 25.0, NTSC, 30.0, 48.0, 50.0, NTSC_DOUBLE, 60.0, 100.0, 120.0)
+"""Frame rates (Hz) of film and games; 23.976, 29.97 and 59.94 are exact fractions."""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RigCurves:
+    """Values of named controls, one row per frame.
+
+    Parameters
+    ----------
+    values : array [shape=(T, C)]
+        Stored as read-only float32. Ranges are the control set's matter, see `rig.curves.edit.clamp`.
+    names : sequence of str [length C]
+        Canonical control names, none doubled.
+    fps : float
+        Frames per second, 0.01 to 1000. 23.976, 29.97 and 59.94 are taken as the exact
+        fractions 24000/1001, 30000/1001 and 60000/1001.
+    emotion : array [shape=(T, 5), range 0 to 1], optional
+        Weights in the order of `EMOTIONS`.
+    intensity : array [shape=(T,), >= 0], optional
+        Applied emotional intensity, no unit.
+    control_set : str
+        Id of the control set that the names belong to.
+
+    Raises
+    ------
+    CurveError
+        If shapes disagree, a value is NaN or infinite, or the rate or the number of frames is not
+        allowed.
+    ControlError
+        If a name is empty or doubled.
+    """
+
+    values: Floats
+    names: tuple[str, ...]
+    fps: float = 30.0
+    emotion: Floats | None = None
+    intensity: Floats | None = None
+    control_set: str = DEFAULT_ID
+
+    def __post_init__(self) -> None:
+        names = tuple(str(name) for name in self.names)
+        values = _array(self.values, "values", (None, len(names)))
+        check_unique(names, where="curves")
+        n_frames = values.shape[0]
+        check_clip(n_frames, len(names))
+        tracks = {
+            "values": values,
+            "names": names,
+            "fps": snap_fps(self.fps),
+            "emotion": _track(self.emotion, "emotion", (n_frames, len(EMOTIONS))),
+            "intensity": _track(self.intensity, "intensity", (n_frames,)),
+        }
+        for field, value in tracks.items():
+            object.__setattr__(self, field, value)
+
+    def __len__(self) -> int:
+        return int(self.values.shape[0])
+
+    def __repr__(self) -> str:
+        kept = [name for name in ("emotion", "intensity") if getattr(self, name) is not None]
+        tracks = f", with {' and '.join(kept)}" if kept else ""
+        return (
+            f"<RigCurves: {len(self)} frames at {self.fps:g} fps, {self.duration:.2f} s, "
+            f"{len(self.names)} controls of {self.control_set}{tracks}>"
+        )
+
+    def __getitem__(self, name: str) -> Floats:
+        """Return one control over time [shape=(T,)], by any spelling of the default board."""
+        return self.values[:, self.index(name)]
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds: frames / fps."""
+        return len(self) / self.fps
+
+    @cached_property
+    def times(self) -> NDArray[np.float64]:
+        """Time of each frame in seconds [shape=(T,)]."""
+        return frames_to_time(np.arange(len(self)), fps=self.fps)
+
+    def index(self, name: str) -> int:
+        """Return the column of a control, by any spelling of the default board."""
+        place = self._places.get(name)
+        if place is None and self.control_set == DEFAULT_ID:
+            place = self._places.get(default_controls().canonical(name))
+        if place is None:
+            raise ControlError(f"control {name!r} is not among these {len(self.names)} curves")
+        return place
+
+    def slice_frames(self, start: int = 0, stop: int | None = None) -> "RigCurves":
+        """Return the frames from start up to stop (excluded); negative ones count from the end."""
+        part = slice(start, stop)
+        return self._with_rows(lambda rows: rows[part])
+
+    def slice_seconds(self, start: float = 0.0, stop: float | None = None) -> "RigCurves":
+        """Return the frames whose time t satisfies start <= t < stop (seconds)."""
+        first = time_to_frames(start, fps=self.fps)
+        last = None if stop is None else time_to_frames(stop, fps=self.fps)
+        return self.slice_frames(max(first, 0), None if last is None else max(last, 0))
+
+    def select(self, names: Iterable[str]) -> "RigCurves":
+        """Return the named controls in the order given.
+
+        Raises
+        ------
+        ControlError
+            If one is not among the curves or is named twice.
+        """
+        places = [self.index(name) for name in names]
+        chosen = tuple(self.names[i] for i in places)
+        return replace(self, values=self.values[:, places], names=chosen)
+
+    def reorder(self, controls: ControlSet | None = None) -> "RigCurves":
+        """Return all controls of a set in its order; controls that are absent rest.
+
+        Raises
+        ------
+        ControlError
+            If the curves hold a control that the set does not know.
+        """
+        controls = controls or default_controls()
+        places = controls.indices(self.names)
+        values = np.tile(controls.rest, (len(self), 1))
+        values[:, places] = self.values
+        values.setflags(write=False)  # not copied again
+        return replace(self, values=values, names=controls.names, control_set=controls.id)
+
+    def resample(self, fps: float) -> "RigCurves":
+        """Return the curves at another rate, linear on the time axis, the duration kept.
+
+        The result has ceil(duration * fps) frames, so that audio and curves still end together.
+        Times after the last frame hold it. Tracks are resampled alike.
+        """
+        fps = snap_fps(fps)
+        if fps == self.fps or not len(self):
+            return replace(self, fps=fps)
+        n_frames = n_frames_for(self.duration, fps=fps)
+        check_clip(n_frames, len(self.names))
+        position = np.minimum(np.arange(n_frames) * (self.fps / fps), len(self) - 1)
+        low = np.floor(position + 1e-9).astype(np.intp)
+        high = np.minimum(low + 1, len(self) - 1)
+        weight = np.clip(position - low, 0.0, 1.0).astype(np.float32)
+
+        def interpolate(rows: Floats) -> Floats:
+            w = weight.reshape(-1, *[1] * (rows.ndim - 1))
+            blended: Floats = rows[low] * (1 - w) + rows[high] * w
+            return blended
+
+        return replace(self._with_rows(interpolate), fps=fps)
+
+    def mirror(self, controls: ControlSet | None = None) -> "RigCurves":
+        """Return the face seen in a mirror: left and right swapped, sideways values turned round.
+
+        Raises
+        ------
+        ControlError
+            If the curves lack the counterpart of one of their controls.
+        """
+        controls = controls or default_controls()
+        in_set = controls.indices(self.names)
+        sources = [self.index(controls.names[i]) for i in controls.mirror_index[in_set]]
+        return replace(self, values=self.values[:, sources] * controls.mirror_sign[in_set])
+
+    def _with_rows(self, change: Callable[[Floats], Floats]) -> "RigCurves":
+        emotion = None if self.emotion is None else change(self.emotion)
+        intensity = None if self.intensity is None else change(self.intensity)
+        return replace(self, values=change(self.values), emotion=emotion, intensity=intensity)
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
+
+def concatenate(parts: Sequence[RigCurves]) -> RigCurves:
+    """Join curves one after the other.
+
+    Tracks are kept if every part has them.
+
+    Raises
+    ------
+    CurveError
+        If there are no parts, or rates, names or control sets differ.
+    """
+    if not parts:
+        raise CurveError("no curves to join; give at least one")
+    first = parts[0]
+    for number, part in enumerate(parts[1:], start=2):
+        if part.fps != first.fps:
+            raise CurveError(
+                f"part {number} has {part.fps:g} fps and part 1 has {first.fps:g}; resample first"
+            )
+        if (part.names, part.control_set) != (first.names, first.control_set):
+            raise CurveError(f"part {number} has other controls than part 1; reorder first")
+    return replace(
+        first,
+        values=np.concatenate([part.values for part in parts]),
+        emotion=_joined([part.emotion for part in parts]),
+        intensity=_joined([part.intensity for part in parts]),
+    )
+
+
+def rest_curves(
+    n_frames: int, *, fps: float = 30.0, controls: ControlSet | None = None
+) -> RigCurves:
+    """Return the face at rest for a number of frames."""
+    controls = controls or default_controls()
+    check_clip(n_frames, len(controls))
+    values = np.tile(controls.rest, (n_frames, 1))
+    values.setflags(write=False)
+    return RigCurves(values, controls.names, fps, control_set=controls.id)
+
+
+def frames_to_time(frames: ArrayLike, *, fps: float) -> NDArray[np.float64]:
+    """Return the time of frames in seconds: frame / fps."""
+    return np.asarray(frames, dtype=np.float64) / fps
+
+
+def time_to_frames(seconds: float, *, fps: float) -> int:
+    """Return the first frame at or after a time (seconds), to within a billionth of a frame."""
+    if not math.isfinite(seconds * fps):
+        raise CurveError(f"time {seconds:g} s is not a finite number of frames")
+    return math.ceil(seconds * fps - 1e-9)
+
+
+def n_frames_for(seconds: float, *, fps: float) -> int:
+    """Return the number of frames of a clip: ceil(fps * seconds)."""
+    return max(time_to_frames(seconds, fps=fps), 0)
+
+
+def check_clip(n_frames: int, n_curves: int) -> None:
+    """Refuse a clip of more frames or values than are held in memory.
+
+    Raises
+    ------
+    CurveError
+        If there are more than `limits.FRAMES` frames or `limits.VALUES` values.
+    """
+    if n_frames > FRAMES:
+        raise CurveError(
+            f"{n_frames} frames; at most {FRAMES} (three hours at 120 fps) are held: cut the clip, "
+            "or lower the rate"
+        )
+    if n_frames * n_curves > VALUES:
+        raise CurveError(
+            f"{n_frames} frames of {n_curves} curves are more than {VALUES} values; cut the clip, "
+            "or lower the rate"
+        )
+
+
+def snap_fps(fps: float) -> float:
+    """Return the rate, a standard one exactly if it is within 2e-5 of it (29.97 is 30000/1001).
+
+    Raises
+    ------
+    CurveError
+        If it is not a number from 0.01 to 1000.
+    """
+    fps = float(fps)
+    if not FPS_LOWEST <= fps <= FPS_HIGHEST:
+        raise CurveError(f"fps={fps:g} must be from {FPS_LOWEST:g} to {FPS_HIGHEST:g}")
+    for standard in STANDARD_RATES:
+        if abs(fps - standard) <= 2e-5 * standard:
+            return standard
+    return fps
+
+
+def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Floats:
+    """Return a read-only float32 array of a shape, or say which value is wrong."""
+    with np.errstate(over="ignore"):  # what becomes infinite is named below
+        array = np.asarray(values, dtype=np.float32)
+    if array.ndim != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = ", ".join("frames" if size is None else str(size) for size in shape)
+        raise CurveError(f"{what} has shape {array.shape}; it must be ({wanted})")
+    finite = np.isfinite(array)
+    if not finite.all():
+        place = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise CurveError(f"{what} is {array[place]} at {place}; every value must be finite")
+    if array.flags.writeable:
+        array = array.copy() if np.may_share_memory(array, np.asarray(values)) else array
+        array.setflags(write=False)
+    return array
+
+
+def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Floats | None:
+    if values is None:
+        return None
+    track = _array(values, what, shape)
+    if track.size and track.min() < 0:
+        raise CurveError(f"{what} falls to {track.min():g}; it must not be negative")
+    return track
+
+
+def _joined(tracks: Sequence[Floats | None]) -> Floats | None:
+    present = [track for track in tracks if track is not None]
+    return np.concatenate(present) if len(present) == len(tracks) else None

@@ -1,0 +1,298 @@
+"""From deformation gradients back to vertices (SDFA §3.5, Eq. 5-6).
+
+The fourth vertices are eliminated: the columns of Eq. 1's system that belong to them only say
+T n, which no choice of the three real vertices changes. What remains is, per triangle, the
+gradient within its plane, weighted by the root of its area:
+
+    sum_i area_i | grad_i x - T_i |^2      over the free vertices x.
+
+Paper silent: Eq. 6 is singular by one translation per connected component (nothing is pinned),
+and its rows carry no weights, so that small dense triangles would count as much as large ones.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array, csr_array
+from scipy.sparse.linalg import splu
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+from rig.deformation.gradients import gradient_entries, refuse_degenerate
+from rig.errors import MeshError, TopologyError
+from rig.mesh.trimesh import TriMesh, components, triangle_areas
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FRAMES_PER_SOLVE = 8
+"""Right-hand sides go through the factors eight frames (24 columns) at a time, which stays in
+the cache; hundreds at once take twice as long."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidPart:
+    """A part that moves as one piece (eye, teeth) after the vertices it follows.
+
+    Parameters
+    ----------
+    vertices : array [shape=(K,)]
+        All vertices of the part; its triangles leave the system.
+    follows : array [shape=(M,)]
+        Vertices of the skin whose best rigid motion the part takes (chin for lower teeth, skull
+        for upper). Empty: the part stays.
+    """
+
+    vertices: Ints
+    follows: Ints
+
+
+class DeformationSolver:
+    """Factor the template's system once; solve any number of frames.
+
+    Parameters
+    ----------
+    template : TriMesh
+        The expressionless mesh.
+    pins : array of int, optional
+        Vertices whose positions are given to `solve`. A component without one gets its rearmost
+        vertex (smallest z: scalp or neck of a face that looks along +z).
+    parts : sequence of RigidPart
+        Parts that are moved rigidly, not solved.
+
+    Attributes
+    ----------
+    pins : array [shape=(P,)]
+        The pinned vertices, ascending; `pin_positions` of `solve` come in this order.
+
+    Raises
+    ------
+    MeshError
+        If triangles of the template have no area, or a pin is no free vertex.
+    """
+
+    def __init__(
+        self, template: TriMesh, *, pins: Any = (), parts: Sequence[RigidPart] = ()
+    ) -> None:
+        refuse_degenerate(template)
+        self.template = template
+        self.parts = tuple(parts)
+        count = len(template.vertices)
+        in_part = _membership(self.parts, count)
+        self._solved = np.flatnonzero(~in_part[template.faces].any(axis=1))
+        self.pins = _choose_pins(template, in_part, np.asarray(pins, dtype=np.int64))
+        fixed = in_part.copy()
+        fixed[np.setdiff1d(np.arange(count), template.faces)] = True
+        fixed[self.pins] = True
+        self._free = np.flatnonzero(~fixed)
+
+        faces = template.faces[self._solved]
+        areas = triangle_areas(template)[self._solved]
+        gradient = _gradient_operator(template.vertices, faces)
+        weighted = csr_array(gradient.multiply(np.tile(areas, 3)[:, None]))
+        free_rows = csr_array(weighted[:, self._free].T)
+        self._right_hand = free_rows
+        self._coupling = csr_array(free_rows @ gradient[:, self.pins])
+        normal_matrix = csc_array(free_rows @ gradient[:, self._free])
+        self._factors = splu(
+            normal_matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        self._threads = ThreadpoolController()
+
+    def solve(self, s: Any, r: Any, *, pin_positions: Any = None) -> Floats:
+        """Vertices that best keep the packed gradients (Eq. 5-6).
+
+        Parameters
+        ----------
+        s : array [shape=(T, 6 N) or (6 N,)]
+            Packed stretch, see `rig.mesh.pack`.
+        r : array [shape=(T, 3 N) or (3 N,), radians]
+            Packed rotation.
+        pin_positions : array [shape=(T, P, 3) or (P, 3)], optional
+            Where the pins are; the template's if not given.
+
+        Returns
+        -------
+        vertices : array [shape=(T, V, 3) or (V, 3)]
+        """
+        s, r = np.asarray(s), np.asarray(r)
+        count = len(self.template.faces)
+        if (
+            s.ndim not in (1, 2)
+            or s.shape[-1] != 6 * count
+            or r.shape != (*s.shape[:-1], 3 * count)
+        ):
+            raise MeshError(
+                f"s has shape {s.shape} and r {r.shape}; the template's {count} triangles need "
+                f"(T, {6 * count}) and (T, {3 * count})"
+            )
+        s2, r2 = np.atleast_2d(s), np.atleast_2d(r)
+
+        def gradients() -> Iterator[Floats]:
+            for stretch, turn in zip(s2, r2, strict=True):
+                rows = np.ascontiguousarray(stretch.reshape(-1, 6).T, dtype=np.float64)
+                turns = np.ascontiguousarray(turn.reshape(-1, 3).T, dtype=np.float64)
+                if self.parts:
+                    rows, turns = rows[:, self._solved], turns[:, self._solved]
+                yield gradient_entries(rows, turns)
+
+        solved = self._run(gradients(), len(s2), pin_positions)
+        return solved[0] if s.ndim == 1 else solved
+
+    def solve_gradients(self, gradients: Any, *, pin_positions: Any = None) -> Floats:
+        """Vertices from whole gradients [shape=(T, N, 3, 3) or (N, 3, 3)]; else as `solve`."""
+        t = np.asarray(gradients, dtype=np.float64)
+        if t.ndim not in (3, 4) or t.shape[-3:] != (len(self.template.faces), 3, 3):
+            raise MeshError(
+                f"gradients have shape {t.shape}; "
+                f"the template needs (T, {len(self.template.faces)}, 3, 3)"
+            )
+        frames = t if t.ndim == 4 else t[None]
+        each = (np.moveaxis(frame[self._solved], 0, -1) for frame in frames)
+        solved = self._run(each, len(frames), pin_positions)
+        return solved[0] if t.ndim == 3 else solved
+
+    def _run(self, gradients: Iterator[Floats], frames: int, pin_positions: Any) -> Floats:
+        vertices = np.tile(self.template.vertices, (frames, 1, 1))
+        pins = self._pin_positions(pin_positions, frames)
+        vertices[:, self.pins] = pins
+        with self._threads.limit(limits=1, user_api="blas"):
+            for start in range(0, frames, FRAMES_PER_SOLVE):
+                stop = min(start + FRAMES_PER_SOLVE, frames)
+                right = np.empty((3 * (stop - start), len(self._free)))
+                for i in range(start, stop):
+                    rows = right[3 * (i - start) : 3 * (i - start) + 3]
+                    self._assemble(next(gradients), pins[i], rows)
+                solution = self._factors.solve(right.T)
+                vertices[start:stop, self._free] = solution.T.reshape(
+                    -1, 3, len(self._free)
+                ).swapaxes(1, 2)
+        for part in self.parts:
+            self._move_rigidly(part, vertices)
+        return vertices
+
+    def _assemble(self, gradient: Floats, pins: Floats, out: Floats) -> None:
+        """Right-hand side A^T c of one frame [shape=(3, free)], pins moved to this side."""
+        for axis in range(3):
+            out[axis] = self._right_hand @ np.ascontiguousarray(gradient[axis]).ravel()
+        out -= (self._coupling @ pins).T
+
+    def _pin_positions(self, positions: Any, frames: int) -> Floats:
+        given = self.template.vertices[self.pins] if positions is None else positions
+        given = np.asarray(given, dtype=np.float64)
+        if given.shape not in ((len(self.pins), 3), (frames, len(self.pins), 3)):
+            raise TopologyError(
+                f"pin positions have shape {given.shape}; "
+                f"{frames} frames and {len(self.pins)} pins need ({frames}, {len(self.pins)}, 3)"
+            )
+        return np.broadcast_to(given, (frames, len(self.pins), 3))
+
+    def _move_rigidly(self, part: RigidPart, vertices: Floats) -> None:
+        rest = self.template.vertices
+        if len(part.follows) == 0:
+            return
+        for frame in vertices:
+            rotation, shift = rigid_motion(rest[part.follows], frame[part.follows])
+            frame[part.vertices] = rest[part.vertices] @ rotation.T + shift
+
+
+def rigid_motion(before: Any, after: Any) -> tuple[Floats, Floats]:
+    """Rotation R [shape=(3, 3)] and shift t [shape=(3,)] that best take points to points.
+
+    Least squares over `R x + t` (Kabsch); never a reflection.
+    """
+    a, b = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
+    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
+    u, _, vt = np.linalg.svd((b - centre_b).T @ (a - centre_a))
+    sign = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * [1.0, 1.0, sign]) @ vt
+    return rotation, centre_b - rotation @ centre_a
+
+
+def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart]:
+    """Rigid parts for every component but the largest and those not small.
+
+    Eyeballs, teeth and gums of most heads are components of their own. Each follows the skin
+    vertices nearest to it (as many as it has itself, at least 12).
+
+    Parameters
+    ----------
+    template : TriMesh
+        The head with its eyes and teeth.
+    most_share : float [0 to 1]
+        A component with more than this share of the largest one's vertices is solved.
+    """
+    labels = components(template)
+    sizes = np.bincount(labels)
+    skin = np.flatnonzero(labels == 0)
+    parts = []
+    for label in range(1, len(sizes)):
+        if not 4 <= sizes[label] <= most_share * sizes[0]:
+            continue
+        own = np.flatnonzero(labels == label)
+        distance = np.linalg.norm(
+            template.vertices[skin] - template.vertices[own].mean(axis=0), axis=1
+        )
+        nearest = np.argsort(distance, kind="stable")[: max(12, len(own))]
+        parts.append(RigidPart(own, skin[nearest]))
+    return parts
+
+
+def quietest_pins(template: TriMesh, shapes: Any) -> Ints:
+    """For each component, the vertex that moves least over `shapes` [shape=(K, V, 3)].
+
+    A pin held at its neutral place costs exactly the motion it really had.
+    """
+    motion = np.linalg.norm(np.asarray(shapes) - template.vertices, axis=-1).max(axis=0)
+    labels = components(template)
+    order = np.lexsort((motion, labels))
+    first = order[np.unique(labels[order], return_index=True)[1]]
+    pins: Ints = np.sort(first)
+    return pins
+
+
+def _membership(parts: Sequence[RigidPart], count: int) -> NDArray[np.bool_]:
+    inside = np.zeros(count, dtype=bool)
+    for part in parts:
+        outside = [i for i in (*part.vertices, *part.follows) if not 0 <= i < count]
+        if outside:
+            raise MeshError(f"a rigid part names vertex {outside[0]}; the mesh has {count}")
+        inside[part.vertices] = True
+    return inside
+
+
+def _choose_pins(template: TriMesh, in_part: NDArray[np.bool_], pins: Ints) -> Ints:
+    count = len(template.vertices)
+    free = ~in_part
+    free[np.setdiff1d(np.arange(count), template.faces)] = False
+    wrong = [int(p) for p in pins if not 0 <= p < count or not free[p]]
+    if wrong:
+        raise MeshError(f"pin {wrong[0]} is not a vertex of a solved triangle; choose another")
+    labels = components(template)
+    missing = np.setdiff1d(labels[free], labels[pins])
+    depth = np.where(free, template.vertices[:, 2], np.inf)
+    rearmost = [int(np.argmin(np.where(labels == label, depth, np.inf))) for label in missing]
+    chosen: Ints = np.unique(np.concatenate([pins, np.array(rearmost, dtype=np.int64)]))
+    return chosen
+
+
+def _gradient_operator(vertices: Floats, faces: Ints) -> csr_array:
+    """Sparse A: positions -> gradient within each triangle's plane [shape=(3 N, V)].
+
+    Row a N + i holds derivative along axis a on triangle i: the rows of the pseudo-inverse of
+    [v2 - v1, v3 - v1], with v1 taking what makes them sum to zero.
+    """
+    first = vertices[faces[:, 0]]
+    spans = np.stack([vertices[faces[:, 1]] - first, vertices[faces[:, 2]] - first], axis=-1)
+    inverse = np.linalg.pinv(spans)  # (N, 2, 3)
+    weights = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (N, 3, 3)
+    n = len(faces)
+    rows = np.arange(3)[None, None, :] * n + np.arange(n)[:, None, None]
+    columns = np.broadcast_to(faces[:, :, None], (n, 3, 3))
+    triplets = (weights.ravel(), (np.broadcast_to(rows, (n, 3, 3)).ravel(), columns.ravel()))
+    return csr_array(coo_array(triplets, shape=(3 * n, len(vertices))))

@@ -1,0 +1,146 @@
+"""Contact sheets: many poses of a head in one picture, with their names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.controls import default_controls
+from rig.errors import RigError
+from rig.face.geometry.mesh import Array
+from rig.face.head import Head
+from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
+from rig.face.render import VIEWS, Renderer, make_renderer
+from rig.face.render.lettering import write_text
+from rig.face.render.renderer import Backend, Picture
+
+SHEETS = (
+    "mouth", "mouth-side", "emotions", "views", "brow", "eye", "nose", "cheek", "lips", "jaw",
+    "tongue", "teeth", "neck", "ear",
+)  # fmt: skip
+"""Names of the sheets; the last ten show each control of a region at its ends."""
+_REGION_VIEW = {
+    "brow": "eyes", "eye": "eyes", "nose": "face", "cheek": "face", "lips": "mouth",
+    "jaw": "face", "tongue": "mouth", "teeth": "mouth", "neck": "neck", "ear": "ear",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One picture of a sheet: its title, control values (185,) and view."""
+
+    title: str
+    values: Array
+    view: str
+
+
+def sheet_tiles(name: str) -> list[Tile]:
+    """Tiles of a named sheet.
+
+    Raises
+    ------
+    RigError
+        If there is no such sheet.
+    """
+    if name in ("mouth", "mouth-side"):
+        view = name.replace("-", "_")
+        return [Tile(title, pose_values(pose), view) for title, pose in MOUTH_POSES.items()]
+    if name == "emotions":
+        return [
+            Tile(f"{title} {strength:.0%}", pose_values(pose, strength), "face")
+            for strength in (0.35, 0.7, 1.0)
+            for title, pose in EMOTION_POSES.items()
+        ]
+    if name == "views":
+        return [Tile(view, pose_values({}), view) for view in ("front", "three_quarter", "side")]
+    if name in _REGION_VIEW:
+        return _control_tiles(name)
+    raise RigError(f"sheet {name!r} is unknown; use one of {', '.join(SHEETS)}")
+
+
+def _control_tiles(region: str) -> list[Tile]:
+    """Both ends of the region's controls; left controls stand for their right partners."""
+    controls = default_controls()
+    group = controls.subset("mouth" if region == "lips" else region)
+    base = _base(region)
+    tiles = [Tile("base", pose_values(base), _REGION_VIEW[region])]
+    for k in group:
+        name = controls.names[k]
+        if name.startswith("CTRL_R_"):
+            continue
+        for end in (controls.maximum[k], controls.minimum[k]):
+            if end != controls.rest[k]:
+                values = pose_values({**base, name: float(end)})
+                title = f"{name.removeprefix('CTRL_')} {end:+.0f}"
+                tiles.append(Tile(title, values, _REGION_VIEW[region]))
+    return tiles
+
+
+def _base(region: str) -> dict[str, float]:
+    """A pose in which the region's controls can be seen."""
+    if region in ("tongue", "teeth"):
+        return {"CTRL_C_jaw.ty": 0.45, "*mouth_lowerLipDepress.ty": 0.5,
+                "*mouth_upperLipRaise.ty": 0.4}  # fmt: skip
+    return {"CTRL_C_jaw.ty": 0.15} if region == "lips" else {}
+
+
+def draw_sheet(
+    head: Head,
+    tiles: Sequence[Tile],
+    *,
+    columns: int = 4,
+    size: tuple[int, int] = (380, 320),
+    backend: Backend = "auto",
+) -> Picture:
+    """Draw tiles row by row.
+
+    Parameters
+    ----------
+    head : Head
+        Who is drawn.
+    tiles : sequence of Tile
+        What is drawn, in order.
+    columns : int, optional
+        Tiles in a row.
+    size : (int, int), optional
+        Width and height of a tile, pixels.
+    backend : {'auto', 'opengl', 'software'}, optional
+        What draws.
+
+    Returns
+    -------
+    picture : ndarray [shape=(rows * height, columns * width, 3)], uint8
+    """
+    renderers: dict[str, Renderer] = {}
+    width, height = size
+    rows = -(-len(tiles) // columns)
+    picture = np.zeros((rows * height, columns * width, 3), np.uint8)
+    for k, tile in enumerate(tiles):
+        if tile.view not in renderers:
+            renderers[tile.view] = make_renderer(
+                head.mesh, size=size, view=VIEWS[tile.view], backend=backend
+            )
+        drawn = renderers[tile.view].render(head.pose(tile.values).astype(np.float64))
+        letter = min(11, int((width - 12) / max(len(tile.title), 1) / 0.82))
+        drawn = write_text(drawn, tile.title, (8, 8), height=max(letter, 6))
+        y, x = k // columns * height, k % columns * width
+        picture[y : y + height, x : x + width] = drawn
+    for renderer in renderers.values():
+        renderer.close()
+    return picture
+
+
+def draw_people(*, columns: int = 5, size: tuple[int, int] = (300, 340)) -> Picture:
+    """Every identity at rest, three quarter view, in one picture."""
+    from rig.face.head import build_head
+    from rig.face.identity import IDENTITIES
+
+    rest = pose_values({})
+    people = [
+        draw_sheet(build_head(i), [Tile(person.name, rest, "three_quarter")], columns=1, size=size)
+        for i, person in enumerate(IDENTITIES)
+    ]
+    blank = np.zeros_like(people[0])
+    people += [blank] * (-len(people) % columns)
+    rows = [np.hstack(people[k : k + columns]) for k in range(0, len(people), columns)]
+    return np.vstack(rows)

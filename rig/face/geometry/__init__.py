@@ -1,0 +1,1 @@
+"""The neutral head: skin, eyes, ears, hair and teeth."""

@@ -1,0 +1,1 @@
+"""How controls move the head."""

@@ -1,0 +1,1 @@
+"""Curves or vertex sequences on another mesh."""

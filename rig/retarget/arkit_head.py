@@ -1,0 +1,127 @@
+"""The head as a GLB with ARKit's 52 shapes, for any viewer.
+
+ARKit's names are the ones that viewers and face trackers know. Each shape is the board pose that
+Unreal gives that name (`rig.conversion.arkit`). What shapes alone cannot say (a jaw and lids turn, lips seal)
+comes as correctives, whose drivers stand in ``mesh.extras.correctives``. For a take, with shapes
+of all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
+
+Letters: K shapes, V vertices.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.controls import default_controls
+from rig.conversion.arkit import arkit_controls
+from rig.conversion.convert import convert
+from rig.curves import RigCurves
+from rig.face.geometry.mesh import Array
+from rig.face.head import Head
+from rig.mesh.glb import read_container, write_container, write_glb
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
+
+SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+"""ARKit's 52 blend shapes, by Apple's names."""
+BASES = {"mouthClose": ("jawOpen", 1.0), "tongueOut": ("jawOpen", 0.4)}
+"""Shapes that mean something over an open jaw only: what they add to it."""
+CORRECTIVES: dict[str, dict[str, float]] = {
+    "jawOpen_half": {"jawOpen": 0.5},
+    "eyeBlinkLeft_half": {"eyeBlinkLeft": 0.5},
+    "eyeBlinkRight_half": {"eyeBlinkRight": 0.5},
+    "mouthClose_half": {"jawOpen": 0.5, "mouthClose": 0.5},
+}
+"""Pose in which each is fully on; `corrective_weights` fades them in and out."""
+
+
+@dataclass(frozen=True)
+class Morphs:
+    """A head's linear shapes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        ARKit's 52, then the correctives.
+    deltas : ndarray [shape=(K, V, 3)], cm
+    """
+
+    names: tuple[str, ...]
+    deltas: NDArray[np.float32]
+
+
+def arkit_morphs(head: Head) -> Morphs:
+    """Shapes of a head under ARKit's names, and correctives."""
+    rest = head.mesh.vertices
+    deltas: dict[str, Array] = {}
+    for name in SHAPES:
+        base = dict([BASES[name]]) if name in BASES else {}
+        with_it = {**base, name: 1.0}
+        deltas[name] = arkit_pose(head, with_it) - (arkit_pose(head, base) if base else rest)
+    for name, pose in CORRECTIVES.items():
+        shown = rest + _added(deltas, {**pose, **corrective_weights(pose)})
+        deltas[name] = arkit_pose(head, pose) - shown
+    return Morphs(tuple(deltas), np.stack(list(deltas.values())).astype(np.float32))
+
+
+def _added(deltas: dict[str, Array], weights: dict[str, float]) -> Array:
+    return np.asarray(sum(weights[name] * deltas[name] for name in weights if name in deltas))
+
+
+def arkit_pose(head: Head, pose: dict[str, float]) -> Array:
+    """Vertices (V, 3) of the head itself, cm, for ARKit weights."""
+    controls = arkit_controls()
+    values = controls.rest.copy()
+    for name, weight in pose.items():
+        values[controls.index(name[0].upper() + name[1:])] = weight
+    curves = RigCurves(values[None], controls.names, 30.0, control_set=controls.id)
+    board = convert(curves, default_controls().id)
+    return np.asarray(head.pose(board.values[0]), np.float64)
+
+
+def corrective_weights(weights: dict[str, float]) -> dict[str, float]:
+    """Weights of the correctives for weights of ARKit's shapes.
+
+    A half is on at 0.5 and off at 0 and 1; ``mouthClose_half`` takes the weight of mouthClose.
+    """
+    get = {name: weights.get(name, 0.0) for name in ("jawOpen", "mouthClose")}
+    halves = {name.removesuffix("_half"): weights.get(name.removesuffix("_half"), 0.0)
+              for name in CORRECTIVES}  # fmt: skip
+    halves["mouthClose"] = min(get["jawOpen"], get["mouthClose"])
+    return {f"{name}_half": max(1 - abs(2 * weight - 1), 0.0) for name, weight in halves.items()}
+
+
+def write_head(path: Path | str, head: Head) -> Morphs:
+    """Write the head, y up, facing +z, in metres, its shapes as sparse morph targets.
+
+    Parameters
+    ----------
+    path : Path or str
+        The ``.glb``.
+    head : Head
+        Whose.
+
+    Returns
+    -------
+    morphs : Morphs
+        What was written.
+    """
+    from rig.formats.glb import in_metres
+    from rig.retarget.morph_head import srgb_to_linear
+
+    morphs = arkit_morphs(head)
+    shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
+    write_glb(path, in_metres(shapes), colours=srgb_to_linear(head.mesh.colors))
+    _name_correctives(path, head.identity.name)
+    return morphs
+
+
+def _name_correctives(path: Path | str, title: str) -> None:
+    """Say whose head a file holds, and in which pose each corrective is fully on."""
+    document, binary = read_container(path)
+    (mesh,) = document["meshes"]
+    mesh["name"] = title
+    mesh["extras"]["correctives"] = {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()}
+    write_container(path, document, binary)

@@ -1,0 +1,46 @@
+"""The embedded head as one mesh with morph targets, for formats that carry a mesh."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.controls import default_controls
+from rig.mesh.trimesh import TriMesh
+from rig.retarget.bake import BakedRig, bake, face_correctives
+
+METRES_PER_CM = 0.01
+
+
+@lru_cache(maxsize=1)
+def morph_head(identity: int = 0) -> tuple[BakedRig, NDArray[np.float64]]:
+    """Return the head baked to morph targets, in cm, and its linear vertex colours.
+
+    Parameters
+    ----------
+    identity : int
+        One of the embedded heads.
+
+    Returns
+    -------
+    rig : BakedRig
+        One shape per half of a control's range, and correctives.
+    colours : array [shape=(V, 3), range 0 to 1]
+        Linear, as glTF and USD take them.
+    """
+    from rig.face import build_head
+
+    head = build_head(identity)
+    mesh = TriMesh(head.mesh.vertices, head.mesh.faces)
+
+    def evaluate(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(head.pose(values))
+
+    rig = bake(mesh, evaluate, default_controls(), correctives=face_correctives())
+    return rig, srgb_to_linear(head.mesh.colors)
+
+
+def srgb_to_linear(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return linear light of sRGB values (IEC 61966-2-1)."""
+    low = colours <= 0.04045
+    return np.where(low, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

@@ -1,0 +1,266 @@
+"""From a take's curves and a mesh file to an animated file: what `deitalk retarget` does."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from rig.curves import RigCurves
+from rig.errors import FormatError, RigError
+from rig.mesh.glb import WeightAnimation, write_glb
+from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
+from rig.mesh.obj import read_obj, read_obj_folder
+from rig.mesh.ply import read_ply
+from rig.mesh.sequence import check_out, principal_shapes, write_sequence
+from rig.mesh.shapes import ShapeSet, read_shapes_npz
+from rig.mesh.trimesh import TriMesh, check_length
+from rig.retarget.blendshapes import BlendshapeFit, ShapePoses, match_shapes
+from rig.retarget.landmark_guess import guess_landmarks
+from rig.retarget.landmarks import read_landmarks
+from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
+from rig.retarget.shape_mapping import read_mapping
+from rig.retarget.source_head import source_head
+
+Way = Literal["blendshapes", "neutral", "sequence"]
+
+
+@dataclass(frozen=True)
+class RetargetReport:
+    """What was done.
+
+    Parameters
+    ----------
+    path : Path
+        The file or folder written.
+    way : str
+        "blendshapes": the mesh's own shapes were driven; "neutral": shapes were made for it;
+        "sequence": a vertex sequence was carried to it.
+    shapes : int
+        Shapes that are driven.
+    frames : int
+    lost : float or None [range 0 to 1]
+        Share of the movement the mesh's own shapes cannot say.
+    notes : tuple of str
+        Warnings, one line each.
+    """
+
+    path: Path
+    way: Way
+    shapes: int
+    frames: int
+    lost: float | None
+    notes: tuple[str, ...]
+
+
+def retarget_curves(
+    curves: RigCurves,
+    mesh: Path | str,
+    out: Path | str,
+    *,
+    landmarks: Path | str | None = None,
+    mapping: Path | str | None = None,
+    method: Method = "displacements",
+    as_neutral: bool = False,
+) -> RetargetReport:
+    """Put a take on a user's face and write it.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        Board, raw or ARKit curves.
+    mesh : Path or str
+        A blendshape set (GLB with morph targets, folder of OBJ, NPZ) or one neutral mesh (OBJ, PLY,
+        GLB, NPZ without shapes).
+    out : Path or str
+        ``.glb`` (morph targets and animation), ``.npz`` (`vertices` (T, V, 3) and `triangles`), or
+        a folder of PLY files: text that ends with a slash, or see `rig.files.is_folder_name`.
+    landmarks : Path or str, optional
+        Where the landmarks of a neutral mesh are; guessed if not given.
+    mapping : Path or str, optional
+        What shapes of unknown names stand for.
+    method : str
+        How shapes are made for a neutral mesh: "displacements" or "gradients".
+    as_neutral : bool
+        Take no notice of the mesh's own shapes.
+
+    Raises
+    ------
+    FormatError, MeshError, TopologyError, ControlError
+        With one line that says what to mend.
+    """
+    mesh = Path(mesh)
+    check_out(out)
+    if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
+        return _drive_glb(curves, mesh, out, mapping)
+    shapes = read_shapes(mesh)
+    if shapes.names and not as_neutral:
+        fit, poses = _fit(curves, shapes, mapping)
+        _write(out, shapes, fit.weights, curves.fps)
+        return _driven(out, fit, poses, len(curves))
+    found, notes = _landmarks(shapes, landmarks)
+    made = shapes_for(shapes.neutral, found, method=method)
+    _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps)
+    notes += made.warnings
+    return RetargetReport(
+        Path(out), "neutral", len(made.rig.shapes.names), len(curves), None, notes
+    )
+
+
+def retarget_sequence(
+    template: TriMesh,
+    vertices: Any,
+    mesh: Path | str,
+    out: Path | str,
+    *,
+    fps: float,
+    tolerance: float,
+    source_landmarks: Mapping[str, int] | None = None,
+    landmarks: Path | str | None = None,
+) -> RetargetReport:
+    """Put a vertex sequence of one head on a user's neutral mesh of any topology and write it.
+
+    Parameters
+    ----------
+    template : TriMesh
+        The head the sequence is of, at rest, mouth closed.
+    vertices : array [shape=(T, V, 3)]
+        Frame i is at i / fps seconds.
+    mesh : Path or str
+        As for `retarget_curves`; shapes it has are left alone.
+    out : Path or str
+        As for `retarget_curves`.
+    fps : float
+        Any rate above 0.
+    tolerance : float
+        Furthest a vertex of the template may be off before it is carried, in its unit.
+    source_landmarks : mapping of str to int, optional
+        Of the template; guessed if not given.
+    landmarks : Path or str, optional
+        Where the landmarks of the mesh are; guessed if not given.
+
+    Raises
+    ------
+    FormatError, MeshError, TopologyError
+        With one line that says what to mend.
+
+    Notes
+    -----
+    The sequence is first said by principal shapes, which are carried as any shape is: parting and
+    meeting of the lips are linear in them.
+    """
+    mesh = Path(mesh)
+    check_out(out)
+    target = read_shapes(mesh)
+    found, notes = _landmarks(target, landmarks)
+    known = source_landmarks or _guessed(template)
+    shapes, weights = principal_shapes(template, vertices, tolerance)
+    carried = carry_shapes(replace(shapes, landmarks=known), target.neutral, found)
+    _write(out, carried.shapes, weights, fps)
+    notes += warnings_of(carried.registration, carried.target_pairs)
+    return RetargetReport(Path(out), "sequence", len(shapes.names), len(weights), None, notes)
+
+
+def _guessed(mesh: TriMesh) -> Mapping[str, int]:
+    source = source_head()
+    return guess_landmarks(mesh, source.mesh, source.landmarks).landmarks
+
+
+def _landmarks(
+    shapes: ShapeSet, path: Path | str | None
+) -> tuple[Mapping[str, int], tuple[str, ...]]:
+    """Landmarks from a file, from the shape set, or guessed; and what to say about them."""
+    if path is not None:
+        return read_landmarks(path, shapes.neutral), ()
+    if shapes.landmarks:
+        return shapes.landmarks, ()
+    guessed = _guessed(shapes.neutral)
+    return guessed, (
+        f"{len(guessed)} landmarks were guessed; look at the mouth and the eyes, and give "
+        "their places (landmarks) if they are off",
+    )
+
+
+def read_shapes(path: Path | str) -> ShapeSet:
+    """Read a mesh or shape set: a folder of OBJ, or .obj, .ply, .glb or .npz.
+
+    A file of one mesh is a set without shapes.
+
+    Raises
+    ------
+    RigError
+        If the suffix is none of these, or the file holds no mesh; it names the file.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return read_obj_folder(path)
+    readers: dict[str, Any] = {
+        ".obj": read_obj, ".ply": read_ply, ".glb": read_glb, ".npz": read_shapes_npz
+    }  # fmt: skip
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise FormatError(
+            f"{path.name}: meshes come as .obj, .ply, .glb, .npz or a folder of .obj files; "
+            "convert it (Blender reads FBX and USD and exports .glb)"
+        )
+    try:
+        read: ShapeSet | TriMesh = reader(path)
+    except RigError as error:
+        if path.name in str(error):
+            raise
+        raise type(error)(f"{path.name}: {error}") from None
+    if isinstance(read, TriMesh):
+        return ShapeSet(read, (), np.zeros((0, *read.vertices.shape), dtype=np.float32))
+    return read
+
+
+def _drive_glb(
+    curves: RigCurves, mesh: Path, out: Path | str, mapping: Path | str | None
+) -> RetargetReport:
+    """Drive a GLB's own morph targets; its file is kept as it is where the output is a GLB."""
+    if check_out(out) != "glb":
+        shapes = read_glb(mesh)
+        fit, poses = _fit(curves, shapes, mapping)
+        _write(out, shapes, fit.weights, curves.fps)
+        return _driven(out, fit, poses, len(curves))
+    try:
+        fit, poses = _fit(curves, read_glb(mesh), mapping)
+    except FormatError:
+        # Compressed geometry cannot be measured; its names can be driven all the same.
+        own = None if mapping is None else read_mapping(mapping)
+        poses = match_shapes(morph_names(mesh), mapping=own)
+        fit = poses.weights(curves)
+    animate_glb(mesh, Path(out), fit.names, WeightAnimation(fit.weights, curves.fps))
+    return _driven(out, fit, poses, len(curves))
+
+
+def _fit(
+    curves: RigCurves, shapes: ShapeSet, mapping: Path | str | None
+) -> tuple[BlendshapeFit, ShapePoses]:
+    own = None if mapping is None else read_mapping(mapping)
+    poses = match_shapes(shapes.names, mapping=own, shapes=shapes)
+    return poses.weights(curves), poses
+
+
+def _driven(out: Path | str, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> RetargetReport:
+    notes = []
+    unknown = [name for name in poses.names if name not in poses.understood]
+    if unknown:
+        notes.append(
+            f"{len(unknown)} shapes of unknown name stay at 0 ({', '.join(unknown[:4])}"
+            f"{' ...' if len(unknown) > 4 else ''}); a mapping file can name them"
+        )
+    if fit.unsaid:
+        notes.append(f"no shape for {', '.join(fit.unsaid[:6])}")
+    count = len(poses.understood)
+    return RetargetReport(Path(out), "blendshapes", count, frames, fit.lost, tuple(notes))
+
+
+def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
+    if check_out(out) == "glb":
+        write_glb(Path(out), shapes, animation=WeightAnimation(weights, fps))
+        return
+    check_length(len(weights), len(shapes.neutral.vertices))
+    vertices = shapes.evaluate(weights).astype(np.float32)
+    write_sequence(out, shapes.neutral, vertices, fps=fps)

@@ -1,0 +1,259 @@
+"""Carry shapes, or frames, from a registered source head to the target.
+
+Two ways. *Displacements* (default): each target vertex takes its source point's displacement,
+turned and scaled by the registration's local Jacobian. *Gradients*: each target triangle takes
+its source triangles' deformation gradient and the vertices are solved for (Sumner & Popovic 2004;
+SDFA's use of Eq. 1-6 across topologies). The first is closer at the lips, where gradients of a
+few rim slivers lead the whole lip astray (measured: docs/mesh.md).
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from rig.deformation.gradients import deformation_gradients
+from rig.deformation.reconstruct import DeformationSolver, rigid_motion
+from rig.errors import MeshError
+from rig.mesh.closest import ClosestPoints
+from rig.mesh.trimesh import (
+    TriMesh,
+    adjacency,
+    components,
+    edges,
+    triangle_normals,
+    without_degenerate,
+)
+from rig.retarget.registration import Registration
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TRUSTED = 0.25
+"""A correspondence further than this share of the eye distance is filled in from neighbours."""
+_ON_SKIN = 0.05
+"""A loose part this near the skin (brow, lash) moves with it; one further in (eye) is rigid."""
+_NEAR_PART = 0.1
+"""A loose part this near a loose part of the source (eye to eye) takes its motion."""
+_RIGID = 0.1
+"""A part that departs this far, of its motion, from the best rigid one bends: a tongue."""
+_RIPPLE = 0.015
+_SOFTENING = 2
+_REGION = 0.3
+_FITS = 300
+_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
+"""Points of a target triangle whose source gradients are averaged."""
+
+
+def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
+    """Displacements of the target's vertices from those of the source's.
+
+    Parameters
+    ----------
+    registration : Registration
+        From `rig.retarget.registration`.
+    deltas : array [shape=(K, V_source, 3)]
+        Displacements from the source's neutral.
+
+    Returns
+    -------
+    moved : array [shape=(K, V_target, 3)]
+    """
+    source = _checked(registration, deltas)
+    jacobian = local_jacobians(registration)
+    mapped = np.einsum("vab,kvb->kva", jacobian, source)
+    points = registration.correspondence
+    faces = registration.source.faces[registration.skin_faces]
+    result = np.stack([points.interpolate(faces, delta) for delta in mapped])
+    trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
+    result = _soften(registration, _fill(registration.target, result, trusted))
+    return _settle_parts(registration, mapped, result)
+
+
+def transfer_gradients(registration: Registration, deltas: Any) -> Floats:
+    """As `transfer_displacements`, by deformation gradients; frames of a take go the same way.
+
+    Vertices whose source stays within 0.1 % of the head through all K are held there; each part
+    without one is pinned where its displacement says.
+    """
+    source = _checked(registration, deltas)
+    target = without_degenerate(registration.target)
+    by_displacement = transfer_displacements(registration, source)
+    motion = np.linalg.norm(by_displacement, axis=-1).max(axis=0)
+    used = np.unique(target.faces)
+    quiet = used[motion[used] < 1e-3 * registration.eyes]
+    solver = DeformationSolver(target, pins=quiet)
+    where = _sampled_triangles(registration, target)
+    skin = TriMesh(registration.source.vertices, registration.source.faces[registration.skin_faces])
+    rotation = registration.rotation
+    result = np.empty_like(by_displacement)
+    for k, delta in enumerate(source):
+        gradients = deformation_gradients(skin, skin.vertices + delta)
+        local = gradients[where].mean(axis=1)
+        turned = rotation @ local @ rotation.T
+        pins = target.vertices[solver.pins] + by_displacement[k, solver.pins]
+        result[k] = solver.solve_gradients(turned, pin_positions=pins) - target.vertices
+    loose = components(registration.target) > 0
+    result[:, loose] = by_displacement[:, loose]
+    return result
+
+
+def _checked(registration: Registration, deltas: Any) -> Floats:
+    array = np.asarray(deltas, dtype=np.float64)
+    if array.ndim != 3 or array.shape[1:] != registration.source.vertices.shape:
+        raise MeshError(
+            f"deltas have shape {array.shape}; the source needs "
+            f"(K, {len(registration.source.vertices)}, 3)"
+        )
+    return array
+
+
+@lru_cache(maxsize=2)
+def local_jacobians(registration: Registration) -> Floats:
+    """How the registration turns and stretches space around each source vertex.
+
+    Affine maps fitted to the placed skin about a few hundred of its vertices, within a Gaussian of
+    `_REGION` eye distances, then blended. Gradients of single triangles would follow every
+    wrinkle of the fit, and know nothing of the direction across the skin.
+
+    Returns
+    -------
+    jacobians : array [shape=(V_source, 3, 3)]
+    """
+    source = registration.source
+    skin = np.flatnonzero(components(source) == 0)
+    before, after = source.vertices[skin], registration.placed[skin]
+    centres = before[:: max(1, len(skin) // _FITS)]
+    reach = _REGION * registration.eyes / registration.scale
+    near = _gaussian(centres, before, reach)
+    near /= near.sum(axis=1, keepdims=True)
+    mean_before, mean_after = near @ before, near @ after
+    moments = np.stack([_moments(near, x, before) for x in (before, after)])
+    moments[0] -= mean_before[:, :, None] * mean_before[:, None, :]
+    moments[1] -= mean_after[:, :, None] * mean_before[:, None, :]
+    # A patch of skin is nearly flat; what it does not show about its normal, the whole head does.
+    whole = registration.scale * registration.rotation
+    ridge = 1e-3 * np.trace(moments[0], axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    fitted = (moments[1] + whole @ ridge) @ np.linalg.inv(moments[0] + ridge)
+    blend = _gaussian(centres, source.vertices, 0.5 * reach) + 1e-12
+    blend /= blend.sum(axis=0)
+    return np.asarray((blend.T @ fitted.reshape(len(centres), 9)).reshape(-1, 3, 3))
+
+
+def _gaussian(centres: Floats, points: Floats, reach: float) -> Floats:
+    squared = (centres**2).sum(axis=1)[:, None] - 2 * centres @ points.T + (points**2).sum(axis=1)
+    return np.asarray(np.exp(-np.maximum(squared, 0.0) / (2 * reach**2)))
+
+
+def _moments(weights: Floats, values: Floats, points: Floats) -> Floats:
+    outer = (values[:, :, None] * points[:, None, :]).reshape(len(points), 9)
+    return np.asarray((weights @ outer).reshape(-1, 3, 3))
+
+
+def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
+    """Triangles of the source's skin under four points of each target triangle [shape=(N, 4)]."""
+    corners = target.vertices[target.faces]
+    sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
+    normals = triangle_normals(target)
+    found = [
+        registration.correspond_points(np.einsum("k,nkc->nc", w, corners), normals, sides)
+        for w in _SAMPLES
+    ]
+    return np.stack([points.triangles for points in found], axis=1)
+
+
+def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats:
+    """Fill untrusted vertices harmonically from trusted ones of their part; parts without: 0."""
+    links = adjacency(target)
+    _, labels = connected_components(links, directed=False)
+    reachable = np.isin(labels, np.unique(labels[trusted]))
+    result = deltas.copy()
+    result[:, ~trusted] = 0.0
+    open_ = np.flatnonzero(~trusted & reachable)
+    if len(open_) == 0:
+        return result
+    laplacian = csc_array(diags_array(np.asarray(links.sum(axis=1)).ravel()) - links)
+    factors = splu(
+        csc_array(laplacian[open_][:, open_]),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    coupling = laplacian[open_]
+    for delta in result:
+        delta[open_] = factors.solve(-(coupling @ delta))
+    return result
+
+
+def _soften(registration: Registration, deltas: Floats) -> Floats:
+    """Take the registration's ripples out: mix vertices with neighbours a millimetre or two off.
+
+    A coarse mesh, whose edges are longer than the ripples, is left as it is.
+    """
+    target = registration.target
+    ends = edges(target.faces)
+    lengths = np.linalg.norm(np.subtract(*(target.vertices[ends[:, k]] for k in (0, 1))), axis=1)
+    near = np.exp(-((lengths / (_RIPPLE * registration.eyes)) ** 2))
+    count = len(target.vertices)
+    one_way = csr_array(coo_array((near, (ends[:, 0], ends[:, 1])), shape=(count, count)))
+    links = one_way.maximum(one_way.T)
+    total = 1.0 + np.asarray(links.sum(axis=1)).ravel()
+    mix = diags_array(1.0 / total) @ (links + diags_array(np.ones(count)))
+    result = deltas
+    for _ in range(_SOFTENING):
+        result = np.stack([mix @ delta for delta in result])
+    return result
+
+
+def _settle_parts(registration: Registration, mapped: Floats, result: Floats) -> Floats:
+    """Make loose parts of the target (eyes, teeth) move as one piece.
+
+    A part nearest to a loose part of the source takes its motion, rigid if that is; a part on the
+    skin (brow, lash) keeps what it has; any other stays still: an eyeball must not follow the lids.
+    """
+    labels = components(registration.target)
+    if labels.max() == 0:
+        return result
+    skin, inner = _searches(registration)
+    source_labels = components(registration.source)
+    for label in range(1, int(labels.max()) + 1):
+        part = np.flatnonzero(labels == label)
+        rest = registration.target.vertices[part]
+        to_skin = np.median(skin.query(rest).distances)
+        points = None if inner is None else inner.query(rest)
+        to_inner = np.inf if points is None else np.median(points.distances)
+        if to_skin < min(to_inner, _ON_SKIN * registration.eyes):
+            continue
+        result[:, part] = 0.0
+        if inner is None or points is None or to_inner > _NEAR_PART * registration.eyes:
+            continue
+        # Upper and lower teeth touch: only the part that most points lie on may lead.
+        owners = source_labels[inner.mesh.faces[:, 0]]
+        leader = inner.mesh.faces[owners == np.bincount(owners[points.triangles]).argmax()]
+        points = ClosestPoints(TriMesh(registration.placed, leader)).query(rest)
+        for k, delta in enumerate(mapped):
+            result[k, part] = _as_one_piece(rest, points.interpolate(leader, delta))
+    return result
+
+
+def _as_one_piece(rest: Floats, delta: Floats) -> Floats:
+    """The rigid motion nearest to a displacement; itself where it plainly bends."""
+    turn, shift = rigid_motion(rest, rest + delta)
+    rigid = rest @ turn.T + shift - rest
+    misfit = np.linalg.norm(delta - rigid, axis=1).max()
+    return rigid if misfit < _RIGID * np.linalg.norm(delta, axis=1).max() else delta
+
+
+def _searches(registration: Registration) -> tuple[ClosestPoints, ClosestPoints | None]:
+    """Search over the placed source's skin, and over its loose parts if it has any."""
+    faces = registration.source.faces
+    on_skin = components(registration.source)[faces[:, 0]] == 0
+    skin, inner = faces[on_skin], faces[~on_skin]
+    return (
+        ClosestPoints(TriMesh(registration.placed, skin), candidates=8),
+        ClosestPoints(TriMesh(registration.placed, inner)) if len(inner) else None,
+    )

@@ -1,0 +1,1 @@
+"""Files checked as the programs that import them would."""

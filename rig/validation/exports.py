@@ -1,0 +1,139 @@
+"""Check the files that we only write: JSON for Unreal, visemes, GLB. Used by `rig.validation.curves`."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.conversion.raw import raw_controls
+from rig.errors import FormatError
+from rig.formats.curves_json import read_object
+
+Note = str
+
+
+def check_unreal_json(path: Path) -> Note:
+    """Return a summary of a ``*.unreal.json``.
+
+    Raises
+    ------
+    FormatError
+        If the script inside Unreal would refuse it, or the face would look wrong.
+    """
+    from rig.formats.unreal_json import SCHEMA
+
+    data = read_object(path, SCHEMA)
+    n_frames, rate = data.get("n_frames"), data.get("frame_rate")
+    if not (isinstance(n_frames, int) and n_frames > 0):
+        raise FormatError(f"{path}: 'n_frames' is {n_frames!r}; it must be 1 or more")
+    if not (isinstance(rate, list) and len(rate) == 2 and all(_is_count(part) for part in rate)):
+        raise FormatError(f"{path}: 'frame_rate' is {rate!r}; it must be two numbers above 0")
+    raw, board = data.get("raw"), data.get("board")
+    if not (isinstance(raw, dict) and isinstance(board, dict)):
+        raise FormatError(f"{path} needs the objects 'raw' and 'board'")
+    missing = [name for name in raw_controls().names if name not in raw]
+    if missing:
+        raise FormatError(f"{path} lacks {missing[0]} and {len(missing) - 1} more raw curves")
+    for name, values in raw.items():
+        _check_values(path, name, values, n_frames, 0.0, 1.0)
+    for control, channels in board.items():
+        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
+            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
+        for axis, values in channels.items():
+            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
+    seconds = n_frames * rate[1] / rate[0]
+    return f"{n_frames} frames at {rate[0]}/{rate[1]} fps, {seconds:.2f} s; for the Unreal script"
+
+
+def check_visemes(path: Path) -> Note:
+    """Return a summary of a ``*.visemes.json``.
+
+    Raises
+    ------
+    FormatError
+        If rows differ in length, or a row does not sum to 1.
+    """
+    from rig.formats.viseme_json import SCHEMA
+
+    data = read_object(path, SCHEMA)
+    names, fps = data.get("names"), data.get("fps")
+    if not (isinstance(names, list) and isinstance(fps, (int, float)) and fps > 0):
+        raise FormatError(f"{path} needs 'names' and an 'fps' above 0")
+    try:
+        values = np.array(data.get("values"), dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.ndim != 2 or values.shape[1] != len(names):
+        raise FormatError(f"{path}: 'values' must be rows of {len(names)} numbers")
+    off = np.abs(values.sum(axis=1) - 1) > 0.01
+    if off.any():
+        raise FormatError(f"{path}: data row {int(np.argmax(off)) + 1} does not sum to 1")
+    return f"{len(values)} frames at {fps:g} fps of {len(names)} visemes"
+
+
+def check_glb(path: Path) -> Note:
+    """Return a summary of a GLB, of ours or of others.
+
+    Raises
+    ------
+    FormatError
+        If the container is damaged, data lie outside it, or weights do not fit the targets.
+    """
+    from rig.mesh.glb import read_container
+
+    document, binary = read_container(path)
+    try:
+        for i, view in enumerate(document.get("bufferViews", [])):
+            if view.get("byteOffset", 0) + view["byteLength"] > len(binary):
+                raise FormatError(f"{path}: bufferView {i} lies outside the file")
+        n_targets = [
+            len(mesh["primitives"][0].get("targets", [])) for mesh in document.get("meshes", [])
+        ]
+        n_frames = _check_animations(path, document, n_targets)
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise FormatError(f"{path} is no valid glTF: {error!r}") from None
+    return f"glTF 2.0, {sum(n_targets)} morph targets, {n_frames} keys of weights"
+
+
+CHECKS: dict[str, Callable[[Path], Note]] = {
+    ".unreal.json": check_unreal_json,
+    ".visemes.json": check_visemes,
+    ".glb": check_glb,
+}
+"""By the end of the file name."""
+
+
+def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]) -> int:
+    accessors, n_frames = document.get("accessors", []), 0
+    for animation in document.get("animations", []):
+        for channel in animation["channels"]:
+            if channel["target"]["path"] != "weights":
+                continue
+            sampler = animation["samplers"][channel["sampler"]]
+            times = accessors[sampler["input"]]["count"]
+            node = document["nodes"][channel["target"]["node"]]
+            wanted = times * n_targets[node["mesh"]]
+            got = accessors[sampler["output"]]["count"]
+            if got != wanted:
+                raise FormatError(f"{path}: {got} weights; {times} keys need {wanted}")
+            n_frames = max(n_frames, times)
+    return n_frames
+
+
+def _check_values(
+    path: Path, name: str, values: Any, n_frames: int, low: float, high: float
+) -> None:
+    numbers = values if isinstance(values, list) else [values]
+    if isinstance(values, list) and len(values) != n_frames:
+        raise FormatError(f"{path}: {name} has {len(values)} values, not {n_frames}")
+    try:
+        array = np.array(numbers, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise FormatError(f"{path}: {name} holds something that is no number") from None
+    if array.ndim != 1 or array.min() < low - 1e-4 or array.max() > high + 1e-4:
+        raise FormatError(f"{path}: {name} leaves its range {low:g} to {high:g}")
+
+
+def _is_count(part: object) -> bool:
+    return isinstance(part, int) and not isinstance(part, bool) and part > 0

@@ -1,0 +1,473 @@
+"""Loading recordings: known signals in, known signals out; every bad input one line."""
+
+import io
+import os
+import struct
+import subprocess
+import wave
+from fractions import Fraction
+from math import ceil
+
+import numpy as np
+import pytest
+import soundfile as sf
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deitalk.audio import load as audio
+from deitalk.audio.load import frame_count, frame_times, load_audio, write_wav
+from deitalk.errors import AudioError
+from tests.media import write_silent_video, write_sound
+
+
+def tone(rate, seconds=1.0, hz=440.0, peak=0.5):
+    return peak * np.sin(2 * np.pi * hz * np.arange(round(rate * seconds)) / rate)
+
+
+def assert_one_line(error, *words):
+    message = str(error.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+@given(st.integers(0, 10**9))
+def test_frame_count_is_the_exact_ceiling(n_samples):
+    assert frame_count(n_samples) == ceil(Fraction(30 * n_samples, 16000))
+
+
+def test_frame_count_by_hand():
+    assert [frame_count(n) for n in (0, 1, 533, 534, 16000, 16001)] == [0, 1, 1, 2, 30, 31]
+    assert frame_times(4).tolist() == [0, 1 / 30, 2 / 30, 3 / 30]
+
+
+@pytest.mark.parametrize("rate", [4000, 8000, 11025, 16000, 22050, 44100, 48000, 96000, 768000])
+def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
+    path = tmp_path / "tone.wav"
+    sf.write(path, tone(rate), rate, subtype="FLOAT")
+    recording = load_audio(path)
+    assert recording.waveform.dtype == np.float32
+    assert recording.waveform.shape == (16000,)
+    assert (recording.source_rate, recording.channels, recording.n_frames) == (rate, 1, 30)
+    middle = slice(1000, -1000)  # the resampler rings at the cut ends of a tone
+    assert np.abs(recording.waveform - tone(16000))[middle].max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("suffix", "tolerance"),
+    [("wav", 1e-4), ("flac", 1e-4), ("ogg", 0.05), ("mp3", 0.05), ("opus", 0.1)],
+)
+def test_formats_agree(tmp_path, suffix, tolerance):
+    path = tmp_path / f"tone.{suffix}"
+    kind = {"format": "OGG", "subtype": "OPUS"} if suffix == "opus" else {}
+    sf.write(path, tone(48000), 48000, **kind)
+    waveform = load_audio(path).waveform
+    assert np.abs(waveform[2000:14000] - tone(16000)[2000:14000]).max() < tolerance
+
+
+@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
+def test_containers_keep_frequency_and_length(tmp_path, suffix):
+    path = tmp_path / f"-tone.{suffix}"  # a leading dash is no option
+    write_sound(path, np.stack([tone(48000)] * 2, 1), 48000, picture=suffix in ("mp4", "mov"))
+    for source in (path, path.read_bytes()):
+        recording = load_audio(source)
+        assert (recording.channels, recording.source_rate) == (2, 48000)
+        assert recording.duration == pytest.approx(1.0, abs=0.1)
+        spectrum = np.abs(np.fft.rfft(recording.waveform[4000:12000]))
+        assert spectrum.argmax() * 2 == 440
+
+
+@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
+def test_containers_keep_the_time_of_a_click(tmp_path, suffix):
+    samples = np.zeros((48000, 1))
+    samples[24000] = 0.9
+    path = write_sound(tmp_path / f"click.{suffix}", samples, 48000)
+    assert np.abs(load_audio(path).waveform).argmax() == pytest.approx(8000, abs=2)
+
+
+def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
+    path = tmp_path / "a.mp3"
+    sf.write(path, tone(16000) + rng.normal(0, 0.05, 16000), 16000)
+    expected = sf.read(path, dtype="float32")[0]
+    np.testing.assert_allclose(load_audio(path).waveform, expected - expected.mean(), atol=1e-5)
+
+
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.9])
+def test_mp3_with_garbage_is_read_without_a_word_on_stderr(tmp_path, capfd, rng, kept):
+    sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
+    content = (tmp_path / "a.mp3").read_bytes()
+    middle = int(kept * len(content))
+    garbage = rng.integers(0, 256, 3000, dtype=np.uint8).tobytes()
+    load_audio(content[:middle] + garbage + content[middle:])
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "cut off or damaged"),
+        ("a.webm", b"\x1a\x45\xdf\xa3" + bytes(100), "cut off or damaged"),
+        ("a.mp3", b"ID3\x03\0\0\0\0\0\x0a" + bytes(30), "cut off or damaged"),
+        ("a.mp4", b"Dear diary,\n", "is not audio that can be read"),
+    ],
+)
+def test_container_without_content_is_one_line(tmp_path, capfd, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(AudioError) as error:
+        load_audio(tmp_path / name)
+    assert_one_line(error, name, words)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", ["m4a", "mka", "mp3"])
+def test_tags_that_are_no_utf_8_do_no_harm(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    write_sound(path, np.stack([tone(48000)], 1), 48000, title="Zoe Z.")
+    content = path.read_bytes()
+    assert b"Zoe Z." in content
+    assert load_audio(content.replace(b"Zoe Z.", b"Zo\xeb Z.")).duration > 0.9
+
+
+def test_half_written_m4a_is_one_line(tmp_path):
+    path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000)], 1), 48000, faststart=False)
+    path.write_bytes(path.read_bytes()[:5000])  # the index comes last
+    with pytest.raises(AudioError, match="cut off or damaged") as error:
+        load_audio(path)
+    assert_one_line(error, "a.m4a", "export it again")
+
+
+def test_video_without_sound_is_one_line(tmp_path):
+    with pytest.raises(AudioError, match="has no sound track") as error:
+        load_audio(write_silent_video(tmp_path / "a.mp4"))
+    assert_one_line(error, "a.mp4", "export it with its sound")
+
+
+@pytest.mark.parametrize("suffix", ["m4a", "webm", "mp3"])
+def test_cut_container_is_read_as_far_as_it_goes(tmp_path, suffix):
+    path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(48000, 4.0)], 1), 48000)
+    content = path.read_bytes()
+    recording = load_audio(content[: len(content) // 2])
+    assert 1.0 < recording.duration < 3.0
+    assert any("of 4.0" in note and "cut short" in note for note in recording.warnings)
+
+
+def test_damage_inside_a_container_is_silent_and_told(tmp_path, rng):
+    path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000, 4.0)], 1), 48000)
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 2000] = rng.integers(0, 256, 2000, dtype=np.uint8).tobytes()
+    recording = load_audio(bytes(content))
+    assert recording.duration == pytest.approx(4.0, abs=0.05)
+    assert "damaged pieces are silent now, the first at" in recording.warnings[0]
+
+
+@pytest.mark.parametrize("first", [b"\xff\xff", b"\xff\xfb"])
+def test_a_wav_that_begins_as_mpeg_is_read_without_a_word_on_stderr(capfd, first):
+    file = io.BytesIO()
+    sf.write(file, tone(16000), 16000, format="WAV", subtype="FLOAT")
+    content = bytearray(file.getvalue())
+    content[:2] = first
+    with pytest.raises(AudioError):
+        load_audio(bytes(content))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_that_point_before_their_beginning_are_read_without_a_word_on_stderr(capfd):
+    file = io.BytesIO()
+    sf.write(file, tone(16000), 16000, format="AIFF")
+    content = bytearray(file.getvalue())
+    for at in range(12, 60, 4):
+        damaged = content.copy()
+        damaged[at : at + 4] = b"\xff\xff\xff\xff"
+        try:
+            load_audio(bytes(damaged))
+        except AudioError as error:
+            assert "\n" not in str(error)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"]
+)
+def test_a_playlist_opens_no_other_file(tmp_path, first):
+    sf.write(tmp_path / "secret.wav", tone(16000), 16000)
+    (tmp_path / "list.m4a").write_text(first)
+    with pytest.raises(AudioError, match="not audio"):
+        load_audio(tmp_path / "list.m4a")
+
+
+def test_damaged_containers_are_one_line_or_a_recording(tmp_path, rng, capfd):
+    for suffix in ("m4a", "mp4", "webm", "mp3", "aac", "wma", "mka"):
+        path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(16000, 0.5)], 1), 16000)
+        content = np.frombuffer(path.read_bytes(), np.uint8)
+        for _ in range(20):
+            damaged = content[: rng.integers(20, len(content) + 1)].copy()
+            where = rng.integers(0, len(damaged), rng.integers(1, 30))
+            damaged[where] = rng.integers(0, 256, len(where))
+            try:
+                assert np.isfinite(load_audio(damaged.tobytes()).waveform).all()
+            except AudioError as error:
+                assert "\n" not in str(error)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_and_streams_equal_the_file(tmp_path):
+    path = tmp_path / "tone.flac"
+    sf.write(path, tone(44100), 44100)
+    from_path = load_audio(path).waveform
+    assert np.array_equal(from_path, load_audio(str(path)).waveform)
+    assert np.array_equal(from_path, load_audio(path.read_bytes()).waveform)
+    with path.open("rb") as file:
+        assert np.array_equal(from_path, load_audio(file).waveform)
+    assert load_audio(io.BytesIO(path.read_bytes())).source == "<stream>"
+
+
+def test_channels_are_averaged(tmp_path, rng):
+    channels = rng.normal(0, 0.1, (16000, 3))
+    sf.write(tmp_path / "a.wav", channels, 16000, subtype="FLOAT")
+    mean = channels.mean(axis=1)
+    recording = load_audio(tmp_path / "a.wav")
+    np.testing.assert_allclose(recording.waveform, mean - mean.mean(), atol=1e-6)
+    assert recording.channels == 3
+    assert not any("cancel" in note for note in recording.warnings)
+
+
+def test_one_live_channel_of_eight_is_no_cancellation(tmp_path):
+    channels = np.zeros((16000, 8))
+    channels[:, 3] = tone(16000)
+    sf.write(tmp_path / "a.wav", channels, 16000, subtype="FLOAT")
+    recording = load_audio(tmp_path / "a.wav")
+    assert not any("cancel" in note for note in recording.warnings)
+    assert np.abs(recording.waveform).max() == pytest.approx(0.5 / 8, rel=1e-3)
+
+
+def test_inverted_channel_does_not_silence_the_voice(tmp_path):
+    voice = tone(16000)
+    sf.write(tmp_path / "a.wav", np.stack([0.9 * voice, -voice], 1), 16000, subtype="FLOAT")
+    recording = load_audio(tmp_path / "a.wav")
+    np.testing.assert_allclose(recording.waveform, -voice, atol=1e-4)
+    assert "cancel" in recording.warnings[0]
+    assert "channel 2" in recording.warnings[0]
+
+
+def test_blocks_join_without_a_seam(tmp_path, monkeypatch):
+    path = tmp_path / "a.wav"
+    sf.write(path, np.stack([tone(44100, 2.0)] * 2, 1), 44100, subtype="FLOAT")
+    whole = load_audio(path).waveform
+    monkeypatch.setattr(audio, "BLOCK_SAMPLES", 2048)
+    np.testing.assert_allclose(load_audio(path).waveform, whole, atol=1e-6)
+
+
+def test_dc_is_removed_and_told(tmp_path):
+    sf.write(tmp_path / "a.wav", tone(16000) + 0.2, 16000, subtype="FLOAT")
+    recording = load_audio(tmp_path / "a.wav")
+    assert abs(recording.waveform.mean()) < 1e-6
+    assert "DC offset of +0.200" in recording.warnings[0]
+
+
+def test_clipping_is_measured(tmp_path):
+    sf.write(tmp_path / "clipped.wav", np.clip(tone(16000, peak=2.0), -1, 1), 16000)
+    recording = load_audio(tmp_path / "clipped.wav")
+    # a sine of amplitude 2 is beyond 1 for 2/3 of the time: asin(1/2) = 30 of 90 degrees below it
+    assert recording.clipped_fraction == pytest.approx(2 / 3, abs=0.03)
+    assert "clipped" in recording.warnings[0]
+    sf.write(tmp_path / "full.wav", tone(16000, peak=0.99997), 16000)
+    assert load_audio(tmp_path / "full.wav").clipped_fraction == 0
+
+
+def test_samples_scaled_like_integers_are_brought_back(tmp_path):
+    sf.write(tmp_path / "a.wav", 12000 * tone(16000), 16000, subtype="FLOAT")
+    recording = load_audio(tmp_path / "a.wav")
+    assert np.abs(recording.waveform).max() == pytest.approx(1)
+    assert "scaled" in recording.warnings[0]
+    assert recording.clipped_fraction == 0
+
+
+def test_silence_is_a_recording(tmp_path):
+    sf.write(tmp_path / "a.wav", np.zeros((16000, 2)), 16000)
+    recording = load_audio(tmp_path / "a.wav")
+    assert not recording.waveform.any()
+    (note,) = recording.warnings
+    assert "silence" in note
+
+
+def test_one_sample_is_a_recording(tmp_path):
+    sf.write(tmp_path / "a.wav", np.full(1, 0.5), 16000)
+    assert load_audio(tmp_path / "a.wav").n_frames == 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
+def test_samples_must_be_finite(tmp_path, bad):
+    samples = tone(16000)
+    samples[8000] = bad
+    for n, channels in enumerate((samples, np.stack([tone(16000), samples], 1))):
+        sf.write(tmp_path / f"{n}.wav", channels, 16000, subtype="FLOAT")
+        with pytest.raises(AudioError, match=r"sample 8000 \(0.500 s\)") as error:
+            load_audio(tmp_path / f"{n}.wav")
+        assert_one_line(error, "export it as 16-bit PCM")
+
+
+@pytest.mark.parametrize("rate", [1, 3999, 768001])
+def test_rates_out_of_range(tmp_path, rate):
+    sf.write(tmp_path / "a.wav", tone(16000), rate)
+    with pytest.raises(AudioError, match=f"sample rate is {rate} Hz") as error:
+        load_audio(tmp_path / "a.wav")
+    assert_one_line(error, "4000", "768000", "export")
+
+
+def test_too_long_by_its_header_and_by_its_content(tmp_path):
+    sf.write(tmp_path / "a.wav", np.zeros(4000 * 10), 4000)
+    with pytest.raises(AudioError, match="the limit is 5 s") as error:
+        load_audio(tmp_path / "a.wav", max_seconds=5)
+    assert_one_line(error, "10 s", "split")
+    content = bytearray((tmp_path / "a.wav").read_bytes())
+    content[40:44] = struct.pack("<I", 8000)  # a header that promises one second
+    assert len(load_audio(bytes(content), max_seconds=5).waveform) == 16000
+
+
+def test_the_default_limit_is_three_hours(tmp_path):
+    path = tmp_path / "long.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 1, 4000, 0, "NONE", "NONE"))
+        file.writeframes(bytes(4000 * 10801))
+    with pytest.raises(AudioError, match=r"limit is 10800 s \(3 h\)"):
+        load_audio(path)
+
+
+@pytest.mark.parametrize(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
+def test_wav_shorter_than_its_header_says_is_told(kind, endian):
+    file = io.BytesIO()
+    sf.write(file, np.stack([tone(16000, 4.0)] * 2, 1), 16000, format=kind, endian=endian)
+    content = file.getvalue()
+    assert not any("cut short" in note for note in load_audio(content).warnings)
+    recording = load_audio(content[: len(content) * 3 // 8])
+    assert recording.duration == pytest.approx(1.5, abs=0.01)
+    assert any("cut short: 1.50 s of 4.00 s" in note for note in recording.warnings)
+
+
+@pytest.mark.parametrize("size", [0x7FFFFFFF, 0xFFFFFFFF])
+def test_wav_written_to_a_pipe_is_not_cut_short(size):
+    file = io.BytesIO()
+    sf.write(file, tone(16000), 16000, format="WAV")
+    content = bytearray(file.getvalue())
+    content[40:44] = struct.pack("<I", size)
+    recording = load_audio(bytes(content))
+    assert not any("cut short" in note for note in recording.warnings)
+
+
+def test_cut_short_file_is_read_as_far_as_it_goes(tmp_path):
+    sf.write(
+        tmp_path / "a.flac",
+        tone(16000, 4.0) + 0.01 * np.random.default_rng(0).normal(size=64000),
+        16000,
+    )
+    content = (tmp_path / "a.flac").read_bytes()
+    try:
+        recording = load_audio(content[: len(content) // 2])
+    except AudioError as error:
+        assert "damaged" in str(error)
+    else:
+        assert 1.0 < recording.duration < 3.0
+        assert "cut short" in recording.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.wav", b"", "empty (0 bytes)"),
+        ("text.wav", b"Dear diary,\n", "not audio that can be read"),
+        ("noise.mp3", bytes(range(7, 200)), "not audio that can be read"),
+        ("text.raw", b"Dear diary,\n", "not audio that can be read"),
+        ("half.wav", b"RIFF\x24\0\0\0WAVEfmt ", "cut off or damaged"),
+    ],
+)
+def test_files_that_are_no_audio(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    for source in (path, content):
+        with pytest.raises(AudioError) as error:
+            load_audio(source)
+        assert_one_line(error, words)
+
+
+def test_zero_samples(tmp_path):
+    for channels in (1, 2):
+        sf.write(tmp_path / "a.wav", np.zeros((0, channels)), 16000)
+        with pytest.raises(AudioError, match="holds 0 samples"):
+            load_audio(tmp_path / "a.wav")
+
+
+def test_paths_that_cannot_be_read(tmp_path):
+    with pytest.raises(AudioError, match="there is no recording"):
+        load_audio(tmp_path / "missing.wav")
+    with pytest.raises(AudioError, match="is a folder"):
+        load_audio(tmp_path)
+    with pytest.raises(AudioError, match="cannot read"):
+        load_audio("x" * 5000 + ".wav")
+    with pytest.raises(AudioError, match="not a regular file"):
+        load_audio("/dev/null")
+    with pytest.raises(AudioError, match="binary mode"):
+        load_audio(io.StringIO("text"))
+    with pytest.raises(AudioError, match="a list is no recording"):
+        load_audio([0.0])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_forbidden_file(tmp_path):
+    path = tmp_path / "a.wav"
+    sf.write(path, tone(16000), 16000)
+    path.chmod(0)
+    with pytest.raises(AudioError, match="permissions"):
+        load_audio(path)
+
+
+def test_write_wav_returns_sixteen_bits_unchanged(tmp_path, rng):
+    steps = rng.integers(-32768, 32768, 5000) / 32768
+    write_wav(tmp_path / "a.wav", steps)
+    samples, rate = sf.read(tmp_path / "a.wav")
+    assert rate == 16000
+    assert np.array_equal(samples, steps)
+
+
+def test_write_wav_clips_and_refuses(tmp_path):
+    write_wav(tmp_path / "a.wav", [2.0, -2.0, 0.25])
+    assert sf.read(tmp_path / "a.wav", dtype="int16")[0].tolist() == [32767, -32768, 8192]
+    for bad in (np.zeros((2, 2)), [np.nan]):
+        with pytest.raises(AudioError, match="1-D and finite"):
+            write_wav(tmp_path / "b.wav", bad)
+    with pytest.raises(AudioError, match="cannot write"):
+        write_wav(tmp_path / "no" / "b.wav", [0.0])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    write_wav(tmp_path / "a.wav", [0.5])
+    monkeypatch.setattr(wave.Wave_write, "writeframes", full)
+    with pytest.raises(AudioError, match="No space left"):
+        write_wav(tmp_path / "a.wav", [0.0])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+    assert load_audio(tmp_path / "a.wav").n_frames == 1
+
+
+@pytest.mark.slow
+def test_an_hour_of_stereo_stays_under_400_mb(tmp_path):
+    script = (
+        "import resource, sys; from deitalk.audio.load import load_audio;"
+        "load_audio(sys.argv[1]); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    peaks = []
+    for minutes in (1, 60):
+        path = tmp_path / f"{minutes}.wav"
+        minute = np.random.default_rng(0).normal(0, 3000, (48000 * 60, 2)).astype("<i2").tobytes()
+        with wave.open(str(path), "wb") as file:
+            file.setparams((2, 2, 48000, 0, "NONE", "NONE"))
+            for _ in range(minutes):
+                file.writeframes(minute)
+        done = subprocess.run(
+            [os.sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+        )
+        peaks.append(int(done.stdout) / 1024)
+    assert peaks[1] < 400

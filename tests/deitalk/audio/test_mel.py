@@ -1,0 +1,123 @@
+"""Mel spectrogram: SDFA's numbers, alignment in time, derivatives."""
+
+import librosa
+import numpy as np
+import pytest
+import torch
+
+from deitalk.audio.mel import (
+    FLOOR,
+    SAMPLE_RATE,
+    MelSpectrogram,
+    derivative,
+    nearest_spectra,
+    spectra_centres,
+)
+from deitalk.config import MelConfig
+
+SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80)]
+"""SDFA's, and those of configs/mel.yaml."""
+
+
+@pytest.fixture(params=SETTINGS, ids=["sdfa", "mel"])
+def mel(request):
+    return MelSpectrogram(*request.param)
+
+
+def noise(seconds=1.0, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return 0.1 * torch.randn(1, int(seconds * SAMPLE_RATE), generator=generator)
+
+
+def test_window_of_sdfa_lasts_568_milliseconds():
+    config = MelConfig()
+    hops = (config.window_frames - 1) / config.frame_rate
+    assert hops + config.window_seconds == pytest.approx(0.568)
+    # the same in samples: what the 64 spectra around time 4096 read
+    mel = MelSpectrogram(config.window_seconds, config.frame_rate, config.n_mels)
+    centres = spectra_centres(64, config.frame_rate)
+    first, last = int(centres[0]) - mel.length // 2, int(centres[-1]) + mel.length // 2
+    assert (last - first) / SAMPLE_RATE == pytest.approx(0.568)
+
+
+def test_shape(mel):
+    assert mel(noise(), 50).shape == (1, 3, mel.filters.shape[1], 50)
+
+
+def test_linear_ramp_has_constant_derivative():
+    slope = derivative(0.25 * torch.arange(10.0).unsqueeze(0))
+    assert slope[0].tolist() == [0.125, *[0.25] * 8, 0.125]  # beyond the ends they repeat
+    assert derivative(slope)[0, 2:-2].tolist() == [0] * 6
+
+
+def test_channels_are_the_spectrum_and_its_derivatives(mel):
+    spectrum, slope, curvature = mel(noise(), 30)[0]
+    torch.testing.assert_close(slope[:, 4], (spectrum[:, 5] - spectrum[:, 3]) / 2)
+    torch.testing.assert_close(
+        curvature[:, 4], (spectrum[:, 6] - 2 * spectrum[:, 4] + spectrum[:, 2]) / 4
+    )
+
+
+def test_piece_of_a_clip_has_the_spectra_of_the_whole(mel):
+    waveform = noise(2.0)
+    whole, piece = mel(waveform, 100), mel(waveform, 30, first=40)
+    torch.testing.assert_close(piece[:, 0], whole[:, 0, :, 40:70])
+    # a derivative at the ends of what was asked for has no neighbour
+    torch.testing.assert_close(piece[..., 2:-2], whole[..., 42:68])
+
+
+@pytest.mark.parametrize("frame", [1, 7, 20, 29])
+def test_click_at_a_frame_peaks_at_its_spectrum(mel, frame):
+    waveform = torch.zeros(1, SAMPLE_RATE)
+    waveform[0, round(frame * SAMPLE_RATE / 30)] = 1
+    loudness = mel(waveform, int(mel.frame_rate))[0, 0].mean(dim=0)
+    peak = int(loudness.argmax())
+    assert abs(peak - frame * mel.frame_rate / 30) <= 0.5
+    assert abs(peak - int(nearest_spectra(30, mel.frame_rate)[frame])) <= 1
+
+
+def test_frames_and_spectra_of_the_default_meet_exactly():
+    assert nearest_spectra(6, 60).tolist() == [0, 2, 4, 6, 8, 10]
+    assert nearest_spectra(4, 120, stack=2).tolist() == [0, 2, 4, 6]
+    assert nearest_spectra(7, 125).tolist() == [0, 4, 8, 12, 17, 21, 25]  # 4.17 apart
+
+
+def test_no_drift_in_an_hour():
+    last = 30 * 3600 - 1
+    sample = int(spectra_centres(125 * 3600, 125)[nearest_spectra(last + 1, 125)[last]])
+    assert abs(sample / SAMPLE_RATE - last / 30) <= 0.5 / 125
+
+
+def test_a_pure_tone_peaks_in_its_band(mel):
+    t = torch.arange(SAMPLE_RATE) / SAMPLE_RATE
+    n_mels = mel.filters.shape[1]
+    bands = librosa.mel_frequencies(n_mels + 2, fmin=50, fmax=7600)[1:-1]
+    for frequency in (1000.0, 3000.0):
+        tone = torch.sin(2 * torch.pi * frequency * t).unsqueeze(0)
+        band = int(mel(tone, 40)[0, 0, :, 20].argmax())
+        assert abs(band - int(np.abs(bands - frequency).argmin())) <= 1
+
+
+def test_ten_times_louder_adds_log_of_a_hundred(mel):
+    quiet, loud = mel(noise() * 10, 30), mel(noise() * 100, 30)
+    difference = (loud - quiet)[0, 0, :, 5:25]
+    torch.testing.assert_close(
+        difference, torch.full_like(difference, np.log(100) / 3.5), atol=2e-3, rtol=0
+    )
+
+
+def test_silence_and_beyond_the_clip_are_the_floor(mel):
+    floor = (np.log(FLOOR) + 6.5) / 3.5
+    silent = mel(torch.zeros(1, 100), 20)
+    assert silent[0, 0].numpy() == pytest.approx(floor)
+    assert not silent[0, 1:].any()
+    beyond = mel(noise(0.2), 40, first=60)
+    assert beyond[0, 0, :, 20:].numpy() == pytest.approx(floor)
+
+
+def test_silence_around_a_clip_changes_nothing_in_it(mel):
+    waveform = noise(1.0)
+    hop = SAMPLE_RATE // 5  # a whole number of spectra at both rates
+    padded = torch.nn.functional.pad(waveform, (hop, 5 * SAMPLE_RATE))
+    ahead = int(mel.frame_rate / 5)
+    torch.testing.assert_close(mel(padded, 30, first=ahead)[:, 0], mel(waveform, 30)[:, 0])

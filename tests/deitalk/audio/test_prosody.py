@@ -1,0 +1,65 @@
+"""Prosody measured on voices made by hand: pitch, brightness, and what gain and noise do to them."""
+
+import numpy as np
+import pytest
+
+from deitalk.audio.noise import mix, pink_noise
+from deitalk.audio.prosody import PIECE, measure_prosody, prosody_index, vocal_effort_db
+
+RATE = 16_000
+
+
+def voice(pitch_hz: float = 120.0, fall: float = 2.0, seconds: float = 3.0) -> np.ndarray:
+    """Harmonics whose amplitude falls with their number to some power, in syllables of 0.35 s."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    numbers = np.arange(1, int(7000 / pitch_hz))[:, None]
+    tone = (np.sin(2 * np.pi * pitch_hz * numbers * t) / numbers**fall).sum(axis=0)
+    floor = 1e-5 * np.random.default_rng(0).standard_normal(len(t))
+    return (0.1 * tone * (np.mod(t, 0.5) < 0.35) + floor).astype(np.float32)
+
+
+def test_pitch_in_semitones_over_100_hz():
+    measured = measure_prosody(voice(150.0), 90)
+    assert measured.voiced.sum() > 45
+    expected = 12 * np.log2(150 / 100)
+    np.testing.assert_allclose(np.median(measured.pitch[measured.voiced]), expected, atol=0.15)
+
+
+def test_brightness_by_hand():
+    """Two tones of known amplitude: 10 dB apart."""
+    t = np.arange(2 * RATE) / RATE
+    tones = 0.1 * np.sin(2 * np.pi * 300 * t) + 0.1 / 10**0.5 * np.sin(2 * np.pi * 2100 * t)
+    measured = measure_prosody(tones.astype(np.float32), 60)
+    np.testing.assert_allclose(measured.tilt[5:55], -10, atol=0.05)
+
+
+def test_pieces_are_not_seen(monkeypatch):
+    waveform = voice(seconds=5)
+    whole = measure_prosody(waveform, 150)
+    monkeypatch.setattr("deitalk.audio.prosody.PIECE", 37)
+    for a, b in zip(whole, measure_prosody(waveform, 150), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert PIECE > 150
+
+
+@pytest.mark.parametrize("gain", [0.01, 10.0])
+def test_gain_changes_neither_the_index_nor_the_effort(gain):
+    waveform = voice()
+    waveform[RATE:] *= 0.5
+    plain, scaled = measure_prosody(waveform, 90), measure_prosody(gain * waveform, 90)
+    np.testing.assert_allclose(prosody_index(scaled), prosody_index(plain), atol=1e-3)
+    assert vocal_effort_db(scaled) == pytest.approx(vocal_effort_db(plain), abs=1e-3)
+
+
+def test_effort_is_brightness_and_noise_hardly_changes_it():
+    soft, loud = voice(fall=1.2), voice(fall=0.8)
+    difference = [vocal_effort_db(measure_prosody(w, 90)) for w in (soft, loud)]
+    assert difference[1] - difference[0] > 4
+    noisy = mix(soft, pink_noise(3 * RATE), 10)
+    assert vocal_effort_db(measure_prosody(noisy, 90)) == pytest.approx(difference[0], abs=1.5)
+
+
+def test_silence_and_nothing():
+    assert np.isnan(vocal_effort_db(measure_prosody(np.zeros(RATE, np.float32), 30)))
+    assert len(prosody_index(measure_prosody(np.zeros(0, np.float32), 0))) == 0
+    np.testing.assert_array_equal(prosody_index(measure_prosody(np.zeros(100, np.float32), 1)), 0)

@@ -1,0 +1,262 @@
+"""Voice activity on signals whose onsets are known, and the laws of the gates made of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deitalk.audio.load import load_audio
+from deitalk.audio.voice_activity import (
+    LONGEST_DROWNED,
+    active_level_db,
+    expression_gate,
+    mouth_gate,
+    normalise_level,
+    speech_activity,
+)
+
+RATE = 16000
+
+
+def voice(seconds, rng, level_db=-23.0):
+    """Syllables at 4 Hz: a buzz at 120 Hz through moving formants, in a strong envelope."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    buzz = sum(
+        np.sin(2 * np.pi * 120 * k * t + rng.uniform(0, 6))
+        / (1 + ((120 * k - 500 - 200 * np.sin(2 * np.pi * 2 * t)) / 300) ** 2)
+        for k in range(1, 30)
+    )
+    envelope = 0.03 + 0.97 * np.sin(np.pi * ((4 * t) % 1)) ** 2
+    samples = buzz * envelope
+    return samples * 10 ** (level_db / 20) / np.sqrt(np.mean(samples**2))
+
+
+def noise(seconds, rng, level_db):
+    return rng.normal(0, 10 ** (level_db / 20), round(seconds * RATE))
+
+
+def placed(rng, pieces, level_db=-23.0, noise_db=-70.0):
+    """Speech and pauses of given seconds (pauses negative) in white noise, and the truth (T,)."""
+    parts = [np.zeros(round(-p * RATE)) if p < 0 else voice(p, rng, level_db) for p in pieces]
+    truth = np.concatenate([np.full(round(abs(p) * 30), float(p > 0)) for p in pieces])
+    clean = np.concatenate(parts)
+    return clean + noise(len(clean) / RATE, rng, noise_db), truth
+
+
+def edges(mask):
+    return np.flatnonzero(np.diff(mask))
+
+
+def test_onsets_and_offsets_are_found_within_two_frames(rng):
+    waveform, truth = placed(rng, [-1, 1.5, -0.7, 1, -1.2])
+    activity = speech_activity(waveform)
+    assert activity.dtype == np.float32
+    assert activity.shape == truth.shape
+    assert np.abs(edges(activity) - edges(truth)).max() <= 3  # of which the envelope takes one
+
+
+@pytest.mark.parametrize("level_db", [-60, -50, -35, -10, 0])
+def test_level_plays_no_part(rng, level_db):
+    waveform, truth = placed(rng, [-1, 1.5, -0.7, 1, -1.2], level_db, level_db - 30)
+    in_steps = np.round(waveform * 32768) / 32768  # as a 16-bit file has it
+    assert (speech_activity(in_steps) == truth).mean() > 0.95
+
+
+def test_five_db_of_noise(rng):
+    waveform, truth = placed(rng, [-1, 2, -1, 2, -1], noise_db=-28)
+    activity = speech_activity(waveform)
+    assert activity[truth == 1].mean() > 0.9
+    assert activity[truth == 0].mean() < 0.05
+
+
+def test_a_drowned_syllable_is_no_pause(rng):
+    """0.4 s that cannot be heard: a pause where the recording is clean, perhaps speech in noise."""
+    pieces = [-1, 2, -0.4, 2, -1]
+    gap = slice(30 + 60 + 2, 30 + 60 + 12 - 2)
+    assert not speech_activity(placed(rng, pieces)[0])[gap].any()
+    assert speech_activity(placed(rng, pieces, noise_db=-28)[0])[gap].all()
+    long = [-1, 2, -0.7, 2, -1]
+    assert not speech_activity(placed(rng, long, noise_db=-28)[0])[92:109].any()
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1, 3, 30])
+@pytest.mark.parametrize("level_db", [-70, -40, -6])
+def test_steady_noise_is_silence(rng, seconds, level_db):
+    assert not speech_activity(noise(seconds, rng, level_db)).any()
+
+
+def test_digital_silence(rng):
+    assert not speech_activity(np.zeros(RATE)).any()
+    assert speech_activity(np.zeros(0)).shape == (0,)
+    waveform = np.concatenate([np.zeros(RATE), voice(1, rng), np.zeros(RATE)])
+    activity = speech_activity(waveform)
+    assert not activity[:28].any()
+    assert not activity[63:].any()
+    assert activity[32:58].all()
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.1, 0.19, 0.4, 1, 4])
+def test_speech_from_first_sample_to_last(rng, seconds):
+    activity = speech_activity(voice(seconds, rng))
+    assert activity.mean() > 0.8
+
+
+def test_short_silence_is_silence(rng):
+    assert not speech_activity(np.zeros(800)).any()
+    assert not speech_activity(noise(0.1, rng, -80)).any()
+
+
+def test_noise_floor_follows_a_change(rng):
+    """An air conditioner that starts half way is not a speaker."""
+    waveform = np.concatenate([noise(30, rng, -70), noise(30, rng, -40)])
+    waveform[5 * RATE : 7 * RATE] += voice(2, rng)
+    waveform[50 * RATE : 52 * RATE] += voice(2, rng)
+    activity = speech_activity(waveform)
+    assert activity[152:208].mean() > 0.9
+    assert activity[1502:1558].mean() > 0.9
+    assert activity[220 : 23 * 30].mean() == 0
+    assert activity[37 * 30 : 1490].mean() == 0
+
+
+def test_clicks_are_not_speech(rng):
+    waveform = noise(4, rng, -60)
+    waveform[2 * RATE] = 0.5
+    waveform[3 * RATE] = 0.5
+    assert not speech_activity(waveform).any()
+
+
+def test_no_side_of_time_is_preferred(rng):
+    """Played backwards, speech is active at the mirrored frames: windows are centred on frames."""
+    waveform, _ = placed(rng, [-1, 1.5, -0.7, 1, -1.2])
+    whole = waveform[: 161 * 1600 // 3 + 1]  # frame 161 is the last sample: frames mirror
+    forwards, backwards = speech_activity(whole), speech_activity(whole[::-1])[::-1]
+    assert np.abs(edges(forwards) - edges(backwards)).max() <= 1
+
+
+def test_breath_far_below_the_speech_is_not_speech(rng):
+    parts = [voice(1, rng, -10), np.zeros(RATE), voice(1, rng, -62), np.zeros(RATE)]
+    activity = speech_activity(np.concatenate(parts))
+    assert activity[1:29].all()
+    assert not activity[33:].any()
+    assert speech_activity(np.concatenate(parts[1:]))[31:59].all()  # alone it is speech
+
+
+def test_real_speech_keeps_its_activity_in_noise(shared):
+    found, false = [], []
+    clips = sorted((shared / "data/speech/librispeech").glob("*-0005.mp3"))[:6]
+    for name in ("white_noise", "running_tap"):
+        background = load_audio(shared / f"data/noise/{name}.flac").waveform
+        assert speech_activity(background).mean() < 0.01
+        for clip in clips:
+            speech = np.pad(load_audio(clip).waveform, RATE)
+            truth = speech_activity(speech)
+            scale = 10 ** ((active_level_db(speech) - 5) / 20) / background.std()
+            activity = speech_activity(speech + scale * np.resize(background, len(speech)))
+            found.append(activity[truth == 1].mean())
+            changes = np.flatnonzero(np.diff(truth, prepend=1, append=1))
+            for start, stop in changes.reshape(-1, 2):
+                if stop - start > LONGEST_DROWNED:  # shorter ones are bridged on purpose
+                    false.append(activity[start:stop].mean())
+    assert np.mean(found) > 0.92
+    assert len(false) >= 20
+    assert np.mean(false) < 0.03
+
+
+masks = st.lists(st.tuples(st.booleans(), st.integers(1, 120)), min_size=1, max_size=8).map(
+    lambda runs: np.concatenate([np.full(n, float(b)) for b, n in runs])
+)
+
+
+@given(masks)
+def test_gates_are_open_in_speech_and_move_smoothly(activity):
+    for gate, fastest in ((mouth_gate(activity), 0.36), (expression_gate(activity), 0.17)):
+        assert gate.dtype == np.float32
+        assert gate.shape == activity.shape
+        assert (gate[activity == 1] == 1).all()
+        assert gate.min() >= 0
+        assert np.abs(np.diff(gate)).max(initial=0) <= fastest
+
+
+@given(masks)
+def test_nobody_speaks_nothing_shows(activity):
+    assert not mouth_gate(0 * activity).any()
+    assert not expression_gate(0 * activity).any()
+
+
+def test_mouth_opens_before_and_closes_after():
+    activity = np.zeros(60)
+    activity[20:30] = 1
+    gate = mouth_gate(activity)
+    assert np.flatnonzero(gate).tolist() == list(range(17, 36))  # 0.1 s before, 0.2 s after
+    assert (np.diff(gate[16:21]) > 0).all()
+    assert (np.diff(gate[29:37]) < 0).all()
+
+
+@pytest.mark.parametrize("pause", [10, 12, 30, 100])
+def test_mouth_is_shut_in_pauses(pause):
+    activity = np.concatenate([np.ones(20), np.zeros(pause), np.ones(20)])
+    shut = mouth_gate(activity)[20 : 20 + pause] == 0
+    assert shut.sum() == max(0, pause - 9)  # but for 6 closing and 3 opening frames
+
+
+def test_expression_survives_pauses_of_a_second_and_a_half():
+    activity = np.concatenate([np.ones(20), np.zeros(45), np.ones(20)])
+    assert (expression_gate(activity) == 1).all()
+
+
+def test_expression_decays_in_long_pauses_and_returns_before_speech():
+    activity = np.concatenate([np.ones(20), np.zeros(150), np.ones(20)])
+    gate = expression_gate(activity)
+    assert (gate[:64] == 1).all()
+    assert (gate[95:157] == 0).all()
+    assert (np.diff(gate[157:171]) > 0).all()
+
+
+@pytest.mark.parametrize("trailing", [18, 25, 45, 60, 74, 75, 90, 300])
+def test_face_rests_at_the_end_of_trailing_silence(trailing):
+    activity = np.concatenate([np.zeros(20), np.ones(20), np.zeros(trailing)])
+    gate = expression_gate(activity)
+    assert gate[-1] == 0
+    assert mouth_gate(activity)[-1] == 0
+    assert (np.diff(gate[40:]) <= 0).all()
+
+
+def test_a_clip_cut_in_speech_keeps_its_expression():
+    assert expression_gate(np.concatenate([np.ones(20), np.zeros(6)]))[-1] == 1
+
+
+@pytest.mark.parametrize("trailing_seconds", [0.6, 1.0, 3.0])
+def test_rest_at_the_end_from_the_waveform(rng, trailing_seconds):
+    waveform, _ = placed(rng, [-0.5, 2, -trailing_seconds])
+    activity = speech_activity(waveform)
+    assert mouth_gate(activity)[-1] == 0
+    assert expression_gate(activity)[-1] == 0
+
+
+def test_active_level_leaves_pauses_out(rng):
+    speech = voice(3, rng, -23.0)
+    assert active_level_db(speech) == pytest.approx(-23, abs=0.3)
+    padded = np.concatenate([np.zeros(20 * RATE), speech, np.zeros(30 * RATE)])
+    assert active_level_db(padded) == pytest.approx(-23, abs=0.5)  # its mean level is -35
+    assert active_level_db(np.zeros(RATE)) == -np.inf
+
+
+def test_active_level_by_hand():
+    waveform = np.concatenate([np.full(RATE, 0.1), np.full(RATE, 0.9)])
+    activity = np.concatenate([np.ones(30), np.zeros(30)])
+    assert active_level_db(waveform, activity) == pytest.approx(-20, abs=1e-4)
+    assert np.abs(normalise_level(waveform, -40, activity)).max() == pytest.approx(0.09)
+
+
+@pytest.mark.parametrize("gain_db", [-27, 0, 20])
+def test_normalised_speech_has_the_target_level_whatever_the_gain(rng, gain_db):
+    waveform, _ = placed(rng, [-3, 2, -3])
+    levelled = normalise_level(waveform * 10 ** (gain_db / 20), -30)
+    assert levelled.dtype == np.float32
+    assert active_level_db(levelled) == pytest.approx(-30, abs=0.2)
+
+
+def test_silence_is_not_amplified(rng):
+    hiss = noise(2, rng, -70).astype(np.float32)
+    assert np.array_equal(normalise_level(hiss), hiss)
+    assert not normalise_level(np.zeros(RATE)).any()

@@ -1,0 +1,218 @@
+"""Every option of every command with values that make no sense: one line, before any work."""
+
+import inspect
+import sys
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from typer.main import get_command
+
+from deitalk.cli import app, main
+from deitalk.cli.preview import _beside
+from deitalk.errors import DeitalkError
+from deitalk.models.devices import check_device, require_device
+from rig import default_controls, rest_curves, write_curves
+
+NUMBERS = ["nan", "inf", "-inf", "", "x"]
+HUGE = str(10**30)
+
+
+def functions(group, *path):
+    """Every command as (words to type, function)."""
+    for command in group.registered_commands:
+        yield (*path, command.name or command.callback.__name__), command.callback
+    for below in group.registered_groups:
+        yield from functions(below.typer_instance, *path, below.name)
+
+
+def command_of(path):
+    """What typer makes of a command."""
+    found = get_command(app)
+    for word in path:
+        found = found.commands[word]
+    return found
+
+
+def rows():
+    """Every parameter that takes a value: (words to type, name, option or None, types)."""
+    for path, function in functions(app):
+        made = {parameter.name: parameter for parameter in command_of(path).params}
+        for name, parameter in inspect.signature(function).parameters.items():
+            kind, info = get_args(parameter.annotation)[:2]
+            kinds = {kind, *get_args(kind), *(k for one in get_args(kind) for k in get_args(one))}
+            if bool not in kinds:
+                is_option = type(info).__name__ == "OptionInfo"
+                option = max(made[name].opts, key=len) if is_option else None
+                yield " ".join(path), name, option, kinds
+
+
+ROWS = list(rows())
+FLOATS = [row[:3] for row in ROWS if float in row[3]]
+INTEGERS = [row[:3] for row in ROWS if int in row[3]]
+PATHS = [row[:3] for row in ROWS if Path in row[3]]
+
+
+@pytest.fixture
+def refused(monkeypatch, capsys, tmp_path):
+    """Run a command that must end with one line on stderr; return exit code and line."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["deitalk", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1, lines
+        assert lines[0].startswith("deitalk: ")
+        assert list(tmp_path.iterdir()) == [], "something was written"
+        return ended.value.code, lines[0]
+
+    return run
+
+
+def typed(command, option, value):
+    """A command line with the option, and a file that is not there for every argument."""
+    arguments = [
+        "no-such-file" for p in command_of(command.split()).params if not p.opts[0].startswith("-")
+    ]
+    return [*command.split(), *arguments, f"{option}={value}"]
+
+
+def test_the_table_knows_the_options():
+    named = {(command, option) for command, _, option, _ in ROWS}
+    assert {("animate", "--fps"), ("convert", "--gain"), ("livelink receive", "--port")} <= named
+    assert len(FLOATS) >= 15 and len(INTEGERS) >= 15 and len(PATHS) >= 30
+
+
+@pytest.mark.parametrize("value", NUMBERS)
+@pytest.mark.parametrize(("command", "name", "option"), FLOATS)
+def test_fractions_reject_what_is_no_finite_number(refused, command, name, option, value):
+    code, line = refused(*typed(command, option, value))
+    assert code == 2 and option in line
+
+
+@pytest.mark.parametrize("value", [*NUMBERS, "1.5", HUGE, f"-{HUGE}"])
+@pytest.mark.parametrize(("command", "name", "option"), INTEGERS)
+def test_whole_numbers_reject_what_is_out_of_range(refused, command, name, option, value):
+    code, line = refused(*typed(command, option, value))
+    if command in ("livelink send", "livelink replay") and option == "--port" and "30" in value:
+        assert code == 1 and "1 to 65535" in line
+    else:
+        assert code in (1, 2) and (option in line or "port" in line)
+
+
+@pytest.mark.parametrize(
+    ("command", "option"), [(c, o) for c, n, o in INTEGERS if n in ("seed", "threads", "workers")]
+)
+@pytest.mark.parametrize("value", ["-1", "100000000000"])
+def test_seeds_and_threads_reject_what_no_machine_takes(refused, command, option, value):
+    code, line = refused(*typed(command, option, value))
+    assert code == 2 and option in line
+
+
+@pytest.mark.parametrize(("command", "name", "option"), PATHS)
+def test_paths_reject_the_empty_name(refused, command, name, option):
+    if option is None:
+        arguments = [
+            "" if p.name == name else "no-such-file"
+            for p in command_of(command.split()).params
+            if not p.opts[0].startswith("-")
+        ]
+        code, line = refused(*command.split(), *arguments)
+    else:
+        code, line = refused(*typed(command, option, ""))
+    assert code == 2 and "an empty path" in line and (option or name) in line
+
+
+@pytest.mark.parametrize(
+    "device", ["meta", "mps:7", "cuda:", "cuda:-1", "gpu", "", "[red]", "CPU "]
+)
+@pytest.mark.parametrize("command", [c for c, n, _, _ in ROWS if n == "device"])
+def test_devices_reject_what_torch_has_no_name_for(refused, command, device):
+    code, line = refused(*typed(command, "--device", device))
+    assert code == 2 and repr(device) in line and "cuda:N" in line
+
+
+def test_devices_that_are_not_there_are_refused():
+    import torch
+
+    assert require_device("cpu") == check_device("cpu") == "cpu"
+    with pytest.raises(DeitalkError, match=r"'cuda:987'.*CUDA device"):
+        require_device("cuda:987")
+    if not torch.backends.mps.is_available():
+        with pytest.raises(DeitalkError, match="no Metal"):
+            require_device("mps")
+    with pytest.raises(DeitalkError, match="unknown"):
+        check_device(None)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--start", "1e308"], "time 1e+308 s"),
+        (["--end", "1e308"], "time 1e+308 s"),
+        (["--smooth", "1e308"], "up to 60 s"),
+        (["--smooth", "-1"], "0 or more"),
+        (["--gain", "brow=nan"], "gain of brow is nan"),
+        (["--gain", "brow=1e308"], "within ±1e+06"),
+        (["--offset", "brow=-1e308"], "within ±1e+06"),
+        (["--gain", "[red]=1"], "[red]"),
+        (["--fps", "0"], "fps=0"),
+        (["--rig", "\udcff"], r"\udcff"),
+        (["--to", "a\nb"], r"a\nb"),
+    ],
+)
+def test_convert_rejects_hostile_numbers_and_names(
+    monkeypatch, capsys, tmp_path, options, expected
+):
+    write_curves(tmp_path / "c.csv", rest_curves(5, controls=default_controls()))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["deitalk", "convert", "c.csv", "out.json", *options])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ended.value.code == 1 and expected in line
+    assert [path.name for path in tmp_path.iterdir()] == ["c.csv"]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--host", "\udcff"], "cannot send to"),
+        (["--host", "a" * 70], "cannot send to"),
+        (["--host", ".."], "cannot send to"),
+        (["--subject", "\udcff"], "is no UTF-8"),
+        (["--subject", ""], "subject has 0 bytes"),
+        (["--subject", "x" * 10_000], "subject has 10000 bytes"),
+        (["--port", "65536"], "1 to 65535"),
+        (["--protocol", "[red]"], "[red]"),
+        (["--fps", "-1"], "fps=-1"),
+    ],
+)
+@pytest.mark.parametrize("command", ["send", "replay"])
+def test_livelink_rejects_hostile_addresses(refused, command, options, expected):
+    code, line = refused("livelink", command, "no-such-file", *options)
+    assert code in (1, 2) and expected in line
+
+
+@pytest.mark.parametrize("host", ["\udcff", "a" * 70, "no host"])
+def test_livelink_receive_rejects_hostile_addresses(refused, host):
+    code, line = refused("livelink", "receive", "-o", "take.csv", "--host", host)
+    assert code == 1 and "cannot listen on" in line
+
+
+@pytest.mark.parametrize(
+    "options", [["--emotion", "furious"], ["--intensity", "-1"], ["--rig", "face"]]
+)
+def test_livelink_send_checks_what_only_a_recording_needs(refused, options):
+    assert refused("livelink", "send", "no-such-file", *options)[0] == 1
+
+
+@pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
+def test_preview_keeps_all_of_a_name_but_its_suffix(tmp_path, name):
+    (tmp_path / "take.v2").mkdir()
+    page, video = _beside(tmp_path / name)
+    base = "preview" if name == "take.v2" else name.rpartition(".")[0]
+    assert (page.name, video.name) == (f"{base}.html", f"{base}.mp4")
+    assert page.parent == (tmp_path / name if name == "take.v2" else tmp_path)

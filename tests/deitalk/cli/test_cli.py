@@ -1,0 +1,249 @@
+"""The commands, through their entry point, as a stranger types them."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from typer.testing import CliRunner
+
+from deitalk.cli import app
+from deitalk.config import Config
+from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
+from rig import default_controls, read_curves
+from tests.deitalk.pipeline.test_curves import SMALL
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("model") / "small"
+    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
+    return str(folder)
+
+
+@pytest.fixture
+def speech(tmp_path):
+    path = tmp_path / "speech.wav"
+    soundfile.write(path, speechlike(1.5), 16_000)
+    return str(path)
+
+
+def deitalk(*arguments, stdin=None):
+    """Run the installed command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "deitalk", *map(str, arguments)],
+        input=stdin,
+        capture_output=True,
+        cwd=ROOT,
+        timeout=120,
+    )
+
+
+def refused(*arguments, code=1):
+    """Run a command that must fail with an exit code, one line on stderr and nothing on stdout."""
+    done = deitalk(*arguments)
+    assert done.returncode == code, done.stderr.decode()
+    assert done.stdout == b""
+    lines = done.stderr.decode().splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("deitalk: ")
+    return lines[0]
+
+
+def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
+    done = deitalk("animate", speech, "-e", "happy", "--model", model, "-o", tmp_path / "take")
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout == b""
+    assert b"45 frames" in done.stderr
+    curves = read_curves(tmp_path / "take/curves.csv")
+    assert curves.values.shape == (45, 185)
+
+
+def test_animate_writes_one_file_by_its_suffix_and_tells_machines(tmp_path, model, speech):
+    out = tmp_path / "curves.json"
+    done = deitalk("animate", speech, "--model", model, "-o", out, "--fps", 24, "--json")
+    summary = json.loads(done.stdout)
+    assert summary["frames"] == 45
+    assert read_curves(out).fps == 24
+
+
+@pytest.mark.parametrize("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
+def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech, name):
+    arguments = ["animate", speech, "--model", model, "-o", f"{tmp_path}/{name}"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / name / "take.json").is_file()
+    assert f"{tmp_path / name}: 45 frames" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "printed", "share"),
+    [
+        (["-e", "happy"], "applied intensity 0.{heard} on average (0.{heard} heard", 1.0),
+        (["-e", "happy", "--intensity", "0"], "applied intensity 0.00 on average (0.{heard}", 0.0),
+        (["-e", "happy", "--intensity-curve", "{still}"], "applied intensity 0.00 on", 0.0),
+        ([], "emotion neutral: the neutral reading", 0.0),
+    ],
+)
+def test_animate_says_which_intensity_was_applied(tmp_path, model, speech, options, printed, share):
+    (tmp_path / "still.csv").write_text("time,intensity\n0,0\n")
+    given = [option.format(still=tmp_path / "still.csv") for option in options]
+    arguments = ["animate", speech, "--model", model, *given, "--force", "-o", f"{tmp_path}/c.npz"]
+    summary = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
+    assert summary["mean_intensity"] > 0.1
+    assert summary["mean_applied_intensity"] == pytest.approx(share * summary["mean_intensity"])
+    heard = f"{100 * summary['mean_intensity']:02.0f}"
+    assert printed.format(heard=heard) in CliRunner().invoke(app, arguments).stderr
+
+
+def test_animate_reads_stdin(tmp_path, model, speech):
+    data = Path(speech).read_bytes()
+    out = tmp_path / "c.npz"
+    done = deitalk("animate", "-", "--model", model, "-o", out, stdin=data)
+    assert done.returncode == 0, done.stderr.decode()
+    assert len(read_curves(out)) == 45
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["-e", "furious"], "neutral, angry, happy, sad, surprised"),
+        (["--intensity", "-1"], "-1"),
+        (["--model", "no-such-model"], "no-such-model"),
+        (["--intensity-curve", "no.csv"], "no.csv"),
+        (["--fps", "0"], "fps=0 must be from 0.01 to 1000"),
+        (["-o", "take.xyz"], "'.xyz' is no suffix that is written"),
+        (["-o", "take.v2"], "a folder with a slash: take.v2/"),
+        (["-o", ""], "the name of the output is empty"),
+        (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
+    ],
+)
+def test_animate_refuses_in_one_line(tmp_path, model, speech, options, expected):
+    chosen = [] if "--model" in options else ["--model", model]
+    line = refused("animate", speech, *chosen, "-o", tmp_path / "take", *options)
+    assert expected in line
+    assert not (tmp_path / "take").exists()
+
+
+def test_animate_does_not_overwrite(tmp_path, model, speech):
+    (tmp_path / "curves.csv").write_text("mine")
+    line = refused("animate", speech, "--model", model, "-o", tmp_path / "curves.csv")
+    assert "--force" in line
+    assert (tmp_path / "curves.csv").read_text() == "mine"
+
+
+def test_animate_replaces_a_file_when_told_to(tmp_path, model, speech):
+    out = tmp_path / "curves.csv"
+    out.write_text("mine")
+    done = deitalk("animate", speech, "--model", model, "-o", out, "--force")
+    assert done.returncode == 0, done.stderr.decode()
+    assert len(read_curves(out)) == 45
+
+
+def test_a_mistake_is_told_before_the_network_is_loaded(tmp_path):
+    """No time is lost on torch, whose import takes seconds, nor on a model that is not there."""
+    script = (
+        "import sys; from deitalk.cli import main; "
+        f"sys.argv = ['deitalk', 'animate', 'no.wav', '-o', {str(tmp_path / 'take')!r}]\n"
+        "try: main()\n"
+        "finally: print([m for m in ('torch', 'transformers') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]" and "no.wav" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "expected"),
+    [
+        ("missing.wav", None, "missing.wav"),
+        ("empty.wav", b"", "empty"),
+        ("text.wav", b"this is a letter, not a recording\n" * 20, "text.wav"),
+    ],
+)
+def test_bad_audio_is_refused_in_one_line(tmp_path, model, name, data, expected):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    line = refused("animate", tmp_path / name, "--model", model, "-o", tmp_path / "take")
+    assert expected in line
+
+
+def test_all_silence_is_a_rest_face_not_an_error(tmp_path, model):
+    soundfile.write(tmp_path / "quiet.wav", np.zeros(16_000), 16_000)
+    out = tmp_path / "c.npz"
+    done = deitalk("animate", tmp_path / "quiet.wav", "-e", "angry", "--model", model, "-o", out)
+    assert done.returncode == 0, done.stderr.decode()
+    rest = default_controls().rest
+    np.testing.assert_allclose(read_curves(out).values, np.tile(rest, (30, 1)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["animate"], "deitalk: Missing argument 'speech'; see `deitalk animate --help`"),
+        (["anmate"], "anmate"),
+        (["animate", "a.wav", "--emotoin", "happy"], "--emotoin"),
+        (["animate", "a.wav", "--fps", "many"], "--fps"),
+        (["livelink"], "see `deitalk livelink --help`"),
+        (["convert", "a.csv"], "a target"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected):
+    assert expected in refused(*arguments, code=2)
+
+
+def test_controls_lists_and_filters():
+    run = CliRunner().invoke
+    assert len(json.loads(run(app, ["controls", "--json"]).stdout)) == 185
+    assert len(json.loads(run(app, ["controls", "--set", "lip", "--json"]).stdout)) == 86
+    jaws = json.loads(run(app, ["controls", "jaw.ty", "--json"]).stdout)
+    assert [row["control"] for row in jaws] == ["CTRL_C_jaw.ty"]
+    sizes = {
+        r["set"]: r["controls"]
+        for r in json.loads(run(app, ["controls", "--sets", "--json"]).stdout)
+    }
+    assert sizes["upper_face"] == 18
+
+
+def test_model_info_names_hash_and_control_set(model):
+    about = json.loads(CliRunner().invoke(app, ["model", "info", model, "--json"]).stdout)
+    assert about["control_set"] == "metahuman-185@mh4"
+    assert re.fullmatch("[0-9a-f]{64}", about["sha256"])
+
+
+def test_benchmark_prints_stages_and_the_paper(model):
+    done = CliRunner().invoke(
+        app, ["benchmark", "--model", model, "--seconds", "1", "--repeats", "1", "--json"]
+    )
+    result = json.loads(done.stdout)
+    assert {"audio", "model", "network", "expression"} == set(result["clip"]["stages"])
+    assert result["clip"]["rtf_cpu"] == pytest.approx(result["clip"]["cpu_seconds"])
+    assert result["table_4_clip"]["clip_seconds"] == 5.1
+
+
+def test_every_command_has_help_and_is_in_the_readme():
+    readme = (ROOT / "README.md").read_text()
+    for command in app.registered_commands:
+        name = command.callback.__name__
+        assert command.callback.__doc__, name
+        assert f"deitalk {name}" in readme, name
+    for group in app.registered_groups:
+        assert f"deitalk {group.name} " in readme, group.name
+        for command in group.typer_instance.registered_commands:
+            assert command.callback.__doc__, command.callback.__name__
+
+
+def test_help_is_quick_and_light():
+    script = (
+        "import sys, deitalk.cli; "
+        "print([m for m in ('torch', 'librosa', 'transformers', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,170 @@
+"""What commands print: plain text whatever files are called, and progress for logs."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.main import get_command
+
+from deitalk.cli import app
+from deitalk.cli.console import _Lines, bar, console, emit, emit_json
+from rig import default_controls, rest_curves, write_curves
+from rig.text import as_line, decodable, decodable_values
+
+ROOT = Path(__file__).resolve().parents[3]
+HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_that_look_like_markup_print_as_they_are(name, capsys):
+    console().print(f"{name}: 3 frames")
+    console().note(name)
+    emit(name)
+    printed = capsys.readouterr()
+    assert printed.err == f"{name}: 3 frames\nnote: {name}\n"
+    assert printed.out == f"{name}\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "printed"),
+    [
+        ("caf\udce9.wav", r"caf\xe9.wav"),
+        ("\ud800", r"\ud800"),
+        ("café 日本.wav", "café 日本.wav"),
+        ("two\nlines", r"two\nlines"),
+        ("\x1b[31mred", r"\x1b[31mred"),
+        ("a\u2028b", r"a\u2028b"),
+    ],
+)
+def test_one_line_escapes_what_terminals_cannot_hold(name, printed):
+    assert as_line(name) == printed
+    assert len(as_line(name).encode().splitlines()) == 1
+
+
+def test_decodable_keeps_line_ends_and_text():
+    assert decodable("a\n\tb é") == "a\n\tb é"
+    assert decodable(os.fsdecode(b"\xff\xc3\xa9")) == r"\xff" + "é"
+
+
+def test_emit_json_writes_names_that_are_no_utf8(capsys):
+    emit_json({"\udcff": ["\udcff", ("é", 1.5, None)]})
+    assert json.loads(capsys.readouterr().out) == {r"\xff": [r"\xff", ["é", 1.5, None]]}
+    assert decodable_values({"a": True}) == {"a": True}
+
+
+class Clock:
+    """Seconds that a test sets."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def lines_of(seconds, steps):
+    """Progress of work that takes so many seconds in even steps."""
+    clock, printed = Clock(), []
+    advance = _Lines("working", lambda line: printed.append((clock.now, line)), clock)
+    for step in range(1, steps + 1):
+        clock.now = seconds * step / steps
+        advance(step / steps, f"step {step}")
+    return printed
+
+
+def test_progress_of_short_work_prints_nothing():
+    assert lines_of(2.9, 100) == []
+
+
+def test_progress_prints_a_line_at_every_tenth():
+    printed = lines_of(50.0, 500)
+    assert [when for when, _ in printed] == pytest.approx(np.arange(5, 51, 5))
+    assert printed[0][1] == "working: 10% after 5 s, step 50"
+
+
+def test_progress_of_long_work_prints_every_ten_seconds_then_every_minute():
+    times = np.array([when for when, _ in lines_of(10 * 3600, 36_000)])
+    gaps = np.diff(times)
+    assert gaps[times[1:] < 600] == pytest.approx(10)
+    assert gaps.max() <= 61
+    assert len(times) < 900
+
+
+def test_progress_prints_evaluations_at_once():
+    clock, printed = Clock(), []
+    advance = _Lines("training", printed.append, clock)
+    clock.now = 4.0
+    advance(0.01, "step 1", always=True)
+    clock.now = 4.5
+    advance(0.02, "step 2")
+    assert printed == ["training: 1% after 4 s, step 1"]
+
+
+def test_bar_off_a_terminal_writes_lines_to_stderr(capsys, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("deitalk.cli.console.monotonic", clock)
+    with bar("[red]") as advance:
+        clock.now = 20.0
+        advance(0.5, "[/b]")
+    assert capsys.readouterr().err == "[red]: 50% after 20 s, [/b]\n"
+
+
+def test_train_tells_steps_loss_and_evaluations():
+    from deitalk.cli.train import _told
+
+    told = []
+    progress = _told(lambda share, text, *, always: told.append((share, text, always)))
+    progress(25, 100, {"total": 0.5, "learning_rate": 1e-3})
+    progress(50, 100, {"dev_score": 0.25})
+    assert told == [
+        (0.25, "step 25 of 100, loss 0.5", False),
+        (0.5, "step 50 of 100, score 0.25", True),
+    ]
+
+
+def test_commands_print_through_the_console_only():
+    for path in (ROOT / "deitalk/cli").glob("*.py"):
+        text = path.read_text()
+        if path.name != "console.py":
+            assert not re.search(r"typer\.echo|(?<![.\w])print\(|import rich|from rich", text), path
+
+
+def test_help_holds_nothing_that_reads_as_markup():
+    for command in all_commands(get_command(app)):
+        for text in [command.help, *(getattr(p, "help", "") for p in command.params)]:
+            assert "[" not in (text or ""), f"{command.name}: {text}"
+
+
+def all_commands(command):
+    """A command and those below it."""
+    below = getattr(command, "commands", {}).values()
+    return [command, *(inner for one in below for inner in all_commands(one))]
+
+
+def run(folder, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", "deitalk", *arguments],
+        capture_output=True,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        timeout=120,
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file names")
+@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
+def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
+    source, target = os.path.join(os.fsencode(tmp_path), b"\xff.csv"), b"t\xfe[b].json"
+    write_curves(tmp_path / "c.csv", rest_curves(3, controls=default_controls()))
+    os.rename(tmp_path / "c.csv", source)
+    done = run(tmp_path, "convert", source, target, LC_ALL=locale, PYTHONUTF8="0")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == rb"t\xfe[b].json: json, 3 frames at 30 fps" + b"\n"
+    done = run(tmp_path, "convert", source, target, "--force", "--json", LC_ALL=locale)
+    assert json.loads(done.stdout)["out"] == r"t\xfe[b].json"
+    done = run(tmp_path, "convert", source, target, LC_ALL=locale)
+    assert done.returncode == 1 and done.stderr.startswith(rb"deitalk: t\xfe[b].json exists")

@@ -1,0 +1,156 @@
+"""SIGTERM and SIGHUP: files are cleaned up, one line is said, a live recording is written."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from deitalk.cli import main
+from deitalk.cli.signals import Terminated, held, install
+from deitalk.errors import DeitalkError
+from rig import RigCurves
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.formats.livelink_csv import read_take
+from rig.livelink import make_protocol, send
+
+BOTH = [pytest.param(signal.SIGTERM, id="SIGTERM")]
+if hasattr(signal, "SIGHUP"):
+    BOTH.append(pytest.param(signal.SIGHUP, id="SIGHUP"))
+WRITES_FOR_EVER = """
+import sys, time
+from pathlib import Path
+from deitalk.cli import app, main
+from rig.files import atomic_write
+
+@app.command()
+def write(path: Path):
+    with atomic_write(path) as beside:
+        beside.write_text("half")
+        print("writing", flush=True)
+        time.sleep(60)
+
+main()
+"""
+
+
+@pytest.fixture(autouse=True)
+def same_handlers():
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def start(*command: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_signal_removes_temporary_files_and_is_one_line(number, tmp_path):
+    with start("-c", WRITES_FOR_EVER, "write", str(tmp_path / "out.txt")) as process:
+        assert process.stdout.readline() == "writing\n"
+        assert len(list(tmp_path.iterdir())) == 1
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert said.strip() == f"deitalk: stopped by {number.name}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_removes_temporary_files_and_is_one_line(tmp_path):
+    with start("-c", WRITES_FOR_EVER, "write", str(tmp_path / "out.txt")) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert said.strip() == "deitalk: stopped"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_nohup_keeps_a_command_running(tmp_path):
+    ignoring = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    with start("-c", ignoring + WRITES_FOR_EVER, "write", str(tmp_path / "out.txt")) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(0.3)
+        process.terminate()
+        assert process.communicate(timeout=30)[1].strip() == "deitalk: stopped by SIGTERM"
+
+
+@pytest.mark.parametrize("number", [*BOTH, pytest.param(signal.SIGINT, id="SIGINT")])
+def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number, tmp_path):
+    out = tmp_path / "Take_1_anna.csv"
+    names = arkit_controls().names
+    curves = RigCurves([[0.5] * len(names)] * 20, names, 120.0, control_set=ARKIT_ID)
+    command = ("-m", "deitalk", "livelink", "receive", "-o", str(out), "--port", "0")
+    with start(*command) as process:
+        port = int(re.search(r":(\d+)", process.stderr.readline())[1])
+        sent = send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))
+        time.sleep(0.3)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 0, said
+    assert "frames of 'anna'" in said
+    assert len(read_take(out).ticks) >= sent.n_sent  # a busy machine skips frames
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+
+
+def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():
+    install()
+    with pytest.raises(Terminated) as caught:
+        signal.raise_signal(signal.SIGTERM)
+    assert (caught.value.name, caught.value.exit_code) == ("SIGTERM", 143)
+    signal.raise_signal(signal.SIGTERM)  # 5 s have not passed
+
+
+def test_a_signal_is_named_where_a_library_turns_it_into_an_error(monkeypatch, capsys):
+    def swallow(*_: object, **__: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Terminated:
+            raise DeitalkError("model.safetensors: no safetensors file") from None
+
+    monkeypatch.setattr("deitalk.cli.app", swallow)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 143
+    assert capsys.readouterr().err == "deitalk: stopped by SIGTERM\n"
+
+
+def test_after_a_command_sigterm_ends_the_process_at_once(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["deitalk", "--version"])
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    with pytest.raises(SystemExit):
+        main()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)]
+)
+def test_held_signals_act_after_the_block(number, kind):
+    install()
+    reached = []
+    with pytest.raises(kind), held() as signals:
+        signal.raise_signal(number)
+        reached.append(list(signals))
+    assert reached == [[number]]
+    with held() as signals:
+        signal.raise_signal(number)
+        signals.clear()  # answered: nothing is raised
+
+
+def test_signals_that_nothing_handles_are_not_held():
+    code = (
+        "import os, signal\n"
+        "from deitalk.cli.signals import held\n"
+        "with held():\n    os.kill(os.getpid(), signal.SIGTERM)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == -signal.SIGTERM

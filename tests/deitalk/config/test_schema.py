@@ -1,0 +1,208 @@
+"""Configurations: the papers' numbers, and what a bad file says."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from deitalk.config import Config, MelConfig, Wav2VecConfig, load_config, parse_config
+from deitalk.errors import ConfigError
+
+FOLDER = Path(__file__).resolve().parents[3] / "configs"
+FILES = sorted(FOLDER.glob("*.yaml"))
+
+
+def problem(tree):
+    with pytest.raises(ConfigError) as caught:
+        parse_config(tree)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def written(tmp_path, text):
+    path = tmp_path / "it.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_file_loads_and_is_named_after_itself(path):
+    config = load_config(path)
+    assert config.name == path.stem
+    assert parse_config(config.model_dump(mode="json")) == config
+    assert f"`{path.name}`" in (FOLDER / "README.md").read_text()
+
+
+def test_files_are_the_expected_ones():
+    expected = {"compact", "deitalk", "mel", "sdfa_encoder", "tiny"}
+    assert expected <= {path.stem for path in FILES}
+
+
+def test_deitalk_is_the_paper_word_for_word():
+    config = load_config(FOLDER / "deitalk.yaml")
+    model, loss, data, train = config.model, config.loss, config.data, config.train
+    assert isinstance(model.frontend, Wav2VecConfig)
+    assert model.frontend.checkpoint == "facebook/wav2vec2-base-960h"
+    assert model.frontend.freeze_stem  # §4.1: the TCN of wav2vec 2.0 is fixed
+    assert (model.style_size, model.emotion_size) == (16, 128)  # §3.3, §3.4
+    assert model.motion_channels == (384, 384, 768, 768)  # §4.1
+    assert model.classifier_size == 64
+    assert (model.decoder_channels, model.kernel_size) == (512, 3)
+    assert model.decoder_dilations == (1, 2, 4, 8, 1, 2, 4, 8)
+    assert model.positions
+    assert model.intensity
+    assert model.saliency_frames is None
+    assert not model.decoder_residual
+    assert model.dropout == 0
+    weights = (loss.contrast, loss.classification, loss.position, loss.velocity)
+    assert weights == (0.1, 0.1, 1.0, 4.0)  # §3.5
+    assert loss.temperature == 0.07
+    assert (loss.intensity, loss.contact, loss.control_weights) == (0, 0, {})
+    assert (data.window_frames, data.stride_frames, data.augment) == (128, 5, False)
+    assert (train.optimizer, train.learning_rate, train.batch_size) == ("adam", 1e-4, 32)
+    assert (train.epochs, train.steps, train.schedule) == (300, None, "constant")
+    assert (train.weight_decay, train.gradient_clip, train.ema) == (0, None, None)
+
+
+def test_sdfa_encoder_is_the_paper_word_for_word():
+    config = load_config(FOLDER / "sdfa_encoder.yaml")
+    mel = config.model.frontend
+    assert mel == MelConfig()
+    assert (mel.window_seconds, 1 / mel.frame_rate) == (0.064, 0.008)  # §4.4
+    assert (mel.n_mels, mel.window_frames) == (128, 64)
+    assert mel.conv_channels == (32, 64, 64)  # Table 1
+    assert 2 * mel.spec_hidden * mel.n_mels // 4 == 2048
+    assert mel.spectral_size == 256
+    assert (2 * mel.time_hidden, mel.time_layers) == (512, 2)  # Table 2
+    assert (mel.recurrence, mel.weight_norm, mel.centre) == ("window", True, False)
+    assert config.model_copy(update={"name": "deitalk"}).loss == Config().loss
+
+
+@pytest.mark.parametrize(("recipe", "model"), [("mel", "default"), ("compact", "compact")])
+def test_the_embedded_weights_can_be_continued_by_their_recipe(recipe, model):
+    embedded = FOLDER.parent / "deitalk/models/weights" / model / "config.yaml"
+    assert load_config(FOLDER / f"{recipe}.yaml").model == load_config(embedded).model
+
+
+def test_compact_fits_its_teacher():
+    """The default's data and loss; what is behind the frontend can begin with its weights."""
+    mel, compact = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "compact"))
+    unlike = {"distillation"}
+    assert compact.loss.model_dump(exclude=unlike) == mel.loss.model_dump(exclude=unlike)
+    assert compact.data == mel.data
+    assert compact.train.teacher == "default"
+    decoders = [c.model.model_dump(exclude={"frontend"}) for c in (mel, compact)]
+    assert decoders[0] == decoders[1]
+    assert compact.model.frontend.hidden_size == 2 * mel.model.frontend.time_hidden
+
+
+@pytest.mark.parametrize(
+    ("tree", "key"),
+    [
+        ({"bogus": 1}, "bogus=1"),
+        ({"train": {"batchsize": 8}}, "train.batchsize=8"),
+        ({"model": {"frontend": {"kind": "mel", "mels": 80}}}, "model.frontend.mels=80"),
+    ],
+)
+def test_unknown_key_is_named(tree, key):
+    assert f"{key}: unknown key" in problem(tree)
+
+
+@pytest.mark.parametrize(
+    ("tree", "key"),
+    [
+        ({"train": {"batch_size": 0}}, "train.batch_size=0"),
+        ({"train": {"learning_rate": "fast"}}, "train.learning_rate='fast'"),
+        ({"train": {"learning_rate": float("inf")}}, "train.learning_rate=inf"),
+        ({"train": {"learning_rate": float("nan")}}, "train.learning_rate=nan"),
+        ({"train": {"optimizer": "sgd"}}, "train.optimizer='sgd'"),
+        ({"loss": {"temperature": 0}}, "loss.temperature=0"),
+        ({"loss": {"control_weights": {"jaw": -1}}}, "loss.control_weights.jaw=-1"),
+        ({"data": {"real_fraction": 1.5}}, "data.real_fraction=1.5"),
+        ({"model": {"kernel_size": 4}}, "model.kernel_size=4: must be odd"),
+        ({"model": {"decoder_dilations": []}}, "model.decoder_dilations=[]"),
+        ({"model": {"frontend": {"kind": "mel", "query_frames": 6}}}, "query_frames=6: must be"),
+        ({"model": {"frontend": {"kind": "mel", "window_frames": 5}}}, "longer than window_frames"),
+        ({"model": {"frontend": {"kind": "mel", "time_stack": 2}}}, "recurrence: segment"),
+        ({"model": {"frontend": {"kind": "hubert"}}}, "hubert"),
+        ({"model": 3}, "model=3"),
+    ],
+)
+def test_bad_value_is_named(tree, key):
+    assert key in problem(tree)
+
+
+def test_all_problems_come_at_once():
+    said = problem({"train": {"seeed": 1, "steps": 0}, "nme": "x"})
+    assert all(key in said for key in ("train.seeed", "train.steps", "nme"))
+
+
+def test_a_long_value_is_cut():
+    assert len(problem({"bogus": list(range(10_000))})) < 200
+
+
+def test_configurations_are_frozen():
+    with pytest.raises(ValueError, match="frozen"):
+        Config().name = "other"
+
+
+def test_overrides(tmp_path):
+    path = written(tmp_path, "train: {batch_size: 16}")
+    config = load_config(
+        path,
+        ["train.batch_size=8", "loss.contact=2.5", "model.frontend.kind=mel", "data.augment=true"],
+    )
+    assert config.train.batch_size == 8
+    assert config.loss.contact == 2.5
+    assert config.model.frontend == MelConfig()
+    assert config.data.augment is True
+    assert load_config(path, ["train.steps=5", "train.steps=6"]).train.steps == 6
+    assert load_config(path, ["train.learning_rate=1e-3"]).train.learning_rate == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("train.batch_size", "no '='"),
+        ("name.first=x", "'name' is a value"),
+        ("train.nonsense=1", "train.nonsense=1: unknown key"),
+        ("train.steps=[1", "cannot be read as YAML"),
+    ],
+)
+def test_bad_override(tmp_path, override, said):
+    with pytest.raises(ConfigError) as caught:
+        load_config(written(tmp_path, "name: x"), [override])
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
+def test_file_that_is_no_configuration(tmp_path, text):
+    with pytest.raises(ConfigError) as caught:
+        load_config(written(tmp_path, text))
+    assert "it.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_binary_files(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.yaml"):
+        load_config(tmp_path / "none.yaml")
+    binary = tmp_path / "b.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ConfigError, match=r"b\.yaml"):
+        load_config(binary)
+
+
+def test_a_file_runs_no_code(tmp_path):
+    with pytest.raises(ConfigError):
+        load_config(written(tmp_path, "name: !!python/object/apply:os.getcwd []"))
+
+
+def test_empty_file_is_the_paper(tmp_path):
+    assert load_config(written(tmp_path, "")) == Config()
+
+
+def test_what_is_written_reads_back(tmp_path):
+    config = load_config(FOLDER / "mel.yaml")
+    path = written(tmp_path, yaml.safe_dump(config.model_dump(mode="json")))
+    assert load_config(path) == config

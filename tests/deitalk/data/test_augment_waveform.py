@@ -1,0 +1,143 @@
+"""Augmentation: other voices, rooms and noise, but the same moments."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk.data.augment_waveform import (
+    Surroundings,
+    _coloured,
+    _hiss,
+    _noise,
+    _tone,
+    augment,
+    change_speed,
+    speed_factor,
+)
+from deitalk.errors import DataError
+
+RATE = 16_000
+
+
+def burst(seconds: float = 2.0, at: float = 1.0) -> np.ndarray:
+    t = np.arange(int(seconds * RATE)) / RATE
+    inside = (t >= at) & (t < at + 0.2)
+    rng = np.random.default_rng(0)
+    return (inside * rng.standard_normal(len(t)) * 0.1).astype(np.float32)
+
+
+def rooms() -> Surroundings:
+    room = np.zeros(4000, np.float32)
+    room[700] = 1.0  # the direct sound comes late in the recording
+    room[1500] = 0.5
+    noise = np.random.default_rng(1).standard_normal(8000).astype(np.float32)
+    return Surroundings((noise,), (room,))
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_the_sound_stays_where_it_is(seed):
+    x = burst()
+    y = augment(x, np.random.default_rng(seed), rooms(), [burst(at=0.3)] * 4)
+    assert y.shape == x.shape and y.dtype == np.float32 and np.isfinite(y).all()
+    lags = np.arange(-480, 481)
+    level = np.convolve(np.abs(y), np.ones(160) / 160, "same")
+    rise = [level[RATE + lag + 160] - level[RATE + lag - 160] for lag in lags]
+    assert abs(lags[int(np.argmax(rise))]) <= 320, "the onset is within 20 ms"
+    assert not np.array_equal(y, x)
+
+
+def test_the_input_is_not_changed_and_the_generator_decides():
+    x = burst()
+    before = x.copy()
+    first, again, other = (
+        augment(x, np.random.default_rng(seed), Surroundings()) for seed in (5, 5, 6)
+    )
+    np.testing.assert_array_equal(x, before)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_silence_and_nothing_are_survived():
+    silent = augment(np.zeros(RATE, np.float32), np.random.default_rng(0), Surroundings())
+    assert np.isfinite(silent).all() and np.abs(silent).max() < 0.01
+    assert len(augment(np.zeros(0, np.float32), np.random.default_rng(0), Surroundings())) == 0
+    assert len(change_speed(np.zeros(0, np.float32), 1.2)) == 0
+
+
+@pytest.mark.parametrize("factor", [0.82, 1.0, 1.25])
+def test_speed_moves_pitch_and_time_together(factor):
+    t = np.arange(RATE) / RATE
+    fast = change_speed(np.sin(2 * np.pi * 500 * t).astype(np.float32), factor)
+    assert len(fast) == pytest.approx(RATE / factor, abs=2)
+    peak = np.abs(np.fft.rfft(fast * np.hanning(len(fast)), 1 << 17)).argmax() * RATE / (1 << 17)
+    assert peak == pytest.approx(500 * factor, rel=0.01)
+
+
+def test_speeds_are_those_of_other_vocal_tracts():
+    factors = np.array([speed_factor(np.random.default_rng(i)) for i in range(500)])
+    assert factors.min() >= 0.82 and factors.max() <= 1.25
+    assert 0.15 < (factors == 1).mean() < 0.35
+
+
+def test_surroundings_are_read_in_a_fixed_order_and_an_empty_folder_is_named(tmp_path):
+    for i, name in enumerate(("b.wav", "a.flac")):
+        soundfile.write(tmp_path / name, np.full(100 * (i + 1), 0.1, np.float32), RATE)
+    (tmp_path / "notes.txt").write_text("no sound")
+    read = Surroundings.read(str(tmp_path), None)
+    assert [len(noise) for noise in read.noises] == [200, 100] and read.rooms == ()
+    (empty := tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"empty: holds no \.wav or \.flac"):
+        Surroundings.read(None, str(empty))
+
+
+def bands(sound: np.ndarray) -> np.ndarray:
+    """Level of eight octaves up to 8 kHz, dB."""
+    power = np.abs(np.fft.rfft(sound * np.hanning(len(sound)))) ** 2
+    hertz = np.fft.rfftfreq(len(sound), 1 / RATE)
+    edges = 8000 / 2.0 ** np.arange(8, -1, -1)
+    inside = [(hertz > low) & (hertz <= high) for low, high in pairwise(edges)]
+    return 10 * np.log10([power[mask].mean() + 1e-12 for mask in inside])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_noise_of_every_kind_has_power_one(seed):
+    rng = np.random.default_rng(seed)
+    voices = [np.random.default_rng(i).standard_normal(RATE).astype(np.float32) for i in range(4)]
+    noise = _noise(RATE + 17, rng, rooms().noises, voices)
+    assert noise.shape == (RATE + 17,) and noise.std() == pytest.approx(1, abs=1e-6)
+
+
+def test_hisses_are_of_many_colours():
+    """From brown over white to violet: octaves fall by up to 6 dB each, or rise, hills and all."""
+    levels = np.array([bands(_hiss(4 * RATE, np.random.default_rng(seed))) for seed in range(60)])
+    assert np.ptp(levels, axis=1).min() < 10
+    slopes = np.polyfit(np.arange(8), levels.T, 1)[0]
+    assert slopes.min() < -4 and slopes.max() > 4
+    assert 0.2 < (slopes > 0).mean() < 0.6
+
+
+@pytest.mark.parametrize("slope", [-6.0, 0.0, 4.5])
+def test_a_coloured_noise_turns_by_its_slope(slope):
+    white = np.random.default_rng(1).standard_normal(8 * RATE)
+    turned = bands(_coloured(white, slope)) - bands(white)
+    # a little more than the slope where octaves are tilted within themselves
+    np.testing.assert_allclose(np.diff(turned), slope, atol=0.4)
+
+
+def test_a_hill_stands_where_it_should():
+    white = np.random.default_rng(2).standard_normal(8 * RATE)
+    # two octaves below 8 kHz, 2 kHz: half an octave to either side within its octaves
+    raised = bands(_coloured(white, 0.0, [(2.0, 0.3, 12.0)])) - bands(white)
+    assert raised[[5, 6]].min() > 3 and np.abs(raised[[0, 1, 2, 3]]).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_tone_has_a_pitch_and_no_overtone_folds_back(seed):
+    tone = _tone(2 * RATE, np.random.default_rng(seed))
+    power = np.square(np.abs(np.fft.rfft(tone * np.hanning(len(tone)))))
+    assert power[len(power) * 39 // 40 :].sum() < 1e-4 * power.sum()  # above 7.8 kHz
+    piece = tone[RATE : RATE + 670]
+    echoes = [np.corrcoef(piece[:400], piece[lag : lag + 400])[0, 1] for lag in range(8, 270)]
+    assert max(echoes) > 0.9, "a few hundredths of a second repeat themselves"

@@ -1,0 +1,154 @@
+"""Dataset folders: what is right is read, what is wrong is one line that says how to mend it."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deitalk.data.clips import read_clips, read_intensity, read_phones
+from deitalk.errors import DataError
+from tests.dataset import write_dataset
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture
+def folder(written, tmp_path) -> Path:
+    """A copy whose clips.csv may be spoilt; the files are linked."""
+    for part in ("audio", "curves", "phones", "intensity"):
+        (tmp_path / part).symlink_to(written / part)
+    (tmp_path / "clips.csv").write_bytes((written / "clips.csv").read_bytes())
+    return tmp_path
+
+
+def spoil(folder: Path, column: str, value: str, row: int = 0) -> None:
+    frame = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    if column not in frame:
+        frame[column] = ""
+    frame.loc[row, column] = value
+    frame.to_csv(folder / "clips.csv", index=False)
+
+
+def one_line(folder: Path, match: str) -> None:
+    with pytest.raises(DataError, match=match) as caught:
+        read_clips(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_row_is_a_clip_with_its_files(folder):
+    clips = read_clips(folder)
+    assert [clip.name for clip in clips] == [f"clip{i}" for i in range(6)]
+    assert all(clip.audio.is_file() and clip.curves.is_file() for clip in clips)
+    assert [clip.split for clip in read_clips(folder, "validation")] == ["validation"] * 2
+    assert len(read_clips(folder, "train")) == 4 and read_clips(folder, "test") == []
+
+
+def test_columns_that_may_be_missing_have_their_meaning(folder):
+    frame = pd.read_csv(folder / "clips.csv", dtype=str)
+    frame.drop(columns=["voice", "source", "phones", "intensity"]).to_csv(
+        folder / "clips.csv", index=False
+    )
+    clip = read_clips(folder)[1]
+    assert clip.voice == clip.emotion == "angry" and clip.source == "recording"
+    assert clip.offset_seconds == 0 and clip.phones is None and clip.intensity is None
+
+
+def test_a_byte_order_mark_of_a_spreadsheet_is_no_column_name(folder):
+    text = (folder / "clips.csv").read_text()
+    (folder / "clips.csv").write_text(text, encoding="utf-8-sig")
+    assert len(read_clips(folder)) == 6
+
+
+def test_a_folder_without_clips_csv_is_refused(tmp_path):
+    one_line(tmp_path, r"holds no clips\.csv")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\xff\xfe\x00\x01\x80", b'clip,audio\n"unclosed,1\n', b"a,b\n1,2,3\n4,5,6,7\n"],
+)
+def test_a_file_that_is_no_table_is_refused(folder, content):
+    (folder / "clips.csv").write_bytes(content)
+    one_line(folder, r"clips\.csv: (cannot be read as CSV|lacks the column)")
+
+
+def test_a_missing_column_is_named(folder):
+    frame = pd.read_csv(folder / "clips.csv").drop(columns="speaker")
+    frame.to_csv(folder / "clips.csv", index=False)
+    one_line(folder, r"lacks the column speaker; needs clip, audio")
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "match"),
+    [
+        ("clip", "clip1", "'clip1' appears twice"),
+        ("clip", "", "has no name"),
+        ("emotion", "furious", "emotion 'furious' is unknown; known are neutral, angry"),
+        ("voice", "loud", "voice 'loud' is unknown; known are neutral"),
+        ("split", "dev", "split 'dev' is unknown; known are train, validation, test"),
+        ("audio", "../elsewhere.wav", "leaves the folder"),
+        ("curves", "/etc/passwd", "leaves the folder"),
+        ("audio", "audio/none.flac", "does not exist"),
+        ("audio", "", "does not exist"),
+        ("phones", "phones/none.csv", "does not exist"),
+        ("offset_s", "soon", "offset_s 'soon' of clip 'clip0' must be a number"),
+        ("offset_s", "nan", "offset_s 'nan'"),
+        ("offset_s", "1e9", "within ±3600"),
+    ],
+)
+def test_a_bad_value_is_named_with_the_rule(folder, column, value, match):
+    spoil(folder, column, value)
+    one_line(folder, match)
+
+
+def test_an_offset_is_read_in_seconds(folder):
+    spoil(folder, "offset_s", "-0.25", row=2)
+    assert [clip.offset_seconds for clip in read_clips(folder)][1:4] == [0, -0.25, 0]
+
+
+def test_intensity_is_linear_between_its_rows_and_held_beyond(folder):
+    clip = read_clips(folder)[0]
+    values = read_intensity(clip.intensity, np.array([-1, 0, 0.5, 1, 2, 3, 9.0]))
+    np.testing.assert_allclose(values, [0, 0, 0.4, 0.8, 0.4, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,intensity\n",
+        "time,loud\n0,1\n",
+        "time,intensity\n1,0\n0,1\n",
+        "time,intensity\n0,2\n",
+        "time,intensity\n0,-0.1\n",
+        "time,intensity\n0,high\n",
+        "time,intensity\n0,\n",
+        "",
+    ],
+)
+def test_a_spoilt_intensity_file_is_one_line(tmp_path, text):
+    path = tmp_path / "i.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=r"i\.csv: ") as caught:
+        read_intensity(path, np.zeros(1))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""]
+)
+def test_a_spoilt_phone_file_is_one_line(tmp_path, text):
+    path = tmp_path / "p.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=r"p\.csv: ") as caught:
+        read_phones(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_phone_named_like_a_missing_value_stays_a_phone(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("start,end,phone\n0,0.5,NA\n0.5,1,N\n")
+    assert read_phones(path) == [(0, 0.5, "NA"), (0.5, 1, "N")]

@@ -1,0 +1,241 @@
+"""Windows: sound and curves stay together, and a batch is the same whoever makes it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+import torch
+from torch.utils.data import DataLoader
+
+from deitalk.audio.load import load_audio
+from deitalk.audio.voice_activity import normalise_level
+from deitalk.config import DataConfig
+from deitalk.data.clips import read_clips
+from deitalk.data.windows import (
+    Batches,
+    Material,
+    MaterialCache,
+    count_windows,
+    cut,
+    load_material,
+    n_clip_frames,
+)
+from deitalk.errors import DataError
+from rig import RigCurves, default_controls, read_curves, write_curves
+from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
+
+CONTROLS = default_controls()
+SECONDS_FRAMES = int(SECONDS * 30)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"))
+
+
+def step_material(at: float = 1.0, seconds: float = 2.0) -> Material:
+    """A click and, at the same moment, a step of every curve."""
+    waveform = np.zeros(int(seconds * RATE), np.float32)
+    waveform[round(at * RATE)] = 1
+    times = np.arange(int(seconds * FPS)) / FPS
+    values = np.repeat((times >= at - 1e-9)[:, None], 3, axis=1).astype(np.float16)
+    return Material(waveform, times, values, (times / seconds).astype(np.float32))
+
+
+@pytest.mark.parametrize("speed", [0.82, 1.0, 1.1, 1.25])
+@pytest.mark.parametrize("first", [0, 7, 20])
+def test_a_click_stays_with_the_step_of_the_curves(speed, first):
+    material = step_material()
+    waveform, curves, _, total = cut(material, first, 45, speed)
+    expected = 1.0 / speed - first / 30
+    assert np.abs(waveform).argmax() / RATE == pytest.approx(expected, abs=2 / RATE)
+    crossed = np.interp(0.5, curves[:, 0], np.arange(45) / 30)
+    assert crossed == pytest.approx(expected, abs=1 / 30)
+    assert total == int(np.ceil(60 / speed))
+
+
+def test_the_middle_of_a_clip_is_the_middle_of_the_whole():
+    material = step_material()
+    whole_wave, whole_curves, whole_intensity, _ = cut(material, 0, 60)
+    wave, curves, intensity, _ = cut(material, 21, 20)
+    np.testing.assert_array_equal(wave, whole_wave[21 * RATE // 30 :][: len(wave)])
+    np.testing.assert_allclose(curves, whole_curves[21:41], atol=1e-6)
+    np.testing.assert_allclose(intensity, whole_intensity[21:41], atol=1e-6)
+
+
+def test_beyond_the_end_there_is_silence_and_the_curves_hold():
+    material = step_material(at=1.9)
+    waveform, curves, intensity, total = cut(material, 50, 128)
+    assert len(waveform) == round(128 / 30 * RATE) and len(curves) == 128 and total == 60
+    assert not waveform[round(10 / 30 * RATE) + 1 :].any()
+    assert (curves[12:] == 1).all()
+    assert (intensity[12:] == intensity[-1]).all()
+    outside, _, _, _ = cut(material, 500, 30, 1.1)
+    assert not outside.any()
+
+
+def test_a_window_begins_before_curves_that_start_late():
+    material = step_material()
+    late = material._replace(times=material.times + 0.5)
+    _, curves, _, _ = cut(late, 0, 60)
+    assert np.flatnonzero(curves[:, 0] > 0.5)[0] == 45, "the step is at 1.5 s"
+
+
+def test_frames_of_a_clip_are_counted_in_integers():
+    assert n_clip_frames(132_800) == 249, "8.3 s: 30 * 8.3 is a little more than 249 in floats"
+    assert n_clip_frames(1) == 1 and n_clip_frames(0) == 1 and n_clip_frames(16_000, 1.25) == 24
+
+
+def test_a_clip_in_memory_is_the_recording_to_16_bits(folder):
+    clip = read_clips(folder, "train")[0]
+    material = load_material(clip, CONTROLS)
+    assert material.waveform.dtype == np.int16 and material.values.dtype == np.float16
+    expected = normalise_level(load_audio(clip.audio).waveform)
+    window, *_ = cut(material, 0, SECONDS_FRAMES)
+    np.testing.assert_allclose(window, expected, rtol=0, atol=np.abs(expected).max() / 60_000)
+    # 3 s: 48000 samples of 2 bytes; 180 rows of curves of 2 bytes, times of 8, intensities of 4
+    assert material.n_bytes == 48_000 * 2 + 180 * (185 * 2 + 8 + 4)
+
+
+def test_silence_stays_silence_in_memory(tmp_path):
+    folder = write_dataset(tmp_path, 1, 0)
+    soundfile.write(folder / "audio/0.flac", np.zeros(3 * RATE), RATE, subtype="PCM_16")
+    window, *_ = cut(load_material(read_clips(folder)[0], CONTROLS), 0, SECONDS_FRAMES)
+    assert len(window) == 3 * RATE and not window.any()
+
+
+def test_memory_is_bounded_and_what_was_used_last_stays(folder, monkeypatch):
+    import deitalk.data.windows as module
+
+    clips = read_clips(folder, "train")
+    size = load_material(clips[0], CONTROLS).n_bytes
+    read: list[str] = []
+
+    def reads(clip, controls):
+        read.append(clip.name)
+        return load_material(clip, controls)
+
+    monkeypatch.setattr(module, "load_material", reads)
+    cache = MaterialCache(CONTROLS, max_bytes=2 * size)
+    for i in (0, 1, 0, 2, 0, 1):  # 2 displaces 1, not 0
+        assert cache.read(clips[i]).values.shape == (180, 185)
+        assert cache.n_bytes <= 2 * size
+    assert read == ["clip0", "clip1", "clip2", "clip1"]
+    small = MaterialCache(CONTROLS, max_bytes=1)
+    small.read(clips[0])
+    small.read(clips[0])
+    assert read[4:] == ["clip0"] and small.n_bytes == size, "one clip stays"
+
+
+def config(**changes: object) -> DataConfig:
+    return DataConfig(window_frames=32, stride_frames=5, **changes)  # type: ignore[arg-type]
+
+
+def batches(folder: Path, **changes: object) -> Batches:
+    clips = read_clips(folder, "train")
+    options: dict[str, object] = {"seed": 3, "batch_size": 4} | changes
+    settings = options.pop("config", config(augment=True))
+    return Batches(clips, CONTROLS, settings, **options)  # type: ignore[arg-type]
+
+
+def take(iterable, n: int) -> list:
+    iterator = iter(iterable)
+    return [next(iterator) for _ in range(n)]
+
+
+def same(a, b) -> bool:
+    return all(
+        torch.equal(torch.nan_to_num(x), torch.nan_to_num(y)) for x, y in zip(a, b, strict=True)
+    )
+
+
+def test_a_batch_is_the_same_for_any_number_of_workers(folder):
+    here = take(batches(folder), 4)
+    for workers in (1, 2):
+        there = take(DataLoader(batches(folder), batch_size=None, num_workers=workers), 4)
+        assert all(same(a, b) for a, b in zip(here, there, strict=True)), workers
+    assert not same(here[0], here[1]) and not same(here[0], take(batches(folder, seed=4), 1)[0])
+
+
+def test_processes_share_the_batch_that_one_would_make(folder):
+    whole = take(batches(folder), 2)
+    parts = [take(batches(folder, rank=rank, world=2), 2) for rank in range(2)]
+    for k in range(2):
+        for field in range(len(whole[k])):
+            assert torch.equal(whole[k][field][0::2], parts[0][k][field])
+            assert torch.equal(whole[k][field][1::2], parts[1][k][field])
+
+
+def test_an_interrupted_training_meets_the_batches_it_would_have_met(folder):
+    assert same(take(batches(folder), 5)[3], take(batches(folder, skip=3), 1)[0])
+
+
+def test_a_window_knows_its_place(folder):
+    plain = batches(folder, config=config())
+    for number in range(12):
+        window = plain.window(number)
+        first = int(window.frames[0])
+        assert first % 5 == 0 and int(window.total) == SECONDS * 30
+        assert window.frames.tolist() == list(range(first, first + 32))
+        assert first + 32 <= int(window.total)
+        jaw = window.curves[:, CONTROLS.index(JAW)].numpy()
+        at = (first + np.arange(32)) / 30
+        middle = np.any([(at > s + 0.03) & (at < s + 0.17) for s in CLICKS], axis=0)
+        outside = np.all([(at < s - 0.03) | (at > s + 0.23) for s in CLICKS], axis=0)
+        np.testing.assert_allclose(jaw[middle], 0.6, atol=1e-3)
+        np.testing.assert_allclose(jaw[outside], 0.0, atol=1e-3)
+        sound = window.waveform.numpy()
+        level = [np.abs(sound[round(i / 30 * RATE) :][:500]).max() for i in range(32)]
+        if middle.any() and outside.any():
+            assert np.min(np.array(level)[middle]) > 5 * np.median(np.array(level)[outside])
+        assert window.emotion.sum() == window.voice.sum() == 1
+        assert 0 <= window.intensity.min() and window.intensity.max() <= 0.8 + 1e-6
+
+
+def test_a_teacher_is_given_the_sound_before_augmentation(folder, monkeypatch):
+    import deitalk.data.windows as module
+
+    monkeypatch.setattr(module, "speed_factor", lambda rng: 1.25)
+    drawn = batches(folder, clean=True)
+    for number in range(4):
+        window = drawn.window(number)
+        first, name = int(window.frames[0]), drawn._draw(np.random.default_rng((3, number))).name
+        clip = next(clip for clip in drawn.clips if clip.name == name)
+        sound = cut(load_material(clip, CONTROLS), first, 32, 1.25)[0]
+        np.testing.assert_array_equal(window.clean.numpy(), sound)
+        assert not torch.equal(window.waveform, window.clean)
+    assert len(batches(folder).window(0).clean) == 0, "nobody asked for it"
+
+
+def test_real_speech_has_the_share_it_is_given(folder):
+    drawn = batches(folder, config=config(real_fraction=0.8))
+    sources = [drawn._draw(np.random.default_rng(i)).source for i in range(400)]
+    assert np.mean([s == "recording" for s in sources]) == pytest.approx(0.8, abs=0.06)
+
+
+def test_no_clips_is_one_line():
+    with pytest.raises(DataError, match="no clips to train on"):
+        Batches([], CONTROLS, config(), 0, 4)
+
+
+def test_windows_are_counted_from_the_recordings_lengths(folder):
+    clips = read_clips(folder, "train")
+    # 90 frames: starts 0, 5 .. 55 leave a whole window of 32.
+    assert count_windows(clips, config()) == 4 * 12
+    assert count_windows(clips[:1], DataConfig(window_frames=128, stride_frames=5)) == 1
+
+
+def test_curves_without_frames_or_of_other_controls_are_one_line(folder, tmp_path):
+    clip = read_clips(folder)[0]
+    curves = read_curves(clip.curves)
+    short = tmp_path / "short.csv"
+    short.write_text(",".join(("frame", "time", *CONTROLS.names)) + "\n")
+    changed = clip.__class__(**{**clip.__dict__, "curves": short})
+    with pytest.raises(ValueError, match=r"short\.csv has no rows"):
+        load_material(changed, CONTROLS)
+    few = CONTROLS.names[:180]
+    other = tmp_path / "few.npz"
+    write_curves(other, RigCurves(curves.values[:, :180], few, fps=FPS))
+    with pytest.raises(ValueError, match=r"few\.npz.*lacks 5 controls|control"):
+        load_material(clip.__class__(**{**clip.__dict__, "curves": other}), CONTROLS)

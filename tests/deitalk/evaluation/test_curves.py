@@ -1,0 +1,157 @@
+"""Evaluation: hand-made cases, and the weights we ship on human voices no training heard."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from deitalk.config import load_config
+from deitalk.data.clips import read_clips
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
+from deitalk.evaluation.curves import _groups, as_markdown, evaluate, loudness
+from deitalk.evaluation.report import as_json
+from deitalk.evaluation.validation import load_example
+from deitalk.figures.evaluation import draw
+from deitalk.models.checkpoint import embedded_models, load_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import Performance
+from rig import RigCurves, default_controls
+from tests.conftest import SHARED
+from tests.dataset import write_dataset
+
+
+def test_loudness_is_one_at_the_loudest_and_falls_40_db_to_zero():
+    tone = np.sin(2 * np.pi * 200 * np.arange(32_000) / 16_000).astype(np.float32)
+    tone[16_000:] *= 0.01  # 40 dB less
+    level = loudness(tone, 60)
+    np.testing.assert_allclose(level[5:25], 1, atol=0.02)
+    np.testing.assert_allclose(level[35:55], 0, atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The whole evaluation of an untrained model on a folder written by hand."""
+    folder = write_dataset(tmp_path_factory.mktemp("data"), 1, 2)
+    torch.manual_seed(0)
+    model = DEITalk(
+        load_config(Path(__file__).resolve().parents[3] / "configs/tiny.yaml").model
+    ).eval()
+    seen = []
+    scores = evaluate(
+        model, folder, split="validation", probes=1, noise="pink", progress=seen.append
+    )
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+    return scores
+
+
+def test_every_question_is_answered(report):
+    scores = report["groups"]["test"]
+    assert scores["clips"] == 2
+    assert scores["bilabials"] == 2
+    assert "r C_jaw.ty" in scores
+    assert report["phones"]["test"]["closure"]["M"]["n"] == 2
+    assert set(report["emotions"]["test"]["named"]) == set(EMOTIONS)
+    assert len(report["emotions"]["test"]["distances"]) == 10
+    assert report["lively"]["test"]["pairs_whole"] == 1
+    assert list(report["noise"]) == ["clean", "20 dB", "10 dB", "5 dB", "0 dB"]
+
+
+def test_report_reads_as_tables(report):
+    text = as_markdown(report)
+    assert "| clips | 2 |" in text
+    assert "lip (86" in text
+    assert "| test | closure | M | 2 |" in text
+    assert "- happy-sad: " in text
+    assert "nan" not in text
+    assert json.loads(as_json(report))["groups"]["test"]["clips"] == 2
+    assert "NaN" not in as_json(report)
+
+
+def test_report_is_drawn(report, tmp_path):
+    pytest.importorskip("matplotlib", reason="pictures need matplotlib")
+    draw(report, tmp_path / "report.png")
+    assert (tmp_path / "report.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_model_that_gives_the_target_scores_full_marks(tmp_path, monkeypatch):
+    folder = write_dataset(tmp_path, 0, 2)
+    clips = iter(read_clips(folder, "validation"))
+    controls = default_controls()
+
+    def perfect(recording, emotion, **_):
+        curves = RigCurves(load_example(next(clips), controls).curves, controls.names, fps=30)
+        zeros = np.zeros(len(curves.values), np.float32)
+        return Performance(curves, curves, zeros, zeros, recording, 0)
+
+    monkeypatch.setattr("deitalk.evaluation.curves.animate", perfect)
+    model = SimpleNamespace(controls=controls)
+    scores = evaluate(model, folder, split="validation", probes=0)["groups"]["test"]
+    assert scores["lpe"] == 0
+    assert scores["jaw_r"] == pytest.approx(1)
+    assert scores["bilabial_frame_auc"] == 1
+    assert scores["bilabial_hits_at_5_percent"] == 1
+    assert scores["jaw_lag_ms"] == pytest.approx(0, abs=1)
+
+
+def test_an_empty_split_is_refused(tmp_path):
+    folder = write_dataset(tmp_path, 1, 0)
+    with pytest.raises(DataError, match="no clips in the split 'test'"):
+        evaluate(SimpleNamespace(controls=default_controls()), folder)
+
+
+def test_groups_by_source_language_and_age(tmp_path):
+    folder = write_dataset(tmp_path, 0, 6)
+    table = pd.read_csv(folder / "clips.csv")
+    table["language"] = ["en", "de", "en-gb", "", "en", "de"]
+    table.to_csv(folder / "clips.csv", index=False)
+    groups = {name: len(clips) for name, clips in _groups(folder, "validation").items()}
+    assert groups == {"test": 4, "test de": 2}
+    table["age"] = ["15", "16", "", "40", "unknown", "6"]
+    table.to_csv(folder / "clips.csv", index=False)
+    groups = {
+        name: [c.name for c in clips] for name, clips in _groups(folder, "validation").items()
+    }
+    assert groups == {
+        "test": ["clip2", "clip4"],
+        "test-adults": ["clip3"],
+        "test-adults de": ["clip1"],
+        "test-children": ["clip0"],
+        "test-children de": ["clip5"],
+    }
+
+
+@pytest.fixture(scope="module")
+def held_out(tmp_path_factory):
+    """Recordings of test speakers, aligned, as a dataset folder."""
+    pytest.importorskip("pocketsphinx", reason="alignment needs pocketsphinx")
+    if not (SHARED / "data/speech").is_dir():
+        pytest.skip("needs the development data in ../shared")
+    from deitalk.corpus.build import build, recorded_shards
+    from deitalk.corpus.performance import split_of
+    from deitalk.corpus.recordings import recordings
+
+    everything = recordings(SHARED / "data/speech")
+    readers = [r for r in everything if r.speaker.startswith("librispeech")]
+    chosen = [r for r in readers if split_of(r.speaker) == "test"][::6]
+    out = tmp_path_factory.mktemp("held_out")
+    build(out, recorded_shards(chosen, 0, None), workers=1)
+    return out
+
+
+def test_default_weights_follow_human_voices(held_out):
+    if "default" not in embedded_models():
+        pytest.skip("the default weights are not in this checkout")
+    scores = evaluate(load_model("default"), held_out, probes=0)["groups"]["librispeech"]
+    assert scores["bilabials"] > 50
+    assert scores["bilabial_window_auc"] >= 0.80
+    assert scores["jaw_r"] >= 0.75
+    assert scores["loudness_bilabial_window_auc"] < scores["bilabial_window_auc"] - 0.1
+    assert scores["loudness_jaw_r"] < scores["jaw_r"]
+    assert abs(scores["jaw_lag_ms"]) < 17
+    assert scores["opening_in_silence"] <= 0.01

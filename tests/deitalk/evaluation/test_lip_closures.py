@@ -1,0 +1,101 @@
+"""Closures: hand-made phones and curves with scores worked out by eye. Frame i is at i / 30 s."""
+
+import numpy as np
+import pytest
+
+from deitalk.evaluation.lip_closures import (
+    best_lag,
+    closure_scores,
+    held_closures,
+    summarise_closures,
+)
+
+B = (0.3, 0.4, "B")  # frames 9 to 11; widened 7 to 14
+
+
+def curve(values, n_frames=40):
+    lips = np.zeros(n_frames, np.float32)
+    for frame, value in values.items():
+        lips[frame] = value
+    return lips
+
+
+@pytest.mark.parametrize(("frame", "counts"), [(6, 0), (7, 1), (10, 1), (14, 1), (15, 0)])
+def test_closure_is_widened_by_two_frames(frame, counts):
+    scores = closure_scores(curve({frame: 0.8}), [B])
+    assert scores.closures == pytest.approx([0.8 * counts])
+
+
+def test_frames_inside_are_not_widened():
+    scores = closure_scores(curve({8: 0.1, 9: 0.2, 10: 0.3, 11: 0.4, 12: 0.5}), [B])
+    assert scores.inside == pytest.approx([0.2, 0.3, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("vowel", "clear"),
+    [
+        ((0.0, 0.23, "AH"), True),  # 70 ms before the closure
+        ((0.0, 0.25, "AH"), False),  # 50 ms
+        ((0.47, 0.7, "IY"), True),
+        ((0.45, 0.7, "IY"), False),
+        ((0.47, 0.7, "S"), False),  # no vowel
+    ],
+)
+def test_vowels_keep_away_from_closures(vowel, clear):
+    assert len(closure_scores(curve({}), [B, vowel]).vowels) == clear
+
+
+@pytest.mark.parametrize("name", ["F", "V", "W"])
+def test_vowels_keep_away_from_other_lip_sounds(name):
+    near = closure_scores(curve({}), [(0.3, 0.4, name), (0.4, 0.6, "AA")])
+    assert len(near.vowels) == 0
+    assert len(near.closures) == 0
+
+
+def test_vowel_scores_its_highest_frame():
+    scores = closure_scores(curve({20: 0.3, 22: 0.6, 25: 0.9}), [(0.6, 0.8, "AA")])  # 18 to 23
+    assert scores.vowels == pytest.approx([0.6])
+    assert sorted(scores.outside) == pytest.approx([0, 0, 0, 0, 0.3, 0.6])
+
+
+def test_events_beyond_the_curve_do_not_count():
+    scores = closure_scores(curve({}, 10), [(2.0, 2.1, "M"), (3.0, 3.2, "AA")])
+    assert [len(x) for x in scores] == [0, 0, 0, 0]
+
+
+def test_held_means_two_frames_in_a_row():
+    assert held_closures(curve({9: 0.9, 10: 0.95}), [B]) == [True]
+    assert held_closures(curve({9: 0.95, 11: 0.95}), [B]) == [False]
+    assert held_closures(curve({9: 0.89, 10: 1.0}), [B]) == [False]
+    assert held_closures(curve({9: 1.0, 10: 1.0}), [(0.3, 0.4, "F")]) == []
+
+
+def test_summary_of_two_clips():
+    # closures 1 and 0.2; vowel 0.5: one of two is found, and one of two pairs is in order
+    one = closure_scores(curve({9: 1.0, 10: 1.0, 20: 0.5}), [B, (0.6, 0.8, "AA")])
+    other = closure_scores(curve({9: 0.2}), [B])
+    said = summarise_closures([one, other], [True, False])
+    assert (said.n_closures, said.n_vowels) == (2, 1)
+    assert said.hit_rate == 0.5
+    assert said.window_auc == 0.5
+    assert said.reached == 1  # of those found
+    # inside 1 1 0 | 0.2 0 0, outside 0.5 and five zeros
+    wins = [(p > n) + (p == n) / 2 for p in (1, 1, 0, 0.2, 0, 0) for n in (0.5, 0, 0, 0, 0, 0)]
+    assert said.frame_auc == pytest.approx(np.mean(wins))
+
+
+def test_summary_of_nothing_is_unknown():
+    said = summarise_closures([])
+    assert np.isnan([said.hit_rate, said.window_auc, said.frame_auc, said.reached]).all()
+    assert (said.n_closures, said.n_vowels) == (0, 0)
+
+
+@pytest.mark.parametrize("lag", [-4, -1, 0, 2, 4])
+def test_lag_is_positive_when_the_prediction_is_late(rng, lag):
+    target = rng.standard_normal(200).astype(np.float32)
+    assert best_lag(target, np.roll(target, lag)) == lag
+
+
+def test_lag_of_what_does_not_move_is_zero():
+    assert best_lag(np.zeros(100, np.float32), np.ones(100, np.float32)) == 0
+    assert best_lag(np.arange(5, dtype=np.float32), np.arange(5, dtype=np.float32)) == 0

@@ -1,0 +1,82 @@
+"""A clip heard several times, parts of a spectrum apart: where, and that the mean is taken."""
+
+from fractions import Fraction
+
+import pytest
+import torch
+
+from deitalk.audio.mel import SAMPLE_RATE, MelSpectrogram
+from deitalk.config import ConformerConfig, MelConfig
+from deitalk.frontends import build_frontend
+from deitalk.frontends.chunking import phase_shifts
+
+MEL = {
+    "n_mels": 16,
+    "conv_channels": (4, 4, 4),
+    "spec_hidden": 4,
+    "spectral_size": 12,
+    "time_hidden": 8,
+    "attention_size": 6,
+    "window_seconds": 0.032,
+    "frame_rate": 60,
+    "window_frames": 32,
+    "query_frames": 5,
+    "weight_norm": False,
+}
+CONFORMER = {"n_mels": 16, "stem_channels": 12, "hidden_size": 16, "heads": 2, "layers": 1}
+FRONTENDS = {
+    "segment": lambda phases: MelConfig(**MEL, recurrence="segment", phases=phases),
+    "window": lambda phases: MelConfig(**MEL, recurrence="window", phases=phases),
+    "conformer": lambda phases: ConformerConfig(**CONFORMER, phases=phases),
+}
+
+
+def noise(seconds):
+    generator = torch.Generator().manual_seed(3)
+    return 0.1 * torch.randn(round(seconds * SAMPLE_RATE), generator=generator)
+
+
+def test_phases_by_hand():
+    assert phase_shifts(1, 60) == [0]
+    assert phase_shifts(2, 62.5) == [-64, 64]  # half of 256 samples apart
+    assert phase_shifts(4, 62.5) == [-96, -32, 32, 96]
+    assert phase_shifts(2, 60) == [-67, 67]  # of 266.7
+
+
+@pytest.mark.parametrize("phases", [1, 2, 3, 5])
+@pytest.mark.parametrize("rate", [60, 100, 125])
+def test_phases_divide_a_period_evenly_about_nothing(phases, rate):
+    shifts = phase_shifts(phases, rate)
+    step = Fraction(SAMPLE_RATE, rate * phases)
+    assert [-shift for shift in reversed(shifts)] == shifts
+    for before, after in zip(shifts, [*shifts[1:], shifts[0] + SAMPLE_RATE / rate], strict=True):
+        assert abs(after - before - step) <= 1
+
+
+@pytest.mark.parametrize("shift", [-67, 1, 67])
+def test_a_shifted_spectrum_is_that_of_the_sound_so_much_later(shift):
+    waveform = torch.cat([torch.zeros(1000), noise(1)])  # so that nothing is cut off at its start
+    mel = MelSpectrogram(0.032, 60.0, 16)
+    moved = torch.cat([torch.zeros(max(-shift, 0)), waveform[max(shift, 0) :]]).unsqueeze(0)
+    for first in (0, 20):
+        spectra = mel(waveform.unsqueeze(0), 30, first, shift)
+        torch.testing.assert_close(spectra, mel(moved, 30, first))
+
+
+@pytest.mark.parametrize("make", FRONTENDS.values(), ids=FRONTENDS.keys())
+@torch.no_grad()
+def test_two_phases_are_the_mean_of_two_hearings(make):
+    n_frames = 70  # two segments of the conformer
+    sound = torch.cat([torch.zeros(SAMPLE_RATE // 2), noise(n_frames / 30 - 1)])
+    torch.manual_seed(1)
+    once = build_frontend(make(1)).eval()
+    twice = build_frontend(make(2)).eval()
+    twice.load_state_dict(once.state_dict())
+    early = once.encode(torch.cat([torch.zeros(67), sound]), n_frames)
+    late = once.encode(sound[67:], n_frames)
+    rows = twice.encode(sound, n_frames)
+    torch.testing.assert_close(rows, (early + late) / 2)
+    assert (early - late).abs().max() > 100 * (rows - (early + late) / 2).abs().max()
+    torch.testing.assert_close(
+        twice(sound.unsqueeze(0), n_frames), once(sound.unsqueeze(0), n_frames)
+    )

@@ -1,0 +1,335 @@
+"""The wav2vec frontend against transformers itself, on a tiny random checkpoint; no download."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from transformers import HubertConfig, Wav2Vec2Config, Wav2Vec2FeatureExtractor, Wav2Vec2Model
+
+from deitalk.config import Wav2VecConfig
+from deitalk.errors import CheckpointError, ConfigError
+from deitalk.frontends.wav2vec import COMPACT_SCALE, PUBLISHED, Wav2VecFrontend
+from tests.closeness import SHARE, assert_same
+
+TINY = {
+    "conv_dim": (32,) * 7,
+    "hidden_size": 32,
+    "num_hidden_layers": 2,
+    "num_attention_heads": 2,
+    "intermediate_size": 64,
+    "num_conv_pos_embeddings": 16,
+    "num_conv_pos_embedding_groups": 2,
+}
+
+
+@pytest.fixture(autouse=True)
+def offline(monkeypatch):
+    import huggingface_hub.constants as constants
+
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+
+
+@pytest.fixture
+def checkpoint(tmp_path):
+    torch.manual_seed(0)
+    folder = tmp_path / "tiny"
+    Wav2Vec2Model(Wav2Vec2Config(**TINY, layerdrop=0.99)).save_pretrained(folder)
+    Wav2Vec2FeatureExtractor(do_normalize=True).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture
+def speech(rng):
+    t = np.arange(2 * 16000) / 16000
+    samples = np.sin(2 * np.pi * 150 * t) * np.sin(2 * np.pi * 3 * t) ** 2 * 0.1
+    return torch.tensor(samples + rng.normal(0, 0.01, t.shape), dtype=torch.float32)
+
+
+def assert_one_line(error, *words):
+    message = str(error.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_features_are_those_of_transformers(checkpoint, speech):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    model = Wav2Vec2Model.from_pretrained(checkpoint).eval()
+    extractor = Wav2Vec2FeatureExtractor.from_pretrained(checkpoint)
+    values = extractor(speech.numpy() + 0.3, sampling_rate=16000, return_tensors="pt").input_values
+    with torch.no_grad():
+        expected = model(values).last_hidden_state
+        features = frontend.features(speech[None] + 0.3)
+    assert features.shape == (1, (32000 - 400) // 320 + 1, 32)
+    assert_same(features, expected)
+
+
+def test_a_checkpoint_that_is_not_normalised_hears_the_samples_as_they_are(checkpoint, speech):
+    Wav2Vec2FeatureExtractor(do_normalize=False).save_pretrained(checkpoint)
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    with torch.no_grad():
+        expected = frontend.encoder(speech[None]).last_hidden_state
+        assert torch.equal(frontend.features(speech[None]), expected)
+
+
+def test_geometry_comes_from_the_configuration(checkpoint):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint))
+    assert (frontend.receptive_field, frontend.stride) == (400, 320)
+    other = Wav2VecFrontend.from_config(
+        TINY | {"conv_dim": (8, 8), "conv_kernel": (4, 3), "conv_stride": (2, 3)}
+    )
+    # feature 0 of the second layer sees 3 features of the first, 2 samples apart and 4 long
+    assert (other.receptive_field, other.stride) == (8, 6)
+
+
+def test_one_feature_sees_exactly_its_receptive_field():
+    frontend = Wav2VecFrontend.from_config(TINY).eval()
+    stem = frontend.encoder.feature_extractor
+    with torch.no_grad():
+        quiet = torch.randn(1, 4000, generator=torch.manual_seed(0)) * 0.01
+        for sample, heard in ((639, False), (640, True), (1039, True), (1040, False)):
+            click = quiet.clone()
+            click[0, sample] += 1
+            change = (stem(click) - stem(quiet))[0, :, 2]
+            assert bool(change.abs().max() > 1e-6) is heard, sample
+
+
+def test_rows_are_exact_in_time():
+    """Features that hold their own time in seconds give rows that hold theirs."""
+    frontend = Wav2VecFrontend.from_config(TINY)
+    seconds = (torch.arange(99, dtype=torch.float64) * 320 + 199.5) / 16000
+    rows = frontend._rows(seconds.view(1, -1, 1), 0, 60, first_sample=0)[0, :, 0]
+    inside = torch.arange(1, 59)  # frame 0 is before the first feature, 59 before the last
+    torch.testing.assert_close(rows[inside], inside.double() / 30, atol=1e-9, rtol=0)
+    assert rows[0] == seconds[0]
+
+
+def test_rows_by_hand():
+    frontend = Wav2VecFrontend.from_config(TINY)
+    ramp = torch.arange(6, dtype=torch.float64).view(1, -1, 1)
+    rows = frontend._rows(ramp, 0, 5, first_sample=0)[0, :, 0]
+    # (i * 533.33 - 199.5) / 320
+    expected = [0, 1.0432291667, 2.7098958333, 4.3765625, 5]
+    np.testing.assert_allclose(rows, expected, atol=1e-9)
+    later = frontend._rows(ramp, 3, 5, first_sample=640)[0, :, 0]
+    np.testing.assert_allclose(later, [2.3765625, 4.0432291667], atol=1e-9)
+
+
+def test_forward_has_the_contracts_shape(checkpoint, speech):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    batch = torch.stack([speech, speech.flip(0)])
+    rows = frontend(batch, 60)
+    assert rows.shape == (2, 60, frontend.output_size)
+    assert_same(rows[1:], frontend(batch[1:], 60))
+    torch.testing.assert_close(rows[:1], frontend(10 * batch[:1] + 1, 60), atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("n_samples", [1, 399, 534])
+def test_very_short_clips(n_samples):
+    frontend = Wav2VecFrontend.from_config(TINY).eval()
+    n_frames = -(-30 * n_samples // 16000)
+    rows = frontend.encode(torch.zeros(n_samples), n_frames)
+    assert rows.shape == (n_frames, 32)
+    assert rows.isfinite().all()
+
+
+def test_frozen_stem_gets_no_gradient_and_the_rest_does(checkpoint, speech):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).train()
+    frontend(speech[None], 60).square().sum().backward()
+    stem = frontend.encoder.feature_extractor
+    assert all(p.grad is None and not p.requires_grad for p in stem.parameters())
+    rest = {n: p for n, p in frontend.named_parameters() if p.requires_grad}
+    assert rest and not any("feature_extractor" in name for name in rest)
+    assert all(p.grad is not None for p in rest.values())  # nothing unused: fit for DDP
+
+
+@pytest.mark.parametrize("freeze_stem", [True, False])
+def test_freezing_is_a_choice(checkpoint, speech, freeze_stem):
+    config = Wav2VecConfig(checkpoint=str(checkpoint), freeze_stem=freeze_stem)
+    frontend = Wav2VecFrontend.build(config)
+    frontend(speech[None], 60).sum().backward()
+    learns = [p.grad is not None for p in frontend.encoder.feature_extractor.parameters()]
+    assert learns == [not freeze_stem] * len(learns)
+
+
+def test_compact_encoder_learns_its_stem_and_is_small(speech):
+    frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=None)).train()
+    n_parameters = sum(p.numel() for p in frontend.parameters())
+    assert 6e6 < n_parameters < 7e6
+    assert frontend.output_size == 256
+    assert frontend.input_scale == COMPACT_SCALE
+    frontend(speech[None], 60).sum().backward()
+    assert all(p.grad is not None for p in frontend.encoder.feature_extractor.parameters())
+
+
+def test_unit_variance_of_speech_at_the_normalised_level():
+    assert (10 ** (-23 / 20) * COMPACT_SCALE) == pytest.approx(1)
+
+
+def test_a_clip_of_one_chunk_is_encoded_at_once(checkpoint, speech):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    with torch.no_grad():
+        whole = frontend(speech[None], 60)[0]
+    assert torch.equal(frontend.encode(speech, 60), whole)
+
+
+def local_frontend():
+    """A compact encoder whose layers see nearby features only, so that chunks can be exact."""
+    torch.manual_seed(0)
+    frontend = Wav2VecFrontend.from_config(TINY | {"num_hidden_layers": 1}).eval()
+    for layer in frontend.encoder.encoder.layers:
+        torch.nn.init.zeros_(layer.attention.out_proj.weight)
+    return frontend
+
+
+@pytest.mark.parametrize("n_frames", [61, 90, 119, 121, 200, 301])
+def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
+    """With attention out of the way only the bookkeeping is left, and it is exact."""
+    frontend = local_frontend()
+    waveform = torch.tensor(rng.normal(0, 0.07, n_frames * 1600 // 3), dtype=torch.float32)
+    with torch.no_grad():
+        whole = frontend(waveform[None], n_frames)[0]
+    chunked = frontend.encode(waveform, n_frames, chunk_seconds=2, overlap_seconds=1)
+    assert chunked.shape == whole.shape
+    # the position convolution (8 features on either side) is cut at a chunk's edge, where the
+    # cross-fade gives it little weight; elsewhere the two agree to rounding
+    difference = (chunked - whole).abs().amax(1)
+    assert difference.median() < SHARE * whole.abs().max()
+    assert difference.max() < 0.15 * whole.std()
+
+
+@pytest.mark.parametrize("kind", ["group", "layer"])
+def test_chunks_with_attention_stay_close_to_the_whole(rng, kind):
+    """Random attention looks everywhere, the worst case; the tolerance is 5 % of the spread."""
+    torch.manual_seed(0)
+    frontend = Wav2VecFrontend.from_config(TINY | {"feat_extract_norm": kind}).eval()
+    waveform = torch.tensor(rng.normal(0, 0.07, 30 * 16000), dtype=torch.float32)
+    with torch.no_grad():
+        whole = frontend(waveform[None], 900)[0]
+    chunked = frontend.encode(waveform, 900, chunk_seconds=10, overlap_seconds=2)
+    assert (chunked - whole).square().mean().sqrt() < 0.05 * whole.std()
+
+
+def test_cross_fade_has_no_seam(checkpoint, rng):
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    waveform = torch.tensor(rng.normal(0, 0.07, 20 * 16000), dtype=torch.float32)
+    with torch.no_grad():
+        whole = frontend(waveform[None], 600)[0].diff(dim=0).norm(dim=1)
+    chunked = frontend.encode(waveform, 600, chunk_seconds=4, overlap_seconds=1).diff(dim=0)
+    assert chunked.norm(dim=1).max() < 1.2 * whole.max()
+
+
+def test_the_longest_piece_encoded_is_a_chunk(monkeypatch):
+    frontend = Wav2VecFrontend.from_config(TINY).eval()
+    lengths = []
+    encoded = frontend._encoded
+
+    def spy(waveform):
+        lengths.append(waveform.shape[-1])
+        return encoded(waveform)
+
+    monkeypatch.setattr(frontend, "_encoded", spy)
+    frontend.encode(torch.zeros(60 * 16000), 1800, chunk_seconds=6, overlap_seconds=1)
+    assert len(lengths) == 12
+    assert max(lengths) <= 6 * 16000 + 2 * 400 + 320
+
+
+def test_overlap_must_fit_the_chunk():
+    frontend = Wav2VecFrontend.from_config(TINY)
+    with pytest.raises(ConfigError, match="at least twice"):
+        frontend.encode(torch.zeros(16000), 30, chunk_seconds=2, overlap_seconds=1.5)
+
+
+def test_shape_alone_needs_no_weights(checkpoint):
+    (checkpoint / "model.safetensors").unlink()
+    frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint)), pretrained=False)
+    assert frontend.output_size == 32
+    assert frontend.input_scale is None
+
+
+def test_shape_survives_a_configuration(checkpoint):
+    """What a saved model keeps is enough to build it where there is no checkpoint."""
+    first = Wav2VecFrontend.from_pretrained(str(checkpoint))
+    config = Wav2VecConfig(checkpoint="someone/gone", encoder=first.encoder_config)
+    again = Wav2VecFrontend.build(config, pretrained=False)
+    again.load_state_dict(first.state_dict())
+    assert json.dumps(first.encoder_config)
+
+
+@pytest.mark.slow
+def test_the_papers_encoder_is_built_without_the_hub():
+    frontend = Wav2VecFrontend.build(Wav2VecConfig(), pretrained=False)
+    assert frontend.output_size == 768
+    n_parameters = sum(p.numel() for p in frontend.parameters())
+    assert n_parameters == pytest.approx(94.4e6, rel=1e-3)  # wav2vec 2.0 base, published as 95M
+
+
+def test_missing_checkpoint_offline_names_the_way_out():
+    with pytest.raises(CheckpointError, match="cannot find") as error:
+        Wav2VecFrontend.from_pretrained(PUBLISHED)
+    assert_one_line(error, PUBLISHED, "hf download", "mel frontend")
+
+
+@pytest.mark.parametrize("name", ["no/such/folder/at/all", "not a name", "/", ""])
+def test_names_that_are_no_checkpoint(name):
+    with pytest.raises(CheckpointError) as error:
+        Wav2VecFrontend.from_pretrained(name)
+    assert_one_line(error)
+
+
+def test_pickles_are_not_read(checkpoint):
+    weights = Wav2Vec2Model.from_pretrained(checkpoint).state_dict()
+    (checkpoint / "model.safetensors").unlink()
+    torch.save(weights, checkpoint / "pytorch_model.bin")
+    with pytest.raises(CheckpointError, match=r"model\.safetensors") as error:
+        Wav2VecFrontend.from_pretrained(str(checkpoint))
+    assert_one_line(error)
+
+
+def test_damaged_weights(checkpoint):
+    path = checkpoint / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="save it again") as error:
+        Wav2VecFrontend.from_pretrained(str(checkpoint))
+    assert_one_line(error)
+
+
+def test_weights_of_another_shape(checkpoint):
+    config = json.loads((checkpoint / "config.json").read_text())
+    (checkpoint / "config.json").write_text(json.dumps(config | {"num_hidden_layers": 3}))
+    with pytest.raises(CheckpointError, match="lacks 16 weights") as error:
+        Wav2VecFrontend.from_pretrained(str(checkpoint))
+    assert_one_line(error)
+    (checkpoint / "config.json").write_text(json.dumps(config | {"hidden_size": 64}))
+    with pytest.raises(CheckpointError) as error:
+        Wav2VecFrontend.from_pretrained(str(checkpoint))
+    assert_one_line(error)
+
+
+def test_another_kind_of_model(tmp_path):
+    HubertConfig().save_pretrained(tmp_path)
+    with pytest.raises(CheckpointError, match="'hubert' model") as error:
+        Wav2VecFrontend.from_pretrained(str(tmp_path))
+    assert_one_line(error, PUBLISHED)
+
+
+def test_another_sample_rate(checkpoint):
+    Wav2Vec2FeatureExtractor(sampling_rate=8000).save_pretrained(checkpoint)
+    with pytest.raises(CheckpointError, match="hears 8000 Hz"):
+        Wav2VecFrontend.from_pretrained(str(checkpoint))
+
+
+@pytest.mark.parametrize(
+    ("encoder", "words"),
+    [
+        ({"hiden_size": 32}, "hiden_size"),
+        ({"hidden_size": 30, "num_attention_heads": 4}, "impossible"),
+        ({"conv_dim": (32, 32)}, "impossible"),
+    ],
+)
+def test_impossible_shapes(encoder, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        Wav2VecFrontend.build(Wav2VecConfig(checkpoint=None, encoder=encoder))
+    assert_one_line(error)

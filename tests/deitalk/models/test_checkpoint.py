@@ -1,0 +1,175 @@
+"""Model folders: what was saved is what is read, and every damage is one line."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from deitalk.config import Config, load_config
+from deitalk.errors import CheckpointError
+from deitalk.models.checkpoint import (
+    describe_model,
+    embedded_models,
+    load_model,
+    model_folder,
+    save_model,
+)
+from deitalk.models.curve_model import DEITalk
+from rig import default_controls
+
+TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load_config(TINY)
+
+
+@pytest.fixture(scope="module")
+def model(config) -> DEITalk:
+    torch.manual_seed(1)
+    return DEITalk(config.model).eval()
+
+
+@pytest.fixture
+def folder(config, model, tmp_path) -> Path:
+    save_model(tmp_path / "model", model, config, {"step": 3})
+    return tmp_path / "model"
+
+
+def predict(model: DEITalk) -> torch.Tensor:
+    torch.manual_seed(0)
+    waveform = 0.1 * torch.randn(8000)
+    return model.decode(model.analyse(waveform, 15), torch.eye(5)[2].expand(15, -1))
+
+
+def refused(folder: Path | str, match: str) -> None:
+    with pytest.raises(CheckpointError, match=match) as caught:
+        load_model(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_model_read_again_predicts_the_same_bit_for_bit(folder, model):
+    read = load_model(folder)
+    assert not read.training
+    assert torch.equal(predict(read), predict(model))
+    assert sorted(p.name for p in folder.glob("[!.]*")) == [
+        "config.yaml",
+        "model.json",
+        "model.safetensors",
+    ]
+    assert load_config(folder / "config.yaml") == load_config(TINY)
+
+
+def test_whoever_may_read_the_card_may_read_the_weights(folder):
+    modes = {p.name: p.stat().st_mode & 0o777 for p in folder.iterdir()}
+    assert modes["model.safetensors"] == modes["model.json"]
+
+
+def test_half_precision_halves_the_file_and_changes_little(folder, config, model, tmp_path):
+    save_model(tmp_path / "half", model, config, {}, half=True)
+    ratio = (tmp_path / "half/model.safetensors").stat().st_size / (
+        folder / "model.safetensors"
+    ).stat().st_size
+    assert ratio < 0.75, "a tiny model's header weighs too"
+    stored = load_file(tmp_path / "half/model.safetensors")
+    assert {v.dtype for v in stored.values() if v.is_floating_point()} == {torch.float16}
+    half = load_model(tmp_path / "half")
+    assert next(half.parameters()).dtype == torch.float32
+    assert (predict(half) - predict(model)).abs().max() < 5e-3
+
+
+def test_saving_again_replaces_own_files_only(folder, config, model):
+    (folder / "notes.txt").write_text("mine")
+    save_model(folder, model, config, {"step": 9})
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert describe_model(folder)["training"] == {"step": 9}
+    assert [p.name for p in folder.parent.iterdir()] == ["model"], "nothing is left beside it"
+
+
+def test_a_model_describes_itself(folder, model):
+    about = describe_model(folder)
+    assert about["control_set"] == "metahuman-185@mh4" and about["training"] == {"step": 3}
+    assert about["parameters"] == sum(p.numel() for p in model.parameters())
+    assert about["bytes"] == (folder / "model.safetensors").stat().st_size
+    assert len(about["sha256"]) == 64 and "controls" not in about
+
+
+def test_describing_a_model_imports_no_torch(folder):
+    code = (
+        "import sys; from deitalk.models.checkpoint import describe_model; "
+        f"describe_model({str(folder)!r}); sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_folder_without_a_model_lists_what_there_is(tmp_path):
+    refused(tmp_path, "no model there .*name a folder or one of")
+    refused("no-such-model", "no-such-model: no model there")
+    assert set(embedded_models()) == {"default", "compact", "sdfa", "mesh_head"}
+    for name in embedded_models():
+        assert model_folder(name).is_dir()
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
+def test_damaged_weights_are_refused(folder, content):
+    (folder / "model.safetensors").write_bytes(content)
+    refused(folder, r"model\.safetensors(: no safetensors file| is empty|, its header, is no JSON)")
+
+
+def test_a_truncated_download_is_refused(folder):
+    path = folder / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    refused(folder, "no safetensors file")
+
+
+def test_weights_that_are_not_finite_are_refused(folder):
+    path = folder / "model.safetensors"
+    weights = load_file(path)
+    name = next(k for k, v in weights.items() if v.is_floating_point() and v.numel() > 1)
+    weights[name] = weights[name] * torch.nan
+    save_file(weights, path)
+    refused(folder, "is not finite")
+
+
+def test_weights_of_another_configuration_are_refused(folder, config):
+    other = config.model_copy(
+        update={"model": config.model.model_copy(update={"decoder_channels": 24})}
+    )
+    save_model(folder.parent / "other", DEITalk(other.model), other, {})
+    (folder / "model.safetensors").write_bytes(
+        (folder.parent / "other/model.safetensors").read_bytes()
+    )
+    refused(folder, "weights do not fit .*config.yaml .*is .*, not .*; both must be of one model")
+
+
+def spoil(folder: Path, **changes: object) -> None:
+    about = json.loads((folder / "model.json").read_text())
+    (folder / "model.json").write_text(json.dumps(about | changes))
+
+
+def test_another_control_set_is_refused(folder):
+    spoil(folder, control_set="somebody-52@1")
+    refused(folder, "made for control set 'somebody-52@1', this deitalk drives 'metahuman-185@mh4'")
+    spoil(folder, control_set="metahuman-185@mh4", controls=list(default_controls().names[::-1]))
+    refused(folder, "made for control set")
+
+
+def test_another_version_is_refused(folder):
+    spoil(folder, format_version=99)
+    refused(folder, "format version 99, this deitalk reads 1")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format_version": 1}', "nonsense"])
+def test_a_damaged_description_is_refused(folder, text):
+    (folder / "model.json").write_text(text)
+    refused(folder, r"model\.json: missing or damaged")
+
+
+def test_a_weight_file_beyond_the_limit_is_not_read(folder, monkeypatch):
+    monkeypatch.setattr("rig.limits.WEIGHTS_BYTES", 10)
+    refused(folder, "at most 10 bytes are read")

@@ -1,0 +1,204 @@
+"""The network: sizes by hand, chunks against the whole, batches against single runs."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+import deitalk.models.curve_model
+from deitalk.config import MelConfig, ModelConfig, load_config
+from deitalk.models.curve_model import DECODE_FRAMES, Analysis, DEITalk
+from deitalk.models.intensity import temporal_maximum
+from deitalk.models.positions import dynamic_positions
+from tests.closeness import SHARE, assert_same
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+MEL = {
+    "n_mels": 16,
+    "conv_channels": (4, 4, 4),
+    "spec_hidden": 4,
+    "spectral_size": 12,
+    "time_hidden": 8,
+    "attention_size": 6,
+    "window_seconds": 0.032,
+    "frame_rate": 60,
+    "window_frames": 16,
+    "query_frames": 3,
+    "recurrence": "segment",
+    "weight_norm": False,
+    "centre": True,
+}
+SMALL = {
+    "emotion_size": 8,
+    "motion_channels": (8, 8),
+    "classifier_size": 4,
+    "decoder_channels": 24,
+    "decoder_residual": True,
+}
+
+
+def build(**settings):
+    torch.manual_seed(6)
+    model = DEITalk(ModelConfig(frontend=MelConfig(**MEL), **(SMALL | settings))).eval()
+    with torch.no_grad():
+        model.decoder.output.weight.normal_(std=0.2)
+    return model
+
+
+def place(frames, total, first=0):
+    return torch.arange(first, first + frames).unsqueeze(0), torch.tensor([total])
+
+
+def styles(*indices):
+    return F.one_hot(torch.tensor(indices), 5).float()
+
+
+def count(module):
+    return sum(p.numel() for p in module.parameters())
+
+
+def test_paper_has_the_sizes_of_section_four():
+    """configs/deitalk.yaml without the download, and without numbers in its weights."""
+    with torch.device("meta"):
+        model = DEITalk(load_config(CONFIGS / "deitalk.yaml").model, pretrained=False).eval()
+        frames, total = place(15, 100, first=40)
+        inputs = torch.randn(1, 8000), styles(3), frames, total, torch.zeros(1, 15, 185)
+    assert count(model.frontend) == 94_371_712  # wav2vec 2.0 base
+    stem = count(model.frontend.encoder.feature_extractor)
+    trainable = sum(p.numel() for p in model.frontend.parameters() if p.requires_grad)
+    assert trainable == 94_371_712 - stem - 768  # fixed: the stem and the unused mask embedding
+    joined = 16 + 128
+    decoder = 5 * 16 + ((768 + joined) * 3 * 512 + 512) + 7 * ((512 + joined) * 3 * 512 + 512)
+    assert count(model.decoder) == decoder + 512 * 185 + 185
+    motion = 3 * (185 * 384 + 384 * 384 + 384 * 768 + 768 * 768) + 2 * (384 + 768)
+    assert count(model.motion) == motion + 768 * 128 + 128
+    classifier = (128 * 64 + 64) + (64 * 5 + 5)
+    assert count(model.intensity) == 768 * 128 + 128 + classifier + 2  # slope and offset are ours
+    with torch.no_grad(), torch.device("meta"):
+        out = model(*inputs)
+    assert out.curves.shape == (1, 15, 185)
+    assert out.intensity.guidance.shape == (1, 15, 128)
+    assert out.intensity.saliency.shape == (1, 15)
+    assert out.emotion_logits.shape == (1, 5)
+    assert out.motion_embedding.shape == (1, 128)
+
+
+def test_sdfa_encoder_hands_512_features_to_the_decoder():
+    model = DEITalk(load_config(CONFIGS / "sdfa_encoder.yaml").model).eval()
+    assert model.decoder.layers[0].conv.in_channels == 512 + 16 + 128
+    with torch.no_grad():
+        out = model(
+            torch.randn(2, 3200), styles(0, 4), torch.arange(6).expand(2, 6), torch.ones(2) * 90
+        )
+    assert out.curves.shape == (2, 6, 185)
+
+
+@torch.no_grad()
+def test_forward_is_the_stages_in_order():
+    model = build()
+    waveform, curves = 0.1 * torch.randn(2, 16_000), torch.rand(2, 30, 185)
+    frames = torch.stack((torch.arange(30), torch.arange(50, 80)))
+    total, emotion = torch.tensor([30, 200]), styles(1, 3)
+    out = model(waveform, emotion, frames, total, curves)
+    speech = model.frontend(waveform, 30)
+    said = model.intensity(speech)  # S_emo hears the speech, not its place (Fig. 2)
+    placed = speech + dynamic_positions(frames, total, 16)
+    torch.testing.assert_close(out.curves, model.decoder(placed, emotion, said.guidance))
+    torch.testing.assert_close(out.emotion_logits, model.intensity.classify(said.features))
+    torch.testing.assert_close(out.motion_embedding, temporal_maximum(model.motion(curves)))
+    without = model(waveform, emotion, frames, total)
+    assert without.motion_embedding is None
+    assert torch.equal(without.curves, out.curves)  # captured curves only teach
+
+
+@torch.no_grad()
+def test_clips_of_a_batch_do_not_meet():
+    model = build()
+    waveform = 0.1 * torch.randn(2, 16_000)
+    frames, total = torch.stack((torch.arange(30), torch.arange(9, 39))), torch.tensor([30, 60])
+    both = model(waveform, styles(1, 4), frames, total)
+    for i, emotion in enumerate((1, 4)):
+        one = model(waveform[i : i + 1], styles(emotion), frames[i : i + 1], total[i : i + 1])
+        assert_same(both.curves[i], one.curves[0])
+        assert_same(both.intensity.strength[i], one.intensity.strength[0])
+
+
+@torch.no_grad()
+def test_whole_clip_equals_one_forward():
+    model = build()
+    waveform, n = 0.1 * torch.randn(16_000 * 3), 90
+    frames, total = place(n, n)
+    one = model(waveform.unsqueeze(0), styles(2), frames, total)
+    analysis = model.analyse(waveform, n)
+    assert_same(analysis.saliency, one.intensity.saliency[0])
+    curves = model.decode(analysis, styles(2).expand(n, -1))
+    assert_same(curves, one.curves[0])
+
+
+@pytest.mark.parametrize("saliency_frames", [None, 31, 121])
+@torch.no_grad()
+def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
+    model = build(saliency_frames=saliency_frames)
+    n = 2 * DECODE_FRAMES + 300
+    speech = torch.randn(n, 16)
+    monkeypatch.setattr(model.frontend, "encode", lambda waveform, frames, **_: speech[:frames])
+    emotion = torch.rand(n, 5).softmax(dim=-1)
+
+    def read():
+        analysis = model.analyse(torch.zeros(1), n)
+        return analysis, model.decode(analysis, emotion)
+
+    pieces, curves = read()
+    monkeypatch.setattr(deitalk.models.curve_model, "DECODE_FRAMES", n)
+    whole, expected = read()
+    for piece, one in zip(pieces, whole, strict=True):
+        assert_same(piece, one)
+    assert_same(curves, expected)
+    direct = model.intensity(speech.unsqueeze(0))
+    torch.testing.assert_close(whole.saliency, direct.saliency[0])
+    assert curves.std(dim=0).min() > 1e-2
+
+
+@torch.no_grad()
+def test_decoding_needs_its_margin(monkeypatch):
+    """Thirty frames and not one fewer: the test above would see it."""
+    model = build()
+    n = DECODE_FRAMES + 200
+    analysis = Analysis(torch.randn(n, 16), torch.randn(n, 8), None, None)
+    emotion = styles(1).expand(n, -1)
+    exact = model.decode(analysis, emotion)
+    model.decoder.margin = 20
+    wrong = (model.decode(analysis, emotion) - exact).abs().amax(dim=1) > SHARE * exact.abs().max()
+    moved = wrong.nonzero().flatten()
+    assert DECODE_FRAMES - 10 <= int(moved[0]) <= int(moved[-1]) < DECODE_FRAMES + 10
+
+
+@torch.no_grad()
+def test_place_in_the_clip_matters_only_with_positions():
+    waveform = 0.1 * torch.randn(1, 16_000)
+    for positions in (True, False):
+        model = build(positions=positions)
+        start = model(waveform, styles(1), *place(30, 300, 0)).curves
+        later = model(waveform, styles(1), *place(30, 300, 200)).curves
+        assert torch.equal(start, later) is not positions
+
+
+@torch.no_grad()
+def test_without_intensity():
+    model = build(intensity=False)
+    out = model(0.1 * torch.randn(1, 16_000), styles(1), *place(30, 30))
+    assert (out.intensity, out.emotion_logits, out.motion_embedding) == (None, None, None)
+    analysis = model.analyse(torch.randn(16_000), 30)
+    assert analysis[1:] == (None, None, None)
+    assert model.decode(analysis, styles(1).expand(30, -1)).shape == (30, 185)
+
+
+def test_begins_at_the_face_at_rest():
+    torch.manual_seed(0)
+    model = DEITalk(ModelConfig(frontend=MelConfig(**MEL), **SMALL)).eval()
+    with torch.no_grad():
+        curves = model(0.1 * torch.randn(1, 16_000), styles(0), *place(30, 30)).curves[0]
+    assert (curves - torch.tensor(model.controls.rest)).abs().max() < 0.3
+    wrinkle = curves[:, model.controls.index("CTRL_L_nose_wrinkleUpper.ty")]
+    assert (wrinkle - 1).abs().max() < 0.3

@@ -1,0 +1,112 @@
+"""Dynamic emotional intensity against Eq. 4-6, by hand."""
+
+import pytest
+import torch
+
+from deitalk.models.intensity import (
+    DynamicIntensity,
+    MotionEncoder,
+    emotional_saliency,
+    local_maximum,
+    temporal_maximum,
+)
+
+
+def module(saliency_frames=None, in_size=6, emotion_size=4):
+    torch.manual_seed(1)
+    return DynamicIntensity(in_size, emotion_size, 8, 5, saliency_frames).eval()
+
+
+def identity(saliency_frames=None):
+    """S_emo is the speech itself."""
+    plain = module(saliency_frames, 2, 2)
+    with torch.no_grad():
+        plain.project.weight.copy_(torch.eye(2))
+        plain.project.bias.zero_()
+    return plain
+
+
+def test_equations_by_hand():
+    # s_max = (4, 3); cosines with (4, 0), (0, 3), (-4, -3): 4/5, 3/5, -1
+    said = identity()(torch.tensor([[[4.0, 0.0], [0.0, 3.0], [-4.0, -3.0]]]))
+    assert said.embedding.tolist() == [[4, 3]]
+    torch.testing.assert_close(said.saliency, torch.tensor([[0.8, 0.6, -1.0]]))
+    expected = torch.tensor([[[3.2, 0.0], [0.0, 1.8], [4.0, 3.0]]])
+    torch.testing.assert_close(said.guidance, expected)
+
+
+def test_the_frame_that_is_the_maximum_has_saliency_one():
+    said = identity()(torch.tensor([[[1.0, 0.0], [2.0, 5.0], [0.0, 1.0]]]))
+    assert said.saliency[0, 1].item() == pytest.approx(1)
+
+
+def test_zero_vector_has_saliency_zero():
+    assert emotional_saliency(torch.zeros(1, 3, 4), torch.ones(1, 4)).tolist() == [[0, 0, 0]]
+
+
+def test_saliency_does_not_depend_on_scale():
+    features, embedding = torch.randn(2, 9, 4), torch.randn(2, 4)
+    torch.testing.assert_close(
+        emotional_saliency(7 * features, 3 * embedding), emotional_saliency(features, embedding)
+    )
+
+
+def test_local_maximum_against_a_loop():
+    features = torch.randn(1, 20, 3)
+    pooled = local_maximum(features, 7)
+    for t in range(20):
+        expected = features[0, max(t - 3, 0) : t + 4].amax(dim=0)
+        assert torch.equal(pooled[0, t], expected)
+
+
+def test_window_over_the_whole_clip_is_the_whole_clip():
+    speech = torch.randn(2, 30, 6)
+    whole, local = module(None)(speech), module(61)(speech)
+    torch.testing.assert_close(local.saliency, whole.saliency)
+    torch.testing.assert_close(local.guidance, whole.guidance)
+    assert not torch.allclose(module(9)(speech).saliency, whole.saliency, atol=1e-3)
+
+
+def test_a_piece_with_the_clips_embedding_is_a_piece_of_the_clip():
+    speech = torch.randn(1, 30, 6)
+    whole = module()(speech)
+    piece = module()(speech[:, 10:15], whole.embedding)
+    torch.testing.assert_close(piece.saliency, whole.saliency[:, 10:15])
+
+
+@pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
+def test_strength_rises_with_saliency_whatever_was_learnt(slope):
+    plain = identity()
+    with torch.no_grad():
+        plain.slope.fill_(slope)
+    turn = torch.linspace(0, 3.1, 40)
+    speech = torch.stack((turn.cos(), turn.sin()), dim=-1).unsqueeze(0)
+    said = plain(speech, torch.tensor([[1.0, 0.0]]))
+    assert (said.strength.diff() < 0).all()
+    assert said.strength.min() >= 0
+    assert said.strength.max() <= 1
+
+
+def test_classifier_averages_the_logits_of_frames():
+    plain = module()
+    features = torch.randn(3, 8, 4)
+    each = torch.stack([plain.classify(features[:, t : t + 1]) for t in range(8)])
+    torch.testing.assert_close(plain.classify(features), each.mean(dim=0))
+
+
+def test_temporal_maximum_takes_every_feature_from_its_own_frame():
+    assert temporal_maximum(torch.tensor([[[1.0, 9.0], [5.0, 2.0]]])).tolist() == [[5, 9]]
+
+
+def test_motion_encoder_sees_fifteen_frames_either_side():
+    torch.manual_seed(0)
+    encoder = MotionEncoder(5, (8, 8, 8, 8), 3, 4)
+    for layer in encoder.layers:
+        layer.conv.weight.data.abs_()
+    curves = torch.rand(1, 60, 5)
+    changed = curves.clone()
+    changed[0, 30] += 10
+    out = encoder(curves)
+    assert out.shape == (1, 60, 4)
+    moved = (encoder(changed) != out).any(dim=-1)[0].nonzero().flatten()
+    assert (int(moved[0]), int(moved[-1])) == (15, 45)

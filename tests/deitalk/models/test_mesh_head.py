@@ -1,0 +1,248 @@
+"""A mesh head on DEITalk's features: the seam, emotion by heart, intensity's laws, its folder."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.config import Config, load_config, parse_config
+from deitalk.data.mesh_folder import MeshSequence, read_mesh_folder, write_mesh_folder
+from deitalk.data.mesh_sources import act, acted_clips, head_templates
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.evaluation import mesh_emotion as expression_module
+from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
+from deitalk.models import mesh_head as module
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.deformation_decoder import InversePCA
+from deitalk.models.mesh_checkpoint import load_sdfa, mesh_kind, save_sdfa
+from deitalk.models.mesh_head import Direction
+from deitalk.pipeline.mesh import animate_mesh
+from deitalk.training import mesh as train_module
+from deitalk.training.mesh import train_sdfa
+from tests.dataset import write_dataset
+from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+STYLES = {"happy": 1.0, "sad": -0.8}
+
+
+def write_network(folder, seed=0):
+    """A tiny DEITalk model of new weights."""
+    torch.manual_seed(seed)
+    config = load_config(CONFIGS / "tiny.yaml")
+    assert isinstance(config, Config)
+    save_model(folder, DEITalk(config.model, pretrained=False), config, {})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    return write_network(tmp_path_factory.mktemp("network") / "m")
+
+
+@pytest.fixture
+def open_ears(monkeypatch):
+    """Tones are no speech: show everything, and hear what the network hears."""
+    monkeypatch.setattr(module, "expression_gate", lambda activity: np.ones_like(activity))
+    monkeypatch.setattr(module, "heard_intensity", lambda strength, *rest: strength)
+
+
+def tiny(network, **train):
+    return parse_config(
+        {
+            "kind": "sdfa",
+            "model": {
+                "frontend": {"kind": "deitalk", "model": str(network)},
+                "shared_size": 48,
+                "branch_sizes": [48, 32],
+                "weight_norm": False,
+            },
+            "data": {"fps": 30, "augment": False},
+            "train": {"segment_frames": 8, "batch_size": 16, "steps": 4, **train},
+        }
+    )
+
+
+def head(network, templates=None, layers=None):
+    torch.manual_seed(1)
+    if layers is None:
+        layers = {"stretch": InversePCA(3, 6 * 18), "rotation": InversePCA(4, 3 * 18)}
+        for layer in layers.values():
+            layer.components.normal_(std=0.05)
+            layer.mean.normal_(std=0.01)
+    templates = templates or {"ann": sheet(4)}
+    config = tiny(network).model
+    kind = mesh_kind(config)
+    return kind(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
+
+
+def whole(model, sound, *direction):
+    rows = list(model.coefficients(sound, 0, Direction.of(*direction)))
+    return torch.cat([torch.cat((row["stretch"], row["rotation"]), dim=1) for row in rows])
+
+
+def test_the_seam_is_the_last_layer(network):
+    """What is described, through the decoder's last layer, is what is decoded."""
+    deitalk = head(network).encoder.network
+    analysis = deitalk.analyse(torch.from_numpy(noise(1.0)), 30)
+    emotion = torch.eye(5)[torch.arange(30) % 5]
+    described = deitalk.describe(analysis, emotion)
+    torch.testing.assert_close(
+        deitalk.models.rig_decoder.output(described), deitalk.decode(analysis, emotion)
+    )
+    assert described.std(dim=0).max() > 1e-3
+
+
+def test_the_network_stays_as_it_is_and_outside(network):
+    model = head(network)
+    assert not any(p.requires_grad for p in model.encoder.network.parameters())
+    weights = {name for name in model.state_dict() if not name.startswith("decoder.")}
+    assert weights == {"encoder.mean", "encoder.deviation"}
+    model.train()
+    assert not model.encoder.network.training
+
+
+def test_intensity_scales_the_expression(network, open_ears):
+    model, sound = head(network), noise(1.0)
+    plain, once, twice = (whole(model, sound, "angry", amount) for amount in (0.0, 1.0, 2.0))
+    torch.testing.assert_close(plain, whole(model, sound, "neutral"))
+    torch.testing.assert_close(twice - plain, 2 * (once - plain), rtol=1e-3, atol=1e-5)
+    assert (once - plain).abs().max() > 1e-3
+    other = whole(model, sound, "happy")
+    assert (other - once).abs().max() > 1e-3
+
+
+def test_silence_is_the_template(network):
+    """The mean shape of a basis is not at rest; where nobody speaks the face is."""
+    model = head(network)
+    for branch in model.decoder.branches.values():  # a mean that the components can undo
+        layer = branch.inverse_pca
+        layer.mean = 0.3 * layer.components.sum(dim=0)
+    silent = model.predict_mesh(np.zeros(RATE, np.float32), direction=Direction.of("happy"))
+    np.testing.assert_allclose(silent, np.tile(sheet(4).vertices, (30, 1, 1)), atol=1e-4)
+
+
+def emotional_sheets(folder, emotions=STYLES):
+    """One speaker says one thing; happy goes outwards, sad inwards."""
+    template = sheet()
+    sequences = [
+        MeshSequence(e, "ann", "train", partial(spoken, template, STYLES.get(e, 0)), emotion)
+        for e, emotion in zip(STYLES, emotions, strict=True)
+    ]
+    write_mesh_folder(
+        folder, {"ann": template}, sequences, fps=30, unit_mm=10, lips=LIPS, basis_frames=24,
+        basis_error_mm=0.2,
+    )  # fmt: skip
+    return folder
+
+
+def test_emotion_is_learnt_by_heart(network, tmp_path, open_ears):
+    """The sound is the same: only the emotion can tell which motion is asked for."""
+    data = emotional_sheets(tmp_path / "meshes")
+    assert [clip.emotion for clip in read_mesh_folder(data).clips] == list(STYLES)
+    config = tiny(
+        network, steps=250, learning_rate=3e-3, evaluate_every=250, lip_weight=1.0, ema=0.9
+    )
+    train_sdfa(config, data, tmp_path / "run")
+    model = load_sdfa(tmp_path / "run/best")
+    template = model.template(0)
+    for emotion, style in STYLES.items():
+        waveform, truth = spoken(template, style)
+        given = model.predict_mesh(waveform, direction=Direction.of(emotion))
+        error, motion = (np.linalg.norm(truth - x, axis=-1) for x in (given, template.vertices))
+        assert error.mean() < 0.25 * motion.mean()
+
+
+def test_features_are_standardised(network):
+    encoder = head(network).encoder
+    rows = torch.randn(500, encoder.output_size) * 0.07 + 2
+    rows[:, 0] = 5  # one that never varies
+    encoder.fit(rows)
+    given = encoder(rows.T[None, None], torch.arange(0, 500, 2))[0]
+    torch.testing.assert_close(given, encoder.standardised(rows[::2]))
+    assert given.mean(dim=0).abs().max() < 0.2
+    assert given[:, 1:].std(dim=0).sub(1).abs().max() < 0.2 and given[:, 0].abs().max() < 1e-3
+
+
+def test_clips_of_no_emotion_are_refused(network, tmp_path):
+    data = emotional_sheets(tmp_path / "meshes", emotions=["happy", ""])
+    with pytest.raises(DataError, match=r"does not say which emotion sad acts; fill"):
+        train_sdfa(tiny(network), data, tmp_path / "run")
+
+
+def test_folder_knows_whose_features_it_decodes(tmp_path):
+    network = write_network(tmp_path / "network")
+    model, sound = head(network), noise(0.5)
+    save_sdfa(tmp_path / "m", model, tiny(network), {}, half=False)
+    back = load_sdfa(tmp_path / "m")
+    direction = Direction.of("sad")
+    np.testing.assert_array_equal(
+        back.predict_mesh(sound, direction=direction),
+        model.predict_mesh(sound, direction=direction),
+    )
+    (network / "model.safetensors").unlink()
+    with pytest.raises(CheckpointError, match="no model there"):
+        load_sdfa(tmp_path / "m")
+    write_network(network, seed=5)
+    with pytest.raises(CheckpointError, match=r"other weights than those of .*train it again"):
+        load_sdfa(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    "section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}]
+)
+def test_bad_configuration(section):
+    tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
+    with pytest.raises(ConfigError, match=r"data\.fps=30, data\.augment=false") as caught:
+        parse_config(tree | section)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_performance_in_an_emotion(network, tmp_path, open_ears):
+    save_sdfa(tmp_path / "m", head(network), tiny(network), {})
+    from deitalk.audio.load import write_wav
+
+    write_wav(tmp_path / "a.wav", noise(1.0))
+    happy, plain = (animate_mesh(tmp_path / "a.wav", e, model=tmp_path / "m") for e in
+                    ("happy", "neutral"))  # fmt: skip
+    assert happy.vertices.shape == plain.vertices.shape == (30, 16, 3)
+    assert np.abs(happy.vertices - plain.vertices).max() > 1e-3
+
+
+def test_every_emotion_is_scored_beside_the_curves(network, tmp_path, monkeypatch):
+    """A head that never moves, on heads: its errors are the motion itself; nothing rises."""
+    monkeypatch.setattr(expression_module, "MOST", 1)
+    monkeypatch.setattr(expression_module, "INTENSITIES", (1.0,))
+    data = write_dataset(tmp_path / "d", 1, 5)
+    templates = head_templates((0,))
+    count = len(next(iter(templates.values())).faces)
+    layers = {"stretch": InversePCA(1, 6 * count), "rotation": InversePCA(1, 3 * count)}
+    model = head(network, templates, layers)
+    for layer in layers.values():
+        layer.components[:] = 1e-6
+    report = evaluate_mesh(model, data, split="validation", most=2)
+    clips = acted_clips(data, "validation", None, 2)
+    assert set(report["groups"]) == {"all", *(clip.emotion for clip in clips)}
+    assert report["groups"]["all"]["clips"] == len(clips) == 2
+    clip = clips[0]
+    scores, (_, truth) = report["groups"][clip.emotion], act(clip, 0, 30)
+    moved = np.linalg.norm(truth - model.template(0).vertices, axis=-1)
+    assert scores["mesh_mm"] == pytest.approx(10 * moved.mean(), rel=0.01)
+    assert scores["lips_mm"] == pytest.approx(scores["still_mm"], rel=0.01)
+    assert scores["curves_lips_mm"] > 0
+    corners = report["expression"]["corners"]
+    assert set(corners) == set(EMOTIONS[1:])
+    assert np.abs(corners["happy"]["model"]).max() < 0.05
+    assert "| corners | happy |" in as_markdown(report)
+
+
+def test_lips_are_asked_for_before_anything_is_built(tmp_path, monkeypatch):
+    (tmp_path / "vocaset/unposedcleaneddata").mkdir(parents=True)
+    monkeypatch.setattr(train_module, "open_meshes", lambda *a: pytest.fail("built first"))
+    config = load_config(CONFIGS / "sdfa_small.yaml")
+    with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
+        train_sdfa(config, tmp_path / "vocaset", tmp_path / "run")

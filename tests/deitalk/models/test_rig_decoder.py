@@ -1,0 +1,103 @@
+"""Emotion-guided decoder against a loop over Eq. 7."""
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from deitalk.models.rig_decoder import RigDecoder
+
+DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
+
+
+def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12):
+    torch.manual_seed(2)
+    return RigDecoder(
+        in_size=10,
+        style_size=3,
+        guidance_size=guidance_size,
+        channels=channels,
+        dilations=DILATIONS,
+        kernel_size=3,
+        n_emotions=5,
+        rest=torch.tensor([0.0, 1.0, 0.5]),
+        dropout=dropout,
+        residual=residual,
+    )
+
+
+def inputs(frames=90, guidance_size=4):
+    emotion = F.one_hot(torch.tensor([2]), 5).float()
+    return torch.randn(1, frames, 10), emotion, torch.randn(1, frames, guidance_size)
+
+
+@pytest.mark.parametrize("residual", [False, True])
+def test_equals_equation_seven_frame_by_frame(residual):
+    net = decoder(residual=residual)
+    speech, emotion, guidance = inputs(25)
+    style = net.style.weight[:, 2]  # a one-hot picks a column
+    rows = list(speech[0])
+    for i, (layer, dilation) in enumerate(zip(net.layers, DILATIONS, strict=True)):
+        joined = [torch.cat((row, style, e)) for row, e in zip(rows, guidance[0], strict=True)]
+        weight, bias = layer.conv.weight, layer.conv.bias
+        out = []
+        for t in range(25):
+            value = bias.clone()
+            for tap, shift in enumerate((-dilation, 0, dilation)):
+                if 0 <= t + shift < 25:
+                    value = value + weight[:, :, tap] @ joined[t + shift]
+            value = value.clamp(min=0)
+            out.append((rows[t] + value) / 2**0.5 if residual and i else value)
+        rows = out
+    expected = torch.stack([net.output.weight @ row + net.output.bias for row in rows])
+    torch.testing.assert_close(net(speech, emotion, guidance)[0], expected, atol=1e-5, rtol=1e-5)
+
+
+def test_begins_at_rest():
+    net = decoder()
+    assert net.output.bias.tolist() == [0, 1, 0.5]
+    with torch.no_grad():
+        net.output.weight.zero_()
+    curves = net(*inputs())
+    assert torch.equal(curves, torch.tensor([0.0, 1.0, 0.5]).expand(1, 90, 3))
+
+
+def test_margin_is_what_a_frame_of_speech_moves():
+    net = decoder().double().eval()
+    with torch.no_grad():
+        for layer in net.layers:
+            layer.conv.weight.abs_()
+        net.output.weight.abs_()
+    speech, emotion, guidance = (x.double().abs() for x in inputs(140))
+    changed = speech.clone()
+    changed[0, 70] += 1
+    before, after = (net(x, emotion, guidance) for x in (speech, changed))
+    moved = (before != after).any(dim=-1)[0].nonzero().flatten()
+    assert net.margin == 30
+    assert moved.tolist() == list(range(40, 101))
+
+
+def test_style_of_one_frame_acts_near_that_frame_only():
+    net = decoder().eval()
+    speech, emotion, guidance = inputs(140)
+    track = emotion.unsqueeze(1).repeat(1, 140, 1)
+    torch.testing.assert_close(net(speech, track, guidance), net(speech, emotion, guidance))
+    track[0, 100:] = F.one_hot(torch.tensor(3), 5).float()
+    moved = (net(speech, track, guidance) != net(speech, emotion, guidance)).any(dim=-1)[0]
+    assert not moved[:70].any()
+    assert moved[100:].any()
+
+
+def test_without_intensity_there_is_no_guidance():
+    net = decoder(guidance_size=0)
+    speech, emotion, _ = inputs()
+    assert net.layers[0].conv.in_channels == 10 + 3
+    assert net(speech, emotion, None).shape == (1, 90, 3)
+
+
+def test_dropout_is_off_in_eval():
+    net = decoder(dropout=0.5)
+    net.eval()
+    data = inputs()
+    assert torch.equal(net(*data), net(*data))
+    net.train()
+    assert not torch.equal(net(*data), net(*data))

@@ -1,0 +1,275 @@
+"""Speech to meshes: lips that seal, emotion that arrives, both kinds of model, the command."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from deitalk.audio.load import Recording, load_audio, write_wav
+from deitalk.cli import app
+from deitalk.emotions import IntensityCurve
+from deitalk.errors import CheckpointError, DeitalkError, EmotionError
+from deitalk.models.checkpoint import embedded_models
+from deitalk.models.mesh_checkpoint import save_sdfa
+from deitalk.pipeline.mesh import animate_mesh, is_sdfa
+from rig.errors import ExistsError, MeshError, RigError, TargetError
+from rig.face import build_head
+from rig.face.geometry.topology import MOUTH
+from rig.limits import PREDICTED_BYTES
+from rig.mesh import read_ply_sequence
+from rig.mesh.glb import read_container
+from rig.mesh.glb_reader import read_accessor, read_glb
+from rig.mesh.obj import write_obj
+from tests.rig.retarget.test_retarget_files import ict
+
+SAMPLE = "docs/samples/promise.flac"
+SAMPLE_BILABIALS = (
+    (0.22, 0.26), (0.42, 0.46), (0.74, 0.80), (1.12, 1.22), (1.74, 1.82), (2.74, 2.84),
+    (3.04, 3.10), (3.48, 3.52), (3.91, 4.01), (4.51, 4.55), (5.02, 5.11), (5.22, 5.32),
+    (8.04, 8.08), (8.31, 8.61),
+)  # fmt: skip
+"""Every m, b, p of the sample (may·be you be·lieve me ... mo·ther ... prom·ised every·bo·dy ...),
+aligned with pocketsphinx by `deitalk.corpus.alignment`; seconds."""
+WIDEN_SECONDS = 2 / 30
+
+
+@pytest.fixture(scope="module")
+def network():
+    if "default" not in embedded_models():
+        pytest.skip("the default weights are not in this checkout")
+    from deitalk.models.checkpoint import load_model
+
+    return load_model()
+
+
+@pytest.fixture(scope="module")
+def acted(request, network):
+    """The sample acted in two emotions by the embedded weights."""
+    recording = load_audio(request.config.rootpath / SAMPLE)
+    return {e: animate_mesh(recording, e, model=network) for e in ("neutral", "happy")}
+
+
+def lip_gaps_mm(vertices, head):
+    """Median distance of opposing rim vertices over the middle of the mouth [shape=(T,)]."""
+    rim = head.features.loop(MOUTH, 0)
+    half = len(rim) // 2
+    upper = np.arange(half // 4, half - half // 4 + 1)
+    gap = vertices[:, rim[upper]] - vertices[:, rim[len(rim) - upper]]
+    return 10 * np.median(np.linalg.norm(gap, axis=-1), axis=1)
+
+
+def assert_lips_seal(performance):
+    """Within 1 mm at seven of ten bilabials at least; the mouth is open elsewhere."""
+    gaps = lip_gaps_mm(performance.vertices, build_head(0))
+    times = np.arange(len(gaps)) / 30
+    closed = [
+        gaps[(times >= start - WIDEN_SECONDS) & (times <= end + WIDEN_SECONDS)].min()
+        for start, end in SAMPLE_BILABIALS
+    ]
+    assert np.mean(np.array(closed) <= 1.0) >= 0.7
+    assert np.median(closed) <= 0.5
+    assert np.percentile(gaps, 90) > 4
+
+
+def corners_rise_mm(performance, neutral):
+    rim = build_head(0).features.loop(MOUTH, 0)
+    corners = rim[[0, len(rim) // 2]]
+    return 10 * (performance.vertices - neutral.vertices)[:, corners, 1].mean()
+
+
+@pytest.mark.parametrize("emotion", ["neutral", "happy"])
+def test_lips_seal_at_bilabials(acted, emotion):
+    assert_lips_seal(acted[emotion])
+
+
+@pytest.mark.parametrize("name", ["compact", "mesh_head"])
+def test_lips_seal_and_corners_rise_with_the_other_weights(acted, name):
+    if name not in embedded_models():
+        pytest.skip(f"the weights {name} are not in this checkout")
+    neutral, happy = (
+        animate_mesh(acted["happy"].recording, emotion, model=name)
+        for emotion in ("neutral", "happy")
+    )
+    assert_lips_seal(neutral)
+    assert_lips_seal(happy)
+    assert corners_rise_mm(happy, neutral) > 1.5
+
+
+def test_emotion_and_intensity_reach_the_mesh(acted, network):
+    """Happy corners rise; half the intensity raises them less, none is the neutral reading."""
+    happy = acted["happy"]
+
+    def rise_mm(performance):
+        return corners_rise_mm(performance, acted["neutral"])
+
+    assert rise_mm(happy) > 1.5
+    half = animate_mesh(happy.recording, "happy", model=network, intensity=0.5)
+    none = animate_mesh(happy.recording, "happy", model=network, intensity=0)
+    assert 0.25 * rise_mm(happy) < rise_mm(half) < 0.8 * rise_mm(happy)
+    np.testing.assert_allclose(none.vertices, acted["neutral"].vertices, atol=1e-4)
+
+
+def test_frames_lie_on_the_recording_s_time(acted, network):
+    recording = acted["neutral"].recording
+    assert len(acted["neutral"].vertices) == np.ceil(30 * recording.duration)
+    double = animate_mesh(recording, model=network, fps=60)
+    assert double.fps == 60
+    np.testing.assert_allclose(double.vertices[::2], acted["neutral"].vertices, atol=1e-4)
+
+
+def test_another_head_is_another_mesh(acted, network):
+    bruno = animate_mesh(acted["neutral"].recording, model=network, speaker="Bruno")
+    head = build_head("Bruno")
+    np.testing.assert_allclose(bruno.mesh.vertices, head.mesh.vertices)
+    rim = head.features.loop(MOUTH, 0)
+    assert bruno.landmarks["mouth_corner_left"] == rim[0]
+    with pytest.raises(RigError, match="'Nobody' is unknown"):
+        animate_mesh(acted["neutral"].recording, model=network, speaker="Nobody")
+
+
+def test_hours_are_refused_before_any_work(network):
+    hour = Recording(
+        np.zeros(16_000 * 3600, np.float32), source="hour.wav", source_rate=16_000, channels=1
+    )
+    with pytest.raises(MeshError, match=rf"GiB, at most {PREDICTED_BYTES / 2**30:g} are made; cut"):
+        animate_mesh(hour, model=network)
+
+
+# --- SDFA
+
+
+@pytest.fixture(scope="module")
+def sdfa_folder(tmp_path_factory):
+    """Two sheets that a network of random weights moves."""
+    from tests.deitalk.models.test_mesh_model import model, tiny
+
+    folder = tmp_path_factory.mktemp("sdfa") / "model"
+    save_sdfa(folder, model(fps=30), tiny(), {})
+    return folder
+
+
+@pytest.fixture
+def speech(tmp_path):
+    noise = np.random.default_rng(0).standard_normal(16_000)
+    write_wav(tmp_path / "speech.wav", (0.1 * noise).astype(np.float32))
+    return tmp_path / "speech.wav"
+
+
+def test_sdfa_moves_its_speaker_s_template(sdfa_folder, speech):
+    assert is_sdfa(sdfa_folder) and not is_sdfa("default")
+    from deitalk.models.mesh_checkpoint import load_sdfa
+
+    network, told = load_sdfa(sdfa_folder), []
+    performance = animate_mesh(speech, model=network, speaker="bob", progress=told.append)
+    assert (performance.fps, performance.unit_mm, performance.landmarks) == (30, 10, None)
+    wanted = network.predict_mesh(load_audio(speech).waveform, "bob")
+    np.testing.assert_allclose(performance.vertices, wanted, atol=1e-6)
+    np.testing.assert_array_equal(performance.mesh.vertices, network.template("bob").vertices)
+    assert told[-1] == 1
+    assert np.abs(wanted - network.template("bob").vertices).max() > 0.01  # it moves
+
+
+def test_sdfa_has_no_emotion_and_one_rate(sdfa_folder, speech):
+    curve = IntensityCurve(np.zeros(1), np.ones(1))
+    for asked in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": curve}):
+        with pytest.raises(EmotionError, match="no emotion and no intensity"):
+            animate_mesh(speech, model=sdfa_folder, **asked)
+    with pytest.raises(CheckpointError, match="fps=60: this SDFA model makes 30"):
+        animate_mesh(speech, model=sdfa_folder, fps=60)
+    with pytest.raises(CheckpointError, match=r"speaker 'eve' is unknown.*ann, bob"):
+        animate_mesh(speech, model=sdfa_folder, speaker="eve")
+
+
+# --- the command
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["mesh", *map(str, arguments)])
+
+
+def test_command_writes_the_same_motion_three_ways(sdfa_folder, speech, tmp_path):
+    model = ("--model", sdfa_folder, "--speaker", 1)
+    for name in ("a.npz", "a.glb", "frames"):
+        result = run(speech, "-o", tmp_path / name, *model)
+        assert result.exit_code == 0, result.output
+        assert "30 frames at 30 per second, 16 vertices" in result.stderr.replace("\n", " ")
+    with np.load(tmp_path / "a.npz") as file:
+        vertices = file["vertices"]
+    np.testing.assert_allclose(read_ply_sequence(tmp_path / "frames")[1], vertices, atol=1e-6)
+    document, binary = read_container(tmp_path / "a.glb")
+    sampler = document["animations"][0]["samplers"][0]
+    weights = read_accessor(document, binary, sampler["output"]).reshape(30, -1)
+    metres = read_glb(tmp_path / "a.glb").evaluate(weights)
+    np.testing.assert_allclose(metres, 0.01 * vertices, atol=2.1e-5)  # 0.02 mm
+    again = run(speech, "-o", tmp_path / "a.npz", *model)
+    assert isinstance(again.exception, ExistsError)
+    said = json.loads(run(speech, "-o", tmp_path / "a.npz", *model, "--force", "--json").stdout)
+    assert (said["frames"], said["fps"], said["vertices"]) == (30, 30, 16)
+
+
+def test_command_refuses_in_one_line_and_writes_nothing(sdfa_folder, speech, tmp_path):
+    out = ("-o", tmp_path / "out.glb")
+    for arguments, error, said in (
+        ((speech, "-o", tmp_path / "out.fbx"), TargetError, "files end with .glb, .npz"),
+        ((speech, *out, "--landmarks", "a.json"), DeitalkError, "points of a --mesh"),
+        ((speech, *out, "--model", sdfa_folder, "-e", "sad"), EmotionError, "no emotion"),
+        ((speech, *out, "--model", tmp_path), CheckpointError, "no model there"),
+        ((tmp_path / "none.wav", *out), DeitalkError, "there is no recording"),
+        ((speech, *out, "--mesh", tmp_path / "none.obj"), RigError | OSError, "none.obj"),
+    ):
+        result = run(*arguments)
+        assert isinstance(result.exception, error), (arguments, result.exception)
+        assert said in str(result.exception) and "\n" not in str(result.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["speech.wav"]
+
+
+@pytest.mark.slow
+def test_speech_on_the_ict_face(shared, tmp_path, acted, request):
+    """One command from speech to a foreign topology; the corners of the mouth rise with joy."""
+    target, landmarks = ict(shared)
+    write_obj(tmp_path / "ict.obj", target)
+    (tmp_path / "marks.json").write_text(json.dumps(landmarks))
+    sample = request.config.rootpath / SAMPLE
+    rises = {}
+    for emotion in ("neutral", "happy"):
+        result = run(
+            sample, "-e", emotion, "-o", tmp_path / f"{emotion}.npz", "--mesh",
+            tmp_path / "ict.obj", "--landmarks", tmp_path / "marks.json",
+        )  # fmt: skip
+        assert result.exit_code == 0, result.output
+        with np.load(tmp_path / f"{emotion}.npz") as file:
+            vertices = file["vertices"]
+        corner = landmarks["mouth_corner_left"]
+        rises[emotion] = (vertices - target.vertices)[:, corner, 1].mean()
+    assert len(vertices) == len(acted["happy"].vertices)
+    assert rises["happy"] - rises["neutral"] > 0.1  # cm
+
+
+@pytest.mark.slow
+def test_a_sequence_goes_to_another_head_by_its_principal_shapes(acted, network, tmp_path):
+    """Ada's motion on Bruno's mesh, against Bruno acting the same curves himself."""
+    from rig.mesh import TriMesh
+    from rig.retarget.retarget_files import retarget_sequence
+    from rig.retarget.source_head import head_landmarks
+
+    happy, skin = acted["happy"], build_head(0).slices["skin"]
+    ada, bruno = build_head(0), build_head("Bruno")
+    write_obj(tmp_path / "bruno.obj", TriMesh(bruno.skin.vertices, bruno.skin.faces))
+    (tmp_path / "marks.json").write_text(json.dumps(head_landmarks(bruno)))
+    report = retarget_sequence(
+        TriMesh(ada.skin.vertices, ada.skin.faces), happy.vertices[:, skin],
+        tmp_path / "bruno.obj", tmp_path / "out.npz", fps=30, tolerance=0.002,
+        source_landmarks=head_landmarks(ada), landmarks=tmp_path / "marks.json",
+    )  # fmt: skip
+    assert report.way == "sequence" and report.frames == len(happy.vertices)
+    with np.load(tmp_path / "out.npz") as file:
+        carried = file["vertices"]
+    truth = animate_mesh(happy.recording, "happy", model=network, speaker="Bruno").vertices[:, skin]
+    lips = np.concatenate([bruno.features.loop(MOUTH, ring) for ring in (0, 1, 2)])
+    moved = np.linalg.norm(truth - bruno.skin.vertices, axis=-1)[:, lips].mean()
+    error = np.linalg.norm(carried - truth, axis=-1)[:, lips].mean()
+    gaps, wanted = lip_gaps_mm(carried, bruno), lip_gaps_mm(truth, bruno)
+    assert error < 0.2 * moved
+    closed = wanted < 0.3
+    assert closed.any() and np.median(gaps[closed]) < 1.0

@@ -1,0 +1,203 @@
+"""A performance in Python: saved by the name it is given, short to print, its means said right."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk import Recording, animate, animate_mesh
+from deitalk.emotions import EmotionTrack, IntensityCurve
+from deitalk.errors import AudioError, CheckpointError, DeitalkError, EmotionError
+from rig import read_curves
+from rig.errors import ExistsError, TargetError
+from rig.files import is_folder_name
+from tests.deitalk.pipeline.test_curves import network, recording
+
+__all__ = ["network"]
+
+
+@pytest.fixture(scope="module")
+def happy(network):
+    return animate(recording(1.5), "happy", model=network, intensity=1.5)
+
+
+@pytest.mark.parametrize("name", ["take", "take.v2/", "Scene 1.2", "Scene 1.a b", "x.animation12"])
+def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
+    saved = happy.save(f"{tmp_path}/{name}")
+    about = json.loads((saved / "take.json").read_text())
+    assert saved == tmp_path / name.rstrip("/")
+    assert about["settings"] == {
+        "emotion": "happy",
+        "intensity": 1.5,
+        "intensity_curve": None,
+        "idle": True,
+        "seed": 0,
+    }
+    assert about["model"]["control_set"] == "metahuman-185@mh4"
+
+
+def test_save_writes_into_an_existing_folder_whatever_its_suffix(tmp_path, happy):
+    (tmp_path / "take.csv").mkdir()
+    assert (happy.save(tmp_path / "take.csv") / "curves.csv").is_file()
+
+
+@pytest.mark.parametrize("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
+def test_save_writes_one_file_by_its_suffix(tmp_path, happy, name):
+    saved = happy.save(tmp_path / name, fps=60)
+    assert saved.is_file()
+    if "unreal" not in name:
+        read = read_curves(saved)
+        assert (len(read), read.fps) == (90, 60)
+
+
+def test_save_replaces_only_by_force(tmp_path, happy):
+    happy.save(tmp_path / "c.csv")
+    with pytest.raises(ExistsError, match=r"c\.csv exists"):
+        happy.save(tmp_path / "c.csv")
+    happy.save(tmp_path / "c.csv", force=True)
+
+
+@pytest.mark.parametrize("name", ["take.v2", "c.xyz", "c.wav"])
+def test_save_rejects_a_suffix_that_is_none(tmp_path, happy, name):
+    with pytest.raises(TargetError, match=r"a folder with a slash: .*/$"):
+        happy.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_save_names_the_model_it_was_given(tmp_path, happy):
+    named = replace(happy, model="compact")
+    about = json.loads((named.save(tmp_path / "take") / "take.json").read_text())
+    assert about["model"]["name"] == "compact" and len(about["model"]["sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    ("name", "is_folder"),
+    [
+        ("a", True),
+        ("a.csv", False),
+        ("a.csv/", True),
+        ("a.12", True),
+        ("a.b c", True),
+        ("..", True),
+    ],
+)
+def test_is_folder_name_by_the_rule(tmp_path, monkeypatch, name, is_folder):
+    monkeypatch.chdir(tmp_path)
+    assert is_folder_name(name, (".csv",)) is is_folder
+
+
+def test_is_folder_name_rejects_the_empty_name():
+    with pytest.raises(TargetError, match="empty"):
+        is_folder_name("", (".csv",))
+
+
+def test_means_are_of_what_was_heard_and_of_what_was_applied(network):
+    sound = recording(1.5)
+    plain = animate(sound, "happy", model=network)
+    doubled = animate(sound, "happy", model=network, intensity=2)
+    none = animate(sound, "happy", model=network, intensity_curve=still(0.0))
+    neutral = animate(sound, "neutral", model=network)
+    assert plain.mean_applied_intensity == pytest.approx(plain.mean_intensity)
+    assert doubled.mean_intensity == pytest.approx(plain.mean_intensity)
+    assert doubled.mean_applied_intensity == pytest.approx(2 * plain.mean_intensity)
+    assert none.mean_applied_intensity == 0 and none.mean_intensity > 0.1
+    assert neutral.mean_applied_intensity == 0 and not neutral.has_emotion
+
+
+def still(value):
+    return IntensityCurve(np.zeros(1), np.full(1, value))
+
+
+def test_what_is_returned_prints_as_one_short_line(happy, network):
+    assert repr(happy) == (
+        "<Performance of 'test': 45 frames at 30 fps, 1.50 s, 185 controls, emotion happy, "
+        f"applied intensity {happy.mean_applied_intensity:.2f}>"
+    )
+    assert repr(happy.curves) == (
+        "<RigCurves: 45 frames at 30 fps, 1.50 s, 185 controls of metahuman-185@mh4, "
+        "with emotion and intensity>"
+    )
+    assert repr(happy.neutral).endswith("metahuman-185@mh4>")
+    sound = Recording(np.zeros(8000, np.float32), "a.wav", 44_100, 2, warnings=("quiet",))
+    assert (
+        repr(sound) == "<Recording 'a.wav': 0.50 s at 16000 Hz (from 44100 Hz, 2 channels), 1 note>"
+    )
+    mesh = animate_mesh(sound, model=network)
+    assert repr(mesh) == (
+        f"<MeshPerformance of 'a.wav': 15 frames at 30 fps, 0.50 s, {len(mesh.mesh.vertices)} "
+        "vertices>"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)]
+)
+def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files):
+    performance = animate_mesh(recording(0.2), model=network)
+    saved = performance.save(f"{tmp_path}/{name}")
+    assert saved.is_file() if files is None else len(list(saved.glob("*.ply"))) == files
+    with pytest.raises(TargetError):
+        performance.save(f"{tmp_path}/{name}")
+    with pytest.raises(TargetError, match=r"\.glb, \.npz"):
+        performance.save(tmp_path / "m.fbx")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"emotion": None}, EmotionError, "emotion None is a NoneType"),
+        ({"emotion": 3}, EmotionError, "emotion 3 is a int"),
+        ({"emotion": ["happy"]}, EmotionError, "is a list"),
+        ({"emotion": b"happy"}, EmotionError, "is a bytes"),
+        ({"emotion": {1: 0.5}}, EmotionError, "unknown emotion 1"),
+        ({"emotion": {"happy": None}}, EmotionError, "happy is None"),
+        ({"intensity": "1"}, EmotionError, "intensity '1' must be a number"),
+        ({"intensity": None}, EmotionError, "must be a number"),
+        ({"intensity": True}, EmotionError, "must be a number"),
+        ({"intensity": float("nan")}, EmotionError, "intensity nan must be 0 to 4"),
+        ({"intensity_curve": 1.0}, EmotionError, "intensity_curve 1.0 is a float"),
+        ({"intensity_curve": [1, 2]}, EmotionError, "is a list"),
+        ({"seed": -1}, DeitalkError, "seed -1"),
+        ({"seed": 1.5}, DeitalkError, "seed 1.5"),
+        ({"seed": 2**70}, DeitalkError, "seed 1180591620717411303424"),
+        ({"model": 12}, CheckpointError, "model 12 is a int"),
+        ({"model": None}, CheckpointError, "is a NoneType"),
+        ({"progress": None}, DeitalkError, "progress None must be a function"),
+        ({"audio": 12}, AudioError, "a int is no recording"),
+        ({"audio": None}, AudioError, "a NoneType is no recording"),
+        ({"audio": [0.0, 1.0]}, AudioError, "a list is no recording"),
+        ({"audio": "nul\0.wav"}, AudioError, "nul"),
+        ({"sample_rate": 48_000}, AudioError, "belongs to an array"),
+    ],
+)
+@pytest.mark.parametrize("function", [animate, animate_mesh])
+def test_arguments_reject_other_types(network, function, arguments, error, message):
+    given = {"audio": recording(0.2), "emotion": "happy", "model": network} | arguments
+    with pytest.raises(error) as raised:
+        function(**given)
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_settings_say_any_emotion_in_a_line(network):
+    sound = recording(0.2)
+    mixed = animate(sound, {"happy": 0.7, "sad": 0.1}, model=network, intensity_curve=still(1.0))
+    assert mixed.settings["emotion"] == "happy=0.7,sad=0.1"
+    assert mixed.settings["intensity_curve"] == "a curve in memory"
+    track = EmotionTrack(np.zeros(1), np.eye(5)[:1])
+    assert animate(sound, track, model=network).settings["emotion"] == "a track of 1 keys"
+
+
+def test_recordings_of_names_that_are_no_utf8_are_read(tmp_path, network):
+    path = tmp_path / "\udcff.wav"
+    soundfile.write(tmp_path / "a.wav", recording(0.5).waveform, 16_000)
+    try:
+        (tmp_path / "a.wav").rename(path)
+    except (OSError, UnicodeError):
+        pytest.skip("this system has no such file names")
+    performance = animate(path, "happy", model=network)
+    saved = performance.save(tmp_path / "take\udcfe")
+    about = json.loads((saved / "take.json").read_text(encoding="utf-8"))
+    assert about["source"]["name"].endswith(r"\xff.wav")
+    assert len(read_curves(saved / "curves.csv")) == 15

@@ -1,0 +1,225 @@
+"""The laws of expression, on random readings."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deitalk.postprocess.curve_rules import Expression
+from rig import default_controls
+
+CONTROLS = default_controls()
+RULES = Expression(CONTROLS)
+T = 12
+
+
+def readings(seed=0, closed=0.0):
+    rng = np.random.default_rng(seed)
+    neutral, emotional = rng.uniform(0, 1, (2, T, len(CONTROLS.names))).astype(np.float32)
+    neutral[:, RULES.seals] = closed
+    return neutral, emotional
+
+
+def constant(value):
+    return np.full(T, value, np.float32)
+
+
+@given(st.integers(0, 50), st.floats(0, 1))
+def test_intensity_zero_is_exactly_the_neutral_reading(seed, heard):
+    neutral, emotional = readings(seed, closed=0.5)
+    blended = RULES.blend(neutral, emotional, constant(0), constant(heard))
+    assert np.array_equal(blended, neutral)
+
+
+def test_intensity_one_is_the_emotional_reading():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(0.6), constant(0.6))
+    np.testing.assert_allclose(blended, emotional, atol=1e-6)
+
+
+def test_intensity_two_goes_twice_as_far():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(1.0), constant(0.5))
+    brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
+    expected = neutral[:, brow] + 2 * (emotional[:, brow] - neutral[:, brow])
+    np.testing.assert_allclose(blended[:, brow], expected, atol=1e-6)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 1))
+def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
+    neutral, emotional = readings(seed, closed)
+    levels = [0.0, 0.1, 0.5, 1.0, 2.0, 4.0]
+    away = [
+        np.abs(RULES.blend(neutral, emotional, constant(x), constant(heard)) - neutral)
+        for x in levels
+    ]
+    assert all((b >= a - 1e-6).all() for a, b in pairwise(away))
+    brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
+    assert (away[-1][:, brow] > away[1][:, brow]).all()
+
+
+def test_a_voice_that_was_not_heard_does_not_divide_by_zero():
+    neutral, emotional = readings()
+    blended = RULES.blend(neutral, emotional, constant(0.15), constant(0))
+    np.testing.assert_allclose(blended, emotional, atol=1e-6)  # as if it were 0.15 strong
+
+
+@given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 4))
+def test_contacts_are_never_lowered(seed, closed, applied):
+    neutral, emotional = readings(seed, closed)
+    blended = RULES.blend(neutral, emotional, constant(applied), constant(0.3))
+    assert (blended[:, RULES.seals] >= neutral[:, RULES.seals]).all()
+
+
+@pytest.mark.parametrize("which", ["together", "bite"])
+def test_closed_lips_are_not_forced_open(which):
+    neutral, emotional = readings()
+    neutral[:, getattr(RULES, which)] = 0.8
+    blended = RULES.blend(neutral, emotional, constant(4), constant(0.2))
+    assert np.array_equal(blended[:, RULES.opening], neutral[:, RULES.opening])
+    smile = CONTROLS.index("CTRL_L_mouth_cornerPull.ty")
+    assert not np.allclose(blended[:, smile], neutral[:, smile])
+
+
+def test_open_lips_open_further_and_half_closed_lips_half():
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    moved = {}
+    for closed in (0.0, 0.25, 0.5, 0.75):
+        neutral, emotional = readings(closed=closed)
+        blended = RULES.blend(neutral, emotional, constant(1), constant(1))
+        moved[closed] = (blended[:, jaw] - neutral[:, jaw]) / (emotional - neutral)[:, jaw]
+    for closed, share in {0.0: 1, 0.25: 1, 0.5: 0.5, 0.75: 0}.items():
+        np.testing.assert_allclose(moved[closed], share, atol=1e-4)
+
+
+def test_silence_is_rest():
+    curves = readings()[1]
+    gate = np.linspace(0, 1, T).astype(np.float32)
+    spoken = curves.copy()
+    RULES.rest_in_silence(spoken, gate, gate)
+    assert np.array_equal(spoken[0], CONTROLS.rest)
+    np.testing.assert_allclose(spoken[-1], curves[-1], atol=1e-6)
+    assert spoken[0, CONTROLS.index("CTRL_L_nose_wrinkleUpper.ty")] == 1
+
+
+def test_an_expression_outlasts_the_mouth():
+    curves = readings()[1]
+    spoken = curves.copy()
+    RULES.rest_in_silence(spoken, constant(0), constant(1))
+    rest = np.broadcast_to(CONTROLS.rest, curves.shape)
+    assert np.array_equal(spoken[:, RULES.follows_mouth], rest[:, RULES.follows_mouth])
+    stays = ~RULES.follows_mouth
+    np.testing.assert_allclose(spoken[:, stays], curves[:, stays], atol=1e-6)
+    assert stays[CONTROLS.index("CTRL_L_mouth_cornerPull.ty")]
+    assert stays[CONTROLS.index("CTRL_L_brow_down.ty")]
+
+
+def test_gates_work_frame_by_frame_in_long_clips():
+    n = 5000
+    curves = np.tile(CONTROLS.rest, (n, 1)) + 1
+    gate = (np.arange(n) % 2).astype(np.float32)
+    RULES.rest_in_silence(curves, gate, gate)
+    moved = np.abs(curves - CONTROLS.rest).max(axis=1)
+    np.testing.assert_allclose(moved, gate, atol=1e-6)
+
+
+def test_murmur_goes_and_speech_stays():
+    curves = np.tile(CONTROLS.rest, (4, 1))
+    jaw, roll = CONTROLS.index("CTRL_C_jaw.ty"), CONTROLS.index("CTRL_L_mouth_lipsRollU.ty")
+    brow = CONTROLS.index("CTRL_L_brow_down.ty")
+    curves[:, jaw] = [0.005, -0.009, 0.5, 1.0]
+    curves[:, roll] = [-0.005, -0.5, 0.0, 0.2]
+    curves[:, brow] = 0.004
+    RULES.quieten(curves)
+    np.testing.assert_allclose(curves[:, jaw], [0, 0, 0.49, 0.99], atol=1e-6)
+    np.testing.assert_allclose(curves[:, roll], [0, -0.49, 0, 0.19], atol=1e-6)
+    assert (curves[:, brow] == np.float32(0.004)).all()
+
+
+def test_the_groups_hold_what_they_say():
+    assert len(RULES.together) == 4
+    assert len(RULES.bite) == 2
+    assert not set(RULES.opening) & set(RULES.seals)
+    assert (CONTROLS.rest[RULES.opening] == 0).all()  # quieten draws them towards 0
+
+
+def decided(curve: list[float]) -> np.ndarray:
+    values = np.tile(CONTROLS.rest, (len(curve), 1)).astype(np.float32)
+    place, jaw = (CONTROLS.index(n) for n in ("CTRL_L_mouth_lipsTogetherU.ty", "CTRL_C_jaw.ty"))
+    values[:, place], values[:, jaw] = curve, 0.7
+    RULES.decide(values)
+    np.testing.assert_allclose(values[:, jaw], 0.7)
+    return values[:, place]
+
+
+@pytest.mark.parametrize(
+    ("height", "expected"),
+    # odds of 0.5 and 0.2 against those of 0.25 are 3 and 3/4; to the fourth 81 and 81/256
+    [(0, 0), (0.2, 81 / 337), (0.25, 0.5), (0.5, 81 / 82), (1, 1)],
+)
+def test_a_doubtful_contact_is_decided(height, expected):
+    np.testing.assert_allclose(decided([height] * 3), expected, atol=1e-3)
+
+
+def test_lips_part_between_two_contacts():
+    """Half a peak of 0.9, whose shoulder is at 0.74: odds 26 / 74, to the fourth 0.01524."""
+    first, between, second = decided([0.9, 0.45, 0.9])
+    assert first == second > 0.99
+    assert between == pytest.approx(0.01501 * first, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("height", "share"),
+    # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
+    # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719
+    [(0.95, 0.8541), (0.35, 0.00077 * 0.8719)],
+)
+def test_a_suspected_contact_is_brief(height, share):
+    before, peak, after = decided([0.8 * height, height, 0.8 * height])
+    assert peak > 0.8
+    assert before == after == pytest.approx(share, rel=0.01)
+
+
+def test_deciding_nothing():
+    assert decided([]).shape == (0,)
+
+
+def test_lips_start_closing_early_and_keep_their_contact():
+    controls = default_controls()
+    values = np.tile(controls.rest, (9, 1)).astype(np.float32)
+    place = controls.index("CTRL_R_mouth_lipsTogetherD.ty")
+    values[4, place] = 1
+    Expression(controls).ease(values)
+    expected = [0, 0, 0.2, 0.6, 1, 0.6, 0.2, 0, 0]
+    np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
+
+
+JAW = CONTROLS.index("CTRL_C_jaw.ty")
+
+
+def half_open() -> np.ndarray:
+    """Three frames with the jaw at 0.4; in the last the lips are closed."""
+    curves = np.tile(CONTROLS.rest, (3, 1))
+    curves[:, JAW] = 0.4
+    curves[2, RULES.together] = 1
+    return curves
+
+
+def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay():
+    curves = half_open()
+    heard = np.full(3, 0.575, np.float32)
+    strength = np.array([0.575, 0.775, 0.775], np.float32)
+    RULES.enliven(curves, strength, heard)
+    np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
+    others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
+    np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
+
+
+def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
+    curves = half_open()
+    usual = np.full(3, 0.575, np.float32)
+    RULES.enliven(curves, usual, usual, effort=0.6)
+    np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)

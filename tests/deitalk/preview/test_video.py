@@ -1,0 +1,297 @@
+"""The review video: reading what is shown, the panel, exact sync, and clear refusals."""
+
+import sys
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from deitalk.audio.load import load_audio
+from deitalk.cli import app
+from deitalk.errors import AudioError, MissingError
+from deitalk.preview import encoding, page, video
+from deitalk.preview.needs import check_needs
+from deitalk.preview.panel import Panel
+from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.video import FACE_HEIGHT, PANEL_HEIGHT, WIDTH, draw_frames, render_video
+from rig import RigCurves, default_controls, write_curves
+from rig.curves import NTSC, snap_fps
+from rig.errors import ExistsError, RigError, TargetError
+from tests.media import write_sound
+
+CONTROLS = default_controls()
+RATE = 16000
+
+
+def make_curves(n_frames: int = 12, **tracks) -> RigCurves:
+    values = np.repeat(CONTROLS.rest[None], n_frames, 0)
+    values[:, CONTROLS.index("CTRL_C_jaw.ty")] = np.linspace(0, 1, n_frames)
+    return RigCurves(values, CONTROLS.names, 30.0, **tracks)
+
+
+def make_source(n_frames: int = 12, seconds: float | None = None) -> PreviewSource:
+    emotion = np.zeros((n_frames, 5), np.float32)
+    emotion[:, 2] = 1
+    curves = make_curves(n_frames, emotion=emotion, intensity=np.linspace(0, 1, n_frames))
+    count = round((n_frames / 30 if seconds is None else seconds) * RATE)
+    tone = 0.5 * np.sin(np.arange(count) * 0.05).astype(np.float32)
+    return PreviewSource("test", curves, tone, RATE)
+
+
+def write_wav(path, seconds: float) -> None:
+    import soundfile
+
+    soundfile.write(path, np.zeros(round(seconds * RATE), np.float32), RATE)
+
+
+def test_take_folder_brings_curves_audio_and_neutral(tmp_path):
+    curves = make_curves(30)
+    write_curves(tmp_path / "curves.json", curves)
+    write_curves(tmp_path / "neutral.npz", make_curves(30))
+    write_wav(tmp_path / "audio.wav", 1.0)
+    source = load_source(tmp_path)
+    assert source.audio_seconds == pytest.approx(1.0)
+    assert source.neutral is not None
+    assert np.allclose(source.curves.values, curves.values, atol=1e-5)
+
+
+def test_curves_without_recording_are_silent(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(4))
+    source = load_source(tmp_path / "c.csv")
+    assert source.curves.names == CONTROLS.names
+    assert source.sample_rate == 0 and source.audio_seconds == 0
+
+
+def test_missing_source_is_named(tmp_path):
+    with pytest.raises(PreviewError, match="nothing_here"):
+        load_source(tmp_path / "nothing_here")
+
+
+def test_folder_that_is_no_take_is_refused(tmp_path):
+    with pytest.raises(PreviewError, match=r"curves\.json"):
+        load_source(tmp_path)
+
+
+def test_missing_recording_is_named(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(4))
+    with pytest.raises(PreviewError, match=r"gone\.wav"):
+        load_source(tmp_path / "c.csv", tmp_path / "gone.wav")
+
+
+def test_recording_longer_than_the_curves_is_refused(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(30))
+    write_wav(tmp_path / "long.wav", 1.5)
+    with pytest.raises(PreviewError, match=r"1\.50 s but the curves end at 1\.00 s"):
+        load_source(tmp_path / "c.csv", tmp_path / "long.wav")
+
+
+def test_broken_recording_is_refused(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(4))
+    (tmp_path / "x.wav").write_bytes(b"not sound")
+    with pytest.raises(AudioError, match="not audio that can be read"):
+        load_source(tmp_path / "c.csv", tmp_path / "x.wav")
+
+
+def test_recording_keeps_its_rate_and_may_be_an_m4a(tmp_path):
+    write_curves(tmp_path / "c.csv", make_curves(30))
+    tone = 0.5 * np.sin(np.arange(44100) * 0.05)
+    write_sound(tmp_path / "a.m4a", np.stack([tone, tone], 1), 44100)
+    source = load_source(tmp_path / "c.csv", tmp_path / "a.m4a")
+    assert source.sample_rate == 44100
+    assert source.audio_seconds == pytest.approx(1.0, abs=0.03)
+    assert np.abs(source.samples).max() == pytest.approx(0.5, abs=0.05)
+
+
+def test_unknown_control_is_refused(tmp_path):
+    path = tmp_path / "c.json"
+    write_curves(path, make_curves(3))
+    path.write_text(path.read_text().replace("CTRL_C_jaw.ty", "CTRL_C_jay.ty"))
+    with pytest.raises(ValueError, match=r"CTRL_C_jay\.ty"):
+        load_source(path)
+
+
+def test_playhead_moves_with_time_and_frames_differ():
+    source = make_source(20)
+    panel = Panel(source, (400, 160))
+    columns = []
+    for frame in (0, 10, 19):
+        white = (panel.at(frame) >= 250).all(2).all(0)
+        assert white.sum() == 2
+        columns.append(int(np.flatnonzero(white)[0]))
+    assert columns[1] - columns[0] == pytest.approx((400 - 108 - 12) / 2, abs=1)
+    assert columns[0] < columns[1] < columns[2]
+
+
+def test_time_code_counts_frames():
+    panel = Panel(make_source(20), (400, 160))
+    assert panel.time_code(15).startswith("00:00.500  frame 15")
+
+
+def test_jaw_frames_differ_in_the_mouth(monkeypatch):
+    monkeypatch.setattr(video, "FACE_HEIGHT", 96)
+    monkeypatch.setattr(video, "FACE_WIDTH", 120)
+    monkeypatch.setattr(video, "WIDTH", 400)
+    source = make_source(3)
+    frames = list(draw_frames(source, backend="software"))
+    assert frames[0].shape == (96 + PANEL_HEIGHT, 400, 3)
+    change = np.abs(frames[0].astype(int) - frames[2].astype(int)).sum(2)
+    assert (change[30:80, 120:] > 60).mean() > 0.05
+
+
+def flat_frames(source, **_):
+    """Frames whose brightness is their number, to look at time only."""
+    for k in range(len(source.curves)):
+        yield np.full((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), 20 + 10 * k, np.uint8)
+
+
+def brightness(path) -> list[tuple[Fraction, float]]:
+    """Time and mean brightness of every picture of a video."""
+    with av.open(str(path)) as container:
+        return [
+            (frame.pts * frame.time_base, float(frame.to_ndarray(format="rgb24").mean()))
+            for frame in container.decode(video=0)
+        ]
+
+
+@pytest.mark.parametrize("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
+def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, monkeypatch, fps):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    source = make_source(15)
+    curves = RigCurves(source.curves.values, source.curves.names, snap_fps(fps))
+    click = np.zeros(round(15 / fps * RATE), np.float32)
+    click[[0, 4000]] = 0.9
+    out = render_video(PreviewSource("t", curves, click, RATE), tmp_path / "v.mp4")
+    rate = Fraction(snap_fps(fps)).limit_denominator(1001)
+    shown = brightness(out)
+    assert [time for time, _ in shown] == [k / rate for k in range(15)]
+    assert np.abs([level - 20 - 10 * k for k, (_, level) in enumerate(shown)]).max() < 4
+    heard = load_audio(out).waveform
+    assert np.abs(heard[3000:5000]).argmax() + 3000 == pytest.approx(4000, abs=1)
+    assert np.abs(heard[:200]).argmax() <= 1
+    with av.open(str(out)) as container:
+        assert {stream.codec_context.name for stream in container.streams} == {"h264", "aac"}
+        assert [stream.start_time for stream in container.streams] == [0, 0]
+        assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
+    content = out.read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # plays before it is loaded
+
+
+def test_curves_may_outlast_the_sound(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    out = render_video(make_source(15, seconds=0.2), tmp_path / "v.mp4")
+    assert len(brightness(out)) == 15
+    assert load_audio(out).duration == pytest.approx(0.2, abs=0.07)  # whole frames of 64 ms
+
+
+def test_video_without_recording_has_no_sound_track(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    silent = PreviewSource("t", make_curves(5), np.zeros(0, np.float32), 0)
+    with av.open(str(render_video(silent, tmp_path / "v.mp4"))) as container:
+        assert [stream.type for stream in container.streams] == ["video"]
+
+
+def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "draw_frames", flat_frames)
+    click = np.zeros(5000, np.float32)
+    click[4000] = 0.9
+    odd = PreviewSource("t", make_curves(15), click, 10007)
+    heard = load_audio(render_video(odd, tmp_path / "v.mp4"))
+    assert heard.source_rate == 48000
+    assert np.abs(heard.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
+
+
+HERE = [name for name, _ in encoding.ENCODERS if name in av.codecs_available]
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
+    options = dict(encoding.ENCODERS)[name]
+    frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
+    encoding.write_mp4(
+        tmp_path / "v.mp4", frames, fps=NTSC, size=(128, 96), samples=np.zeros(0, np.float32),
+        sample_rate=0, encoder=encoding.Encoder(name, options),
+    )  # fmt: skip
+    times, levels = zip(*brightness(tmp_path / "v.mp4"), strict=True)
+    assert times == tuple(Fraction(1001 * k, 30000) for k in range(15))
+    assert np.abs(np.array(levels) - 20 - 10 * np.arange(15)).max() < 6
+
+
+def test_without_h264_the_encoder_is_mpeg4_and_says_so(monkeypatch):
+    monkeypatch.setattr(av, "codecs_available", {"mpeg4", "aac"})
+    found = encoding.find_encoder()
+    assert found.name == "mpeg4"
+    assert "no H.264 encoder" in found.note
+    assert encoding.Encoder("libx264", {}).note is None
+
+
+def test_video_refuses_to_overwrite(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.write_bytes(b"mine")
+    with pytest.raises(ExistsError, match="exists"):
+        render_video(make_source(), path)
+    assert path.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(("name", "message"), [("v.avi", "avi"), ("no/v.mp4", "is not a folder")])
+def test_bad_targets_are_refused(tmp_path, name, message):
+    with pytest.raises((PreviewError, TargetError), match=message):
+        render_video(make_source(), tmp_path / name)
+
+
+def test_unknown_view_is_refused(tmp_path):
+    with pytest.raises(PreviewError, match="three_quarter"):
+        render_video(make_source(), tmp_path / "v.mp4", second_view="inside")
+
+
+def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(av, "codecs_available", {"aac"})
+    with pytest.raises(MissingError, match=r"pip install .* av"):
+        render_video(tmp_path / "not there", tmp_path / "v.mp4")
+
+
+@pytest.mark.parametrize(
+    ("name", "backend", "error", "message"),
+    [
+        ("p.html", "auto", MissingError, "built without Node.js"),
+        ("p.avi", "auto", PreviewError, "use .mp4 or .html"),
+        ("p.mp4", "paint", RigError, "backend 'paint' is unknown"),
+    ],
+)
+def test_needs_of_a_preview_are_told(tmp_path, monkeypatch, name, backend, error, message):
+    monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
+    with pytest.raises(error, match=message):
+        check_needs([tmp_path / "fine.mp4", tmp_path / name], backend)
+
+
+def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
+    monkeypatch.setattr("deitalk.audio.load.open_sound", None)  # nothing is read
+    monkeypatch.setattr("deitalk.preview.source.load_source", None)
+    speech, take = "docs/samples/promise.flac", str(tmp_path / "take")
+    for command in (["animate", speech, "--preview", "-o", take], ["preview", str(tmp_path)]):
+        done = CliRunner().invoke(app, command)
+        assert isinstance(done.exception, MissingError), done.output
+        assert "built without Node.js" in str(done.exception)
+
+
+@pytest.mark.parametrize("command", ["plot", "attention"])
+def test_commands_ask_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr("deitalk.audio.load.open_sound", None)
+    speech = "docs/samples/promise.flac"
+    done = CliRunner().invoke(app, [command, speech, "-o", str(tmp_path / "a.png")])
+    assert isinstance(done.exception, MissingError), done.output
+    assert "pip install matplotlib" in str(done.exception)
+
+
+def test_failing_encoder_leaves_nothing_behind(tmp_path, monkeypatch):
+    def too_small(source, **_):
+        yield np.zeros((3, 3, 3), np.uint8)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(video, "draw_frames", too_small)
+    with pytest.raises(PreviewError, match="cannot be written: No space left"):
+        render_video(make_source(5), tmp_path / "v.mp4")
+    assert list(tmp_path.iterdir()) == []

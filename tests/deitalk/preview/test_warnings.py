@@ -1,0 +1,117 @@
+"""Warnings of a preview: bilabials that stay open, curves early or late."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk.errors import DataError
+from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.warnings import bilabial_warnings, find_warnings, lip_gaps, offset_warnings
+from rig import RigCurves, default_controls, write_curves
+from rig.face import build_head
+from rig.face.poses import MOUTH_POSES, pose_values
+
+CONTROLS = default_controls()
+JAW = CONTROLS.index("CTRL_C_jaw.ty")
+SECONDS = 6
+
+
+def bursts(times: np.ndarray) -> np.ndarray:
+    """Syllables of uneven length and strength, 0 to 1."""
+    wave = np.sin(2 * np.pi * 2.1 * times) + 0.8 * np.sin(2 * np.pi * 1.3 * times + 1)
+    return np.clip(wave / 1.8, 0, 1)
+
+
+def speaking(late_frames: float, fps: float = 30.0, rate: int = 16000) -> PreviewSource:
+    """A jaw that follows the loudness, `late_frames` behind it."""
+    times = np.arange(SECONDS * rate) / rate
+    noise = np.random.default_rng(5).standard_normal(len(times))
+    sound = (0.3 * bursts(times) * noise).clip(-1, 1).astype(np.float32)
+    frames = np.arange(int(SECONDS * fps))
+    values = np.tile(CONTROLS.rest, (len(frames), 1))
+    values[:, JAW] = 0.6 * bursts((frames - late_frames) / fps)
+    return PreviewSource("talk", RigCurves(values, CONTROLS.names, fps), sound, rate)
+
+
+@pytest.mark.parametrize(
+    ("late", "word", "fps", "rate"),
+    [(6, "late", 30, 16000), (-6, "early", 30, 16000), (12, "late", 60, 44100)],
+)
+def test_shifted_curves_are_named_with_their_shift(late, word, fps, rate):
+    (found,) = offset_warnings(speaking(late, fps, rate))
+    milliseconds = float(found.text.split()[2])
+    assert word in found.text
+    assert milliseconds == pytest.approx(200, abs=34)  # within two steps of 1/60 s
+
+
+@pytest.mark.parametrize("late", [0, 1, -1])
+def test_curves_in_time_are_not_named(late):
+    assert offset_warnings(speaking(late)) == []
+
+
+def test_offset_of_a_still_jaw_or_of_no_sound_is_not_guessed():
+    source = speaking(6)
+    still = RigCurves(np.tile(CONTROLS.rest, (180, 1)), CONTROLS.names, 30.0)
+    assert offset_warnings(dataclasses.replace(source, curves=still)) == []
+    silent = dataclasses.replace(source, samples=np.zeros(0, np.float32), sample_rate=0)
+    assert offset_warnings(silent) == []
+
+
+def mouth(open_frames: slice) -> PreviewSource:
+    """Lips pressed for /m/, except where an open vowel stands."""
+    values = np.tile(pose_values(MOUTH_POSES["M B P"]), (60, 1))
+    values[open_frames] = pose_values(MOUTH_POSES["AA (father)"])
+    curves = RigCurves(values.astype(np.float32), CONTROLS.names, 30.0)
+    return PreviewSource("m", curves, np.zeros(0, np.float32), 0)
+
+
+def test_lip_gaps_are_nought_when_sealed_and_wide_when_open():
+    gaps = lip_gaps(build_head(0), mouth(slice(30, 60)).curves.values)
+    assert gaps[:30].max() < 0.02  # the seal's 0.2 mm
+    assert gaps[30:].min() > 0.5
+
+
+def test_open_bilabial_is_named_and_a_closed_one_is_not():
+    phones = ((0.2, 0.3, "M"), (1.5, 1.6, "b"), (1.6, 1.8, "AA1"))
+    source = dataclasses.replace(mouth(slice(30, 60)), phones=phones)
+    (found,) = bilabial_warnings(source)
+    assert found.time == 1.5 and found.text.startswith("b does not close")
+
+
+def test_other_phones_may_stay_open():
+    source = dataclasses.replace(mouth(slice(0, 60)), phones=((0.2, 0.4, "AA"), (0.4, 0.6, "F")))
+    assert find_warnings(source) == []
+
+
+def test_bilabial_beyond_the_curves_is_not_judged():
+    source = dataclasses.replace(mouth(slice(0, 60)), phones=((9.0, 9.1, "P"),))
+    assert find_warnings(source) == []
+
+
+@pytest.fixture
+def take(tmp_path):
+    source = mouth(slice(30, 60))
+    write_curves(tmp_path / "curves.json", source.curves)
+    soundfile.write(tmp_path / "audio.wav", np.zeros(32000, np.float32), 16000)
+    return tmp_path
+
+
+def test_take_brings_its_phones(take):
+    (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
+    assert load_source(take).phones == ((0.2, 0.3, "M"),)
+
+
+def test_named_phones_go_before_the_takes(take, tmp_path):
+    (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
+    (take / "mine.csv").write_text("start,end,phone\n1.5,1.6,P\n")
+    assert load_source(take, phones=take / "mine.csv").phones == ((1.5, 1.6, "P"),)
+
+
+def test_missing_or_broken_phones_are_refused_in_a_line(take):
+    with pytest.raises(PreviewError, match="not there"):
+        load_source(take, phones=take / "none.csv")
+    (take / "bad.csv").write_text("start,end,phone\n0.4,0.3,M\n")
+    with pytest.raises(DataError, match="ends before it starts"):
+        load_source(take, phones=take / "bad.csv")

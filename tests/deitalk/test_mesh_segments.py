@@ -1,0 +1,498 @@
+"""Mesh sequences: folders in and out, spectra in time with their frames, segments, bases."""
+
+import json
+
+import numpy as np
+import pytest
+import soundfile
+import torch
+
+from deitalk.audio.mel import MelSpectrogram
+from deitalk.audio.voice_activity import normalise_level
+from deitalk.config import MeshDataConfig, SDFAMelConfig
+from deitalk.data.augment_mel import MelWarp
+from deitalk.data.mesh_bases import fit_mesh_bases, mesh_solver
+from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
+from deitalk.data.mesh_segments import Segments, Spectra, between_frames
+from deitalk.data.mesh_sources import (
+    acted_clips,
+    build_meshes,
+    head_lips,
+    head_templates,
+    open_meshes,
+)
+from deitalk.errors import DataError
+from deitalk.frontends.sdfa import SDFAEncoder
+from rig import default_controls
+from rig.deformation.gradients import pack_vertices
+from rig.face import build_head
+from rig.mesh import TriMesh, write_ply, write_ply_sequence
+from tests.dataset import CLICKS, JAW, SECONDS, write_dataset
+
+RATE = 16_000
+SMALL = SDFAMelConfig(
+    window_seconds=0.032, frame_rate=125, n_mels=16, window_frames=16, query_frames=3
+)
+ENCODER = SDFAEncoder(SMALL)
+LIPS = Lips(np.array([21, 22]), np.array([16, 17]))
+
+
+def sheet(n=5, size=8.0):
+    x, y = np.meshgrid(np.linspace(0, size, n), np.linspace(0, size, n))
+    vertices = np.stack([x.ravel(), y.ravel(), 0.05 * x.ravel() ** 2], axis=1)
+    corner = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (corner[i : n - 1 + i, j : n - 1 + j].ravel() for i in (0, 1) for j in (0, 1))
+    return TriMesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1)]))
+
+
+def moved(template, n_frames, rng):
+    """Smooth motion of all but the first vertices (where the solver is pinned)."""
+    phase = 2 * np.pi * np.arange(n_frames)[:, None, None] / 83  # no two alike
+    shape = rng.standard_normal((2, *template.vertices.shape)) * 0.2
+    shape[:, template.vertices[:, 2] < 1e-9] = 0
+    return template.vertices + np.sin(phase) * shape[0] + np.cos(phase) * shape[1]
+
+
+def sequence(name, speaker, split, template, rng, n_frames=30, fps=30):
+    waveform = (0.1 * rng.standard_normal(n_frames * RATE // fps)).astype(np.float32)
+    waveform -= waveform.mean()  # reading takes a recording's mean away
+    vertices = moved(template, n_frames, rng).astype(np.float32)
+    return MeshSequence(name, speaker, split, lambda: (waveform, vertices))
+
+
+def written(tmp_path, rng, n_frames=30):
+    templates = {"ann": sheet(), "bob": sheet(size=10.0)}
+    sequences = [
+        sequence("a1", "ann", "train", templates["ann"], rng, n_frames),
+        sequence("b1", "bob", "train", templates["bob"], rng, 2 * n_frames),
+        sequence("a2", "ann", "validation", templates["ann"], rng, n_frames),
+    ]
+    write_mesh_folder(
+        tmp_path / "m", templates, sequences, fps=30, unit_mm=10, lips=LIPS, basis_error_mm=0.01
+    )
+    return read_mesh_folder(tmp_path / "m"), sequences
+
+
+def segments(folder, augment=False, **options):
+    options = {"n_segments": 4, "n_frames": 2, "seed": 0} | options
+    return Segments(
+        folder.split("train"),
+        folder.training_speakers,
+        folder.fps,
+        ENCODER,
+        augment=augment,
+        **options,
+    )
+
+
+# The folder
+
+
+def test_vertices_come_back_through_the_folder(tmp_path, rng):
+    folder, sequences = written(tmp_path, rng)
+    assert (folder.fps, folder.unit_mm) == (30, 10)
+    assert folder.training_speakers == ("ann", "bob")
+    assert [c.name for c in folder.split("validation")] == ["a2"]
+    for clip, source in zip(folder.clips[:2], sequences, strict=False):
+        waveform, vertices = source.load()
+        template, motion = folder.templates[clip.speaker], clip.motion()
+        s, r = (getattr(folder.bases, k).expand(motion[k]) for k in ("stretch", "rotation"))
+        out = mesh_solver(template).solve(s, r)
+        np.testing.assert_allclose(out, vertices, atol=2e-2)  # cm: 0.2 mm
+        offsets = folder.bases.offsets.expand(motion["offsets"]).reshape(vertices.shape)
+        np.testing.assert_allclose(template.vertices + offsets, vertices, atol=2e-2)
+        np.testing.assert_allclose(
+            motion["lips"], (vertices - template.vertices)[:, [21, 22, 16, 17]], atol=1e-6
+        )
+        np.testing.assert_allclose(clip.waveform(), waveform, atol=1e-4)
+
+
+def test_triangles_that_stay_are_left_out_and_cost_nothing(tmp_path, rng):
+    """The sheet's first row stays: its numbers must be those of the whole computation, zero."""
+    folder, sequences = written(tmp_path, rng)
+    template, (_, vertices) = folder.templates["ann"], sequences[0].load()
+    vertices = vertices.copy()
+    vertices[:, :15] = template.vertices[:15]
+    one = MeshSequence("x", "ann", "train", lambda: (np.zeros(RATE, np.float32), vertices))
+    write_mesh_folder(
+        tmp_path / "n", {"ann": template}, [one], fps=30, unit_mm=10, basis_error_mm=0.001
+    )
+    bases = read_mesh_folder(tmp_path / "n").bases
+    stays = np.abs(vertices - template.vertices).max(axis=(0, 2)) < 1e-6
+    still = stays[template.faces].all(axis=1)
+    assert 16 <= still.sum() < 20
+    s, r = pack_vertices(template, vertices)
+    motion = read_mesh_folder(tmp_path / "n").clips[0].motion()
+    np.testing.assert_allclose(bases.stretch.expand(motion["stretch"]), s, atol=5e-2)
+    np.testing.assert_allclose(bases.rotation.expand(motion["rotation"]), r, atol=5e-2)
+    assert np.abs(s).max() > 0.3
+    kept = bases.stretch.components.reshape(-1, len(still), 6)
+    assert (kept[:, still] == 0).all() and (kept[:, ~still] != 0).any(axis=(0, 2)).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"speaker": "eve"}, "'eve' has no template"),
+        ({"split": "dev"}, "split 'dev' is unknown"),
+        ({"name": "../x"}, "must be usable as a file's"),
+        ({"name": ""}, "must be usable as a file's"),
+    ],
+)
+def test_bad_sequence_leaves_nothing(tmp_path, rng, change, said):
+    template = sheet()
+    values = {"name": "a", "speaker": "ann", "split": "train"} | change
+    one = sequence(**values, template=template, rng=rng)
+    with pytest.raises(DataError, match=said):
+        write_mesh_folder(tmp_path / "m", {"ann": template}, [one], fps=30, unit_mm=10)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_bad_sources(tmp_path, rng):
+    template = sheet()
+    one = sequence("a", "ann", "train", template, rng)
+    sound, vertices = one.load()
+    short = MeshSequence("s", "ann", "train", lambda: (sound, vertices[:1]))
+    unseen = MeshSequence("u", "ann", "test", one.load)
+    for sequences, said in (
+        ([one, one], "appears twice"),
+        ([short], "at least 2"),
+        ([], "no sequences to train on"),
+        ([unseen], "no sequences to train on"),
+    ):
+        with pytest.raises(DataError, match=said):
+            write_mesh_folder(tmp_path / "m", {"ann": template}, sequences, fps=30, unit_mm=1)
+        assert not list(tmp_path.iterdir())
+    with pytest.raises(DataError, match="one topology"):
+        templates = {"ann": template, "bob": sheet(4)}
+        write_mesh_folder(tmp_path / "m", templates, [one], fps=30, unit_mm=1)
+    with pytest.raises(DataError, match="exists already"):
+        write_mesh_folder(tmp_path, {"ann": template}, [one], fps=30, unit_mm=1)
+
+
+def test_damaged_folders(tmp_path, rng):
+    folder, _ = written(tmp_path, rng)
+    path = tmp_path / "m"
+    rows = np.zeros((3, 1), np.float16)
+    np.savez(path / "motion/a1.npz", stretch=rows, rotation=rows, offsets=rows[:2])
+    with pytest.raises(DataError, match=r"arrays of \[2, 3\] frames"):
+        folder.clips[0].motion()
+    (path / "motion/a1.npz").write_bytes(b"no")
+    with pytest.raises(DataError, match=r"a1\.npz: cannot be read"):
+        folder.clips[0].motion()
+    lips = (path / "lips.npz").read_bytes()
+    (path / "lips.npz").write_bytes(b"no")
+    with pytest.raises(DataError, match=r"lips\.npz: cannot be read"):
+        read_mesh_folder(path)
+    (path / "lips.npz").write_bytes(lips)
+    bases = (path / "bases.npz").read_bytes()
+    (path / "bases.npz").write_bytes(b"no")
+    with pytest.raises(DataError, match="build it again"):
+        read_mesh_folder(path)
+    (path / "bases.npz").write_bytes(bases)
+    table = (path / "clips.csv").read_text()
+    (path / "clips.csv").write_text(table.replace("a1,", "../a1,"))
+    with pytest.raises(DataError, match="leaves the folder"):
+        read_mesh_folder(path)
+    (path / "clips.csv").write_text(table.replace(",bob,", ",eve,"))
+    with pytest.raises(DataError, match="'eve' has no template"):
+        read_mesh_folder(path)
+    (path / "mesh.json").write_text(json.dumps({"format_version": 99, "fps": 1, "unit_mm": 1}))
+    with pytest.raises(DataError, match="version 99"):
+        read_mesh_folder(path)
+    (path / "mesh.json").write_text("{}")
+    with pytest.raises(DataError, match="no mesh folder"):
+        read_mesh_folder(path)
+
+
+# Sources
+
+
+def vocaset(root, rng, speakers=("ann", "bob", "cyd"), n_frames=6):
+    """The layout of VOCASET, by hand."""
+    vertices = {}
+    (root / "templates").mkdir(parents=True)
+    for i, speaker in enumerate(speakers):
+        template = sheet(size=0.1 + 0.01 * i)
+        write_ply(root / f"templates/{speaker}.ply", template)
+        for sentence in ("sentence01", "sentence02"):
+            frames = template.vertices + 0.001 * rng.standard_normal((n_frames, 25, 3))
+            vertices[f"{speaker}.{sentence}"] = frames
+            folder = root / "unposedcleaneddata" / speaker
+            folder.mkdir(parents=True, exist_ok=True)
+            write_ply_sequence(folder / sentence, template, frames)
+            (root / "audio" / speaker).mkdir(parents=True, exist_ok=True)
+            sound = 0.1 * rng.standard_normal(n_frames * 22_000 // 60)
+            soundfile.write(root / f"audio/{speaker}/{sentence}.wav", sound, 22_000)
+    return vertices
+
+
+def test_vocaset_layout(tmp_path, rng):
+    vertices = vocaset(tmp_path / "v", rng)
+    folder = open_meshes(tmp_path / "v", MeshDataConfig(), tmp_path / "built")
+    assert folder.unit_mm == 1000
+    splits = {clip.name: clip.split for clip in folder.clips}
+    assert splits["ann.sentence01"] == splits["bob.sentence02"] == "train"
+    assert splits["cyd.sentence01"] == "validation"
+    assert folder.lips is None
+    for clip in folder.split("train"):
+        s, r = pack_vertices(folder.templates[clip.speaker], vertices[clip.name])
+        kept = (getattr(folder.bases, k).expand(clip.motion()[k]) for k in ("stretch", "rotation"))
+        for given, wanted in zip(kept, (s, r), strict=True):  # noise: all of it is in the basis
+            assert np.abs(given - wanted).max() < 0.02 * np.abs(wanted).max()
+        assert len(clip.waveform()) == pytest.approx(6 / 60 * RATE, abs=2)  # 22 kHz to 16
+
+
+def test_vocaset_splits_may_be_given(tmp_path, rng):
+    root = tmp_path / "v"
+    vocaset(root, rng, ("ann", "bob"), 2)
+    (root / "splits.csv").write_text("speaker,split\nann,test\nbob,train\n")
+    build_meshes(root, MeshDataConfig(), tmp_path / "m")
+    clips = read_mesh_folder(tmp_path / "m").clips
+    assert {(c.speaker, c.split) for c in clips} == {("ann", "test"), ("bob", "train")}
+    (root / "splits.csv").write_text("speaker,split\nann,test\n")
+    with pytest.raises(DataError, match="split None of 'bob'"):
+        build_meshes(root, MeshDataConfig(), tmp_path / "n")
+
+
+def test_vocaset_that_lacks_something(tmp_path, rng):
+    root = tmp_path / "v"
+    vocaset(root, rng, ("ann",), 2)
+    recording = root / "audio/ann/sentence02.wav"
+    recording.unlink()
+    with pytest.raises(DataError, match=r"sentence02\.wav: missing"):
+        build_meshes(root, MeshDataConfig(), tmp_path / "m")
+    (root / "templates/ann.ply").unlink()
+    with pytest.raises(DataError, match=r"holds no \.ply"):
+        build_meshes(root, MeshDataConfig(), tmp_path / "m")
+    with pytest.raises(DataError, match="neither"):
+        build_meshes(tmp_path / "nothing", MeshDataConfig(), tmp_path / "m")
+    assert not (tmp_path / "m").exists()
+
+
+def test_heads_act_a_dataset_folder(tmp_path):
+    data = write_dataset(tmp_path / "d", 3, 2)
+    config = MeshDataConfig(fps=30, identities=(2, 5), clips=2, validation_clips=1)
+    folder = open_meshes(data, config, tmp_path / "m")
+    assert folder.unit_mm == 10
+    first, second, third = folder.clips
+    assert first.speaker == third.speaker != second.speaker
+    assert [c.split for c in folder.clips] == ["train", "train", "validation"]
+    assert set(folder.templates) == set(head_templates((2, 5)))
+    controls, head = default_controls(), build_head(2)
+    motion = first.motion()
+    assert len(motion["stretch"]) == 90
+    s, r = (getattr(folder.bases, k).expand(motion[k][[10, 27]]) for k in ("stretch", "rotation"))
+    out = mesh_solver(folder.templates[first.speaker]).solve(s, r)
+    shut, opened = (controls.rest.copy() for _ in range(2))
+    opened[controls.index(JAW)] = 0.6  # 0.9 s is within the first burst
+    for name in ("CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_mouth_lipsTogetherD.ty"):
+        shut[controls.index(name)] = 1
+    assert CLICKS[0] < 27 / 30 < CLICKS[0] + 0.2
+    lips = head_lips()
+    np.testing.assert_array_equal(folder.lips.both, lips.both)
+    for i, values in enumerate((shut, opened)):
+        truth = head.pose(values)[head.slices["skin"]]
+        np.testing.assert_allclose(out[i], truth, atol=0.1)  # cm
+        assert np.abs(out[i] - truth).mean() < 1e-2
+        rims = motion["lips"][[10, 27][i]]
+        np.testing.assert_allclose(rims, (truth - head.skin.vertices)[lips.both], atol=1e-4)
+    with pytest.raises(DataError, match=r"set data\.fps=30"):
+        open_meshes(data, MeshDataConfig(), tmp_path / "m")
+    assert SECONDS * 30 == 90
+
+
+def test_clips_are_chosen_by_emotion_and_spread(tmp_path):
+    data = write_dataset(tmp_path / "d", 10, 1)  # emotions take turns, five of them
+    names = [clip.name for clip in acted_clips(data, "train", None, 4)]
+    assert names == ["clip0", "clip3", "clip6", "clip9"]
+    assert {clip.emotion for clip in acted_clips(data, "train", ["sad"], None)} == {"sad"}
+    assert len(acted_clips(data, "train", ["sad", "angry"], None)) == 4
+
+
+# Spectra
+
+
+def test_the_middle_is_the_moment():
+    waveform = np.zeros(RATE, np.float32)
+    waveform[int(0.4 * RATE)] = 1
+    spectra = Spectra(ENCODER, 16)
+    for time, place in ((0.4, 8), (0.4 + 3 / 125, 5)):
+        features = spectra(waveform, time, MelWarp())
+        assert features.shape == (3, 16, 16)
+        assert features[0].sum(dim=0).argmax() == place
+
+
+def test_pieces_are_cut_from_the_clip_s_spectrogram():
+    """Derivatives too: a piece must not know where it was cut."""
+    rng = np.random.default_rng(1)
+    waveform = (0.1 * rng.standard_normal(RATE)).astype(np.float32)
+    whole = MelSpectrogram(0.032, 125, 16)(torch.from_numpy(waveform)[None], 125)[0]
+    spectra = Spectra(ENCODER, 16)
+    for time, place in ((0.4, 50), (0.48, 60)):
+        cut = spectra(waveform, time, MelWarp())
+        torch.testing.assert_close(cut, whole[:, :, place - 8 : place + 8], atol=1e-4, rtol=1e-4)
+
+
+def test_derivatives_are_of_the_warped_spectrogram():
+    rng = np.random.default_rng(1)
+    waveform = (0.1 * rng.standard_normal(RATE)).astype(np.float32)
+    warp = MelWarp(padded=2, stretch=0.8, zeroed=(3,), sine=(5.0, 1.0, 0.3))
+    mel, slope, curve = Spectra(ENCODER, 16)(waveform, 0.5, warp)
+    torch.testing.assert_close(slope[:, 1:-1], (mel[:, 2:] - mel[:, :-2]) / 2, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        curve[:, 1:-1], (slope[:, 2:] - slope[:, :-2]) / 2, atol=1e-5, rtol=0
+    )
+    assert (slope[3] == 0).all()
+
+
+@pytest.mark.parametrize("time", [-1.0, 0.0, 0.999, 5.0])
+def test_beyond_the_recording_is_silence(time):
+    mel = Spectra(ENCODER, 16)(np.full(RATE, 0.1, np.float32), time, MelWarp())
+    assert mel.shape == (3, 16, 16)
+    assert torch.isfinite(mel).all()
+
+
+# Segments
+
+
+def test_segments_are_adjacent_frames_of_one_clip(tmp_path, rng):
+    folder, _ = written(tmp_path, rng)
+    source = segments(folder, n_frames=3)
+    assert source.n_frames_total == 90
+    known = {c.speaker: c.motion() for c in folder.split("train")}
+    drawn = []
+    for number in range(300):
+        segment = source.segment(number)
+        speaker = folder.training_speakers[int(segment.speaker.argmax())]
+        rows = known[speaker]["offsets"]
+        at = int(np.abs(rows - segment.offsets[0].numpy()).sum(axis=1).argmin())
+        for name in ("stretch", "rotation", "offsets", "lips"):
+            given = getattr(segment, name)
+            np.testing.assert_allclose(given, known[speaker][name][at : at + 3], atol=1e-5)
+        drawn.append(speaker)
+    assert drawn.count("bob") / 300 == pytest.approx(58 / 86, abs=0.09)  # by frames, not clips
+
+
+def test_sound_belongs_to_the_frames(tmp_path, rng):
+    """Each frame's spectrum is the one of its time, whatever the segment about it."""
+    folder, sequences = written(tmp_path, rng)
+    rows = {c.speaker: c.motion()["offsets"] for c in folder.split("train")}
+    sounds = {q.speaker: normalise_level(q.load()[0]) for q in sequences[:2]}
+    source = segments(folder, n_frames=5)
+    for number in range(5):
+        segment = source.segment(number)
+        speaker = folder.training_speakers[int(segment.speaker.argmax())]
+        at = int(np.abs(rows[speaker] - segment.offsets[0].numpy()).sum(axis=1).argmin())
+        alone = Spectra(ENCODER, 2)
+        middle, ends = segment.features[:, :, source.places[2]], source.places[[0, 4]]
+        expected = alone(sounds[speaker], (at + 2) / 30, MelWarp())[:, :, 1]
+        torch.testing.assert_close(middle, expected, atol=0.05, rtol=0)  # stored in 16 bits
+        assert (ends - source.places[2]).tolist() == [-8, 8]  # 2 frames: 67 ms, 8 spectra of 8 ms
+
+
+def test_augmented_segments_keep_one_shift_and_linear_targets(tmp_path):
+    """Motion that is linear in time keeps its difference, but for the stretch of time."""
+    template = sheet()
+    step = 0.01 * np.abs(template.vertices[:, :1]) * [1.0, 0, 0]
+    vertices = (template.vertices + np.arange(40)[:, None, None] * step).astype(np.float32)
+    sound = (0.1 * np.random.default_rng(0).standard_normal(40 * RATE // 30)).astype(np.float32)
+    one = MeshSequence("a", "ann", "train", lambda: (sound, vertices))
+    write_mesh_folder(tmp_path / "m", {"ann": template}, [one], fps=30, unit_mm=10)
+    folder = read_mesh_folder(tmp_path / "m")
+    plain, shifted = segments(folder), segments(folder, augment=True)
+    rows = folder.clips[0].motion()["offsets"][:, 0]
+    slope = float(rows[21] - rows[20])
+    places, stretches = [], []
+    for number in range(200):
+        segment = shifted.segment(number)
+        place = (float(segment.offsets[:, 0].mean()) - rows[0]) / slope - 0.5
+        whole = (float(plain.segment(number).offsets[0, 0]) - rows[0]) / slope
+        places.append(place - whole)
+        if 1 < whole < 37:
+            stretches.append(slope / float(segment.offsets[1, 0] - segment.offsets[0, 0]))
+    assert np.abs(places).max() <= 0.7
+    assert np.ptp(places) > 0.8
+    np.testing.assert_allclose([min(stretches), max(stretches)], [0.8, 1.25], atol=0.05)
+    assert 0.3 < np.mean(np.abs(np.array(stretches) - 1) < 0.01) < 0.7  # half are as they were
+
+
+def test_augmentation_changes_the_sound(tmp_path, rng):
+    folder, _ = written(tmp_path, rng)
+    changed = 0
+    for number in range(20):
+        plain, rich = (segments(folder, augment=a).segment(number) for a in (False, True))
+        assert torch.isfinite(rich.features).all()
+        changed += bool((plain.features - rich.features).abs().amax() > 0.1)
+    assert changed >= 18
+
+
+def test_batches_are_the_same_for_any_number_of_workers_and_go_on(tmp_path, rng):
+    folder, _ = written(tmp_path, rng)
+    first = [b for b, _ in zip(segments(folder, augment=True), range(4), strict=False)]
+    assert first[0].features.shape[:3] == (4, 3, 16)
+    assert first[0].stretch.shape[:2] == (4, 2)
+    later = next(iter(segments(folder, augment=True, skip=2)))
+    assert torch.equal(later.features, first[2].features)
+    loader = torch.utils.data.DataLoader(
+        segments(folder, augment=True), batch_size=None, num_workers=2
+    )
+    for one, other in zip(first, loader, strict=False):
+        assert torch.equal(one.features, other.features)
+        assert torch.equal(one.rotation, other.rotation)
+
+
+def test_a_clip_shorter_than_a_segment_holds_its_end(tmp_path, rng):
+    folder, _ = written(tmp_path, rng, n_frames=4)
+    segment = segments(folder, n_frames=12).segment(0)
+    assert torch.equal(segment.offsets[-1], segment.offsets[-2])
+
+
+def test_no_clips_is_one_line():
+    with pytest.raises(DataError, match="no mesh sequences"):
+        Segments([], (), 30, ENCODER, n_segments=1, n_frames=2, augment=False, seed=0)
+
+
+def test_between_frames_by_hand():
+    rows = np.array([[0.0, 3.0], [1.0, -3.0], [4.0, -3.0]], np.float32)
+    out = between_frames(rows, np.array([-1.0, 0.25, 0.75, 1.5, 9.0]))
+    np.testing.assert_allclose(out[:, 0], [0, 0.25, 0.75, 2.5, 4])
+    np.testing.assert_allclose(out[:, 1], [3, 1.5, -1.5, -3, -3])
+
+
+# Bases
+
+
+def test_bases_keep_held_out_frames_within_the_bound():
+    rng = np.random.default_rng(0)
+    template = sheet()
+    shapes = 0.05 * rng.standard_normal((4, 25, 3))
+    shapes[:, template.vertices[:, 2] < 1e-9] = 0
+
+    def acted(seed, n_frames=80):
+        weights = np.random.default_rng(seed).standard_normal((n_frames, 4))
+        moving = template.vertices + np.einsum("tk,kvc->tvc", weights, shapes)
+        return [("ann", lambda: moving.astype(np.float32))]
+
+    def fitted(bound):
+        return fit_mesh_bases(
+            {"ann": template}, acted(0), acted(1), n_frames=400, error_mm=bound, unit_mm=10
+        )
+
+    loose, tight = fitted(1.0), fitted(0.2)
+    for bases, bound in ((loose, 1.0), (tight, 0.2)):
+        for kind in (0.0, 1.0):
+            rows = [row for row in bases.table if row["offsets"] == kind]
+            assert rows[-1]["lively_p99_mm"] <= bound
+            assert all(row["lively_p99_mm"] > bound for row in rows[:-1])
+        assert rows[-1]["first"] == len(bases.offsets.components)
+    assert len(tight.table) > len(loose.table)
+    assert len(tight.offsets.components) == 4  # as many as there are shapes
+    frames = acted(1)[0][1]()[::9]
+    s, r = pack_vertices(template, frames)
+    kept = (
+        tight.stretch.expand(tight.stretch.project(s)),
+        tight.rotation.expand(tight.rotation.project(r)),
+    )
+    error = np.linalg.norm(mesh_solver(template).solve(*kept) - frames, axis=-1)
+    assert error.mean() * 10 < 0.2

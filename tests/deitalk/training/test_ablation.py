@@ -1,0 +1,162 @@
+"""Ablations: variants are read, trained, scored and gone on with."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import deitalk.training.ablation
+import deitalk.training.curves
+from deitalk.config import Config, load_config
+from deitalk.errors import ConfigError, DataError
+from deitalk.training.ablation import Variant, ablate, as_markdown, read_variants
+from rig.errors import TargetError
+from tests.dataset import write_dataset
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+
+
+def flat(tree: dict, prefix: str = "") -> dict:
+    out = {}
+    for key, value in tree.items():
+        out |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def differences(variant: Variant) -> set[str]:
+    base, ours = (flat(c.model_dump()) for c in (load_config(variant.base), variant.config(0, 7)))
+    return {key for key in base if base[key] != ours[key]} - {"name", "train.steps"}
+
+
+def test_every_variant_changes_what_its_name_says():
+    variants = {variant.name: variant for variant in read_variants(CONFIGS / "ablations")}
+    assert next(iter(variants)) == "full"
+    changed = {name: differences(variant) for name, variant in variants.items()}
+    weights = "loss.control_weights."
+    assert changed == {
+        "full": set(),
+        "compact": set(),
+        "no_dei": {"model.intensity", "loss.contrast", "loss.intensity"},
+        "no_dpe": {"model.positions"},
+        "no_velocity": {"loss.velocity"},
+        "no_classification": {"loss.classification"},
+        "no_real_speech": {"data.real_fraction"},
+        "no_contact": {"loss.contact", weights + "lipsTogether", weights + "lipBiteD"},
+    }
+    assert variants["compact"].config(2, 7).model.frontend.kind == "conformer"
+    run = variants["no_dei"].config(2, 7, ["train.batch_size=8", "loss.contrast=3"])
+    assert (run.train.seed, run.train.steps, run.train.batch_size) == (2, 7, 8)
+    assert run.loss.contrast == 0  # what the variant says wins
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "needs two keys"),
+        ("base: a.yaml", "needs two keys"),
+        ("base: 3\noverrides: []", "must be a file"),
+        ("base: absent.yaml\noverrides: []", "does not exist"),
+        ("base: base.yaml\noverrides: [loss.velocty=0]", "unknown key"),
+        ("base: sdfa.yaml\noverrides: []", "SDFA has no ablations"),
+        (": :", "cannot be read as YAML"),
+    ],
+)
+def test_a_wrong_variant_is_one_line(tmp_path, text, message):
+    (tmp_path / "base.yaml").write_text("")
+    (tmp_path / "sdfa.yaml").write_text("kind: sdfa")
+    folder = tmp_path / "variants"
+    folder.mkdir()
+    (folder / "a.yaml").write_text(text.replace("base: ", "base: ../"))
+    if "base: 3" in text:
+        (folder / "a.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_variants(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_variants_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="holds no"):
+        read_variants(tmp_path)
+
+
+ASKED = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
+VARIANTS = [
+    Variant("full", CONFIGS / "tiny.yaml", ()),
+    Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
+]
+
+
+@pytest.fixture
+def data(tmp_path) -> Path:
+    folder = write_dataset(tmp_path / "data", 2, 2)
+    table = pd.read_csv(folder / "clips.csv")
+    table["split"] = ["train", "train", "validation", "test"]
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def fails(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_train_score_and_go_on(data, tmp_path, monkeypatch):
+    out = tmp_path / "runs"
+    monkeypatch.setattr(
+        deitalk.training.curves, "keep", fails
+    )  # after the rows of the first evaluation
+    with pytest.raises(KeyboardInterrupt):
+        ablate(VARIANTS, data, out, **ASKED)
+    monkeypatch.undo()
+    runs: list[str] = []
+    scores = ablate(VARIANTS, data, out, **ASKED, says=lambda run, _: runs.append(run))
+    assert list(dict.fromkeys(runs)) == [
+        "full seed0", "full seed1", "still seed0", "still seed1"
+    ]  # fmt: skip
+    assert scores["full"]["test"]["lpe"]["n"] == 2
+    assert pd.read_csv(out / "full/seed0/development.csv")["step"].tolist() == [2], "no row twice"
+    assert scores["full"]["test"]["lpe"]["sd"] > 0
+    assert "±" in (out / "ablations.md").read_text()
+
+    (out / "still/seed1/report.json").unlink()
+    trained: list[bool] = []
+
+    def spy(*arguments, resume, **options):
+        trained.append(resume)
+        return real(*arguments, resume=resume, **options)
+
+    real = deitalk.training.ablation.train
+    monkeypatch.setattr("deitalk.training.ablation.train", spy)
+    before = (out / "ablations.json").read_text()
+    ablate(VARIANTS, data, out, **ASKED)
+    assert (out / "ablations.json").read_text() == before
+    assert trained == [True]  # only the run without a report, from where it was
+
+
+def test_other_settings_and_edited_files_are_refused(data, tmp_path):
+    out, asked = tmp_path / "runs", ASKED | {"seeds": 1}
+    ablate(VARIANTS[:1], data, out, **asked)
+    with pytest.raises(DataError, match="other settings"):
+        ablate(VARIANTS[:1], data, out, **(asked | {"steps": 3}))
+    (out / "ablations.md").write_text("my notes")
+    with pytest.raises(TargetError, match=r"ablations\.md was changed since deitalk wrote it"):
+        ablate(VARIANTS[:1], data, out, **asked)
+    assert (out / "ablations.md").read_text() == "my notes"
+    (out / "ablations.md").unlink()
+    (out / "full/seed0/report.json").write_text("[")
+    with pytest.raises(DataError, match=r"report\.json: no evaluation; remove it"):
+        ablate(VARIANTS[:1], data, out, **asked)
+
+
+def test_a_folder_of_the_user_is_refused_before_any_training(tmp_path):
+    (tmp_path / "ablations.md").write_text("mine")
+    with pytest.raises(TargetError, match="holds files that deitalk did not write"):
+        ablate([], tmp_path, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["ablations.md"]
+
+
+def test_table_by_hand():
+    score = {"mean": 0.5, "sd": 0.01, "n": 3}
+    text = as_markdown({"full": {"a": {"lpe": score}}, "no_dei": {"a": {}}}, "test", 3)
+    assert "| full | 0.5 ± 0.01 | – |" in text
+    assert "| no_dei | – |" in text
+    assert isinstance(load_config(CONFIGS / "mel.yaml"), Config)

@@ -1,0 +1,179 @@
+"""Learning from a teacher: what is copied, what is learnt, what stays as it was."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+
+from deitalk.config import Config, load_config
+from deitalk.errors import CheckpointError, ConfigError
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.training.curves import _accelerator, _start, train
+from deitalk.training.distillation import Teacher, read_teacher, start_as
+from tests.dataset import write_dataset
+
+TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+FRONTEND = (
+    "{kind: conformer, n_mels: 16, stem_channels: 12, hidden_size: 32, layers: 1, heads: 2, "
+    "intermediate_size: 32, kernel_size: 5}"
+)
+
+
+def student(teacher: Path | str, *overrides: str) -> Config:
+    """Conformer blocks before tiny.yaml's decoder."""
+    mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={FRONTEND}")
+    return load_config(TINY, (*mine, f"train.teacher={teacher}", *overrides))
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_model(folder).state_dict()
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory) -> Path:
+    config = load_config(TINY)
+    torch.manual_seed(7)
+    folder = tmp_path_factory.mktemp("teacher") / "model"
+    save_model(folder, DEITalk(config.model), config, {})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(data, teacher, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    train(student(teacher), data, out)
+    return out
+
+
+def test_distance_is_that_of_places_and_of_motion_and_teaches_the_student_alone(teacher):
+    config = student(teacher)
+    model = read_teacher(str(teacher), DEITalk(config.model))
+    assert model is not None and not any(p.requires_grad for p in model.parameters())
+    taught = Teacher(model, _accelerator(config.train))
+    waveform = torch.randn(2, 16000) * 0.07
+    target = model.frontend(waveform, 30)
+    speech = (target + 3).requires_grad_()
+    distance = taught.distance(waveform, speech)
+    assert distance.item() == pytest.approx(9, rel=1e-4)
+    distance.backward()
+    # d/dx of the mean of (x - y)^2 is 2 (x - y) / n.
+    torch.testing.assert_close(speech.grad, torch.full_like(speech, 6 / speech.numel()))
+    # Errors of 1 and -1 by turns differ by 2: 1 + 4 * 2^2.
+    shaken = target + (-1.0) ** torch.arange(30).unsqueeze(1)
+    assert taught.distance(waveform, shaken).item() == pytest.approx(17, rel=1e-4)
+
+
+def test_all_that_fits_behind_the_frontend_is_the_teachers(teacher):
+    theirs = load_model(teacher)
+    model = DEITalk(student(teacher, "model.style_size=3").model)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    copied = start_as(model, theirs)
+    assert {"intensity", "motion", "decoder"} == {name.split(".")[0] for name in copied}
+    assert "decoder.style.weight" not in copied, "another shape"
+    for name, value in model.state_dict().items():
+        expected = theirs.state_dict()[name] if name in copied else before[name]
+        assert torch.equal(value, expected), name
+    whole = DEITalk(student(teacher).model)
+    behind = {name for name in theirs.state_dict() if not name.startswith("frontend.")}
+    assert set(start_as(whole, theirs)) == behind
+
+
+def test_a_student_of_the_teachers_kind_hears_as_it_does_and_may_have_more_layers(teacher):
+    theirs = load_model(teacher)
+    deep = DEITalk(load_config(TINY, ["model.frontend.rig_layers=1"]).model).eval()
+    assert set(start_as(deep, theirs)) == set(theirs.state_dict())
+    sound = torch.randn(1, 16000) * 0.07
+    with torch.no_grad():
+        torch.testing.assert_close(deep.frontend(sound, 30), theirs.frontend(sound, 30))
+
+
+def test_the_student_comes_nearer_and_the_teacher_stays(data, teacher, tmp_path):
+    before = weights(teacher)
+    out = tmp_path / "run"
+    options = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=3e-3")
+    train(student(teacher, *options), data, out)
+    metrics = pd.read_csv(out / "metrics.csv")
+    assert metrics["distillation"].iloc[-1] < 0.8 * metrics["distillation"].iloc[0]
+    after = weights(teacher)
+    assert all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
+    totals = []
+    for weight in (0, 2):
+        out = tmp_path / str(weight)
+        train(student(teacher, "train.steps=1", f"loss.distillation={weight}"), data, out)
+        totals.append(pd.read_csv(out / "metrics.csv").iloc[0])
+    assert totals[0]["distillation"] == totals[1]["distillation"]
+    added = totals[1]["total"] - totals[0]["total"]
+    assert added == pytest.approx(2 * totals[1]["distillation"], rel=1e-4)
+
+
+def test_a_frozen_frontend_has_no_teacher():
+    with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend learns"):
+        load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
+
+
+def test_a_saved_model_holds_no_teacher_and_needs_none(finished, teacher):
+    config = student(teacher)
+    names = set(DEITalk(config.model).state_dict())
+    assert set(weights(finished / "best")) == names
+    text = (finished / "best" / "config.yaml").read_text()
+    assert str(teacher) in text, "it says who taught it"
+    (finished / "best" / "config.yaml").write_text(text.replace(str(teacher), "gone"))
+    assert set(weights(finished / "best")) == names
+    (finished / "best" / "config.yaml").write_text(text)
+
+
+def test_a_killed_run_goes_on_to_the_same_weights(data, teacher, finished, tmp_path, monkeypatch):
+    import deitalk.training.curves as module
+
+    class Killed(Exception):
+        pass
+
+    out, original, steps = tmp_path / "killed", module._step, iter(range(6))
+
+    def dies_at_5(*args: object) -> dict[str, float]:
+        if next(steps) == 4:
+            raise Killed
+        return original(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "_step", dies_at_5)
+    with pytest.raises(Killed):
+        train(student(teacher), data, out)
+    monkeypatch.undo()
+    train(student(teacher), data, out, resume=True)
+    first, second = weights(out / "last"), weights(finished / "last")
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert (out / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
+
+
+def test_what_began_as_the_teachers_learns_at_a_third(teacher):
+    config = student(teacher)
+    model = DEITalk(config.model)
+    groups = _start(config, model, 6, is_taught=True).optimizer.param_groups
+    rates = {id(p): group["lr"] for group in groups for p in group["params"]}
+    assert len(rates) == sum(p.requires_grad for p in model.parameters())
+    for name, parameter in model.named_parameters():
+        if parameter.requires_grad:
+            share = 1 if name.startswith("frontend.") else 1 / 3
+            assert rates[id(parameter)] == pytest.approx(share * config.train.learning_rate)
+    assert len(_start(config, model, 6).optimizer.param_groups) == 1
+
+
+def test_a_teacher_that_cannot_teach_is_one_line(data, teacher, tmp_path):
+    wide = student(teacher, "model.frontend.hidden_size=48")
+    with pytest.raises(
+        ConfigError, match=r"32 features a frame, the model 48; set .*\.hidden_size=32"
+    ):
+        train(wide, data, tmp_path / "wide")
+    assert not (tmp_path / "wide" / "metrics.csv").exists()
+    with pytest.raises(CheckpointError, match="nobody: no model there"):
+        train(student("nobody"), data, tmp_path / "nobody")

@@ -1,0 +1,259 @@
+"""Pictures: both backends, sheets, letters and PNG."""
+
+import struct
+import time
+import zlib
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from rig.errors import RigError
+from rig.face import build_head
+from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, sheet_tiles
+from rig.face.geometry.mesh import Mesh
+from rig.face.poses import pose_values
+from rig.face.render import VIEWS, View, make_renderer
+from rig.face.render import opengl as opengl_module
+from rig.face.render.lettering import text_width, write_text
+from rig.face.render.png import png_bytes, write_png
+from rig.face.render.raster import Screen, front_faces, nearest_faces
+from rig.face.render.shading import background
+
+SIZE = (72, 80)
+FROM_FRONT = View((0, 0, 0), (0, 0, 60), 20)
+
+
+def square(z: float, color: tuple[float, float, float], half: float = 4.0) -> Mesh:
+    corner = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh(corner, faces, np.tile(color, (4, 1)).astype(float), np.zeros(4))
+
+
+def draw(mesh: Mesh, backend: str, size=SIZE, view=FROM_FRONT) -> np.ndarray:
+    renderer = make_renderer(mesh, size=size, view=view, backend=backend)
+    picture = renderer.render(mesh.vertices)
+    renderer.close()
+    return picture
+
+
+@pytest.fixture(scope="module")
+def head():
+    return build_head(0)
+
+
+@pytest.fixture
+def opengl():
+    try:
+        opengl_module.open_context()
+    except RigError as error:
+        pytest.skip(str(error))
+
+
+def test_square_covers_the_pixels_geometry_says():
+    # 8 cm at 60 cm under 20 degrees of 80 pixels: 80 * 8 / (2 * 60 * tan 10 deg) = 30.2 pixels
+    red = draw(square(0, (1, 0, 0)), "software")[..., 0] > 120
+    assert red.sum(0).max() == pytest.approx(30.2, abs=1.5)
+    assert red.any(0).sum() == pytest.approx(30.2, abs=1.5)
+    assert red[40, 36]
+    assert not red[5, 5]
+
+
+def test_nearer_square_hides_the_farther():
+    near, far = square(5, (0, 1, 0), 2), square(-5, (1, 0, 0), 6)
+    both = Mesh(
+        np.concatenate([near.vertices, far.vertices]),
+        np.concatenate([far.faces + 4, near.faces]),
+        np.concatenate([near.colors, far.colors]),
+        np.zeros(8),
+    )
+    picture = draw(both, "software").astype(int)
+    assert picture[40, 36, 1] > picture[40, 36, 0] + 50  # green in the middle
+    assert picture[40, 36 + 16, 0] > picture[40, 36 + 16, 1] + 50  # red beside it
+
+
+def test_back_faces_are_not_drawn():
+    front = square(0, (1, 0, 0))
+    back = Mesh(front.vertices, front.faces[:, ::-1], front.colors, front.gloss)
+    empty = np.broadcast_to(background(80), (80, 72, 3)) * 255
+    assert np.abs(draw(back, "software") - empty).max() < 2
+
+
+def test_characters_left_is_on_the_right_of_the_picture(head):
+    shut = pose_values({"CTRL_L_eye_blink.ty": 1})
+    renderer = make_renderer(head.mesh, size=(160, 120), view=VIEWS["eyes"], backend="software")
+    change = np.abs(
+        renderer.render(head.pose(shut)).astype(int)
+        - renderer.render(head.mesh.vertices).astype(int)
+    ).sum(2)
+    assert change[:, 80:].sum() > 20 * max(change[:, :80].sum(), 1)
+
+
+def test_both_backends_draw_the_same_face(head, opengl):
+    size = (300, 330)
+    pictures = [
+        draw(head.mesh, backend, size, VIEWS["face"]).astype(int)
+        for backend in ("software", "opengl")
+    ]
+    difference = np.abs(pictures[0] - pictures[1]).mean(2)
+    assert difference.mean() < 1.2
+    assert np.percentile(difference, 97) < 10
+
+
+def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndarray]:
+    """Triangles all over a small picture, some beyond its edges, seen from their outside."""
+    x, y = rng.uniform(-8, size + 8, (2, 3 * count)).astype(np.float32)
+    screen = Screen(size, size, x, y, rng.random(3 * count).astype(np.float32))
+    faces = np.arange(3 * count).reshape(-1, 3)
+    return screen, front_faces(screen, np.concatenate([faces, faces[:, ::-1]]))
+
+
+def test_nearest_face_is_the_one_found_by_trying_all(rng):
+    screen, faces = random_screen(rng)
+    assert len(faces) == 60  # of each triangle and its back exactly one is in front
+    face, depth = nearest_faces(screen, faces)
+    y, x = np.mgrid[0 : screen.height, 0 : screen.width] + 0.5
+    best, first = np.full(x.shape, np.inf), np.full(x.shape, -1)
+    for k, corners in enumerate(faces):
+        matrix = np.stack([screen.x[corners], screen.y[corners], np.ones(3)]).astype(float)
+        weights = np.linalg.solve(matrix, np.stack([x.ravel(), y.ravel(), np.ones(x.size)]))
+        z = (screen.depth[corners] @ weights).reshape(x.shape)
+        closer = (weights.min(0).reshape(x.shape) > 0) & (z < best)
+        best[closer], first[closer] = z[closer], k
+    assert (face == first).mean() > 0.998  # a sample on an edge may fall to either side
+    same = (face == first) & (face >= 0)
+    assert same.sum() > 500
+    assert np.abs(depth[same] - best[same]).max() < 1e-4
+    assert np.isinf(depth[face < 0]).all()
+
+
+def test_neighbouring_triangles_leave_no_crack_and_share_no_sample(rng):
+    corners = np.array([[0, 0], [48, 0], [48, 48], [0, 48]], np.float32)
+    inner = rng.uniform(1, 47, (80, 2)).astype(np.float32)
+    points = np.concatenate([corners, inner])
+    depth = np.zeros(len(points), np.float32)
+    screen = Screen(48, 48, points[:, 0], points[:, 1], depth)
+    faces = Delaunay(points).simplices.astype(np.int64)
+    faces = front_faces(screen, np.concatenate([faces, faces[:, ::-1]]))
+    face, _ = nearest_faces(screen, faces)
+    assert (face >= 0).all()
+    alone = sum((nearest_faces(screen, f[None])[0] >= 0).astype(int) for f in faces)
+    assert (alone == 1).all()
+
+
+def test_edges_are_smooth():
+    picture = draw(square(0, (1, 0, 0)), "software", view=View((0, 0, 0), (30, 40, 40), 20))
+    levels = np.unique(picture[..., 0])
+    assert len(levels) > 20  # a slanted edge shows mixtures, not two colours
+
+
+def test_a_frame_of_video_is_drawn_in_a_fifth_of_a_second(head):
+    """Both views of the review video, one core; the limit leaves room for a busy machine."""
+    views = [
+        make_renderer(head.mesh, size=size, view=VIEWS[name], backend="software")
+        for name, size in (("face", (540, 480)), ("mouth", (420, 480)))
+    ]
+    vertices = head.pose(pose_values({"CTRL_C_jaw.ty": 0.4})).astype(float)
+    best = np.inf
+    for _ in range(3):
+        start = time.process_time()
+        for view in views:
+            view.render(vertices)
+        best = min(best, time.process_time() - start)
+    assert best < 0.3
+
+
+def test_two_opengl_renderers_of_different_sizes_do_not_disturb_each_other(head, opengl):
+    alone = draw(head.mesh, "opengl", (100, 90), VIEWS["face"])
+    one = make_renderer(head.mesh, size=(100, 90), view=VIEWS["face"], backend="opengl")
+    two = make_renderer(head.mesh, size=(60, 140), view=VIEWS["mouth"], backend="opengl")
+    two.render(head.mesh.vertices)
+    assert np.array_equal(one.render(head.mesh.vertices), alone)
+
+
+def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
+    def missing():
+        raise RigError("no OpenGL here")
+
+    monkeypatch.setattr(opengl_module, "open_context", missing)
+    mesh = square(0, (1, 0, 0))
+    assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == "software"
+    with pytest.raises(RigError, match="no OpenGL here"):
+        make_renderer(mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
+
+
+def test_missing_moderngl_names_the_install_line(monkeypatch):
+    def missing(name):
+        raise ImportError(name)
+
+    opengl_module.open_context.cache_clear()
+    monkeypatch.setattr(opengl_module, "import_module", missing)
+    with pytest.raises(RigError, match=r"pip install 'deitalk\[preview\]'"):
+        opengl_module.open_context()
+    opengl_module.open_context.cache_clear()
+
+
+def test_unknown_backend_is_refused():
+    with pytest.raises(RigError, match="vulkan"):
+        make_renderer(square(0, (1, 1, 1)), size=SIZE, view=FROM_FRONT, backend="vulkan")
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_every_sheet_has_named_tiles(name):
+    tiles = sheet_tiles(name)
+    assert len({tile.title for tile in tiles}) == len(tiles) >= 2
+    assert all(tile.view in VIEWS for tile in tiles)
+
+
+def test_sheet_counts_are_the_promised_ones():
+    assert len(sheet_tiles("mouth")) == 12
+    assert len(sheet_tiles("emotions")) == 15
+
+
+def test_sheet_places_tiles_row_by_row(head):
+    tiles = [Tile(str(k), pose_values({"CTRL_C_jaw.ty": k / 3}), "mouth") for k in range(3)]
+    picture = draw_sheet(head, tiles, columns=2, size=(64, 48), backend="software")
+    assert picture.shape == (96, 128, 3)
+    assert not picture[48:, 64:].any()  # the fourth place is empty
+    assert (picture[:48, :64] != picture[48:, :64]).any()
+
+
+def test_unknown_sheet_lists_the_known():
+    with pytest.raises(RigError, match="mouth, mouth-side, emotions"):
+        sheet_tiles("toes")
+
+
+def test_png_reads_back_bit_for_bit(rng, tmp_path):
+    picture = rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    write_png(tmp_path / "p.png", picture)
+    data = (tmp_path / "p.png").read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    at, found = 8, {}
+    while at < len(data):
+        (length,), kind = struct.unpack(">I", data[at : at + 4]), data[at + 4 : at + 8]
+        body = data[at + 8 : at + 8 + length]
+        (check,) = struct.unpack(">I", data[at + 8 + length : at + 12 + length])
+        assert check == zlib.crc32(kind + body)
+        found[kind] = body
+        at += 12 + length
+    assert struct.unpack(">II", found[b"IHDR"][:8]) == (7, 5)
+    rows = np.frombuffer(zlib.decompress(found[b"IDAT"]), np.uint8).reshape(5, 22)
+    assert (rows[:, 0] == 1).all()  # each byte is the difference to the pixel on its left
+    read = np.cumsum(rows[:, 1:].reshape(5, 7, 3), axis=1, dtype=np.uint8)
+    assert np.array_equal(read, picture)
+
+
+def test_png_refuses_other_arrays():
+    with pytest.raises(RigError, match="uint8"):
+        png_bytes(np.zeros((4, 4, 3)))
+
+
+def test_letters_differ_and_stay_inside():
+    blank = np.zeros((20, 60, 3), np.uint8)
+    pictures = {c: write_text(blank, c, (2, 3)) for c in "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"}
+    assert all(p.any() for p in pictures.values())
+    shapes = {p.tobytes() for c, p in pictures.items()}
+    assert len(shapes) == len(pictures)
+    assert not blank.any()
+    assert write_text(blank, "WIDE TEXT THAT RUNS OUT", (50, 15)).shape == blank.shape
+    assert text_width("AB") == 2 * text_width("A")

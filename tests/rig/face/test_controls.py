@@ -1,0 +1,315 @@
+"""Every control moves the right landmark, the right way, on the right side."""
+
+import numpy as np
+import pytest
+
+from rig import default_controls
+from rig.face import build_head
+from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
+from rig.face.motion.bindings import NOTHING, ONLY_WITH
+from rig.face.poses import pose_values
+
+CONTROLS = default_controls()
+X, Y, Z = 0, 1, 2
+
+SIDED = {
+    # control on the left side: landmark, axis and sign at its positive end, at its negative end
+    "brow_down.ty": ("brow_in", Y, -1, None),
+    "brow_lateral.ty": ("brow_in", X, -1, None),
+    "brow_raiseIn.ty": ("brow_in", Y, 1, None),
+    "brow_raiseOut.ty": ("brow_out", Y, 1, None),
+    "ear_up.ty": ("ear", Y, 1, None),
+    "eye_blink.ty": ("lid_up", Y, -1, 1),
+    "eye_lidPress.ty": ("lid_low", Y, 1, None),
+    "eye_squintInner.ty": ("lid_low", Y, 1, None),
+    "eye_cheekRaise.ty": ("cheek", Y, 1, None),
+    "eye_faceScrunch.ty": ("lid_up", Y, -1, None),
+    "eye_eyelidU.ty": ("lid_up", Y, -1, 1),
+    "eye_eyelidD.ty": ("lid_low", Y, 1, -1),
+    "eye.ty": ("pupil", Y, 1, -1),
+    "eye.tx": ("pupil", X, 1, -1),
+    "eyelashes_tweakerIn.ty": ("lash_in", Y, -1, 1),
+    "eyelashes_tweakerOut.ty": ("lash_out", Y, -1, 1),
+    "nose.ty": ("wing", Y, 1, -1),
+    "nose.tx": ("wing", X, 1, -1),
+    "nose_nasolabialDeepen.ty": ("fold", Z, 1, None),
+    "mouth_suckBlow.ty": ("hollow", X, 1, -1),
+    "mouth_lipsBlow.ty": ("above_lip", Z, 1, None),
+    "mouth_upperLipRaise.ty": ("lip_up", Y, 1, None),
+    "mouth_lowerLipDepress.ty": ("lip_low", Y, -1, None),
+    "mouth_cornerPull.ty": ("corner", Y, 1, None),
+    "mouth_stretch.ty": ("corner", X, 1, None),
+    "mouth_stretchLipsClose.ty": ("corner", X, 1, None),
+    "mouth_dimple.ty": ("corner", Z, -1, None),
+    "mouth_cornerDepress.ty": ("corner", Y, -1, None),
+    "mouth_pressU.ty": ("red_up", Y, -1, None),
+    "mouth_pressD.ty": ("red_low", Y, 1, None),
+    "mouth_lipsPressU.ty": ("red_up", Y, -1, None),
+    "mouth_purseU.ty": ("lip_up", Z, 1, None),
+    "mouth_purseD.ty": ("lip_low", Z, 1, None),
+    "mouth_towardsU.ty": ("red_up", Y, -1, None),
+    "mouth_towardsD.ty": ("red_low", Y, 1, None),
+    "mouth_funnelU.ty": ("lip_up", Y, 1, None),
+    "mouth_funnelD.ty": ("lip_low", Y, -1, None),
+    "mouth_lipBiteU.ty": ("red_up", Z, -1, None),
+    "mouth_lipBiteD.ty": ("red_low", Z, -1, None),
+    "mouth_tightenU.ty": ("red_up", Y, -1, None),
+    "mouth_tightenD.ty": ("red_low", Y, 1, None),
+    "mouth_sharpCornerPull.ty": ("corner", Y, 1, None),
+    "mouth_pushPullU.ty": ("red_up", Z, 1, -1),
+    "mouth_pushPullD.ty": ("red_low", Z, 1, -1),
+    "mouth_thicknessU.ty": ("red_up", Y, -1, 1),
+    "mouth_thicknessD.ty": ("red_low", Y, 1, -1),
+    "mouth_thicknessInwardU.ty": ("lip_up", Z, -1, 1),
+    "mouth_thicknessInwardD.ty": ("lip_low", Z, -1, 1),
+    "mouth_cornerSharpnessU.ty": ("red_up_side", Y, -1, 1),
+    "mouth_cornerSharpnessD.ty": ("red_low_side", Y, 1, -1),
+    "mouth_lipsTowardsTeethU.ty": ("red_up", Z, -1, None),
+    "mouth_lipsTowardsTeethD.ty": ("red_low", Z, -1, None),
+    "mouth_lipsRollU.ty": ("red_up", Z, -1, 1),
+    "mouth_lipsRollD.ty": ("red_low", Z, -1, 1),
+    "mouth_corner.ty": ("corner", Y, 1, -1),
+    "mouth_corner.tx": ("corner", X, 1, -1),
+    "jaw_clench.ty": ("jaw_angle", X, 1, None),
+    "jaw_ChinRaiseU.ty": ("red_up", Y, 1, None),
+    "jaw_ChinRaiseD.ty": ("chin", Y, 1, None),
+    "jaw_chinCompress.ty": ("chin", Y, 1, None),
+    "neck_stretch.ty": ("neck_front", Z, 1, None),
+    "neck_mastoidContract.ty": ("neck_side", X, 1, None),
+}
+CENTER = {
+    "CTRL_C_eye.ty": ("pupil", Y, 1, -1),
+    "CTRL_C_eye.tx": ("pupil", X, 1, -1),
+    "CTRL_C_mouth.ty": ("lip_up_mid", Y, 1, -1),
+    "CTRL_C_mouth.tx": ("lip_up_mid", X, 1, -1),
+    "CTRL_C_mouth_lipShiftU.ty": ("lip_up_mid", X, 1, -1),
+    "CTRL_C_mouth_lipShiftD.ty": ("lip_low_mid", X, 1, -1),
+    "CTRL_C_jaw.ty": ("chin_mid", Y, -1, None),
+    "CTRL_C_jaw.tx": ("chin_mid", X, -1, 1),
+    "CTRL_C_jaw_fwdBack.ty": ("chin_mid", Z, -1, 1),
+    "CTRL_C_jaw_openExtreme.ty": ("chin_mid", Y, -1, None),
+    "CTRL_C_neck_swallow.ty": ("larynx_high", Z, 1, None),
+    "CTRL_neck_throatUpDown.ty": ("larynx_high", Z, 1, -1),
+    "CTRL_neck_digastricUpDown.ty": ("floor", Y, 1, -1),
+    "CTRL_neck_throatExhaleInhale.ty": ("larynx", Z, -1, 1),
+    "CTRL_C_teethU.ty": ("tooth_up", Y, 1, -1),
+    "CTRL_C_teethU.tx": ("tooth_up", X, 1, -1),
+    "CTRL_C_teeth_fwdBackU.ty": ("tooth_up", Z, -1, 1),
+    "CTRL_C_teethD.ty": ("tooth_low", Y, 1, -1),
+    "CTRL_C_teethD.tx": ("tooth_low", X, 1, -1),
+    "CTRL_C_teeth_fwdBackD.ty": ("tooth_low", Z, -1, 1),
+    "CTRL_C_tongue_inOut.ty": ("tongue_tip", Z, -1, 1),
+    "CTRL_C_tongue_move.ty": ("tongue_body", Y, 1, -1),
+    "CTRL_C_tongue_move.tx": ("tongue_tip", X, 1, -1),
+    "CTRL_C_tongue_press.ty": ("tongue_body", Y, 1, None),
+    "CTRL_C_tongue_wideNarrow.ty": ("tongue_left", X, 1, -1),
+    "CTRL_C_tongue_bendTwist.ty": ("tongue_tip", Y, 1, -1),
+    "CTRL_C_tongue_bendTwist.tx": ("tongue_left", Y, 1, -1),
+    "CTRL_C_tongue_roll.ty": ("tongue_left", Y, 1, None),
+    "CTRL_C_tongue_tipMove.ty": ("tongue_tip", Y, 1, -1),
+    "CTRL_C_tongue_tipMove.tx": ("tongue_tip", X, 1, -1),
+    "CTRL_C_tongue_thickThin.ty": ("tongue_left", X, None, None),
+}
+
+
+@pytest.fixture(scope="module")
+def head():
+    return build_head(0)
+
+
+@pytest.fixture(scope="module")
+def landmarks(head) -> dict[str, np.ndarray]:
+    """Vertices (indices into the joined mesh) of each landmark on the character's left."""
+    skin, v = head.features, head.mesh.vertices
+    start = {k: s.start for k, s in head.slices.items()}
+
+    def lip(ring, *slots):
+        return skin.loop(MOUTH, ring)[list(slots)]
+
+    def near(x, y, z_least=2.0, count=4):
+        s = skin.vertices
+        off = (s[:, 0] - x) ** 2 + (s[:, 1] - y) ** 2 + 100 * (s[:, 2] < z_least)
+        off += 100 * ((skin.kind == MOUTH) & (skin.ring < 0))
+        return np.argsort(off)[:count]
+
+    def part(name, chosen):
+        return start[name] + np.flatnonzero(chosen(v[head.slices[name]]))
+
+    brow = v[head.slices["brow_L"]][:, 0]
+    lash = v[head.slices["lash_L"]]
+    tongue = v[head.slices["tongue"]]
+    eye = skin.loop(EYE_L, 0)
+    side = np.argsort(np.linalg.norm(skin.vertices - [3.6, -10.5, 0.4], axis=1))[:3]
+    tip_z = tongue[:, 2].max()
+    front = part("tongue", lambda p: p[:, 2] > tip_z - 0.6)
+    return {
+        "brow_in": part("brow_L", lambda p: p[:, 0] < brow.min() + 0.5),
+        "brow_out": part("brow_L", lambda p: p[:, 0] > brow.max() - 1.2),
+        "ear": np.arange(head.slices["ear_L"].start, head.slices["ear_L"].stop),
+        "lid_up": eye[[8, 9, 10]],
+        "lid_low": eye[[26, 27, 28]],
+        "cheek": near(3.7, -2.5),
+        "pupil": np.arange(40) + start["eye_L"],
+        "lash_in": part("lash_L", lambda p: p[:, 0] < lash[:, 0].min() + 0.6)[2::4],
+        "lash_out": part("lash_L", lambda p: p[:, 0] > lash[:, 0].max() - 0.6)[2::4],
+        "wing": near(1.4, -4.3, 8.0, 3),
+        "fold": near(2.9, -4.4),
+        "hollow": near(4.6, -5.9),
+        "above_lip": near(1.6, -5.9),
+        "corner": lip(0, 0),
+        "lip_up": lip(0, 8, 9, 10),
+        "lip_low": lip(0, 44, 43, 42),
+        "red_up": lip(2, 8, 9, 10),
+        "red_low": lip(2, 44, 43, 42),
+        "red_up_side": lip(2, 3, 4),
+        "red_low_side": lip(2, 49, 48),
+        "jaw_angle": near(5.2, -6.2),
+        "chin": near(1.2, -9.9),
+        "neck_front": near(1.4, -13.6, -1.0),
+        "neck_side": side,
+        "lip_up_mid": lip(0, 13),
+        "lip_low_mid": lip(0, 39),
+        "chin_mid": near(0, -9.9),
+        "larynx": near(0, -13.0, 0.0),
+        "larynx_high": near(0, -11.7, 0.0),
+        "floor": np.argsort(np.linalg.norm(skin.vertices - [0, -11.2, 4.2], axis=1))[:3],
+        "tooth_up": np.arange(40) + start["teeth_upper"],
+        "tooth_low": np.arange(40) + start["teeth_lower"],
+        "tongue_tip": front,
+        "tongue_body": part("tongue", lambda p: (p[:, 2] < tip_z - 1.6) & (p[:, 2] > tip_z - 3)),
+        "tongue_left": part("tongue", lambda p: (p[:, 0] > 0.9) & (p[:, 2] > tip_z - 2.2)),
+    }
+
+
+def motion(head, name: str, value: float, base: dict[str, float]) -> np.ndarray:
+    return head.pose(pose_values({**base, name: value})) - head.pose(pose_values(base))
+
+
+OPEN = {"CTRL_C_jaw.ty": 0.35}
+"""Lips apart and room for the tongue, so that contact hides nothing."""
+CASES = [(f"CTRL_L_{stem}", *rest) for stem, rest in SIDED.items()] + [
+    (name, *rest) for name, rest in CENTER.items()
+]
+
+
+@pytest.mark.parametrize(("name", "landmark", "axis", "plus", "minus"), CASES)
+def test_control_moves_its_landmark_the_right_way(
+    head, landmarks, name, landmark, axis, plus, minus
+):
+    base = {k: v for k, v in OPEN.items() if not name.startswith("CTRL_C_jaw")}
+    at = landmarks[landmark]
+    end = 0.5 if "swallow" in name else 1.0
+    k = CONTROLS.index(name)
+    assert (CONTROLS.minimum[k] < 0) == (minus is not None or name.endswith("thickThin.ty"))
+    for value, sign in ((end, plus), (-1.0, minus)):
+        if sign is not None:
+            moved = motion(head, name, value, base)[at, axis].mean()
+            assert sign * moved > 0.015, f"{name}={value} moves {landmark} by {moved:.3f} cm"
+
+
+@pytest.mark.parametrize("stem", [*SIDED, "eye_pupil.ty"])
+def test_sided_control_moves_its_own_side(head, stem):
+    x = head.mesh.vertices[:, 0]
+    for side, sign in (("L", 1), ("R", -1)):
+        moved = np.linalg.norm(motion(head, f"CTRL_{side}_{stem}", 1.0, OPEN), axis=1)
+        own, other = moved[sign * x > 0.6].sum(), moved[sign * x < -0.6].sum()
+        assert own > 6 * other, stem
+
+
+def test_pupil_widens_and_narrows(head):
+    ring = head.slices["eye_L"].start + 4 * 40 + np.arange(40)
+
+    def radius(value):
+        points = head.pose(pose_values({"CTRL_L_eye_pupil.ty": value}))[ring]
+        return np.linalg.norm(points - points.mean(0), axis=1).mean()
+
+    assert radius(-1) < 0.8 * radius(0) < 0.8 * 0.8 * radius(1)
+
+
+def test_thick_tongue_is_taller(head):
+    def height(value):
+        points = head.pose(pose_values({**OPEN, "CTRL_C_tongue_thickThin.ty": value}))
+        points = points[head.slices["tongue"]]
+        return np.ptp(points[200:400, 1])
+
+    assert height(-1) < height(0) < height(1)
+
+
+@pytest.mark.parametrize("lip", ["U", "D"])
+def test_lips_together_moves_its_own_lip(head, lip):
+    moved = motion(head, f"*mouth_lipsTogether{lip}.ty", 1.0, OPEN)
+    upper, lower = (moved[head.features.loop(MOUTH, 0)[k], Y] for k in (13, 39))
+    assert (upper < -0.1 and abs(lower) < 0.01) if lip == "U" else (lower > 0.1 > abs(upper) * 10)
+
+
+@pytest.mark.parametrize(("name", "u"), [("stickyInner", 0.45), ("stickyOuter", 0.85)])
+def test_sticky_closes_its_part_of_the_lips(head, name, u):
+    both = {f"CTRL_L_mouth_{name}{lip}.ty": 1.0 for lip in "UD"}
+    skin = head.pose(pose_values({**OPEN, **both}))
+    rim = head.features.loop(MOUTH, 0)
+    slots = np.arange(1, 26)
+    gap = np.linalg.norm(skin[rim[slots]] - skin[rim[52 - slots]], axis=1)
+    where = np.cos(slots / 52 * 2 * np.pi)
+    at = np.abs(where - u).argmin()
+    mirrored = np.abs(where + u).argmin()
+    assert gap[at] < 0.12 * gap[mirrored] + 0.02
+
+
+def test_lip_sticky_zips_from_the_corner(head):
+    rim = head.features.loop(MOUTH, 0)
+
+    def gaps(value):
+        skin = head.pose(pose_values({**OPEN, "*mouth_lipSticky.ty": value}))
+        return np.linalg.norm(skin[rim[[4, 13]]] - skin[rim[[48, 39]]], axis=1)
+
+    side, middle = gaps(0.45)
+    assert side < 0.05 < middle
+    assert gaps(1.0).max() < 0.02
+
+
+def test_center_sticky_closes_the_middle(head):
+    both = {f"CTRL_C_mouth_sticky{lip}.ty": 1.0 for lip in "UD"}
+    skin = head.pose(pose_values({**OPEN, **both}))
+    rim = head.features.loop(MOUTH, 0)
+    assert np.linalg.norm(skin[rim[13]] - skin[rim[39]]) < 0.02
+
+
+def test_parallel_look_makes_the_eyes_agree(head):
+    crossed = {"CTRL_L_eye.tx": -0.6, "CTRL_R_eye.tx": 0.6}
+
+    def aim(pose):
+        posed = head.pose(pose_values(pose)).astype(float)
+        axes = []
+        for name, side in (("eye_L", 1), ("eye_R", -1)):
+            center = head.features.anatomy.eye * [side, 1, 1]
+            axes.append(posed[head.slices[name]][:40].mean(0) - center)
+        return axes
+
+    a, b = aim(crossed)
+    assert abs(a[0] - b[0]) > 0.5
+    a, b = aim({**crossed, "CTRL_C_eye_parallelLook.ty": 1})
+    assert np.abs(a - b).max() < 1e-3
+
+
+def test_every_control_is_accounted_for(head):
+    """Each of the 185 moves something, needs company, or is listed with a reason."""
+    base = {**OPEN, "*nose.ty": 0.5, "CTRL_L_eye.tx": 0.5}
+    still = {n for n, m in _motions(head, pose_values(base)).items() if m < 0.02}
+    assert still == set(NOTHING)
+    alone = {n for n, m in _motions(head, CONTROLS.rest.astype(float)).items() if m < 0.02}
+    assert alone - still == set(ONLY_WITH)
+
+
+def _motions(head, base: np.ndarray) -> dict[str, float]:
+    """Largest motion of any vertex when each control alone leaves `base` for its far end."""
+    values = np.repeat(base[None], 185, 0)
+    far = np.where(base < CONTROLS.maximum, CONTROLS.maximum, CONTROLS.minimum)
+    np.fill_diagonal(values, far)
+    swallow = CONTROLS.index("CTRL_C_neck_swallow.ty")
+    values[swallow, swallow] = 0.5
+    moved = np.abs(head.pose(values) - head.pose(base)).max((1, 2))
+    return dict(zip(CONTROLS.names, moved, strict=True))
+
+
+def test_eyes_of_both_kinds_exist(head):
+    assert len(head.features.loop(EYE_R, 0)) == len(head.features.loop(EYE_L, 0))

@@ -1,0 +1,364 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rig import ControlSet, RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.errors import ControlError, FormatError, RigError
+from rig.formats.decimal_text import Block, rows
+from rig.formats.table import FORMATS as TABLE
+
+CONTROLS = default_controls()
+JAW = "CTRL_C_jaw.ty"
+PRECISION = {"csv": 6e-7, "json": 6e-7, "npz": 0.0}
+FORMATS = list(PRECISION)
+EVERY_SUFFIX = [
+    pytest.param(suffix, marks=[pytest.mark.slow] if f.name == "usd" else [])
+    for f in TABLE
+    if f.read
+    for suffix in f.suffixes
+]
+
+
+@st.composite
+def curves_of_any_kind(draw):
+    n_frames = draw(st.integers(1, 6))
+    unit = draw(hnp.arrays(np.float32, (n_frames, 185), elements=st.floats(0, 1, width=32)))
+    values = CONTROLS.minimum + unit * (CONTROLS.maximum - CONTROLS.minimum)
+    tracks = {}
+    if draw(st.booleans()):
+        tracks["emotion"] = unit[:, :5]
+    if draw(st.booleans()):
+        tracks["intensity"] = 2 * unit[:, 9]
+    fps = draw(st.sampled_from([24, 25, 29.97, 30, 50, 59.94, 60, 33.3]))
+    return RigCurves(values, CONTROLS.names, fps, **tracks)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@settings(max_examples=15, deadline=None)
+@given(curves=curves_of_any_kind())
+def test_round_trip_keeps_values_names_rate_and_tracks(suffix, curves, tmp_path_factory):
+    path = tmp_path_factory.mktemp("round") / f"curves.{suffix}"
+    report = write_curves(path, curves)
+    back = read_curves(path)
+    assert back.values == pytest.approx(curves.values, abs=PRECISION[suffix], rel=0)
+    assert (back.names, back.control_set) == (curves.names, curves.control_set)
+    if len(curves) > 1 or suffix != "csv":
+        assert back.fps == pytest.approx(curves.fps, rel=1e-9)
+    present = [k for k in ("emotion", "intensity") if getattr(curves, k) is not None]
+    if suffix == "csv":
+        assert list(report.dropped) == present
+        assert back.emotion is None and back.intensity is None
+    else:
+        assert report.dropped == ()
+        for track in ("emotion", "intensity"):
+            written, read = getattr(curves, track), getattr(back, track)
+            assert (written is None) == (read is None)
+            assert written is None or read == pytest.approx(written, abs=6e-7, rel=0)
+
+
+@given(
+    hnp.arrays(
+        np.float64, st.tuples(st.integers(1, 5), st.integers(1, 4)), elements=st.floats(-2e3, 2e3)
+    ),
+    st.integers(0, 10),
+)
+def test_fixed_point_text_equals_printf(values, decimals):
+    text = b"".join(rows([Block(values, decimals, trim=False)])).decode()
+    for line, row in zip(text.splitlines(), values, strict=True):
+        for cell, value in zip(line.split(","), row, strict=True):
+            assert float(cell) == pytest.approx(value, abs=0.51 * 10.0**-decimals, rel=1e-14)
+            assert len(cell.partition(".")[2]) == decimals
+            assert not (cell.startswith("-") and float(cell) == 0)
+
+
+def test_fixed_point_text_by_hand():
+    values = np.array([[0.5, -0.25, 1.0, -0.0000001, 10.05, 123.0]])
+    assert list(rows([Block(values, 6)])) == [b"0.5,-0.25,1,0,10.05,123\n"]
+    assert list(rows([Block(values[:, :2], 2, trim=False)])) == [b"0.50,-0.25\n"]
+
+
+def test_csv_is_a_plain_table_for_pandas(tmp_path):
+    values = np.tile(CONTROLS.rest, (3, 1))
+    values[1, CONTROLS.index(JAW)] = 0.5
+    write_curves(tmp_path / "c.csv", RigCurves(values, CONTROLS.names))
+    table = pd.read_csv(tmp_path / "c.csv")
+    assert list(table.columns) == ["frame", "time", *CONTROLS.names]
+    assert table["frame"].tolist() == [0, 1, 2]
+    assert table["time"].tolist() == pytest.approx([0, 1 / 30, 2 / 30], abs=1e-9)
+    assert table[JAW].tolist() == [0, 0.5, 0]
+
+
+def test_json_says_what_it_is(tmp_path):
+    write_curves(tmp_path / "c.json", rest_curves(2, fps=29.97))
+    data = json.loads((tmp_path / "c.json").read_text())
+    assert data["schema"] == "deitalk.curves/1"
+    assert data["control_set"] == "metahuman-185@mh4"
+    assert data["fps"] == pytest.approx(30000 / 1001)
+    assert data["n_frames"] == len(data["values"]) == 2
+    assert len(data["values"][0]) == len(data["names"]) == 185
+
+
+def test_rate_is_changed_on_the_way_out(tmp_path):
+    report = write_curves(tmp_path / "c.csv", rest_curves(30), fps=24)
+    assert (report.n_frames, report.fps) == (24, 24)
+    assert read_curves(tmp_path / "c.csv").fps == 24
+
+
+@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
+def test_rate_is_told_from_the_times_even_of_two_frames(tmp_path, fps):
+    for n_frames in (2, 3, 1000):
+        curves = rest_curves(n_frames, fps=fps)
+        write_curves(tmp_path / "c.csv", curves)
+        assert read_curves(tmp_path / "c.csv").fps == curves.fps
+
+
+def test_clipping_is_done_and_reported_on_writing(tmp_path):
+    values = np.tile(CONTROLS.rest, (2, 1))
+    values[1, CONTROLS.index(JAW)] = 1.5
+    report = write_curves(tmp_path / "c.csv", RigCurves(values, CONTROLS.names))
+    assert "worst CTRL_C_jaw.ty by 0.5" in str(report.clipped)
+    assert read_curves(tmp_path / "c.csv")[JAW].tolist() == [0, 1]
+
+
+def table_of_rest(n_frames=3):
+    table = pd.DataFrame(np.tile(CONTROLS.rest, (n_frames, 1)), columns=list(CONTROLS.names))
+    table.insert(0, "time", np.arange(n_frames) / 30)
+    table.insert(0, "frame", np.arange(n_frames))
+    return table
+
+
+def save(table, path):
+    table.to_csv(path, index=False)
+    return path
+
+
+def test_columns_may_come_in_any_order_and_spelling(tmp_path):
+    table = table_of_rest()[list(reversed(table_of_rest().columns))]
+    table[JAW] = [0, 0.5, 1]
+    table = table.rename(columns={JAW: "CTRL_C_jaw.Y"})
+    assert read_curves(save(table, tmp_path / "c.csv"))[JAW].tolist() == [0, 0.5, 1]
+
+
+def test_older_board_reads_with_rest_for_what_it_lacked(tmp_path):
+    newer_only = [c.name for c in CONTROLS.controls if c.mh3_name == "-"]
+    names = {c.name: c.mh3_name for c in CONTROLS.controls if c.mh3_name not in ("", "-")}
+    table = table_of_rest().drop(columns=newer_only).rename(columns=names)
+    table["CTRL_C_tongue_roll.ty"] = 0.75
+    curves = read_curves(save(table, tmp_path / "c.csv"))
+    assert (curves["CTRL_C_tongue_bendTwist.ty"] == 0.75).all()
+    assert (curves["CTRL_C_tongue_roll.ty"] == 0).all()
+
+
+def test_control_faults_are_one_line_errors(tmp_path):
+    table = table_of_rest()
+    with pytest.raises(FormatError, match=r"lacks 1 of the 185 controls.*CTRL_C_jaw.ty"):
+        read_curves(save(table.drop(columns=JAW), tmp_path / "missing.csv"))
+    with pytest.raises(ControlError, match=r"'CTRL_C_jaw.ty' occurs twice"):
+        read_curves(save(table.assign(**{"CTRL_C_jaw.Y": 0}), tmp_path / "doubled.csv"))
+    with pytest.raises(ControlError, match=r"unknown control 'CTRL_C_jaws.ty'.*did you mean"):
+        read_curves(save(table.assign(**{"CTRL_C_jaws.ty": 0}), tmp_path / "unknown.csv"))
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        (1.5, r"data row 2, column 'CTRL_C_jaw.ty' is 1.5, outside 0 to 1"),
+        (-0.1, "is -0.1, outside 0 to 1"),
+        (np.nan, r"data row 2, column 'CTRL_C_jaw.ty' is empty or NaN"),
+        ("wide", r"data row 2, column 'CTRL_C_jaw.ty' is 'wide'"),
+        ("inf", "must be a finite number"),
+        ("True", "is 'True'"),
+    ],
+)
+def test_bad_cells_are_named_by_row_and_column(tmp_path, cell, message):
+    table = table_of_rest().astype(object)
+    table.loc[1, JAW] = cell
+    with pytest.raises(FormatError, match=message):
+        read_curves(save(table, tmp_path / "c.csv"))
+
+
+def test_uneven_and_falling_times_are_errors(tmp_path):
+    table = table_of_rest(4)
+    table["time"] = [0, 1, 2, 9]
+    with pytest.raises(FormatError, match="data row 2 comes 1 s after the last, others 3 s"):
+        read_curves(save(table, tmp_path / "c.csv"))
+    table["time"] = [0, 0, 0, 0]
+    with pytest.raises(FormatError, match="do not rise"):
+        read_curves(save(table, tmp_path / "c.csv"))
+    with pytest.raises(FormatError, match="no column 'time'"):
+        read_curves(save(table.drop(columns="time"), tmp_path / "c.csv"))
+    assert read_curves(tmp_path / "c.csv", fps=25).fps == 25
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("a\n", "unknown control 'a'"),
+        ("frame,time," + ",".join(CONTROLS.names) + "\n", "no rows"),
+        ("frame,time," + ",".join(CONTROLS.names) + "\n0,0" + ",0" * 186 + "\n", "more cells"),
+        ("frame,time," + ",".join(CONTROLS.names) + "\n0,0" + ",0" * 99 + "\n", "empty or NaN"),
+        ("x" * (1 << 20) + "x\n", "longer than 1 MiB"),
+    ],
+)
+def test_broken_tables_are_errors(tmp_path, text, message):
+    (tmp_path / "c.csv").write_text(text)
+    with pytest.raises(RigError, match=message):
+        read_curves(tmp_path / "c.csv")
+
+
+def json_of_rest():
+    return {
+        "schema": "deitalk.curves/1",
+        "control_set": CONTROLS.id,
+        "fps": 30,
+        "names": list(CONTROLS.names),
+        "values": [CONTROLS.rest.tolist()],
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": "deitalk.curves/9"}, "schema is 'deitalk.curves/9'; this reads"),
+        ({"control_set": "arkit-61"}, "in arkit-61"),
+        ({"fps": "fast"}, "'fps' is a str"),
+        ({"fps": True}, "'fps' is a bool"),
+        ({"fps": 0}, "fps=0 must be from 0.01 to 1000"),
+        ({"names": 7}, "'names' is a int"),
+        ({"names": [7] * 185}, "must be text"),
+        ({"names": list(CONTROLS.names[1:])}, "lacks 1 of the 185"),
+        ({"values": [[0.0]]}, r"it must be \(frames, 185\)"),
+        ({"values": [[0.0], [0.0, 1.0]]}, "rows of numbers of one length"),
+        ({"values": "all of them"}, "'values' is a str"),
+        ({"n_frames": 7}, "'n_frames' is 7 and there are 1 rows"),
+        (
+            {"emotion": [[0, 0, 0, 0, 0]], "emotion_names": ["joy"]},
+            "'emotion_names' must be neutral",
+        ),
+        ({"intensity": [1, 2]}, r"intensity has shape \(2,\)"),
+    ],
+)
+def test_broken_json_fields_are_errors(tmp_path, change, message):
+    (tmp_path / "c.json").write_text(json.dumps(json_of_rest() | change))
+    with pytest.raises(RigError, match=message):
+        read_curves(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", "{", "NaN", '{"a": NaN}', "[" * 100_000, "\x00", "1" * 5000]
+)
+def test_texts_that_are_no_json_object_are_errors(tmp_path, text):
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(
+        FormatError, match=r"no JSON|must hold a JSON object|nests 100000 levels; at most 32"
+    ):
+        read_curves(tmp_path / "c.json")
+
+
+def test_archives_never_unpickle(tmp_path):
+    np.savez(tmp_path / "c.npz", names=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(FormatError, match="no archive of numpy arrays"):
+        read_curves(tmp_path / "c.npz")
+
+
+def test_archive_without_an_array_says_which(tmp_path):
+    np.savez(tmp_path / "c.npz", schema="deitalk.curves/1", names=["a"], control_set="x")
+    with pytest.raises(FormatError, match="no array 'fps'"):
+        read_curves(tmp_path / "c.npz")
+
+
+@pytest.mark.parametrize("suffix", EVERY_SUFFIX)
+@settings(max_examples=40, deadline=None)
+@given(data=st.binary(max_size=400))
+def test_any_bytes_give_a_clear_error(suffix, data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
+    path.write_bytes(data)
+    with pytest.raises(RigError) as caught:
+        read_curves(path, fps=30)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", EVERY_SUFFIX)
+@settings(max_examples=30, deadline=None)
+@given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
+def test_one_wrong_byte_is_read_or_refused_never_a_crash(
+    suffix, place, byte, cut, tmp_path_factory
+):
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
+    write_curves(path, rest_curves(2))
+    data = bytearray(path.read_bytes())
+    at = min(int(place * len(data)), len(data) - 1)
+    if cut:
+        del data[at:]
+    else:
+        data[at] = byte
+    path.write_bytes(data)
+    try:
+        curves = read_curves(path, fps=30)
+    except RigError as error:
+        assert str(error)
+    else:
+        assert np.isfinite(curves.values).all()
+
+
+def test_paths_that_cannot_be_are_errors(tmp_path):
+    with pytest.raises(FormatError, match="does not exist"):
+        read_curves(tmp_path / "absent.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(FormatError, match="is a folder"):
+        read_curves(tmp_path / "folder.csv")
+    with pytest.raises(FormatError, match=r"no format has the suffix '.abc'; known: .csv"):
+        write_curves(tmp_path / "c.abc", rest_curves(1))
+    with pytest.raises(FormatError, match="unknown format 'abc'; known: csv"):
+        write_curves(tmp_path / "c.csv", rest_curves(1), format="abc")
+    with pytest.raises(FormatError, match="cannot write"):
+        write_curves(tmp_path / "no" / "folder" / "c.csv", rest_curves(1))
+    with pytest.raises(FormatError, match="no frames"):
+        write_curves(tmp_path / "c.csv", rest_curves(0))
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"c.{suffix}"
+    write_curves(path, rest_curves(1))
+    before = path.read_bytes()
+
+    def full_disk(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rig.formats.curves_csv.rows", full_disk)
+    monkeypatch.setattr("rig.formats.curves_json.rows", full_disk)
+    monkeypatch.setattr("numpy.savez_compressed", full_disk)
+    with pytest.raises(FormatError, match=r"cannot write.*No space left"):
+        write_curves(path, rest_curves(2))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_own_control_sets_travel_through_every_format(tmp_path):
+    puppet = ControlSet.from_names(["jaw", "lips"], id="puppet@1")
+    curves = RigCurves([[0.5, 0.25], [0.0, 1.0]], puppet.names, 25, control_set=puppet.id)
+    for suffix in FORMATS:
+        write_curves(tmp_path / f"c.{suffix}", curves)
+        back = read_curves(tmp_path / f"c.{suffix}", controls=puppet)
+        assert (back.values == curves.values).all() and back.fps == 25
+        with pytest.raises(RigError):
+            read_curves(tmp_path / f"c.{suffix}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [f.suffixes[0] for f in TABLE if f.write])
+def test_an_hour_is_written_in_ten_seconds(tmp_path, rng, suffix):
+    import time
+
+    values = rng.uniform(CONTROLS.minimum, CONTROLS.maximum, (108_000, 185)).astype(np.float32)
+    curves = RigCurves(values, CONTROLS.names)
+    start = time.process_time()
+    write_curves(tmp_path / f"c{suffix}", curves)
+    assert time.process_time() - start <= 10

@@ -1,0 +1,203 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig import RigCurves, read_curves, rest_curves, write_curves
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.raw import RAW_ID, board_to_raw
+from rig.errors import CurveError, FormatError, RigError
+from rig.formats.livelink_csv import (
+    frame_ticks,
+    parse_timecode,
+    read_take,
+    subject_of,
+    take_name,
+    timecode_text,
+    write_take,
+)
+
+ALEX = "data/curves/livelink/alex_rom_3.csv"
+HEADER = ",".join(["Timecode", "BlendShapeCount", *arkit_controls().names])
+
+
+def seconds_as_unreal_reads(timecode):
+    """The importer's formula, written from its description and not from our code."""
+    hours, minutes, seconds, frames = timecode.split(":")
+    return int(hours) * 3600 + int(minutes) * 60 + int(seconds) + float(frames) / 60
+
+
+def codes(n_frames, fps):
+    return [bytes(row).decode() for row in timecode_text(frame_ticks(n_frames, fps))]
+
+
+@pytest.mark.parametrize(
+    ("fps", "frame", "timecode"),
+    [
+        (30, 1, "00:00:00:02.000"),
+        (30, 29, "00:00:00:58.000"),
+        (30, 30, "00:00:01:00.000"),
+        (60, 1, "00:00:00:01.000"),
+        (60, 61, "00:00:01:01.000"),
+        (24, 1, "00:00:00:02.500"),
+        (24, 25, "00:00:01:02.500"),
+        (29.97, 1, "00:00:00:02.002"),
+        (29.97, 30, "00:00:01:00.060"),
+        (25, 1, "00:00:00:02.400"),
+        (50, 3, "00:00:00:03.600"),
+    ],
+)
+def test_timecodes_by_hand(fps, frame, timecode):
+    rate = 30000 / 1001 if fps == 29.97 else fps
+    assert codes(frame + 1, rate)[frame] == timecode
+
+
+@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60])
+def test_files_play_at_the_right_speed_by_the_importers_formula(tmp_path, fps):
+    write_curves(tmp_path / "S_1_me.csv", rest_curves(300, fps=fps), format="livelink")
+    lines = (tmp_path / "S_1_me.csv").read_text().splitlines()[1:]
+    times = [seconds_as_unreal_reads(line.split(",")[0]) for line in lines]
+    rate = 30000 / 1001 if fps == 29.97 else fps
+    assert times == pytest.approx(np.arange(300) / rate, abs=1e-5)
+
+
+@given(st.integers(0, 24 * 3600 * 60000 - 1))
+def test_every_timecode_reads_as_written(ticks):
+    text = bytes(timecode_text(np.array([ticks]))[0]).decode()
+    assert parse_timecode(text, row=1, where="x") == ticks
+
+
+def test_real_take_writes_back_to_the_same_bytes(shared, tmp_path):
+    write_take(tmp_path / "back.csv", read_take(shared / ALEX))
+    theirs = (shared / ALEX).read_text().split("\n")
+    ours = (tmp_path / "back.csv").read_text().split("\n")
+    assert ours == [line.rstrip("\r") for line in theirs]
+
+
+def test_real_take_is_put_on_an_even_grid(shared):
+    take = read_take(shared / ALEX)
+    assert take.fps == 30
+    curves = take.to_curves()
+    seconds = (take.ticks - take.ticks[0]) / 60000
+    assert curves.duration == pytest.approx(seconds[-1], abs=1 / 30 + 1e-6)
+    jaw = take.names.index("JawOpen")
+    assert curves["JawOpen"] == pytest.approx(
+        np.interp(curves.times, seconds, take.values[:, jaw]), abs=1e-6
+    )
+    # four frames were dropped by the phone: the grid has them, the file does not
+    assert len(take.ticks) == 4030 and len(curves) == 4032
+
+
+def test_real_take_drives_the_board(shared, tmp_path):
+    board = read_curves(shared / ALEX)
+    assert board.control_set == "metahuman-185@mh4"
+    take = read_take(shared / ALEX).to_curves()
+    assert board["CTRL_C_jaw.ty"] == pytest.approx(take["JawOpen"].clip(0, 1), abs=1e-6)
+    write_curves(tmp_path / "a_1_b.csv", board, format="livelink")
+    again = read_curves(tmp_path / "a_1_b.csv", control_set=None)
+    assert again["JawOpen"] == pytest.approx(take["JawOpen"].clip(0, 1), abs=1e-6)
+    assert again["MouthPucker"] == pytest.approx(take["MouthPucker"].clip(0, 1), abs=1e-3)
+
+
+def test_file_is_what_the_app_writes(tmp_path):
+    values = np.zeros((2, 61), np.float32)
+    values[1, 17] = 0.25
+    curves = RigCurves(values, arkit_controls().names, control_set=ARKIT_ID)
+    write_curves(tmp_path / "a.livelink.csv", curves)
+    lines = (tmp_path / "a.livelink.csv").read_text().split("\n")
+    assert lines[0] == HEADER
+    assert lines[1] == "00:00:00:00.000,61" + ",0.0000000000" * 61
+    assert lines[2].split(",")[:2] == ["00:00:00:02.000", "61"]
+    assert lines[2].split(",")[19] == "0.2500000000"
+    assert lines[3] == "" and len(lines) == 4
+
+
+def test_loss_is_reported_when_the_board_is_written(tmp_path):
+    report = write_curves(tmp_path / "a.livelink.csv", rest_curves(3))
+    assert "lossy preview: 0%" in report.note
+    curves = rest_curves(3)
+    values = curves.values.copy()
+    values[:, curves.index("CTRL_L_ear_up.ty")] = 1
+    report = write_curves(tmp_path / "a.livelink.csv", RigCurves(values, curves.names))
+    assert "lossy preview: 100%" in report.note
+
+
+def test_raw_curves_travel_as_live_link_columns(tmp_path):
+    curves = rest_curves(4)
+    write_curves(tmp_path / "a.livelink-raw.csv", curves)
+    back = read_curves(tmp_path / "a.livelink-raw.csv", control_set=None)
+    assert back.control_set == RAW_ID
+    assert back.values == pytest.approx(board_to_raw(curves).values)
+
+
+def test_takes_that_cross_midnight_keep_rising(tmp_path):
+    rows = [f"{code},61" + ",0" * 61 for code in ("23:59:59:58.000", "00:00:00:00.000")]
+    (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]))
+    assert np.diff(read_take(tmp_path / "a.csv").ticks).tolist() == [2000]
+
+
+def test_more_columns_than_61_do_not_disturb(tmp_path):
+    header = HEADER.replace("BlendShapeCount", "BlendshapeCount") + ",Angry"
+    (tmp_path / "a.csv").write_text(header + "\n00:00:00:00.000,61" + ",0" * 61 + ",1\n")
+    assert read_take(tmp_path / "a.csv").names[-1] == "Angry"
+    assert read_curves(tmp_path / "a.csv", control_set=None).names == arkit_controls().names
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("00:00:00:60.000,61" + ",0" * 61, "FF counts sixtieths, 00 to 59"),
+        ("00:00:00,61" + ",0" * 61, "must be HH:MM:SS:FF.mmm"),
+        ("24:00:00:00.000,61" + ",0" * 61, "has time code"),
+        ("00:00:00:00.000,61" + ",0" * 60, "'RightEyeRoll' is empty"),
+        ("00:00:00:00.000,61" + ",0" * 60 + ",", "'RightEyeRoll' is empty"),
+        ("00:00:00:00.000,61" + ",0" * 62, "more cells"),
+        ("00:00:00:00.000,61" + ",nan" + ",0" * 60, "'EyeBlinkLeft' is empty or NaN"),
+        (("00:00:00:00.000,61" + ",0" * 61 + "\n") * 2, "not after the one before"),
+    ],
+)
+def test_broken_takes_are_errors(tmp_path, row, message):
+    (tmp_path / "a.csv").write_text(HEADER + "\n" + row + "\n")
+    with pytest.raises(FormatError, match=message):
+        read_curves(tmp_path / "a.csv")
+
+
+def test_doubled_and_foreign_columns_are_errors(tmp_path):
+    (tmp_path / "a.csv").write_text("Timecode,BlendShapeCount,JawOpen,JawOpen\n00:00:00:00,2,0,0\n")
+    with pytest.raises(RigError, match="'JawOpen' occurs twice"):
+        read_curves(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("Timecode,BlendShapeCount,smile\n00:00:00:00,1,0\n")
+    with pytest.raises(FormatError, match="none of the columns smile"):
+        read_curves(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "subject"),
+    [
+        ("MySlate_164_iPhone_cal.csv", "iPhone"),
+        ("My_Slate_2_me.csv", "me"),
+        ("speech_1_deitalk.csv", "deitalk"),
+        ("curves.csv", None),
+    ],
+)
+def test_subject_is_what_the_importer_takes_from_the_name(tmp_path, name, subject):
+    assert subject_of(tmp_path / name) == subject
+
+
+def test_names_of_takes():
+    assert take_name("My_Slate", 3, "anna") == "My_Slate_3_anna.csv"
+    with pytest.raises(CurveError, match="may hold no underscore"):
+        take_name("slate", 1, "my_phone")
+
+
+def test_take_rejects_hours_without_frames(tmp_path):
+    """Three frames an hour apart are no take; a gap of 19 minutes is."""
+    codes = ["00:00:00:00.000", "00:00:00:02.000", "00:19:00:00.000"]
+    rows = [f"{code},61," + ",".join(["0"] * 61) for code in codes]
+    header = "Timecode,BlendShapeCount," + ",".join(arkit_controls().names)
+    path = tmp_path / "a_1_b.csv"
+    path.write_text("\n".join([header, *rows]))
+    assert len(read_take(path).to_curves(30)) == 19 * 60 * 30 + 1
+    path.write_text("\n".join([header, *rows]).replace("00:19", "03:19"))
+    with pytest.raises(FormatError, match="a take of 3 frames lasts 358201; at most 36030"):
+        read_take(path).to_curves(30)

@@ -1,0 +1,174 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, board_to_raw
+from rig.errors import ControlError, FormatError
+from rig.formats.emoface_txt import columns
+
+BOARD = default_controls()
+
+
+@pytest.fixture
+def curves(rng):
+    values = rng.uniform(BOARD.minimum, BOARD.maximum, (5, 185)).astype(np.float32)
+    return RigCurves(values, BOARD.names, 25)
+
+
+def test_raw_csv_is_told_by_its_names(tmp_path, curves):
+    write_curves(tmp_path / "c.raw.csv", curves)
+    raw = read_curves(tmp_path / "c.raw.csv", control_set=None)
+    assert raw.control_set == RAW_ID and raw.fps == 25
+    assert raw.values == pytest.approx(board_to_raw(curves).values, abs=6e-7)
+    (tmp_path / "c.raw.csv").rename(tmp_path / "other.csv")
+    assert read_curves(tmp_path / "other.csv").control_set == BOARD.id
+
+
+def test_rigmapper_keys_by_hand(tmp_path):
+    values = rest_curves(3).values.copy()
+    values[1, BOARD.index("CTRL_C_jaw.ty")] = 0.5
+    write_curves(tmp_path / "c.rigmapper.csv", RigCurves(values, BOARD.names))
+    lines = (tmp_path / "c.rigmapper.csv").read_text().splitlines()
+    assert lines[0] == "curve_name, frame_number, value"
+    assert len(lines) == 1 + 2 * 251 + 1  # only the jaw moves
+    assert "CTRL_expressions_jawOpen,0,0" in lines and "CTRL_expressions_jawOpen,1,0.5" in lines
+
+
+def test_rigmapper_keys_read_back(tmp_path, curves):
+    write_curves(tmp_path / "c.rigmapper.csv", curves)
+    raw = read_curves(tmp_path / "c.rigmapper.csv", fps=25, control_set=None)
+    assert raw.fps == 25
+    assert raw.values == pytest.approx(board_to_raw(curves).values, abs=6e-7)
+
+
+def test_rigmapper_fills_between_sparse_keys_and_rests_absent_curves(tmp_path):
+    text = "curve_name, frame_number, value\nCTRL_expressions_jawOpen, 2, 1\njawOpen,0,0\n"
+    (tmp_path / "c.csv").write_text(text.replace("jawOpen,0", "CTRL_expressions_jawOpen,0"))
+    raw = read_curves(tmp_path / "c.csv", control_set=None)
+    assert raw["CTRL_expressions_jawOpen"].tolist() == [0, 0.5, 1]
+    assert raw["CTRL_expressions_noseWrinkleUpperL"].tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("", "no keys"),
+        ("CTRL_expressions_jawOpen,0.5,1\n", "frame and value must be numbers"),
+        ("CTRL_expressions_jawOpen,0,nan\n", "must be numbers"),
+        ("CTRL_expressions_jawOpen,x,1\n", "no table of keys"),
+        ("CTRL_expressions_jawOpen,-1,1\n", "at most 1296000 frames"),
+        ("CTRL_expressions_jawOpen,99999999,1\n", "at most 1296000 frames"),
+        ("CTRL_expressions_jawOpen,0,1\nCTRL_expressions_jawOpen,0,1\n", "two keys on one frame"),
+        ("CTRL_expressions_jawOpen,0,7\n", "outside 0 to 1"),
+    ],
+)
+def test_broken_keys_are_errors(tmp_path, keys, message):
+    (tmp_path / "c.csv").write_text("curve_name, frame_number, value\n" + keys)
+    with pytest.raises(FormatError, match=message):
+        read_curves(tmp_path / "c.csv")
+
+
+def test_unknown_curve_in_keys_is_named(tmp_path):
+    (tmp_path / "c.csv").write_text("curve_name, frame_number, value\nCTRL_expressions_jaw,0,1\n")
+    with pytest.raises(ControlError, match="unknown control 'CTRL_expressions_jaw'"):
+        read_curves(tmp_path / "c.csv")
+
+
+def test_audio2face_frames_are_a_pandas_table(tmp_path, curves):
+    report = write_curves(tmp_path / "animation_frames.csv", curves)
+    assert report.format == "a2f" and "lossy" in report.note
+    table = pd.read_csv(tmp_path / "animation_frames.csv", index_col=0)
+    assert table.index.tolist() == [0, 1, 2, 3, 4]
+    assert table["timeCode"].tolist() == pytest.approx(np.arange(5) / 25)
+    assert list(table.columns[1:]) == [f"blendShapes.{n}" for n in arkit_controls().names[:52]]
+    back = read_curves(tmp_path / "animation_frames.csv", control_set=None)
+    assert back.values[:, :52] == pytest.approx(convert(curves, ARKIT_ID).values[:, :52], abs=6e-7)
+
+
+def test_audio2face_tongue_shapes_and_camel_case_are_read(tmp_path):
+    text = ",timeCode,blendShapes.jawOpen,blendShapes.TongueUp\n0,0.0,0.25,1\n1,0.5,0.5,1\n"
+    (tmp_path / "frames.csv").write_text(text)
+    back = read_curves(tmp_path / "frames.csv", control_set=None)
+    assert back["JawOpen"].tolist() == [0.25, 0.5] and back.fps == 2
+
+
+def test_emoface_columns_are_the_published_ones():
+    names = columns()
+    spelling = {c.name: c.emoface_name for c in BOARD.controls}
+    assert len(names) == len(set(names)) == 174
+    assert [spelling[n] for n in names[:5]] == [
+        "CTRL_C_eye-translateX",
+        "CTRL_C_eye-translateY",
+        "CTRL_C_eye_parallelLook-translateY",
+        "CTRL_C_jaw-translateX",
+        "CTRL_C_jaw-translateY",
+    ]
+    # the published list has tongue_tip where the alphabet has tongue_roll
+    assert [spelling[n].removeprefix("CTRL_C_tongue") for n in names[20:29]] == [
+        "-translateX",
+        "-translateY",
+        "_inOut-translateY",
+        "_narrowWide-translateY",
+        "_press-translateY",
+        "_roll-translateX",
+        "_roll-translateY",
+        "_tip-translateX",
+        "_tip-translateY",
+    ]
+    assert spelling[names[29]] == "CTRL_L_brow_down-translateY"
+    assert spelling[names[46]] == "CTRL_L_jaw_ChinRaiseD-translateY"
+    assert spelling[names[-1]] == "CTRL_neck_throatUpDown-translateY"
+
+
+def test_emoface_text_goes_both_ways(tmp_path, curves):
+    write_curves(tmp_path / "c.txt", curves)
+    lines = (tmp_path / "c.txt").read_text().splitlines()
+    assert [len(line.split(",")) for line in lines] == [174] * 5
+    back = read_curves(tmp_path / "c.txt", fps=25)
+    kept = [BOARD.index(name) for name in columns()]
+    lost = sorted(set(range(185)) - set(kept))
+    assert back.values[:, kept] == pytest.approx(curves.values[:, kept], abs=6e-7)
+    assert (back.values[:, lost] == BOARD.rest[lost]).all()
+
+
+def test_emoface_faults_are_errors(tmp_path):
+    (tmp_path / "c.txt").write_text("0,0\n")
+    with pytest.raises(FormatError, match="does not say its rate; give fps"):
+        read_curves(tmp_path / "c.txt")
+    with pytest.raises(FormatError, match=r"data row 1, column '3' is empty"):
+        read_curves(tmp_path / "c.txt", fps=30)
+
+
+def test_unreal_json_has_keys_for_both_routes(tmp_path):
+    values = rest_curves(3, fps=29.97).values.copy()
+    values[:, BOARD.index("CTRL_C_jaw.ty")] = [0, 0.5, 1]
+    write_curves(tmp_path / "c.unreal.json", RigCurves(values, BOARD.names, 29.97))
+    data = json.loads((tmp_path / "c.unreal.json").read_text())
+    assert data["schema"] == "deitalk.unreal/1"
+    assert data["frame_rate"] == [30000, 1001] and data["n_frames"] == 3
+    assert len(data["raw"]) == 251 and len(data["board"]) == 162
+    assert data["raw"]["CTRL_expressions_jawOpen"] == [0, 0.5, 1]
+    assert data["raw"]["CTRL_expressions_noseWrinkleUpperL"] == 1
+    assert data["board"]["CTRL_C_jaw"] == {"x": 0, "y": [0, 0.5, 1]}
+    assert data["board"]["CTRL_L_brow_down"] == {"value": 0}
+    assert "CTRL_neckCorrectivesMultiplyerU" not in data["board"]
+    with pytest.raises(FormatError, match="no format has the suffix"):
+        read_curves(tmp_path / "c.unreal.jsonx")
+
+
+@pytest.mark.parametrize(("last", "fits"), [(33_419, True), (33_420, False)])
+def test_few_keys_far_apart_are_bounded(tmp_path, last, fits):
+    """32 MiB of 251 raw curves are 33,420 frames."""
+    path = tmp_path / "c.rigmapper.csv"
+    keys = f"CTRL_expressions_jawOpen,0,0\nCTRL_expressions_jawOpen,{last},1\n"
+    path.write_text("curve_name, frame_number, value\n" + keys)
+    if fits:
+        assert len(read_curves(path, control_set=None)) == last + 1
+    else:
+        with pytest.raises(FormatError, match="94 bytes expands to"):
+            read_curves(path)

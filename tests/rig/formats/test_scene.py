@@ -1,0 +1,265 @@
+"""GLB and USD against readers that are not ours: pygltflib, usd-core, Blender."""
+
+import json
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import RigCurves, default_controls, read_curves, write_curves
+from rig.errors import FormatError, RigError
+from rig.retarget.morph_head import morph_head, srgb_to_linear
+
+BOARD = default_controls()
+
+
+def curves_of(**moves):
+    """Three frames: rest, half way, full."""
+    values = np.tile(BOARD.rest, (3, 1))
+    for name, value in moves.items():
+        column = BOARD.index(name.replace("__", "."))
+        values[:, column] += np.array([0, 0.5, 1]) * (value - BOARD.rest[column])
+    return RigCurves(values, BOARD.names, 25)
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return curves_of(CTRL_C_jaw__ty=0.8, CTRL_L_eye_blink__ty=1, CTRL_L_mouth_cornerPull__ty=0.7)
+
+
+def posed(curves):
+    """Vertices in cm of every frame, straight from the head."""
+    from rig.face import build_head
+
+    return build_head(0).pose(curves.values)
+
+
+def accessor(glb, blob, index):
+    """Read one accessor after the glTF specification (§3.6.2), dense or sparse."""
+    a = glb.accessors[index]
+    width = {"SCALAR": 1, "VEC3": 3}[a.type]
+    array = np.zeros((a.count, width), np.float32)
+
+    def view(i, kind, count, columns):
+        v = glb.bufferViews[i]
+        return np.frombuffer(blob, kind, count * columns, v.byteOffset).reshape(count, columns)
+
+    kinds = {5126: "<f4", 5125: "<u4"}
+    if a.bufferView is not None:
+        array = view(a.bufferView, kinds[a.componentType], a.count, width).copy()
+    if a.sparse is not None:
+        rows = view(a.sparse.indices.bufferView, "<u4", a.sparse.count, 1)[:, 0]
+        array[rows] = view(a.sparse.values.bufferView, "<f4", a.sparse.count, width)
+    return array
+
+
+@pytest.fixture(scope="module")
+def glb_path(tmp_path_factory, curves):
+    path = tmp_path_factory.mktemp("glb") / "face.glb"
+    write_curves(path, curves)
+    return path
+
+
+def test_glb_shows_the_posed_head_to_an_independent_reader(glb_path, curves):
+    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib")
+    glb = pygltflib.GLTF2().load(str(glb_path))
+    blob = glb.binary_blob()
+    primitive = glb.meshes[0].primitives[0]
+    base = accessor(glb, blob, primitive.attributes.POSITION)
+    names = glb.meshes[0].extras["targetNames"]
+    sampler = glb.animations[0].samplers[0]
+    times = accessor(glb, blob, sampler.input)[:, 0]
+    weights = accessor(glb, blob, sampler.output).reshape(len(times), len(names))
+    assert times == pytest.approx([0, 0.04, 0.08])
+    assert glb.animations[0].channels[0].target.path == "weights"
+    shown = np.repeat(base[None], 3, axis=0).astype(np.float64)
+    for k, target in enumerate(primitive.targets):
+        if weights[:, k].any():
+            delta = accessor(glb, blob, target["POSITION"])
+            shown += weights[:, k, None, None] * delta
+    expected = posed(curves) / 100
+    error = np.linalg.norm(shown - expected, axis=-1)
+    assert error[[0, 2]].max() < 1.5e-3  # metres; morph targets turn a jaw by straight lines
+    assert np.linalg.norm(expected[2] - expected[0], axis=-1).max() > 0.02
+    colours = accessor(glb, blob, primitive.attributes.COLOR_0)
+    assert colours.min() >= 0 and colours.max() <= 1 and np.ptp(colours) > 0.3
+
+
+def test_glb_obeys_the_container_rules(glb_path):
+    data = glb_path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    document = json.loads(data[20 : 20 + size])
+    assert kind == b"JSON" and size % 4 == 0
+    counts = {a["count"] for a in document["accessors"] if a["type"] == "VEC3"}
+    assert len(counts) == 1  # every morph target has as many rows as the mesh has vertices
+    n_targets = len(document["meshes"][0]["primitives"][0]["targets"])
+    assert n_targets == len(document["meshes"][0]["extras"]["targetNames"]) > 185
+    for view in document["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0
+        assert view["byteOffset"] + view["byteLength"] <= document["buffers"][0]["byteLength"]
+    for a in document["accessors"]:
+        if a["type"] == "VEC3" and "POSITION" in str(a.get("name", "POSITION")):
+            assert len(a["min"]) == len(a["max"]) == 3
+
+
+def test_colours_are_linear_light():
+    assert srgb_to_linear(np.array([0, 0.04045, 0.5, 1])) == pytest.approx(
+        [0, 0.0031308, 0.2140411, 1], abs=1e-6
+    )
+
+
+@pytest.fixture(scope="module")
+def usd_path(tmp_path_factory, curves):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    path = tmp_path_factory.mktemp("usd") / "face.usda"
+    write_curves(path, curves)
+    return path
+
+
+def test_usd_shows_the_posed_head_to_usd_core(usd_path, curves):
+    from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+
+    stage = Usd.Stage.Open(str(usd_path))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and stage.GetTimeCodesPerSecond() == 25
+    assert UsdGeom.GetStageMetersPerUnit(stage) == pytest.approx(0.01)
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache = UsdSkel.Cache()
+    assert cache.Populate(root, Usd.PrimDefaultPredicate)
+    mesh = stage.GetPrimAtPath("/head/face")
+    skinning = cache.GetSkinningQuery(mesh)
+    (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
+    animation = cache.GetSkelQuery(binding.GetSkeleton()).GetAnimQuery()
+    weights = Vt.FloatArray(animation.ComputeBlendShapeWeights(2))
+    mapped = skinning.GetBlendShapeMapper().Remap(weights)
+    query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(mesh))
+    sub_weights, shape_indices, sub_indices = query.ComputeSubShapeWeights(mapped)
+    points = Vt.Vec3fArray(UsdGeom.Mesh(mesh).GetPointsAttr().Get())
+    query.ComputeDeformedPoints(
+        sub_weights, shape_indices, sub_indices,
+        query.ComputeBlendShapePointIndices(), query.ComputeSubShapePointOffsets(), points,
+    )  # fmt: skip
+    assert Gf
+    error = np.linalg.norm(np.asarray(points) - posed(curves)[2], axis=-1)
+    assert error.max() < 0.15  # cm
+
+
+def test_usd_carries_the_raw_curves_and_reads_back(usd_path, curves):
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(usd_path))
+    prim = stage.GetPrimAtPath("/head/animation")
+    names = list(prim.GetAttribute("custom:mh_curveNames").Get())
+    values = prim.GetAttribute("custom:mh_curveValues")
+    assert len(names) == 251 and values.GetNumTimeSamples() == 3
+    assert values.Get(2)[names.index("CTRL_expressions_jawOpen")] == pytest.approx(0.8)
+    back = read_curves(usd_path)
+    assert back.fps == 25 and back.values == pytest.approx(curves.values, abs=1e-5)
+
+
+def test_usd_passes_the_validators_of_usd_core(usd_path):
+    from pxr import Usd
+
+    try:
+        from pxr import UsdValidation
+    except ImportError:
+        pytest.skip("this usd-core has no UsdValidation")
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 5
+    stage = Usd.Stage.Open(str(usd_path))
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in errors] == []
+
+
+def test_broken_usd_is_an_error(tmp_path):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    for name, text in (
+        ("a.usda", "not usd"),
+        ("b.usda", "#usda 1.0\n"),
+        ("c.usdc", "PXR-USDCxxxx"),
+        ("d.usd", ""),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(RigError) as caught:
+            read_curves(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_absent_usd_core_says_what_to_install(tmp_path, monkeypatch, curves):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(FormatError, match=r"pip install deitalk\[usd\]"):
+        write_curves(tmp_path / "a.usda", curves)
+
+
+def test_morph_head_is_one_mesh_with_named_shapes():
+    rig, colours = morph_head()
+    assert len(colours) == len(rig.shapes.neutral.vertices)
+    assert "CTRL_C_jaw.ty" in rig.shapes.names and "CTRL_C_jaw.tx_negative" in rig.shapes.names
+
+
+BLENDER = """
+import bpy, numpy, sys
+numpy.bool = bool  # the importer of Blender 3.4 wants it, numpy dropped it
+source, out = sys.argv[sys.argv.index("--") + 1:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.gltf(filepath=source)
+face = next(o for o in bpy.data.objects if o.type == "MESH")
+keys = face.data.shape_keys
+print("SHAPES", len(keys.key_blocks) - 1)
+print("ACTION", sorted({c.data_path.split('"')[1] for c in keys.animation_data.action.fcurves})[:3] if keys.animation_data.action else None)
+scene = bpy.context.scene
+scene.render.fps = 25
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+camera.location, camera.rotation_euler = (0.12, -0.75, 0.0), (1.5708, 0, 0.16)
+zs = [(face.matrix_world @ v.co) for v in face.data.vertices]
+camera.location.z = sum(v.z for v in zs) / len(zs)
+light = bpy.data.objects.new("light", bpy.data.lights.new("light", "SUN"))
+light.data.energy, light.rotation_euler = 3, (0.9, 0.2, 0.4)
+scene.collection.objects.link(light)
+scene.camera = camera
+scene.world = bpy.data.worlds.new("w")
+scene.render.engine = "CYCLES"
+scene.cycles.samples, scene.cycles.device = 16, "CPU"
+scene.cycles.use_denoising = False
+scene.render.resolution_x = scene.render.resolution_y = 256
+for frame in (0, 2):
+    scene.frame_set(frame)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    mesh = face.evaluated_get(depsgraph).to_mesh()
+    height = [v.co.z for v in mesh.vertices]
+    print("EXTENT", frame, min(height), max(height))
+    scene.render.filepath = f"{out}/{frame}.png"
+    bpy.ops.render.render(write_still=True)
+"""
+
+
+@pytest.mark.slow
+def test_blender_imports_and_renders_the_animation(glb_path, tmp_path):
+    if shutil.which("blender") is None:
+        pytest.skip("needs blender")
+    script = tmp_path / "look.py"
+    script.write_text(BLENDER)
+    command = ["blender", "--background", "--factory-startup", "--python-exit-code", "3"]
+    done = subprocess.run(
+        [*command, "--python", str(script), "--", str(glb_path), str(tmp_path)],
+        capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    lines = dict(line.split(" ", 1) for line in done.stdout.splitlines() if line[:6] == "SHAPES")
+    assert int(lines["SHAPES"]) > 185
+    pictures = [read_png(tmp_path / f"{frame}.png") for frame in (0, 2)]
+    assert pictures[0].std() > 10  # something is seen
+    assert np.abs(pictures[1] - pictures[0]).mean() > 0.5  # and it moves
+
+
+def read_png(path: Path) -> np.ndarray:
+    import matplotlib.image as image
+
+    return 255 * image.imread(path)[..., :3].astype(float)

@@ -1,0 +1,363 @@
+import hashlib
+import json
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig import RigCurves, rest_curves
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.errors import FormatError
+from rig.formats.livelink_csv import read_take, write_take
+from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
+from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson
+from rig.livelink.sender import REST_REPEATS, Clock
+
+DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
+JAW = 17
+
+
+def packet(frame=900, jaw=0.5, subject="deitalk", rate=(30, 1)):
+    values = np.zeros(61, np.float32)
+    values[JAW] = jaw
+    return Packet(DEVICE, subject, frame, 0.0, rate, values)
+
+
+def arkit_curves(n_frames, fps=30.0):
+    values = np.zeros((n_frames, 61), np.float32)
+    values[:, arkit_controls().index("JawOpen")] = np.arange(1, n_frames + 1) / n_frames
+    values[:, arkit_controls().index("LeftEyeYaw")] = -0.25
+    return RigCurves(values, arkit_controls().names, fps, control_set=ARKIT_ID)
+
+
+def test_published_test_vector():
+    data = encode(packet())
+    assert len(data) == 313
+    assert data[:5] == bytes.fromhex("0600000024")
+    assert data[41:69] == bytes.fromhex(
+        "00000007 64656974616c6b 00000384 00000000 0000001e 00000001 3d"
+    )
+    assert hashlib.sha256(data).hexdigest() == (
+        "b2a3027e739232b2b748fa57718feb636e88c53f380cacb301a60343b3fbf12a"
+    )
+
+
+@given(
+    st.text(min_size=1, max_size=30),
+    st.integers(0, 2**31 - 1),
+    st.lists(st.floats(-4, 4, width=32), min_size=61, max_size=61),
+)
+def test_packets_come_back(subject, frame, values):
+    sent = Packet(DEVICE, subject, frame, 0.25, (30000, 1001), np.array(values, np.float32))
+    got = decode(encode(sent))
+    assert (got.device, got.subject, got.frame, got.rate) == (DEVICE, subject, frame, (30000, 1001))
+    assert got.values.tolist() == values and got.subframe == 0.25
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_are_refused_in_one_line(data):
+    with pytest.raises(FormatError) as caught:
+        decode(data)
+    assert "\n" not in str(caught.value)
+
+
+@given(st.integers(0, 312), st.integers(0, 255), st.booleans())
+def test_one_wrong_byte_never_crashes(place, byte, cut):
+    data = bytearray(encode(packet()))
+    if cut:
+        del data[place:]
+    else:
+        data[place] = byte
+    try:
+        assert np.isfinite(decode(bytes(data)).values).all()
+    except FormatError as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rate": (30, 0)}, "frame rate 30/0: both must be above 0"),
+        ({"frame": 2**31}, "must be 0 to 2147483647"),
+        ({"subframe": 1.0}, "sub-frame 0 up to 1"),
+        ({"subject": ""}, "subject has 0 bytes"),
+        ({"subject": "x" * 600}, "subject has 600 bytes"),
+        ({"values": np.zeros(52, np.float32)}, "must be 61 finite"),
+        ({"values": np.full(61, np.nan, np.float32)}, "must be 61 finite"),
+    ],
+)
+def test_impossible_packets_are_errors(change, message):
+    with pytest.raises(FormatError, match=message):
+        encode(Packet(**{**vars(packet()), **change}))
+
+
+def test_denominator_zero_is_refused():
+    data = bytearray(encode(packet()))
+    data[64:68] = struct.pack("!i", 0)
+    with pytest.raises(FormatError, match="rate 30/0"):
+        decode(bytes(data))
+
+
+class FakeTime:
+    """A clock that moves only when told; some steps may take long."""
+
+    def __init__(self, stall_at=(), stall=0.0):
+        self.t, self.n, self.stall_at, self.stall = 100.0, 0, set(stall_at), stall
+        self.clock = Clock(lambda: self.t, self.sleep)
+
+    def sleep(self, seconds):
+        self.n += 1
+        self.t += seconds + 0.0004 + (self.stall if self.n in self.stall_at else 0)
+
+
+def received(receiver, n):
+    data = []
+    receiver._socket.settimeout(2)
+    for _ in range(n):
+        data.append(receiver._socket.recv(65535))
+    return data
+
+
+def test_frames_arrive_in_order_and_the_face_ends_at_rest():
+    with Receiver(port=0) as receiver:
+        fake = FakeTime()
+        report = send(
+            arkit_curves(5),
+            make_protocol("livelink", "anna", ()),
+            ("127.0.0.1", receiver.port),
+            first_frame=1000,
+            clock=fake.clock,
+        )
+        packets = [decode(data) for data in received(receiver, 5 + REST_REPEATS)]
+    assert report.n_sent == 5 and report.n_skipped == 0
+    assert [p.frame for p in packets] == list(range(1000, 1000 + 5 + REST_REPEATS))
+    assert {(p.subject, p.rate) for p in packets} == {("anna", (30, 1))}
+    assert [p.values[JAW] for p in packets[:5]] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    assert packets[0].values[53 + 2] == pytest.approx(-0.25)  # negative rotations survive
+    assert all((p.values == 0).all() for p in packets[5:])
+
+
+def test_delays_do_not_add_up_over_ten_minutes():
+    fake = FakeTime(stall_at=range(50, 18000, 50), stall=0.02)
+    report = send(
+        arkit_curves(18_000), make_protocol("livelink", "a", ()), ("127.0.0.1", 9), clock=fake.clock
+    )
+    assert report.seconds == pytest.approx(17_999 / 30, abs=1 / 30)
+    assert report.n_skipped == 0 and report.worst_lateness < 1 / 30
+
+
+def test_the_last_frame_is_sent_however_late():
+    with Receiver(port=0) as receiver:
+        fake = FakeTime(stall_at=[4], stall=0.5)
+        report = send(
+            arkit_curves(5),
+            make_protocol("livelink", "anna", ()),
+            ("127.0.0.1", receiver.port),
+            clock=fake.clock,
+        )
+        packets = [decode(data) for data in received(receiver, report.n_sent)]
+    assert report.n_sent + report.n_skipped == 5
+    assert packets[-1].values[JAW] == pytest.approx(1.0)
+
+
+def test_frames_whose_time_has_passed_are_skipped():
+    fake = FakeTime(stall_at=[3], stall=0.5)
+    report = send(
+        arkit_curves(60), make_protocol("livelink", "a", ()), ("127.0.0.1", 9), clock=fake.clock
+    )
+    assert report.n_skipped == 15 and report.n_sent == 45
+    assert report.seconds == pytest.approx(59 / 30, abs=1 / 30)
+
+
+def test_loop_goes_on_with_rising_numbers_until_stopped():
+    stop = threading.Event()
+    seen = []
+
+    def count(index):
+        seen.append(index)
+        if len(seen) == 7:
+            stop.set()
+
+    with Receiver(port=0) as receiver:
+        send(
+            arkit_curves(3),
+            make_protocol("livelink", "a", ()),
+            ("127.0.0.1", receiver.port),
+            loop=True,
+            stop=stop,
+            on_frame=count,
+            clock=FakeTime().clock,
+        )
+        frames = [decode(data).frame for data in received(receiver, 7 + REST_REPEATS)]
+    assert seen == [0, 1, 2, 0, 1, 2, 0]
+    assert frames == list(range(7 + REST_REPEATS))
+
+
+def test_an_interrupt_still_sends_the_face_at_rest():
+    def interrupt(_index):
+        raise KeyboardInterrupt
+
+    with Receiver(port=0) as receiver:
+        address = ("127.0.0.1", receiver.port)
+        protocol = make_protocol("livelink", "a", ())
+        send(arkit_curves(9), protocol, address, on_frame=interrupt, clock=FakeTime().clock)
+        packets = [decode(data) for data in received(receiver, 1 + REST_REPEATS)]
+    assert packets[-1].values.tolist() == [0] * 61
+
+
+def test_start_is_signalled_before_the_first_frame():
+    order = []
+    send(
+        arkit_curves(2),
+        make_protocol("livelink", "a", ()),
+        ("127.0.0.1", 9),
+        on_start=lambda: order.append("start"),
+        on_frame=lambda i: order.append(i),
+        clock=FakeTime().clock,
+    )
+    assert order == ["start", 0, 1]
+
+
+def test_real_clock_sends_at_its_rate_and_the_take_comes_back(tmp_path):
+    curves = arkit_curves(30, fps=60)
+    with Receiver(port=0) as receiver:
+        sender = threading.Thread(
+            target=send,
+            args=(curves, make_protocol("livelink", "me", ()), ("127.0.0.1", receiver.port)),
+        )
+        start = time.monotonic()
+        sender.start()
+        recording = receiver.record(n_packets=30, seconds=10)
+        took = time.monotonic() - start
+        sender.join()
+    assert 0.45 < took < 2
+    assert recording.subject == "me"
+    take = recording.to_take()
+    write_take(tmp_path / "a_1_me.csv", take)
+    back = read_take(tmp_path / "a_1_me.csv")
+    assert set(np.diff(back.ticks)) <= {1000, 2000, 3000}
+    frames = back.ticks // 1000
+    sent = frames < 30  # a busy machine skips frames, then rest frames are among the 30
+    assert back.values[sent] == pytest.approx(curves.values[frames[sent]], abs=1e-6)
+
+
+def test_loss_reordering_garbage_and_strangers_are_counted():
+    frames = [5, 6, 9, 8, 8, 11]
+    with Receiver(port=0) as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", receiver.port))
+        for frame in frames:
+            link.send(encode(packet(frame, jaw=frame / 20)))
+            link.send(b"\x06garbage")
+        link.send(encode(packet(7, subject="other")))
+        recording = receiver.record(seconds=5, idle_seconds=0.3)
+    assert [p.frame for p in recording.packets] == [5, 6, 8, 9, 11]
+    assert (recording.n_lost, recording.n_garbage, recording.n_other) == (2, 6, 1)
+    assert recording.n_late == 2
+    take = recording.to_take()
+    assert np.diff(take.ticks).tolist() == [2000, 4000, 2000, 4000]
+    assert take.values[:, take.names.index("JawOpen")] == pytest.approx(
+        np.array([5, 6, 8, 9, 11]) / 20
+    )
+
+
+def test_nothing_received_is_an_error():
+    with Receiver(port=0) as receiver:
+        recording = receiver.record(seconds=0.01)
+    with pytest.raises(FormatError, match="no packet was received"):
+        recording.to_take()
+
+
+def test_receiver_listens_on_the_loopback_unless_told():
+    with Receiver(port=0) as receiver:
+        assert receiver._socket.getsockname()[0] == "127.0.0.1"
+        with pytest.raises(FormatError, match=r"cannot listen on 127\.0\.0\.1"):
+            Receiver(port=receiver.port)
+
+
+def test_json_properties_by_hand():
+    protocol = make_protocol("json", "anna", ("CTRL_C_jaw.ty", "b"))
+    (data,) = protocol.datagrams(7, 0.0, 30, np.array([0.5, -0.25], np.float32))
+    assert json.loads(data) == {
+        "anna": {
+            "FrameId": 7,
+            "Properties": [
+                {"Name": "CTRL_C_jaw.ty", "Value": 0.5},
+                {"Name": "b", "Value": -0.25},
+            ],
+        }
+    }
+
+
+def test_json_of_the_board_fits_a_datagram_and_more_is_refused():
+    curves = rest_curves(1)
+    (data,) = PropertyJson("a", curves.names).datagrams(2**31, 0.0, 30, curves.values[0])
+    assert len(data) < 10_000
+    many = PropertyJson("a", [f"curve_{i:050d}" for i in range(1000)])
+    with pytest.raises(FormatError, match=f"holds {MAX_JSON_BYTES}; send fewer"):
+        many.datagrams(0, 0.0, 30, np.zeros(1000, np.float32))
+
+
+def test_vmc_frames_are_read_by_an_independent_library():
+    pythonosc = pytest.importorskip("pythonosc.osc_bundle", reason="needs python-osc")
+    from pythonosc.osc_packet import OscPacket
+
+    assert pythonosc
+    curves = arkit_curves(2)
+    datagrams = make_protocol("vmc", "", ()).datagrams(1, 1 / 30, 30, curves.values[1])
+    assert len(datagrams) > 1 and max(map(len, datagrams)) <= MAX_OSC_BYTES
+    messages = [m.message for data in datagrams for m in OscPacket(data).messages]
+    assert [m.address for m in messages[:2]] == ["/VMC/Ext/OK", "/VMC/Ext/T"]
+    assert messages[1].params == pytest.approx([1 / 30])
+    values = {m.params[0]: m.params[1] for m in messages[2:-1]}
+    assert values["JawOpen"] == 1 and values["LeftEyeYaw"] == -0.25 and len(values) == 61
+    assert messages[-1].address == "/VMC/Ext/Blend/Apply"
+
+
+def test_osc_of_an_independent_library_is_read():
+    pytest.importorskip("pythonosc", reason="needs python-osc")
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    builder = OscMessageBuilder("/VMC/Ext/Blend/Val")
+    builder.add_arg("Jöw")
+    builder.add_arg(0.5)
+    builder.add_arg(3)
+    assert osc.parse(builder.build().dgram) == [("/VMC/Ext/Blend/Val", ("Jöw", 0.5, 3))]
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=80))
+def test_any_bytes_are_no_osc_or_are(data):
+    for given_data in (data, osc.BUNDLE + data):
+        try:
+            assert isinstance(osc.parse(given_data), list)
+        except FormatError as error:
+            assert "\n" not in str(error)
+
+
+def test_osc_bundles_come_back():
+    messages = [osc.message("/a", "text", 0.5, 7), osc.message("/b")]
+    (bundle,) = osc.bundles(messages, max_bytes=1000)
+    assert osc.parse(bundle) == [("/a", ("text", 0.5, 7)), ("/b", ())]
+
+
+@pytest.mark.parametrize("name", ["livelink", "vmc", "json"])
+def test_board_curves_are_converted_for_each_protocol(name):
+    curves = rest_curves(2)
+    report = send(
+        curves, make_protocol(name, "a", curves.names), ("127.0.0.1", 9), clock=FakeTime().clock
+    )
+    assert report.n_sent == 2
+
+
+def test_impossible_addresses_are_errors():
+    with pytest.raises(FormatError, match="port 70000 must be 1 to 65535"):
+        send(arkit_curves(1), make_protocol("livelink", "a", ()), ("127.0.0.1", 70000))
+    with pytest.raises(FormatError, match="no frames to send"):
+        send(rest_curves(0), make_protocol("livelink", "a", ()), ("127.0.0.1", 9))
+    with pytest.raises(FormatError, match="unknown protocol 'tcp'; known: livelink, json, vmc"):
+        make_protocol("tcp", "a", ())

@@ -1,0 +1,263 @@
+"""Curves on someone's blendshapes: names, known answers, laws; and baking a rig into shapes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rig import RigCurves, default_controls
+from rig.controls import Control, ControlSet
+from rig.errors import ControlError, FormatError, MeshError
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
+from rig.retarget.bake import Driver, Half, bake, face_correctives
+from rig.retarget.blendshapes import closing_weight, match_shapes, shape_key
+from rig.retarget.shape_mapping import read_mapping
+
+BOARD = default_controls()
+ARKIT = ("jawOpen", "mouthClose", "mouthSmileLeft", "mouthSmileRight", "eyeBlinkLeft", "mouthDimpleLeft",
+         "mouthFunnel", "mouthPucker", "browInnerUp", "mouthRollUpper", "mouthRollLower")  # fmt: skip
+
+
+def board(*poses):
+    values = np.tile(BOARD.rest, (len(poses), 1))
+    for row, pose in zip(values, poses, strict=True):
+        for name, value in pose.items():
+            matching = [i for i, n in enumerate(BOARD.names) if n.startswith(name)]
+            assert matching, name
+            row[matching] = value
+    return RigCurves(values, BOARD.names)
+
+
+def weights_of(names, *poses, **options):
+    fit = match_shapes(names, **options).weights(board(*poses))
+    return [
+        {n: round(float(w), 6) for n, w in zip(names, row, strict=True) if w > 1e-6}
+        for row in fit.weights
+    ], fit
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    ["eyeBlinkLeft", "EyeBlinkLeft", "eyeBlink_L", "head_lod0.eyeBlinkLeft", "rig:bs|eyeBlink_left",
+     "CTRL_expressions_eyeBlinkL", "eyeBlinkL"],
+)  # fmt: skip
+def test_spellings_of_one_shape_are_one(spelling):
+    assert shape_key(spelling) == "eyeblink_l"
+
+
+def test_ways_are_not_sides():
+    assert shape_key("jawLeft") == "jawleft" and shape_key("MouthRight") == "mouthright"
+    assert shape_key("mouthFunnelUL") == "mouthfunnelu_l"
+
+
+def test_known_answers_for_arkit():
+    found, fit = weights_of(
+        ARKIT,
+        {},
+        {"CTRL_C_jaw.ty": 0.5},
+        {"CTRL_L_mouth_cornerPull": 1.0},
+        {"CTRL_L_eye_blink": 0.3},
+        {"CTRL_L_eye_blink": -1.0},
+    )
+    assert found == [{}, {"jawOpen": 0.5}, {"mouthSmileLeft": 1.0}, {"eyeBlinkLeft": 0.3}, {}]
+    assert "eyeWidenL" in fit.unsaid
+
+
+def test_mouth_close_is_a_share_of_the_open_jaw():
+    together = {f"CTRL_{s}_mouth_lipsTogether{r}": 1.0 for s in "LR" for r in "UD"}
+    half = {name: 0.5 for name in together}
+    found, fit = weights_of(
+        ARKIT,
+        {"CTRL_C_jaw.ty": 0.6} | together,
+        {"CTRL_C_jaw.ty": 0.6} | half,
+        together,
+    )
+    assert found[0] == pytest.approx({"jawOpen": 0.6, "mouthClose": 0.6})
+    assert found[1] == pytest.approx({"jawOpen": 0.6, "mouthClose": 0.3})
+    assert found[2] == {}  # nothing to close
+    assert fit.lost == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pucker_and_funnel_are_told_apart():
+    funnel = {f"CTRL_{s}_mouth_funnel{r}": 0.8 for s in "LR" for r in "UD"}
+    found, _ = weights_of(ARKIT, funnel)
+    assert found[0].get("mouthFunnel", 0) == pytest.approx(0.8, abs=1e-3)
+    assert found[0].get("mouthPucker", 0) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_middle_shape_split_by_side_moves_by_side():
+    # ICT-FaceKit splits browInnerUp; a set without sides joins two.
+    raised = {"CTRL_L_brow_raiseIn": 1.0}
+    found, _ = weights_of(("browInnerUp_L", "browInnerUp_R"), raised)
+    assert set(found[0]) == {"browInnerUp_L"}
+    found, _ = weights_of(
+        ("smile", "mouthSmile"), {"CTRL_L_mouth_cornerPull": 0.5, "CTRL_R_mouth_cornerPull": 0.5}
+    )
+    assert found[0] == pytest.approx({"mouthSmile": 0.5})
+
+
+def test_raw_and_board_names_are_driven_exactly():
+    names = ("CTRL_expressions_mouthSharpCornerPullL", "CTRL_R_mouth_dimple")
+    found, _ = weights_of(names, {"CTRL_L_mouth_sharpCornerPull": 0.7, "CTRL_R_mouth_dimple": 0.2})
+    assert found[0] == pytest.approx({names[0]: 0.7, names[1]: 0.2})
+
+
+def test_a_stand_in_speaks_for_a_missing_shape_and_the_loss_is_told():
+    found, fit = weights_of(ARKIT, {"CTRL_L_mouth_sharpCornerPull": 1.0})
+    assert found[0] == pytest.approx({"mouthSmileLeft": 0.6, "mouthDimpleLeft": 0.5})
+    assert fit.unsaid == ("mouthSharpCornerPullL",)
+    assert fit.lost > 0.5
+
+
+def test_weights_stay_in_range_for_any_curves(rng):
+    values = rng.uniform(BOARD.minimum, BOARD.maximum, size=(50, len(BOARD.names)))
+    poses = match_shapes(ARKIT)
+    fit = poses.weights(RigCurves(values, BOARD.names))
+    assert fit.weights.min() >= 0 and fit.weights.max() <= 1
+    jaw, close = fit.weights[:, 0], fit.weights[:, 1]
+    assert (close <= jaw + 1e-6).all()
+    assert 0 < fit.lost <= 1
+
+
+def test_fit_is_the_bounded_least_squares_solution(rng):
+    from scipy.optimize import lsq_linear
+
+    from rig.retarget.blendshapes import _bounded_fit
+
+    poses = rng.normal(size=(8, 30)) * (rng.random((8, 30)) < 0.4)
+    moved = rng.normal(size=(20, 30))
+    fitted = _bounded_fit(moved, poses)
+    for row, target in zip(fitted, moved, strict=True):
+        expected = lsq_linear(poses.T, target, bounds=(0, 1)).x
+        np.testing.assert_allclose(row, expected, atol=2e-3)
+
+
+def test_own_names_through_a_mapping(tmp_path):
+    (tmp_path / "m.csv").write_text(
+        "shape,control,value\ngrin,mouthCornerPullL,1\ngrin,mouthCornerPullR,1\nopen,CTRL_C_jaw.ty,0.5\n"
+    )
+    mapping = read_mapping(tmp_path / "m.csv")
+    found, _ = weights_of(
+        ("grin", "open", "other"),
+        {"CTRL_L_mouth_cornerPull": 0.4, "CTRL_R_mouth_cornerPull": 0.4, "CTRL_C_jaw.ty": 0.25},
+        mapping=mapping,
+    )
+    assert found[0] == pytest.approx({"grin": 0.4, "open": 0.5})
+    (tmp_path / "m.json").write_text(json.dumps(mapping))
+    assert read_mapping(tmp_path / "m.json") == mapping
+
+
+def test_bad_names_and_mappings(tmp_path):
+    with pytest.raises(MeshError, match="none of the shapes"):
+        match_shapes(("Key 1", "Key 2"))
+    with pytest.raises(MeshError, match="'grin', which the mesh does not have"):
+        match_shapes(("jawOpen",), mapping={"grin": {"jawOpen": 1.0}})
+    with pytest.raises(ControlError, match="'mouthBig', which is no board channel"):
+        match_shapes(("jawOpen",), mapping={"jawOpen": {"mouthBig": 1.0}})
+    (tmp_path / "m.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(FormatError, match="header shape,control,value"):
+        read_mapping(tmp_path / "m.csv")
+
+
+def test_closing_weight_is_measured_on_the_lips():
+    """Two strips a hair apart; the corrective at 1 lifts the lower one half as far again."""
+    x = np.linspace(0, 5, 12)
+    upper = np.stack([np.r_[x, x], np.r_[x * 0, x * 0 + 2.0], np.zeros(24)], axis=1)
+    lower = upper * [1, -1, 1] - [0, 0.01, 0]
+    faces = np.array([[i, i + 1, i + 12] for i in range(11)])
+    mesh = TriMesh(np.vstack([upper, lower]), np.vstack([faces, faces + 24]))
+    jaw, close = np.zeros((48, 3)), np.zeros((48, 3))
+    jaw[24:, 1], close[24:, 1] = -2.0, 3.0
+    shapes = ShapeSet(mesh, ("jawOpen", "mouthClose"), np.stack([jaw, close]))
+    assert closing_weight(shapes, "jawOpen", "mouthClose") == pytest.approx(2 / 3)
+    poses = match_shapes(shapes.names, shapes=shapes)
+    assert poses.close_gain == pytest.approx(2 / 3)
+
+
+# --- baking
+
+CONTROLS = ControlSet(
+    "test@1",
+    (Control("jaw"), Control("lip"), Control("gaze", minimum=-2.0), Control("idle"), Control("up", rest=1.0)),
+)  # fmt: skip
+NEUTRAL = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+
+
+def toy(values):
+    """A rig that bends: jaw squared, a product of jaw and lip, and a gaze of two unlike halves."""
+    v = np.asarray(values, dtype=np.float64)
+    out = np.tile(NEUTRAL.vertices, (len(v), 1, 1))
+    out[:, 0, 2] += v[:, 0] ** 2 - 0.7 * v[:, 0] * v[:, 1] + 0.1 * v[:, 1]
+    out[:, 1, 2] += np.where(v[:, 2] > 0, 3.0, 0.5) * v[:, 2]
+    out[:, 2, 2] += 0.4 * v[:, 4]
+    return out
+
+
+JAW, LIP = Half("jaw"), Half("lip")
+CORRECTIVES = [("half", Driver(((JAW,),), peak=0.5)), ("both", Driver(((JAW,), (LIP,))))]
+
+
+@pytest.fixture(scope="module")
+def baked():
+    return bake(NEUTRAL, toy, CONTROLS, correctives=CORRECTIVES)
+
+
+def test_baked_shapes_are_the_moving_halves(baked):
+    assert baked.shapes.names == (
+        "jaw",
+        "lip",
+        "gaze",
+        "gaze_negative",
+        "up_negative",
+        "half",
+        "both",
+    )
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [(0, 0, 0, 0, 1), (1, 0, 0, 0, 1), (0.5, 0, 0, 0, 1), (1, 1, 0, 0, 1), (0, 0.4, 0, 1, 1),
+     (0, 0, 0.5, 0, 1), (0, 0, -1.2, 0, 1), (0, 0, 0, 0, 0.25)],
+)  # fmt: skip
+def test_baked_rig_equals_the_rig_where_it_was_baked(baked, pose):
+    values = np.array([pose], dtype=np.float32)
+    shown = baked.shapes.evaluate(baked.weights_of(values))
+    np.testing.assert_allclose(shown, toy(values), atol=1e-6)
+
+
+def test_baked_rig_without_correctives_misses_the_product():
+    plain = bake(NEUTRAL, toy, CONTROLS)
+    values = np.array([[1, 1, 0, 0, 1]], dtype=np.float32)
+    error = plain.shapes.evaluate(plain.weights_of(values)) - toy(values)
+    assert np.abs(error).max() == pytest.approx(0.7, abs=1e-6)
+
+
+def test_baked_rig_takes_curves_in_any_order(baked):
+    curves = RigCurves([[1.0, 0.3]], ("lip", "jaw"), control_set="test@1")
+    weights = dict(zip(baked.shapes.names, baked.weights(curves)[0], strict=True))
+    assert weights["lip"] == 1 and weights["both"] == pytest.approx(0.3)
+    assert weights["half"] == pytest.approx(0.6) and weights["up_negative"] == 0
+
+
+def test_baked_rig_moves_to_another_mesh(baked):
+    other = TriMesh(2 * NEUTRAL.vertices, NEUTRAL.faces)
+    moved = baked.on(other, 0 * baked.shapes.deltas)
+    assert moved.moving().shapes.names == ()
+    with pytest.raises(MeshError, match="neutral mesh needs"):
+        bake(other, lambda v: np.zeros((1, 2, 3)), CONTROLS)
+
+
+def test_a_driver_is_a_product_of_the_least_in_each_group():
+    driver = Driver(((JAW,), (LIP, Half("gaze", -1))))
+    values = np.array([[0.5, 0.8, -1.0, 0, 1], [0.5, 0.2, -2.0, 0, 1], [0.5, 1, 1, 0, 1]])
+    np.testing.assert_allclose(driver.weight(values, CONTROLS), [0.25, 0.1, 0.0], atol=1e-7)
+    in_between = Driver(((JAW,),), peak=0.25)
+    values = np.array([[x, 0, 0, 0, 1] for x in (0, 0.125, 0.25, 0.625, 1)])
+    np.testing.assert_allclose(in_between.weight(values, CONTROLS), [0, 0.5, 1, 0.5, 0], atol=1e-7)
+
+
+def test_face_correctives_name_real_controls():
+    for _, driver in face_correctives():
+        pose = driver.pose(BOARD)
+        assert driver.weight(pose[None], BOARD)[0] == pytest.approx(1.0)

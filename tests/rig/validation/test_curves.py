@@ -1,0 +1,231 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig import RigCurves, default_controls, rest_curves, write_curves
+from rig.conversion.arkit import arkit_controls
+from rig.errors import FormatError
+from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
+from rig.formats.table import FORMATS
+from rig.validation.curves import validate
+
+BOARD = default_controls()
+
+
+def texts(path, level):
+    return [finding.text for finding in validate(path).findings if finding.level == level]
+
+
+def talking(n_frames=90):
+    values = np.tile(BOARD.rest, (n_frames, 1))
+    wave = np.sin(np.linspace(0, np.pi, n_frames)) ** 2
+    values[:, BOARD.index("CTRL_C_jaw.ty")] = 0.6 * wave
+    return RigCurves(values, BOARD.names)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json", "npz", "raw.csv", "rigmapper.csv", "tsv"])
+def test_what_we_write_is_found_good(tmp_path, suffix):
+    write_curves(tmp_path / f"c.{suffix}", talking())
+    validation = validate(tmp_path / f"c.{suffix}")
+    assert validation.ok
+    assert not texts(tmp_path / f"c.{suffix}", "warning")
+    assert "3.00 s" in validation.findings[0].text
+
+
+def test_our_live_link_take_is_found_good(tmp_path):
+    write_curves(tmp_path / "Slate_1_anna.csv", talking(), format="livelink")
+    validation = validate(tmp_path / "Slate_1_anna.csv")
+    assert validation.ok and not texts(tmp_path / "Slate_1_anna.csv", "warning")
+    assert "Unreal makes the Live Link subject 'anna'" in texts(
+        tmp_path / "Slate_1_anna.csv", "note"
+    )
+
+
+def test_real_take_is_read_as_the_importer_would(shared):
+    path = shared / "data/curves/livelink/alex_rom_3.csv"
+    assert validate(path).ok
+    warnings = " ".join(texts(path, "warning"))
+    assert "the time code starts late" in warnings
+    assert "3 gaps in the time codes" in warnings
+    assert "Unreal makes the Live Link subject '3'" not in texts(path, "note")
+
+
+def take(ticks, **values):
+    table = np.zeros((len(ticks), 61))
+    for name, value in values.items():
+        table[:, arkit_controls().index(name)] = value
+    return LiveLinkTake(np.asarray(ticks), table, arkit_controls().names)
+
+
+def test_frames_counted_instead_of_sixtieths_are_found(tmp_path):
+    frames = np.arange(150)
+    ticks = frames // 30 * 60_000 + frames % 30 * 1000
+    write_take(tmp_path / "S_1_a.csv", take(ticks))
+    (error,) = texts(tmp_path / "S_1_a.csv", "error")
+    assert "FF never passes 29" in error
+    write_take(tmp_path / "S_1_a.csv", take(frame_ticks(150, 30)))
+    assert validate(tmp_path / "S_1_a.csv").ok
+
+
+def test_names_values_and_open_mouths_are_found(tmp_path):
+    write_take(tmp_path / "mine.csv", take(frame_ticks(5, 30), JawOpen=1.2))
+    warnings = " ".join(texts(tmp_path / "mine.csv", "warning"))
+    assert "the importer finds no subject" in warnings
+    assert "5 values are outside 0 to 1, by 0.2 at most" in warnings
+    assert "ends with the mouth open (JawOpen 1.20)" in warnings
+
+
+def test_raw_curves_that_forget_the_wrinkles_are_found(tmp_path):
+    write_curves(tmp_path / "c.raw.csv", rest_curves(3))
+    text = (tmp_path / "c.raw.csv").read_text().splitlines()
+    column = text[0].split(",").index("CTRL_expressions_noseWrinkleUpperL")
+    rows = [line.split(",") for line in text]
+    for row in rows[1:]:
+        row[column] = "0"
+    (tmp_path / "c.raw.csv").write_text("\n".join(",".join(row) for row in rows))
+    assert (
+        "noseWrinkleUpperL falls to 0; it rests at 1"
+        in texts(tmp_path / "c.raw.csv", "warning")[-1]
+    )
+
+
+def test_jumps_and_dead_curves_are_found(tmp_path):
+    values = rest_curves(4).values.copy()
+    values[2, BOARD.index("CTRL_C_jaw.ty")] = 0.9
+    write_curves(tmp_path / "c.csv", RigCurves(values, BOARD.names))
+    assert "CTRL_C_jaw.ty jumps by 90% of its range at frame 2" in texts(
+        tmp_path / "c.csv", "warning"
+    )
+    assert "184 of 185 curves never move" in " ".join(texts(tmp_path / "c.csv", "note"))
+    write_curves(tmp_path / "c.csv", rest_curves(4))
+    assert "no curve moves at all" in texts(tmp_path / "c.csv", "warning")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("c.csv", "a,b\n1,2\n"), ("c.json", "{}"), ("c.npz", "x"), ("c.xyz", "x")]
+)
+def test_files_that_cannot_be_read_are_errors(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    assert not validate(tmp_path / name).ok
+
+
+def test_take_folder_is_checked_file_by_file(tmp_path):
+    write_curves(tmp_path / "curves.csv", talking())
+    write_curves(tmp_path / "curves.json", talking())
+    write_curves(tmp_path / "Slate_1_a.csv", talking(), format="livelink")
+    (tmp_path / "intensity.csv").write_text("time,predicted\n0,0\n")
+    (tmp_path / "take.json").write_text(json.dumps({"files": {"curves.csv": "", "audio.wav": ""}}))
+    assert texts(tmp_path, "error") == ["lists audio.wav, which is not in the folder"]
+    (tmp_path / "audio.wav").write_bytes(b"")
+    assert validate(tmp_path).ok and not texts(tmp_path, "warning")
+    write_curves(tmp_path / "curves.json", talking(60))
+    assert "files differ in length" in texts(tmp_path, "warning")[0]
+
+
+def test_files_we_only_write_are_checked_too(tmp_path):
+    for suffix in ("unreal.json", "visemes.json"):
+        path = tmp_path / f"c.{suffix}"
+        write_curves(path, talking())
+        assert validate(path).ok and "90 frames" in texts(path, "note")[0]
+    cases = {
+        "c.unreal.json": [
+            ({"n_frames": 0}, "must be 1 or more"),
+            ({"n_frames": 5}, "has 90 values, not 5"),
+            ({"frame_rate": [30, 0]}, "two numbers above 0"),
+            ({"raw": {}}, "lacks CTRL_expressions_browDownL and 250 more"),
+            ({"board": {"CTRL_C_jaw": {"z": 0}}}, "'value', or 'x' and 'y'"),
+            ({"board": {"CTRL_C_jaw": {"value": 3}}}, "leaves its range -1 to 1"),
+            ({"board": {"CTRL_C_jaw": {"value": "x"}}}, "no number"),
+        ],
+        "c.visemes.json": [
+            ({"names": 3}, "needs 'names'"),
+            ({"values": [[1, 2]]}, "rows of 15 numbers"),
+            ({"values": [[1] * 15]}, "data row 1 does not sum to 1"),
+        ],
+    }
+    for name, changes in cases.items():
+        good = json.loads((tmp_path / name).read_text())
+        for change, message in changes:
+            (tmp_path / name).write_text(json.dumps(good | change))
+            assert message in texts(tmp_path / name, "error")[0]
+
+
+def test_glb_is_checked(tmp_path):
+    from rig.mesh.glb import write_container
+
+    path = tmp_path / "c.glb"
+    primitive = {"attributes": {}, "targets": [{}, {}]}
+    document = {
+        "asset": {"version": "2.0"},
+        "meshes": [{"primitives": [primitive]}],
+        "nodes": [{"mesh": 0}],
+        "bufferViews": [{"buffer": 0, "byteLength": 8}],
+        "accessors": [{"count": 3}, {"count": 6}],
+        "animations": [
+            {
+                "samplers": [{"input": 0, "output": 1}],
+                "channels": [{"sampler": 0, "target": {"node": 0, "path": "weights"}}],
+            }
+        ],
+    }
+    write_container(path, document, bytes(8))
+    assert texts(path, "note") == ["glTF 2.0, 2 morph targets, 3 keys of weights"]
+    document["accessors"][1]["count"] = 5
+    write_container(path, document, bytes(8))
+    assert "5 weights; 3 keys need 6" in texts(path, "error")[0]
+    document["accessors"][1]["count"] = 6
+    write_container(path, document, bytes(4))
+    assert "bufferView 0 lies outside" in texts(path, "error")[0]
+    del document["nodes"]
+    write_container(path, document, bytes(8))
+    assert "no valid glTF" in texts(path, "error")[0]
+    path.write_bytes(b"glTF")
+    assert not validate(path).ok
+
+
+def test_hidden_files_of_a_take_folder_are_no_curves(tmp_path):
+    write_curves(tmp_path / "curves.csv", talking())
+    (tmp_path / ".deitalk-manifest.json").write_text('{"schema": "deitalk.manifest/1"}')
+    assert texts(tmp_path, "error") == []
+
+
+def test_empty_folder_and_absent_path(tmp_path):
+    assert not validate(tmp_path).ok
+    with pytest.raises(FormatError, match="does not exist"):
+        validate(tmp_path / "absent")
+
+
+SUFFIXES = sorted({s for f in FORMATS for s in f.suffixes if f.name != "usd"})
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=25, deadline=None)
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_found_bad_in_one_line(suffix, data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
+    path.write_bytes(data)
+    validation = validate(path)
+    assert not validation.ok
+    assert all("\n" not in finding.text for finding in validation.findings)
+
+
+@pytest.mark.parametrize("suffix", [".unreal.json", ".visemes.json", ".glb"])
+@settings(max_examples=25, deadline=None)
+@given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
+def test_one_wrong_byte_never_crashes(suffix, place, byte, cut, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fuzz")
+    if suffix == ".glb":
+        from rig.mesh.glb import write_container
+
+        write_container(folder / "c.glb", {"asset": {}, "meshes": [], "animations": []}, bytes(8))
+    else:
+        write_curves(folder / f"c{suffix}", rest_curves(2))
+    path = folder / f"c{suffix}"
+    data = bytearray(path.read_bytes())
+    at = min(int(place * len(data)), len(data) - 1)
+    data[at : at + 1] = bytes([byte])
+    path.write_bytes(bytes(data[:at] if cut else data))
+    assert validate(path).findings

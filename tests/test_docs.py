@@ -1,0 +1,48 @@
+"""What the pages on formats say is what the code does."""
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_list_of_formats_is_what_the_command_prints():
+    from deitalk.cli import convert as module
+
+    app = typer.Typer()
+    app.command()(getattr(module, "convert", module))
+    printed = CliRunner().invoke(app, ["--list-formats"]).stdout
+    assert printed in (DOCS / "formats.md").read_text()
+
+
+@pytest.mark.parametrize("page", [*sorted(DOCS.glob("unreal*.md")), DOCS / "formats.md"])
+def test_links_and_paths_exist(page):
+    text = page.read_text()
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (page.parent / link).exists(), link
+    for path in re.findall(r"`(rig/[\w/.]+\.\w+)`", text):
+        assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("unreal*.md")))
+def test_functions_of_the_script_exist(page):
+    script = (ROOT / "rig/unreal/deitalk_unreal.py").read_text()
+    for function in re.findall(r"\bd\.(\w+)\(", page.read_text()):
+        assert f"def {function}(" in script
+
+
+def test_counts_the_pages_name():
+    from rig import default_controls
+    from rig.conversion.arkit import arkit_controls
+    from rig.conversion.raw import raw_controls
+
+    keyed = [c for c in default_controls().controls if c.role in ("driver", "master")]
+    names = {c.ue_control: c.type for c in keyed}
+    assert (len(raw_controls()), len(arkit_controls())) == (251, 61)
+    assert len(names) == 162
+    assert sum(kind == "Vector2D" for kind in names.values()) == 14

@@ -1,0 +1,154 @@
+"""The floors of both packages: a file imports from lower floors or its own folder only."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FLOORS = {
+    "deitalk": """
+        cli
+        preview training
+        evaluation
+        data
+        pipeline corpus
+        models
+        frontends figures postprocess
+        audio config
+        emotions metrics phones workers
+        errors
+    """,
+    "rig": """
+        validation livelink
+        formats
+        retarget
+        conversion
+        deformation curves face
+        mesh controls
+        files
+        errors
+        limits text
+    """,
+}
+"""Names of folders and modules, the highest floor first; `deitalk` stands on all of `rig`."""
+PUBLIC = ("__init__", "__main__")
+"""Hand names to the outside; `deitalk.__version__` is taken from there."""
+MOST_FILES, MOST_LINES = 16, 400
+ONE_A_THING = ("rig/formats", "deitalk/cli")
+"""Folders with a file a format, or a file a verb."""
+
+
+def floors(package: str) -> dict[str, int]:
+    lines = [line.split() for line in FLOORS[package].strip().splitlines()]
+    return {name: len(lines) - i for i, names in enumerate(lines) for name in names}
+
+
+def files(package: str) -> list[Path]:
+    return [p for p in sorted((ROOT / package).rglob("*.py")) if "web" not in p.parts]
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Modules that a tree imports, wherever in it, with their lines."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                yield _submodule(node.module or "", alias.name), node.lineno
+
+
+def _submodule(module: str, name: str) -> str:
+    path = ROOT.joinpath(*module.split("."), name)
+    return f"{module}.{name}" if path.with_suffix(".py").is_file() or path.is_dir() else module
+
+
+def room(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_every_room_has_a_floor(package):
+    rooms = {room(module_of(path)) for path in files(package)} - set(PUBLIC)
+    assert rooms - {"unreal"} == set(floors(package))  # the script in Unreal stands alone
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_files_import_from_lower_floors_only(package):
+    level = floors(package) | {"__init__": 99 if package == "rig" else -1}
+    wrong = []
+    for path in files(package):
+        here = room(module_of(path))
+        if here in (*PUBLIC, "unreal"):
+            continue
+        for module, line in imports(ast.parse(path.read_text(encoding="utf-8"))):
+            there = room(module)
+            if module.split(".")[0] == package and there != here and level[there] >= level[here]:
+                wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_modules_form_no_circle(package):
+    """Of what is imported when a module is loaded."""
+    graph: dict[str, set[str]] = {}
+    for path in files(package):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        top = ast.Module([node for node in tree.body if not _is_typing(node)], [])
+        for node in ast.walk(top):
+            if isinstance(node, ast.FunctionDef):
+                node.body = []
+        own = module_of(path)
+        graph[own] = {m for m, _ in imports(top) if m.split(".")[0] == package} - {own}
+    done: set[str] = set()
+
+    def visit(module: str, above: tuple[str, ...]) -> None:
+        assert module not in above, " -> ".join((*above, module))
+        if module not in done:
+            for other in graph.get(module, ()):
+                visit(other, (*above, module))
+            done.add(module)
+
+    for module in graph:
+        visit(module, ())
+
+
+def _is_typing(node: ast.stmt) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+
+
+@pytest.mark.parametrize(("package", "most"), [("deitalk", 20), ("rig", 16)])
+def test_packages_hold_few_entries_side_by_side(package, most):
+    entries = [
+        p.name for p in (ROOT / package).iterdir() if p.name not in ("__pycache__", "py.typed")
+    ]
+    assert len(entries) <= most, sorted(entries)
+
+
+def test_folders_and_files_are_small():
+    for package in FLOORS:
+        for folder in {path.parent for path in files(package)}:
+            held = [p for p in folder.glob("*.py") if p.stem not in PUBLIC]
+            if str(folder.relative_to(ROOT)) not in ONE_A_THING:
+                assert len(held) <= MOST_FILES, f"{folder}: {len(held)} files"
+        for path in files(package):
+            n_lines = path.read_text(encoding="utf-8").count("\n")
+            assert n_lines <= MOST_LINES, f"{path}: {n_lines} lines"
+
+
+def test_functions_are_short():
+    """At most 40 lines without the docstring; a command's signature is its list of options."""
+    for package in FLOORS:
+        for path in files(package):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    body = node.body[1:] if ast.get_docstring(node) else node.body
+                    n_lines = (body[-1].end_lineno - body[0].lineno + 1) if body else 0
+                    assert n_lines <= 40, f"{path}:{node.lineno} {node.name}: {n_lines} lines"
