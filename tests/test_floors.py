@@ -16,8 +16,9 @@ FLOORS = {
         pipeline corpus
         models
         frontends figures postprocess
-        audio config
-        emotions metrics phones workers
+        audio emotions
+        config
+        metrics phones workers
         errors
     """,
     "rig": """

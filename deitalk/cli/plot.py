@@ -33,5 +33,5 @@ def plot(
         from deitalk.pipeline.curves import animate
 
         performance = animate(speech, emotion, model=model, intensity=intensity, progress=progress)
-    draw(performance, out, f"{speech.name}, {emotion}")
+    draw(performance.curves, performance.recording.waveform, out, f"{speech.name}, {emotion}")
     console().print(f"{out}")

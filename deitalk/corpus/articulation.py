@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.corpus.phone_alphabets import BILABIALS, LABIODENTALS, VOWELS
 from deitalk.corpus.utterance import Phone
+from deitalk.phones import BILABIALS, LABIODENTALS, VOWELS
 
 CHANNELS = (
     "jaw", "together", "press", "bite", "funnel", "purse", "stretch", "upper", "lower", "tip",

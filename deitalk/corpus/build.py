@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from deitalk.audio.load import SAMPLE_RATE
-from deitalk.corpus.alignment import aligned_utterances
+from deitalk.corpus.aligned_recordings import aligned_utterances
 from deitalk.corpus.performance import CURVE_RATE, Take, perform, split_of
 from deitalk.corpus.recordings import Recording
 from deitalk.corpus.rig_targets import act

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.corpus.articulation import CHANNELS, articulate
-from deitalk.corpus.phone_alphabets import PHONES
 from deitalk.corpus.rig_targets import act
 from deitalk.corpus.utterance import Phone
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.figures.canvas import drawing
+from deitalk.phones import PHONES
 from rig import default_controls
 from rig.face.render.renderer import Backend
 

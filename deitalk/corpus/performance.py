@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
 from deitalk.corpus.articulation import articulate
-from deitalk.corpus.phone_alphabets import VOWELS
 from deitalk.corpus.prosody_contours import (
     Contour,
     apply_contour,
@@ -22,6 +21,7 @@ from deitalk.corpus.prosody_contours import (
 )
 from deitalk.corpus.rig_targets import intensity_envelope
 from deitalk.corpus.utterance import Phone, Utterance
+from deitalk.phones import VOWELS
 
 CURVE_RATE = 60
 """Curves are stored at twice the rig's rate, so that training can change the speed of a clip

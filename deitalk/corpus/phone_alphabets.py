@@ -1,24 +1,14 @@
-"""The phone set of the corpus, and how other alphabets map onto it.
+"""Other phone alphabets to ARPABET: IPA, festival's names and Mandarin.
 
-The set is ARPABET with the reduced vowels and the flap that the engines distinguish (AX, IX, DX),
-the glottal stop (Q) and silence (SIL): 44 names. Phones are chosen for what the *face* does, so the
-tables map a foreign sound to the English phone with the nearest lips and jaw, then the nearest
-tongue: the front rounded vowels become rounded ones, a tapped r becomes DX (whose lips are free)
-and not R (whose lips protrude).
+Phones are chosen for what the *face* does, so the tables map a foreign sound to the English phone
+with the nearest lips and jaw, then the nearest tongue: the front rounded vowels become rounded
+ones, a tapped r becomes DX (whose lips are free) and not R (whose lips protrude).
 """
 
 import unicodedata
 from functools import lru_cache
 
-PHONES = tuple(
-    "SIL Q IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY P B M F V TH DH T D N L DX S Z SH ZH "
-    "CH JH K G NG HH R W Y".split()
-)
-VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
-BILABIALS = frozenset(("P", "B", "M"))
-LABIODENTALS = frozenset(("F", "V"))
-STOPS = frozenset("P B T D K G CH JH DX".split())
-"""Phones that begin with a closure, during which little or nothing is heard."""
+from deitalk.phones import PHONES
 
 # Symbol(s) of the International Phonetic Alphabet -> phones. Length marks are looked up first and
 # then dropped; stress, tone, nasality and secondary articulation are dropped (see _PLAIN).

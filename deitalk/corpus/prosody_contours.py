@@ -1,7 +1,7 @@
 """Prosody as intensity: measured on a voice, and changed on purpose.
 
-`deitalk.audio.prosody` measures level, pitch and spectral tilt; `apply_contour` moves all three along a
-known contour, so that the contour is an exact label.
+`deitalk.audio.prosody` measures level, pitch and spectral tilt; `apply_contour` moves all three
+along a known contour, so that the contour is an exact label.
 
 Letters: S samples, N frames at 30 per second.
 """

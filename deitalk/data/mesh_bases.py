@@ -21,7 +21,7 @@ from rig.deformation.basis import (
     write_bases,
 )
 from rig.deformation.gradients import pack_vertices
-from rig.deformation.reconstruct import DeformationSolver, small_parts
+from rig.deformation.reconstruct import mesh_solver
 from rig.errors import RigError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
@@ -99,10 +99,9 @@ def fit_mesh_bases(
         Of the smallest share of variance within `error_mm`, for gradients and for offsets apart;
         else of the largest share tried.
 
-    Notes
-    -----
-    Deviation: the paper keeps 97 % of the variance of unweighted numbers; see `rig.deformation.basis`.
-    All speakers share the bases, and the weights are from the mean of their triangles' areas.
+    Notes ----- Deviation: the paper keeps 97 % of the variance of unweighted numbers; see
+    `rig.deformation.basis`. All speakers share the bases, and the weights are from the mean of
+    their triangles' areas.
     """
     areas = np.mean([triangle_areas(t) for t in templates.values()], axis=0)
     drawn = _draw(templates, training, n_frames, seed)
@@ -130,25 +129,35 @@ def fit_mesh_bases(
             for d, t in zip(unseen, truth, strict=True)
         ]
 
+    def errors(vertices: list[Floats]) -> Floats:
+        pairs = zip(vertices, truth, strict=True)
+        return unit_mm * np.concatenate([np.linalg.norm(a - b, axis=-1) for a, b in pairs])
+
     small: list[GradientBasis] = []
-    for kind, whole, moved in (
-        ("gradients", (stretch, rotation), solved),
-        ("offsets", (offsets,), added),
-    ):
+    for whole, moved in (((stretch, rotation), solved), ((offsets,), added)):
         for share in VARIANCES:
             cut = tuple(basis.truncated(basis.size_for(share)) for basis in whole)
-            error = unit_mm * np.concatenate(
-                [np.linalg.norm(a - b, axis=-1) for a, b in zip(moved(cut), truth, strict=True)]
-            )
+            error = errors(moved(cut))
             p99 = float(np.percentile(error[:, moving], 99))
-            table.append({"offsets": float(kind == "offsets"), "variance": share,
-                          "first": len(cut[0].deviations), "second": len(cut[-1].deviations),
-                          "mean_mm": float(error.mean()), "lively_p99_mm": p99})  # fmt: skip
+            table.append(_row(share, cut, error, p99, is_offsets=moved is added))
             if p99 <= error_mm:
                 break
         small += cut
-    small_stretch, small_rotation, small_offsets = small
-    return MeshBases(small_stretch, small_rotation, small_offsets, tuple(table))
+    return MeshBases(small[0], small[1], small[2], tuple(table))
+
+
+def _row(
+    share: float, cut: Sequence[GradientBasis], error: Floats, p99: float, *, is_offsets: bool
+) -> dict[str, float]:
+    """A row of the table of sizes that were tried."""
+    return {
+        "offsets": float(is_offsets),
+        "variance": share,
+        "first": len(cut[0].deviations),
+        "second": len(cut[-1].deviations),
+        "mean_mm": float(error.mean()),
+        "lively_p99_mm": p99,
+    }
 
 
 def _first(templates: Mapping[str, TriMesh]) -> Floats:
@@ -184,11 +193,6 @@ def _lively(frames: Sequence[Floats], templates: Sequence[TriMesh]) -> NDArray[n
     )
     count = max(int(_LIVELY_SHARE * len(motion)), 1)
     return np.argsort(motion)[-count:]
-
-
-def mesh_solver(template: TriMesh) -> DeformationSolver:
-    """Solver of a template; its eyes and teeth, where it has them, move as single pieces."""
-    return DeformationSolver(template, parts=small_parts(template))
 
 
 def write_mesh_bases(folder: Path, bases: MeshBases) -> None:

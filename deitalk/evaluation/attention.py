@@ -15,10 +15,10 @@ from deitalk.audio.mel import RIG_RATE, nearest_spectra
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
-from deitalk.evaluation.lip_closures import VOWELS
-from deitalk.figures.attention import PLOSIVES, AttentionMap, attention_at
+from deitalk.figures.attention import AttentionMap, attention_at
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.models.checkpoint import load_model, model_folder, read_about
+from deitalk.phones import PLOSIVES, VOWELS
 
 
 class Attention(NamedTuple):

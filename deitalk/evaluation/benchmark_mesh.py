@@ -19,7 +19,6 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
-from deitalk.data.mesh_bases import mesh_solver
 from deitalk.data.mesh_sources import HEAD_UNIT_MM, head_templates
 from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.frontends.sdfa import SDFAEncoder
@@ -27,6 +26,7 @@ from deitalk.frontends.windows import window_index
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_checkpoint import load_sdfa, save_sdfa
 from deitalk.models.mesh_model import SDFA
+from rig.deformation.reconstruct import mesh_solver
 
 FPS = 60
 SPEAKERS = 8
@@ -118,9 +118,9 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
     Returns
     -------
     dict
-        `shared_ms`, as `deitalk.models.mesh_model` does it; `windows_ms`, every frame's window through
-        convolutions, both BiLSTMs and attention on its own; `ratio`; `largest_difference` of the
-        features, whose own range is `largest`.
+        `shared_ms`, as `deitalk.models.mesh_model` does it; `windows_ms`, every frame's window
+        through convolutions, both BiLSTMs and attention on its own; `ratio`; `largest_difference`
+        of the features, whose own range is `largest`.
     """
     (heard,) = model.hear(sound)
     encoder = model.encoder

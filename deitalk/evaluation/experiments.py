@@ -1,6 +1,7 @@
 """Experiments on a few recordings: other emotions, livelier takes, noise.
 
-Everything goes through `deitalk.pipeline.curves.animate`, as a user's recording would, blinks left out.
+Everything goes through `deitalk.pipeline.curves.animate`, as a user's recording would, without
+blinks.
 """
 
 from collections.abc import Callable, Sequence

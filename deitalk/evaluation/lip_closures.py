@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 
 from deitalk.audio.mel import RIG_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
+from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES, Phones
 
-BILABIAL = frozenset("PBM")
-NEAR_LIPS = frozenset(("P", "B", "M", "F", "V", "W"))
-VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
-WIDEN_FRAMES = 2
-CLEAR_SECONDS = 0.067
 MAX_LAG_FRAMES = 4
 
-Phones = Sequence[tuple[float, float, str]]
 Floats = NDArray[np.float32]
 
 
@@ -66,7 +61,7 @@ def closure_scores(lips: Floats, phones: Phones) -> ClosureScores:
     inside, outside = np.zeros(len(lips), bool), np.zeros(len(lips), bool)
     for start, end, name in phones:
         within = (times >= start) & (times < end)
-        if name in BILABIAL:
+        if name in BILABIALS:
             slack = WIDEN_FRAMES / RIG_RATE
             window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
             if window.any():
@@ -110,7 +105,7 @@ def held_closures(lips: Floats, phones: Phones, level: float = 0.9) -> list[bool
     slack = WIDEN_FRAMES / RIG_RATE + 1e-9
     for start, end, name in phones:
         window = (times >= start - slack) & (times <= end + slack)
-        if name in BILABIAL and window.any():
+        if name in BILABIALS and window.any():
             high = lips[window] >= level
             out.append(bool((high[1:] & high[:-1]).any()))
     return out

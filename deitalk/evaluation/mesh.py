@@ -19,10 +19,10 @@ from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
-from deitalk.evaluation.lip_closures import BILABIAL, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.evaluation.mesh_emotion import acted_by_curves, expression_probe, expression_table
 from deitalk.models.mesh_head import Direction, MeshHead
 from deitalk.models.mesh_model import SDFA
+from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 
@@ -86,12 +86,12 @@ def smallest_gaps(
     after_s: list[float] = []
     vowels: list[float] = []
     for (_, _, before), (start, end, name) in pairwise([(0.0, 0.0, ""), *plain]):
-        slack = WINDOW_SECONDS if name in BILABIAL else 0.0
+        slack = WINDOW_SECONDS if name in BILABIALS else 0.0
         window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
         if not window.any():
             continue
         smallest = float(gap[window].min())
-        if name in BILABIAL:
+        if name in BILABIALS:
             bilabials.append(smallest)
             if before == "S":
                 after_s.append(smallest)
@@ -162,10 +162,10 @@ def evaluate_mesh(
         ``groups``: per source of speech, or per emotion, and over ``all``: `mesh_mm`, `lips_mm`,
         mean distance over all vertices and over the lips' rims; `still_mm`, what lips that never
         move would score; `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`;
-        `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of vowels,
-        which should stay open; `unsealed_...`, the same without the model's seal
-        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the truth; `curves_...`, where the
-        model is a mesh head, of the rig acting the curves of the same DEITalk model.
+        `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of
+        vowels, which should stay open; `unsealed_...`, the same without the model's seal
+        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the truth; `curves_...`,
+        where the model is a mesh head, of the rig acting the curves of the same DEITalk model.
         ``expression``, of a mesh head: `deitalk.evaluation.mesh_emotion.expression_probe`.
 
     Raises
@@ -215,7 +215,7 @@ def _check_heads(model: SDFA) -> None:
 
 def _has_transition(clip: Clip) -> bool:
     names = [name for _, _, name in read_phones(clip.phones)] if clip.phones else []
-    return any(a == "S" and b in BILABIAL for a, b in pairwise(names))
+    return any(a == "S" and b in BILABIALS for a, b in pairwise(names))
 
 
 def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips: Lips) -> None:

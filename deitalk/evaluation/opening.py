@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.evaluation.lip_closures import Phones
+from deitalk.phones import Phones
 from rig import ControlSet
 
 Floats = NDArray[np.float32]

@@ -1,8 +1,8 @@
 """Does the mouth do what each phone needs? Contacts, bite and rounding, phone by phone.
 
-The protocol is `deitalk.evaluation.lip_closures`': the highest value of a curve within a phone widened by two
-frames, against the same in phones that stay 67 ms away from all that share the gesture. Letters:
-T frames.
+The protocol is that of `deitalk.evaluation.lip_closures`: the highest value of a curve within a
+phone widened by two frames, against the same in phones that stay 67 ms away from all that share
+the gesture. Letters: T frames.
 """
 
 from collections import defaultdict
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.mel import RIG_RATE
-from deitalk.evaluation.lip_closures import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
 from deitalk.metrics import area_under_curve, correlation, hit_rate
+from deitalk.phones import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
 from rig import ControlSet
 
 Floats = NDArray[np.float32]

@@ -6,7 +6,7 @@ vowel and plosive of a recording is averaged, with a number for how even the wei
 Letters: T frames, L spectra of a window.
 """
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.errors import DataError
-from deitalk.evaluation.lip_closures import VOWELS
 from deitalk.figures.canvas import drawing
-
-PLOSIVES = frozenset("P B T D K G".split())
+from deitalk.phones import PLOSIVES, VOWELS, Phones
 
 Floats = NDArray[np.float32]
-Phones = Sequence[tuple[float, float, str]]
 
 
 @dataclass(frozen=True, eq=False)

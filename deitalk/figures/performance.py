@@ -3,9 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from deitalk.figures.canvas import draw_waveform, drawing
-from deitalk.pipeline.performance import Performance
+import numpy as np
+from numpy.typing import NDArray
 
+from deitalk.figures.canvas import draw_waveform, drawing
+from rig import RigCurves
+
+Floats = NDArray[np.float32]
 ROWS = (
     ("jaw", ("CTRL_C_jaw.ty",)),
     ("lips together", ("CTRL_L_mouth_lipsTogetherD.ty",)),
@@ -18,13 +22,15 @@ ROWS = (
 """Rows of the picture: a title and the controls drawn."""
 
 
-def plot(performance: Performance, path: Path, title: str) -> None:
-    """Draw a performance: waveform with intensity, then a row per group of controls.
+def plot(curves: RigCurves, waveform: Floats, path: Path, title: str) -> None:
+    """Draw curves against the sound: waveform with intensity, then a row per group of controls.
 
     Parameters
     ----------
-    performance : Performance
-        What `deitalk.pipeline.curves.animate` gave.
+    curves : RigCurves
+        Board curves with the intensity track.
+    waveform : array [shape=(S,)]
+        Mono at 16 kHz.
     path : Path
         .png, .svg or .pdf.
     title : str
@@ -39,22 +45,22 @@ def plot(performance: Performance, path: Path, title: str) -> None:
         axes = figure.subplots(
             len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))]
         )
-        _waveform(axes[0], performance, title)
-        times = performance.curves.times
+        _waveform(axes[0], curves, waveform, title)
+        times = curves.times
         for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
             for name in names:
                 short = name.removeprefix("CTRL_").removesuffix(".ty")
-                axis.plot(times, performance.curves[name], lw=1.2, label=short)
+                axis.plot(times, curves[name], lw=1.2, label=short)
             axis.set_ylabel(label, rotation=0, ha="right", va="center")
             axis.set_ylim(-0.05, 1.05)
             axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
         axes[-1].set_xlabel("seconds")
 
 
-def _waveform(axis: Any, performance: Performance, title: str) -> None:
-    draw_waveform(axis, performance.recording.waveform)
+def _waveform(axis: Any, curves: RigCurves, waveform: Floats, title: str) -> None:
+    draw_waveform(axis, waveform)
     strength = axis.twinx()
-    strength.plot(performance.curves.times, performance.curves.intensity, color="crimson")
+    strength.plot(curves.times, curves.intensity, color="crimson")
     strength.set_ylim(0, 1.05)
     strength.set_ylabel("intensity", color="crimson")
     axis.set_title(title, loc="left")

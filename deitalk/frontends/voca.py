@@ -3,7 +3,8 @@
 VOCA convolves over a window of DeepSpeech's outputs; its decoder gives vertex offsets in a PCA
 basis. Layer sizes are as remembered from their paper, which is not at hand. Deviation: there is no
 DeepSpeech here. Its own input, 26 mel-frequency cepstral coefficients, stands in, so this model
-hears with no pretrained recogniser; what DeepSpeech costs is timed apart (`deitalk.evaluation.benchmark_mesh`).
+works without a pretrained recogniser; DeepSpeech is timed apart
+(`deitalk.evaluation.benchmark_mesh`).
 Approximate: the speaker's label joins once, before the decoder.
 """
 

@@ -81,11 +81,10 @@ class MeshHead(SDFA):
     ) -> Iterator[Coefficients]:
         """Coefficients (T, K) of some frames at a time, in order.
 
-        Notes
-        -----
-        The emotional reading shows as much as the network heard; it is scaled from the neutral one
-        by the intensity asked for, in coefficients as `deitalk.postprocess.curve_rules.Expression.blend` does in
-        controls. Where nobody speaks, all goes to the template.
+        Notes ----- The emotional reading shows as much as the network heard; it is scaled from
+        the neutral one by the intensity asked for, in coefficients as
+        `deitalk.postprocess.curve_rules.Expression.blend` does in controls. Where nobody speaks,
+        all goes to the template.
         """
         asked = direction or Direction.of()
         samples = checked_waveform(waveform)

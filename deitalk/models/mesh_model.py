@@ -29,7 +29,6 @@ from deitalk.config import (
     SDFAModelConfig,
     VocaConfig,
 )
-from deitalk.data.mesh_bases import mesh_solver
 from deitalk.errors import CheckpointError, ConfigError, DataError, EmotionError
 from deitalk.frontends.karras import KarrasEncoder
 from deitalk.frontends.sdfa import SDFAEncoder
@@ -44,7 +43,7 @@ from deitalk.models.deformation_decoder import (
     Offsets,
 )
 from deitalk.postprocess.lip_seal import LipSeal
-from rig.deformation.reconstruct import DeformationSolver
+from rig.deformation.reconstruct import DeformationSolver, mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh
 

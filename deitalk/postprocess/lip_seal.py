@@ -1,7 +1,8 @@
 """Lips that nearly meet are made to meet: the embedded heads' seal as the last operator.
 
 Deviation: not in the paper, whose lips come out of the solve as they are. A bilabial missed by a
-millimetre reads as missed; the heads' own acting ends in the same operator (`rig.face.motion.contact`).
+millimetre reads as missed; the heads' own motion ends in the same operator
+(`rig.face.motion.contact`).
 """
 
 from dataclasses import dataclass

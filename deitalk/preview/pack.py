@@ -1,4 +1,4 @@
-"""Arrays and facts as one text: JSON header, bytes, gzip, base64 (`deitalk/preview/web/src/data.ts` reads it)."""
+"""Arrays and facts as one text: JSON header, bytes, gzip, base64 (read by ``web/src/data.ts``)."""
 
 import base64
 import gzip

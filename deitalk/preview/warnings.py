@@ -1,6 +1,6 @@
 """What a reviewer should look at, of things that the sound or its phones tell.
 
-Values at their limits, jitter and lengths are found by the page itself (`deitalk/preview/web/src/take.ts`).
+Values at their limits, jitter and lengths are found by the page itself (``web/src/take.ts``).
 Letters: T frames, V vertices.
 """
 
@@ -58,13 +58,13 @@ def bilabial_warnings(source: PreviewSource) -> list[Finding]:
     """Every m, b or p during which the embedded head's lips never meet; needs phones."""
     if not source.phones:
         return []
-    from deitalk.evaluation.lip_closures import BILABIAL, WIDEN_FRAMES
+    from deitalk.phones import BILABIALS, WIDEN_FRAMES
 
     fps, found = source.curves.fps, []
     head = build_head(0)
     for start, end, name in source.phones:
         phone = name.upper().rstrip("012")
-        if phone not in BILABIAL:
+        if phone not in BILABIALS:
             continue
         first = max(int(np.floor(start * fps)) - WIDEN_FRAMES, 0)
         frames = source.curves.values[first : int(np.ceil(end * fps)) + WIDEN_FRAMES + 1]

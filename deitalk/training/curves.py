@@ -1,6 +1,6 @@
 """Training: windows in, a model folder out (DEITalk §4.1). ``deitalk train CONFIG --data --out``.
 
-The main path is `train`, then `_fit`, then `_step`; `deitalk.training.run_folder` keeps what is written.
+The main path is `train`, then `_fit`, then `_step`; `deitalk.training.run_folder` writes the files.
 """
 
 import copy

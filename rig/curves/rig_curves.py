@@ -34,7 +34,8 @@ class RigCurves:
     Parameters
     ----------
     values : array [shape=(T, C)]
-        Stored as read-only float32. Ranges are the control set's matter, see `rig.curves.edit.clamp`.
+        Stored as read-only float32. Ranges belong to the control set, see
+        `rig.curves.edit.clamp`.
     names : sequence of str [length C]
         Canonical control names, none doubled.
     fps : float

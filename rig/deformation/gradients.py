@@ -118,8 +118,8 @@ def pack(gradients: Any, *, continuous: bool = False) -> tuple[Floats, Floats]:
         T of each triangle, det T > 0.
     continuous : bool
         The frames follow one another: each rotation vector is taken nearest to the one before
-        (`rig.deformation.rotations.unwrap`). False for single poses, and for training data, where one
-        pose must always give the same numbers.
+        (`rig.deformation.rotations.unwrap`). False for single poses, and for training data,
+        where one pose must always give the same numbers.
 
     Returns
     -------

@@ -296,3 +296,8 @@ def _gradient_operator(vertices: Floats, faces: Ints) -> csr_array:
     columns = np.broadcast_to(faces[:, :, None], (n, 3, 3))
     triplets = (weights.ravel(), (np.broadcast_to(rows, (n, 3, 3)).ravel(), columns.ravel()))
     return csr_array(coo_array(triplets, shape=(3 * n, len(vertices))))
+
+
+def mesh_solver(template: TriMesh) -> DeformationSolver:
+    """Solver of a template; its eyes and teeth, where it has them, move as single pieces."""
+    return DeformationSolver(template, parts=small_parts(template))

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from rig.curves import RigCurves
 from rig.mesh.glb import WeightAnimation, write_glb
-from rig.mesh.shapes import ShapeSet
-from rig.retarget.morph_head import METRES_PER_CM, morph_head
+from rig.retarget.morph_head import in_metres, morph_head
 
 
 def write(path: Path, curves: RigCurves) -> None:
@@ -17,9 +16,3 @@ def write(path: Path, curves: RigCurves) -> None:
     rig, colours = morph_head()
     animation = WeightAnimation(rig.weights(curves), curves.fps)
     write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours)
-
-
-def in_metres(shapes: ShapeSet) -> ShapeSet:
-    """Return shapes that are in cm in glTF's unit."""
-    neutral = shapes.neutral.with_vertices(shapes.neutral.vertices * METRES_PER_CM)
-    return ShapeSet(neutral, shapes.names, shapes.deltas * METRES_PER_CM)

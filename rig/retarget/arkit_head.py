@@ -1,9 +1,9 @@
 """The head as a GLB with ARKit's 52 shapes, for any viewer.
 
 ARKit's names are the ones that viewers and face trackers know. Each shape is the board pose that
-Unreal gives that name (`rig.conversion.arkit`). What shapes alone cannot say (a jaw and lids turn, lips seal)
-comes as correctives, whose drivers stand in ``mesh.extras.correctives``. For a take, with shapes
-of all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
+Unreal gives that name (`rig.conversion.arkit`). What shapes alone cannot express (a jaw and lids
+turn, lips seal) comes as correctives, whose drivers stand in ``mesh.extras.correctives``. For a
+take, with shapes of all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
 
 Letters: K shapes, V vertices.
 """
@@ -108,8 +108,7 @@ def write_head(path: Path | str, head: Head) -> Morphs:
     morphs : Morphs
         What was written.
     """
-    from rig.formats.glb import in_metres
-    from rig.retarget.morph_head import srgb_to_linear
+    from rig.retarget.morph_head import in_metres, srgb_to_linear
 
     morphs = arkit_morphs(head)
     shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.controls import default_controls
+from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, face_correctives
 
@@ -44,3 +45,9 @@ def srgb_to_linear(colours: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return linear light of sRGB values (IEC 61966-2-1)."""
     low = colours <= 0.04045
     return np.where(low, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
+def in_metres(shapes: ShapeSet) -> ShapeSet:
+    """Return shapes that are in cm in glTF's unit."""
+    neutral = shapes.neutral.with_vertices(shapes.neutral.vertices * METRES_PER_CM)
+    return ShapeSet(neutral, shapes.names, shapes.deltas * METRES_PER_CM)

@@ -147,12 +147,8 @@ def register(
     scale, rotation, shift = similarity(source.vertices[from_], to)
     aligned = scale * source.vertices @ rotation.T + shift
     aligned = aligned + _thin_plate(aligned[from_], to, aligned)
-    eyes = float(
-        np.linalg.norm(
-            target.vertices[target_landmarks["eye_outer_left"]]
-            - target.vertices[target_landmarks["eye_outer_right"]]
-        )
-    )
+    corners = [target_landmarks[f"eye_outer_{side}"] for side in ("left", "right")]
+    eyes = float(np.linalg.norm(np.subtract(*target.vertices[corners])))
     inside_out = _is_inside_out(TriMesh(aligned, source.faces), target, eyes)
     facing = target.flipped() if inside_out else target
     search = ClosestPoints(facing, labels=target_labels, candidates=24)

@@ -1,4 +1,4 @@
-"""Check the files that we only write: JSON for Unreal, visemes, GLB. Used by `rig.validation.curves`."""
+"""Check the files that are only written: JSON for Unreal, visemes, GLB."""
 
 from collections.abc import Callable
 from pathlib import Path

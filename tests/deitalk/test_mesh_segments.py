@@ -11,7 +11,7 @@ from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import MeshDataConfig, SDFAMelConfig
 from deitalk.data.augment_mel import MelWarp
-from deitalk.data.mesh_bases import fit_mesh_bases, mesh_solver
+from deitalk.data.mesh_bases import fit_mesh_bases
 from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
 from deitalk.data.mesh_segments import Segments, Spectra, between_frames
 from deitalk.data.mesh_sources import (
@@ -25,6 +25,7 @@ from deitalk.errors import DataError
 from deitalk.frontends.sdfa import SDFAEncoder
 from rig import default_controls
 from rig.deformation.gradients import pack_vertices
+from rig.deformation.reconstruct import mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh, write_ply, write_ply_sequence
 from tests.dataset import CLICKS, JAW, SECONDS, write_dataset

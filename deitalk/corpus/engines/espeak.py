@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.corpus.engines.espeak_library import Server, known_voice, library
-from deitalk.corpus.phone_alphabets import STOPS, ipa_to_phones
+from deitalk.corpus.phone_alphabets import ipa_to_phones
 from deitalk.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 from deitalk.errors import ConfigError, DataError, MissingError
+from deitalk.phones import STOPS
 
 PRIMARY_SHARE = 0.65  # of an event that fuses two phones (a vowel and its r) belongs to the first
 

@@ -5,12 +5,13 @@ import pytest
 import soundfile
 
 from deitalk.corpus import alignment
-from deitalk.corpus.alignment import align, align_scored, aligned_utterances, text_words
+from deitalk.corpus.aligned_recordings import aligned_utterances
+from deitalk.corpus.alignment import align, align_scored, text_words
 from deitalk.corpus.engines import espeak, flite
-from deitalk.corpus.phone_alphabets import PHONES, VOWELS
 from deitalk.corpus.recordings import Recording
 from deitalk.corpus.utterance import SAMPLE_RATE, Phone
 from deitalk.errors import MissingError
+from deitalk.phones import PHONES, VOWELS
 
 TEXT = "My brother bought a big apple, and Papa moved the piano."
 

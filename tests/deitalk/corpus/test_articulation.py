@@ -22,8 +22,8 @@ from deitalk.corpus.articulation import (
     articulate,
     targets,
 )
-from deitalk.corpus.phone_alphabets import BILABIALS, LABIODENTALS, PHONES, VOWELS
 from deitalk.corpus.utterance import Phone
+from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 
 
 def spoken(names: str, seconds: float = 0.09, silence: float = 0.5) -> list[Phone]:

@@ -25,11 +25,11 @@ from deitalk.corpus.performance import (
     speech_span,
     split_of,
 )
-from deitalk.corpus.phone_alphabets import BILABIALS
 from deitalk.corpus.recordings import Recording
 from deitalk.corpus.utterance import Phone, Utterance
 from deitalk.data.clips import read_clips, read_intensity, read_phones
 from deitalk.errors import DataError
+from deitalk.phones import BILABIALS
 from rig import default_controls, read_curves
 
 RATE = 16_000

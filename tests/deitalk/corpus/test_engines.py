@@ -16,11 +16,11 @@ from deitalk.corpus.engines import (
     festival,
     flite,
 )
-from deitalk.corpus.phone_alphabets import BILABIALS, PHONES
 from deitalk.corpus.synthesis import STYLE, synthetic_utterances
 from deitalk.corpus.utterance import SAMPLE_RATE
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, MissingError
+from deitalk.phones import BILABIALS, PHONES
 
 
 @pytest.fixture(params=ENGINES)

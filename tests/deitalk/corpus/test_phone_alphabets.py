@@ -3,8 +3,9 @@ import unicodedata
 import pytest
 
 from deitalk.corpus import phone_alphabets as phones
-from deitalk.corpus.phone_alphabets import PHONES, festival_to_phone, ipa_to_phones
+from deitalk.corpus.phone_alphabets import festival_to_phone, ipa_to_phones
 from deitalk.corpus.utterance import Phone, contiguous
+from deitalk.phones import PHONES
 
 TABLES = ("IPA_CONSONANTS", "IPA_VOWELS", "IPA_NOT_ENGLISH", "MANDARIN", "FESTIVAL_NAMES")
 

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deitalk.corpus.articulation import BITE, CHANNELS, JAW, TOGETHER, articulate
-from deitalk.corpus.phone_alphabets import PHONES
 from deitalk.corpus.rig_targets import (
     GAINS,
     USUAL_INTENSITY,
@@ -20,6 +19,7 @@ from deitalk.corpus.rig_targets import (
 )
 from deitalk.corpus.utterance import Phone
 from deitalk.emotions import EMOTIONS
+from deitalk.phones import PHONES
 from rig import default_controls
 
 CONTROLS = default_controls()

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from deitalk.corpus import alignment, sentences
-from deitalk.corpus.phone_alphabets import BILABIALS, LABIODENTALS, PHONES, VOWELS
 from deitalk.corpus.sentences import english_sentence, foreign_sentence
 from deitalk.corpus.synthesis import held_ssml
+from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 
 
 def _texts(count):
