@@ -7,10 +7,11 @@ import os
 import time
 
 import pytest
-from fuzz import run
-from fuzz.mutate import mutated
-from fuzz.readers import SLOW, Reader, Seed, readers
-from fuzz.run import attempt, in_process
+
+from tests.fuzz import run
+from tests.fuzz.mutate import mutated
+from tests.fuzz.readers import SLOW, Reader, Seed, readers
+from tests.fuzz.run import attempt, in_process
 
 COUNT = int(os.environ.get("FUZZ_COUNT", "1000"))
 READERS = readers()

@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from kill.contents import check_whole, contents, hidden
+
+from tests.kill.contents import check_whole, contents, hidden
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that forks")

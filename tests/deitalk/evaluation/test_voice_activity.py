@@ -3,7 +3,7 @@
 import builtins
 import subprocess
 import sys
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from deitalk.evaluation.voice_activity.detectors import Detector, Setting, decid
 from deitalk.evaluation.voice_activity.scores import Counts, label_frames, score_activity
 
 RATE = 16_000
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/promise.flac"
 PHONES = [(0, 1, "SIL"), (1, 1.5, "AA"), (1.5, 1.6, "SIL"), (1.6, 2, "M"), (2, 3, "SIL")]
 """Speech from 1 s to 2 s with a closure of 0.1 s in it: frames 30 to 60 of 90."""
 
@@ -175,7 +176,7 @@ def test_detectors_find_recorded_speech_where_it_is(name):
         pytest.importorskip("onnxruntime" if name == "silero" else "webrtcvad")
     if name == "silero":
         pytest.importorskip("silero_vad")
-    speech = load_audio(str(files("deitalk") / "samples/promise.flac")).waveform[: 4 * RATE]
+    speech = load_audio(SAMPLE).waveform[: 4 * RATE]
     speech = speech[np.argmax(np.abs(speech) > 0.02) :]
     floor = np.random.default_rng(0).normal(0, 1e-4, 2 * RATE).astype(np.float32)
     waveform = np.concatenate([floor, speech, floor])

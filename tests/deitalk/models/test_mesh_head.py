@@ -87,12 +87,12 @@ def whole(model, sound, *direction):
 
 def test_the_seam_is_the_last_layer(network):
     """What is described, through the decoder's last layer, is what is decoded."""
-    deitalk = head(network).encoder.network
-    analysis = deitalk.analyse(torch.from_numpy(noise(1.0)), 30)
+    curve_model = head(network).encoder.network
+    analysis = curve_model.analyse(torch.from_numpy(noise(1.0)), 30)
     emotion = torch.eye(5)[torch.arange(30) % 5]
-    described = deitalk.describe(analysis, emotion)
+    described = curve_model.describe(analysis, emotion)
     torch.testing.assert_close(
-        deitalk.models.rig_decoder.output(described), deitalk.decode(analysis, emotion)
+        curve_model.decoder.output(described), curve_model.decode(analysis, emotion)
     )
     assert described.std(dim=0).max() > 1e-3
 

@@ -17,7 +17,8 @@ from deitalk.preview.panel import Panel
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import FACE_HEIGHT, PANEL_HEIGHT, WIDTH, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
-from rig.curves import NTSC, snap_fps
+from rig.curves import snap_fps
+from rig.curves.rig_curves import NTSC
 from rig.errors import ExistsError, RigError, TargetError
 from tests.media import write_sound
 
