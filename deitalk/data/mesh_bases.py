@@ -113,19 +113,15 @@ def fit_mesh_bases(
     solvers = {d.speaker: mesh_solver(templates[d.speaker]) for d in unseen}
     truth = [solvers[d.speaker].solve(d.s, d.r) for d in unseen]
     moving = _lively(truth, [templates[d.speaker] for d in unseen])
-    table: list[dict[str, float]] = []
 
     def solved(bases: Sequence[GradientBasis]) -> list[Floats]:
-        s, r = bases
-        return [
-            solvers[d.speaker].solve(s.expand(s.project(d.s)), r.expand(r.project(d.r)))
-            for d in unseen
-        ]
+        through = [lambda values, b=basis: b.expand(b.project(values)) for basis in bases]
+        return [solvers[d.speaker].solve(through[0](d.s), through[1](d.r)) for d in unseen]
 
     def added(bases: Sequence[GradientBasis]) -> list[Floats]:
-        through = bases[0].expand, bases[0].project
+        expand, project = bases[0].expand, bases[0].project
         return [
-            templates[d.speaker].vertices + through[0](through[1](d.offsets)).reshape(t.shape)
+            templates[d.speaker].vertices + expand(project(d.offsets)).reshape(t.shape)
             for d, t in zip(unseen, truth, strict=True)
         ]
 
@@ -134,6 +130,7 @@ def fit_mesh_bases(
         return unit_mm * np.concatenate([np.linalg.norm(a - b, axis=-1) for a, b in pairs])
 
     small: list[GradientBasis] = []
+    table: list[dict[str, float]] = []
     for whole, moved in (((stretch, rotation), solved), ((offsets,), added)):
         for share in VARIANCES:
             cut = tuple(basis.truncated(basis.size_for(share)) for basis in whole)

@@ -108,17 +108,11 @@ def animate(
     strength = heard_intensity(heard, prosody, activity)
     predicted = strength * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
-    rules = Expression(network.controls)
-    for reading in (neutral,) if emotional is neutral else (neutral, emotional):
-        rules.decide(reading)
-        rules.enliven(reading, strength, heard, whole_take(prosody))
-    values = rules.blend(neutral, emotional, applied, heard * shown)
-    del emotional
-    for reading in (neutral, values):
-        rules.ease(reading)
-        rules.quieten(reading)
-        rules.rest_in_silence(reading, mouth_gate(activity), shown)
-        if idle and activity.any():
+    values = _apply_rules(
+        network, neutral, emotional, strength, heard, applied, shown, whole_take(prosody), activity
+    )
+    if idle and activity.any():
+        for reading in (neutral, values):
             rng = np.random.default_rng(seed)
             add_idle_motion(reading, network.controls, fps=30, rng=rng)
     clipped = _clamp(values, network) + 0 * _clamp(neutral, network)
@@ -134,6 +128,30 @@ def animate(
         _settings(emotion, intensity, intensity_curve, idle, seed),
         str(model) if isinstance(model, str | Path) else "",
     )
+
+
+def _apply_rules(
+    network: "DEITalk",
+    neutral: Floats,
+    emotional: Floats,
+    strength: Floats,
+    heard: Floats,
+    applied: Floats,
+    shown: Floats,
+    effort: float,
+    activity: Floats,
+) -> Floats:
+    """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
+    rules = Expression(network.controls)
+    for reading in (neutral,) if emotional is neutral else (neutral, emotional):
+        rules.decide(reading)
+        rules.enliven(reading, strength, heard, effort)
+    values = rules.blend(neutral, emotional, applied, heard * shown)
+    for reading in (neutral, values):
+        rules.ease(reading)
+        rules.quieten(reading)
+        rules.rest_in_silence(reading, mouth_gate(activity), shown)
+    return values
 
 
 def _settings(emotion: Any, intensity: float, curve: Any, idle: bool, seed: int) -> dict[str, Any]:
