@@ -1,6 +1,6 @@
 """The preview page: one HTML file with the player, the head, the curves and the recording.
 
-The player is built from ``web/`` by ``npm run build`` into ``deitalk/preview/app/index.html``;
+The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``deitalk/preview/app/index.html``;
 here the data are put into it.
 """
 
@@ -90,7 +90,7 @@ def check_player() -> None:
     if not BUNDLE.is_file():
         raise MissingError(
             "this installation has no preview page, because it was built without Node.js; install "
-            "Node.js and run `npm install && npm run build` in web/ of the source; a video (.mp4) "
+            "Node.js and run `npm install && npm run build` in deitalk/preview/web/ of the source; a video (.mp4) "
             "does not need it"
         )
 

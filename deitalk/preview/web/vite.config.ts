@@ -3,5 +3,5 @@ import { viteSingleFile } from "vite-plugin-singlefile";
 
 export default defineConfig({
   plugins: [viteSingleFile({ removeViteModuleLoader: true })],
-  build: { outDir: "../deitalk/preview/app", emptyOutDir: true, target: "es2022" },
+  build: { outDir: "../app", emptyOutDir: true, target: "es2022" },
 });
