@@ -1,7 +1,7 @@
 """The preview page: one HTML file with the player, the head, the curves and the recording.
 
-The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``app/index.html`` beside
-this file; here the data are put into it.
+The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``app/index.html``
+beside this file; here the data are put into it.
 """
 
 import base64

@@ -4,13 +4,12 @@ import argparse
 import multiprocessing
 import os
 import sys
-import time
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from .readers import readers
-from .run import in_workers
+from .run import fuzz_reader
 
 
 def main() -> int:
@@ -28,26 +27,10 @@ def main() -> int:
         (name, given.start, given.count, given.seed, given.keep) for name in given.reader or known
     ]
     if given.jobs == 1:
-        return int(sum(map(_fuzz, tasks)) > 0)
+        return int(sum(map(fuzz_reader, tasks)) > 0)
     context = multiprocessing.get_context("spawn")
     with context.Pool(given.jobs, maxtasksperchild=1) as pool:
-        return int(sum(pool.imap_unordered(_fuzz, tasks)) > 0)
-
-
-def _fuzz(task: tuple[str, int, int, int, Path]) -> int:
-    """Fuzz one reader and print what came out; returns the number of failures."""
-    name, start, count, seed, keep = task
-    begun = time.monotonic()
-    *_, outcome = in_workers(readers()[name], name, start, start + count, seed, keep)
-    seconds = time.monotonic() - begun
-    sys.stdout.write(
-        f"{name}: {count} inputs in {seconds:.0f} s ({count / seconds:.0f}/s), {outcome.read} read, "
-        f"{outcome.refused} refused, {len(outcome.failures)} failed\n"
-    )
-    for index, said in outcome.failures[:20]:
-        sys.stdout.write(f"  {index}: {said}\n")
-    sys.stdout.flush()
-    return len(outcome.failures)
+        return int(sum(pool.imap_unordered(fuzz_reader, tasks)) > 0)
 
 
 if __name__ == "__main__":

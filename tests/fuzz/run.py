@@ -8,6 +8,7 @@ worker that ends (memory, crash).
 import os
 import select
 import signal
+import sys
 import tempfile
 import time
 import warnings
@@ -19,7 +20,7 @@ from deitalk.errors import DeitalkError
 from rig.errors import RigError
 from rig.limits import MESSAGE_CHARACTERS
 
-from .readers import Reader, Seed, input_of
+from .readers import Reader, Seed, input_of, readers
 
 SECONDS = 5.0
 """Processor time of one input; a busy machine may take `PATIENCE` times as long."""
@@ -182,3 +183,19 @@ def _keep(folder: Path, name: str, seeds: list[Seed], index: int, seed: int, sai
     (folder / f"{name}-{seed}-{index}-{file}").write_bytes(data)
     with (folder / "failures.txt").open("a") as log:
         log.write(f"{name} {seed} {index} {file}: {said}\n")
+
+
+def fuzz_reader(task: tuple[str, int, int, int, Path]) -> int:
+    """Fuzz one reader and print what came out; returns the number of failures."""
+    name, start, count, seed, keep = task
+    begun = time.monotonic()
+    *_, outcome = in_workers(readers()[name], name, start, start + count, seed, keep)
+    seconds = time.monotonic() - begun
+    sys.stdout.write(
+        f"{name}: {count} inputs in {seconds:.0f} s ({count / seconds:.0f}/s), {outcome.read} read, "
+        f"{outcome.refused} refused, {len(outcome.failures)} failed\n"
+    )
+    for index, said in outcome.failures[:20]:
+        sys.stdout.write(f"  {index}: {said}\n")
+    sys.stdout.flush()
+    return len(outcome.failures)
