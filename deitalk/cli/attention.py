@@ -80,10 +80,10 @@ def _listen(
     """Draw what a model does; the means over vowels and plosives, where phones are known."""
     from deitalk.audio.load import load_audio
     from deitalk.data.clips import read_phones
-    from deitalk.evaluation.attention import attention_of, corpus_attention, load_listener
+    from deitalk.evaluation.attention import attention_of, corpus_attention, load_attention_model
     from deitalk.figures.attention import attention_maps, plot_attention, plot_clip
 
-    network = load_listener(model, device=device)
+    network = load_attention_model(model, device=device)
     if source.is_dir():
         pooled = corpus_attention(network, source, split=split, n_clips=clips)
         config = network.config.frontend

@@ -18,7 +18,7 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 
 
-class Ears:
+class FrozenFeatures:
     """The frontend of a trained model, and what it heard of each clip.
 
     Parameters
@@ -37,7 +37,7 @@ class Ears:
         self._owner = load_model(name)
         self._heard: dict[Clip, NDArray[np.float16]] = {}
 
-    def lend_to(self, model: DEITalk) -> None:
+    def copy_into(self, model: DEITalk) -> None:
         """Give `model` a copy of the frontend that no gradient reaches.
 
         Raises
@@ -53,7 +53,9 @@ class Ears:
         frontend = model.get_submodule("frontend").requires_grad_(False)
         frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
 
-    def hear(self, clip: Clip, waveform: NDArray[np.float32], n_frames: int) -> NDArray[np.float16]:
+    def features(
+        self, clip: Clip, waveform: NDArray[np.float32], n_frames: int
+    ) -> NDArray[np.float16]:
         """Features of a whole clip, computed at the first call.
 
         Parameters

@@ -11,7 +11,7 @@ import torch
 from deitalk.audio.load import frame_times
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.mesh_folder import MeshClip, Rows
-from deitalk.data.mesh_segments import Segment, SegmentBatches, Spoken
+from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches
 from deitalk.emotions import parse_emotion
 from deitalk.errors import DataError
 from deitalk.models.curve_features import DEITalkFeatures
@@ -47,7 +47,7 @@ class FeatureSegments(SegmentBatches):
         **drawing: int,
     ) -> None:
         spoken = [
-            Spoken(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
+            ClipInMemory(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
             for clip in clips
         ]
         super().__init__(spoken, len(speakers), **drawing)

@@ -87,7 +87,7 @@ class Spectra:
         return np.pad(inside, (before, length - before - len(inside))).astype(np.float32)
 
 
-class Spoken(NamedTuple):
+class ClipInMemory(NamedTuple):
     """A clip in memory."""
 
     heard: Rows
@@ -101,7 +101,7 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
 
     Parameters
     ----------
-    clips : sequence of Spoken
+    clips : sequence of ClipInMemory
         Those of one split.
     n_speakers : int
         P.
@@ -122,7 +122,7 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
 
     def __init__(
         self,
-        clips: Sequence[Spoken],
+        clips: Sequence[ClipInMemory],
         n_speakers: int,
         *,
         n_segments: int,
@@ -156,14 +156,14 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
     def segment(self, number: int) -> Segment:
         """The segment of one number."""
 
-    def drawn(self, number: int) -> tuple[np.random.Generator, Spoken, int]:
+    def drawn(self, number: int) -> tuple[np.random.Generator, ClipInMemory, int]:
         """What the segment of a number is made with: chance, its clip and its first frame."""
         rng = np.random.default_rng((self.seed, number))
         drawn = int(rng.integers(self.starts_before[-1]))
         which = int(np.searchsorted(self.starts_before, drawn, side="right")) - 1
         return rng, self.clips[which], drawn - int(self.starts_before[which])
 
-    def completed(self, features: Tensor, clip: Spoken, places: Floats) -> Segment:
+    def completed(self, features: Tensor, clip: ClipInMemory, places: Floats) -> Segment:
         """A segment of features whose frames are at fractional places of a clip."""
         empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
         targets = {
@@ -211,7 +211,7 @@ class Segments(SegmentBatches):
         **drawing: int,
     ) -> None:
         spoken = [
-            Spoken(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
+            ClipInMemory(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
             for c in clips
         ]
         super().__init__(spoken, len(speakers), **drawing)

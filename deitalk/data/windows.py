@@ -26,14 +26,15 @@ from deitalk.errors import DataError
 from rig import ControlSet, read_curves
 
 if TYPE_CHECKING:
-    from deitalk.data.frozen_features import Ears
+    from deitalk.data.frozen_features import FrozenFeatures
 
 
 class Window(NamedTuple):
     """One training example; a batch has the same fields with a leading axis."""
 
     waveform: Tensor
-    """[shape=(S,)], level-normalised (then augmented); with `Ears`, features [shape=(T, D)]."""
+    """[shape=(S,)], level-normalised (then augmented); or features [shape=(T, D)]
+    where `FrozenFeatures` are given."""
     curves: Tensor
     """[shape=(T, C)]."""
     emotion: Tensor
@@ -198,7 +199,7 @@ class Batches(IterableDataset[Window]):
         Windows of a batch, over all processes.
     skip : int
         First batch: where an interrupted training goes on.
-    ears : Ears or None
+    frozen_features : FrozenFeatures or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
     clean : bool
@@ -218,7 +219,7 @@ class Batches(IterableDataset[Window]):
         skip: int = 0,
         rank: int = 0,
         world: int = 1,
-        ears: "Ears | None" = None,
+        frozen_features: "FrozenFeatures | None" = None,
         clean: bool = False,
     ) -> None:
         if not clips:
@@ -226,7 +227,7 @@ class Batches(IterableDataset[Window]):
         self.clips, self.controls, self.config = list(clips), controls, config
         self.seed, self.batch_size, self.skip = seed, batch_size, skip
         self.rank, self.world = rank, world
-        self.ears, self.clean = None if config.augment else ears, clean
+        self.frozen_features, self.clean = None if config.augment else frozen_features, clean
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
         self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
@@ -255,7 +256,7 @@ class Batches(IterableDataset[Window]):
         if config.augment:
             waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
         sound = torch.from_numpy(waveform)
-        if self.ears is not None:
+        if self.frozen_features is not None:
             sound = self._heard(clip, material, first)
         return Window(
             sound,
@@ -270,11 +271,13 @@ class Batches(IterableDataset[Window]):
 
     def _heard(self, clip: Clip, material: Material, first: int) -> Tensor:
         """Features of a window at the clip's own speed [shape=(T, D)]."""
-        assert self.ears is not None
+        assert self.frozen_features is not None
         waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
         stop = first + self.config.window_frames
         n_frames = max(n_clip_frames(len(waveform)), stop)
-        return torch.from_numpy(self.ears.hear(clip, waveform, n_frames)[first:stop]).float()
+        return torch.from_numpy(
+            self.frozen_features.features(clip, waveform, n_frames)[first:stop]
+        ).float()
 
     def _draw(self, rng: np.random.Generator) -> Clip:
         fraction = self.config.real_fraction

@@ -32,7 +32,7 @@ class Attention(NamedTuple):
     """Spectra per second."""
 
 
-def load_listener(model: str | Path, *, device: str = "cpu") -> Any:
+def load_attention_model(model: str | Path, *, device: str = "cpu") -> Any:
     """Read a model of either kind, DEITalk or SDFA.
 
     Raises
@@ -128,7 +128,7 @@ def corpus_attention(
     Parameters
     ----------
     network : DEITalk or SDFA
-        From `load_listener`.
+        From `load_attention_model`.
     folder : Path
         A dataset folder whose clips have phones.
     split : str

@@ -122,7 +122,7 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
         through convolutions, both BiLSTMs and attention on its own; `ratio`; `largest_difference`
         of the features, whose own range is `largest`.
     """
-    (heard,) = model.hear(sound)
+    (heard,) = model.feature_chunks(sound)
     encoder = model.encoder
     assert isinstance(encoder, SDFAEncoder)
 
@@ -207,7 +207,7 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
 
     laps: dict[str, Callable[[], Any]] = {
         "set static mesh": lambda: state.update(solver=mesh_solver(model.template(0))),
-        "preprocess audio": lambda: state.update(heard=list(model.hear(sound))),
+        "preprocess audio": lambda: state.update(heard=list(model.feature_chunks(sound))),
         "audio feature": lambda: state.update(
             feature=torch.cat(
                 [model.encoder(h.features, h.places)[0, h.kept] for h in state["heard"]]

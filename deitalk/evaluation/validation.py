@@ -56,14 +56,14 @@ def lips_together(curves: NDArray[np.float32], controls: ControlSet) -> NDArray[
 
 
 @dataclass(frozen=True)
-class DevelopmentSet:
+class ValidationSet:
     """Clips and the control set they are of."""
 
     examples: tuple[Example, ...]
     controls: ControlSet
 
     @classmethod
-    def of(cls, clips: list[Clip], controls: ControlSet) -> "DevelopmentSet":
+    def of(cls, clips: list[Clip], controls: ControlSet) -> "ValidationSet":
         """Choose up to 60 clips: recorded ones first, evenly spread over the list."""
         recorded = [clip for clip in clips if clip.source == "recording"]
         chosen = recorded or clips

@@ -60,7 +60,7 @@ FRAMES_EXPANDED = 64
 """Frames whose gradients are in memory together."""
 
 
-class Heard(NamedTuple):
+class FeatureChunk(NamedTuple):
     """Features of a piece of a recording, and which rows of theirs are wanted."""
 
     features: Tensor
@@ -169,12 +169,12 @@ class SDFA(nn.Module):
         if direction is not None:
             raise EmotionError(NO_EMOTION)
         label = self.label(speaker).to(self.device)
-        for features, places, kept in self.hear(waveform):
+        for features, places, kept in self.feature_chunks(waveform):
             rows = self(features, places, label)
             yield {name: row[0, kept] for name, row in rows.items()}
 
     @torch.no_grad()
-    def hear(self, waveform: Any) -> Iterator[Heard]:
+    def feature_chunks(self, waveform: Any) -> Iterator[FeatureChunk]:
         """Features of a recording, `FRAMES_AT_ONCE` frames at a time, with what is about them."""
         assert isinstance(self.encoder, Encoder)
         samples = normalise_level(checked_waveform(waveform))
@@ -190,7 +190,7 @@ class SDFA(nn.Module):
             last = int(places[-1]) + self.encoder.reach + 1
             features = self.encoder.heard(sound, first, last)
             kept = slice(start - begin, stop - begin)
-            yield Heard(features, (places - first).to(self.device), kept)
+            yield FeatureChunk(features, (places - first).to(self.device), kept)
 
     @torch.no_grad()
     def attention_weights(self, waveform: Any) -> NDArray[np.float32]:
@@ -208,7 +208,7 @@ class SDFA(nn.Module):
             raise CheckpointError("this model has no attention; choose one with SDFA's encoder")
         rows = [
             self.encoder.attention_weights(features, places)[kept]
-            for features, places, kept in self.hear(waveform)
+            for features, places, kept in self.feature_chunks(waveform)
         ]
         return np.asarray(torch.cat(rows).cpu().numpy(), dtype=np.float32)
 

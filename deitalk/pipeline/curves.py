@@ -31,7 +31,7 @@ from deitalk.pipeline.arguments import (
 from deitalk.pipeline.performance import Performance
 from deitalk.postprocess.blinks import add_idle_motion
 from deitalk.postprocess.curve_rules import Expression
-from deitalk.postprocess.voice_intensity import heard_intensity, whole_take
+from deitalk.postprocess.voice_intensity import heard_intensity, vocal_effort_z
 from rig import RigCurves
 from rig.errors import quoted
 
@@ -108,8 +108,9 @@ def animate(
     strength = heard_intensity(heard, prosody, activity)
     predicted = strength * shown
     applied = predicted * np.float32(intensity) if curve is None else curve.at(times) * intensity
+    effort = vocal_effort_z(prosody)
     values = _apply_rules(
-        network, neutral, emotional, strength, heard, applied, shown, whole_take(prosody), activity
+        network, neutral, emotional, strength, heard, applied, shown, effort, activity
     )
     if idle and activity.any():
         for reading in (neutral, values):
@@ -144,12 +145,12 @@ def _apply_rules(
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
     rules = Expression(network.controls)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
-        rules.decide(reading)
-        rules.enliven(reading, strength, heard, effort)
+        rules.sharpen_contacts(reading)
+        rules.scale_opening(reading, strength, heard, effort)
     values = rules.blend(neutral, emotional, applied, heard * shown)
     for reading in (neutral, values):
-        rules.ease(reading)
-        rules.quieten(reading)
+        rules.limit_contact_speed(reading)
+        rules.apply_dead_zone(reading)
         rules.rest_in_silence(reading, mouth_gate(activity), shown)
     return values
 

@@ -94,7 +94,7 @@ class Expression:
         delta += neutral
         return delta
 
-    def decide(self, curves: Floats) -> None:
+    def sharpen_contacts(self, curves: Floats) -> None:
         """Make contacts of what the network only believes, in place.
 
         A network trained on squared errors answers a doubtful /b/ with 0.5: lips that almost meet
@@ -115,7 +115,9 @@ class Expression:
         shoulder = np.minimum(SHOULDER + DOUBT * (1 - peaks), SHARPEST)
         curves[:, self.seals] = _decided(peaks, DECIDED) * _decided(shares, shoulder)
 
-    def enliven(self, curves: Floats, strength: Floats, heard: Floats, effort: float = 0.0) -> None:
+    def scale_opening(
+        self, curves: Floats, strength: Floats, heard: Floats, effort: float = 0.0
+    ) -> None:
         """Open the mouth as far as the voice is lively, in place.
 
         The network opens it for the intensity it heard, by the law it was taught: 45 % more for
@@ -130,14 +132,14 @@ class Expression:
             Intensity of the voice, and what the network heard of it.
         effort : float
             Vocal effort of the whole take, standard deviations from the usual
-            (`deitalk.postprocess.voice_intensity.whole_take`).
+            (`deitalk.postprocess.voice_intensity.vocal_effort_z`).
         """
         free = 1 - self.contact(curves)
         ratio = (1 + LIVELINESS_GAIN * (strength - USUAL)) / (1 + LIVELINESS_GAIN * (heard - USUAL))
         ratio *= 1 + EFFORT_GAIN * effort
         curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
 
-    def ease(self, curves: Floats) -> None:
+    def limit_contact_speed(self, curves: Floats) -> None:
         """Let lips start closing early and part late rather than jump, in place.
 
         Contacts keep their height; the frames around them are raised until no step of a
@@ -186,7 +188,7 @@ class Expression:
             part *= 1 - gate + gate * mouth[rows, None]
         curves += rest
 
-    def quieten(self, curves: Floats) -> None:
+    def apply_dead_zone(self, curves: Floats) -> None:
         """Remove the network's murmur from controls that part or move the lips, in place.
 
         Values below 0.01 go to 0; above, nothing but that is lost.

@@ -59,7 +59,7 @@ def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Flo
         return strength
     z = _smoothed(_liveliness(strength), speaking)
     z -= z[speaking].mean()  # every take it learnt from was as lively as another
-    z += INDEX_WEIGHT * prosody_index(prosody) + whole_take(prosody)
+    z += INDEX_WEIGHT * prosody_index(prosody) + vocal_effort_z(prosody)
     mended = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(mended, strength, speaking)
     counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
@@ -67,7 +67,7 @@ def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Flo
     return heard
 
 
-def whole_take(prosody: Prosody) -> float:
+def vocal_effort_z(prosody: Prosody) -> float:
     """Standard deviations by which a voice is livelier than usual, from its spectral tilt.
 
     0 where nothing is voiced.

@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.config import Config, load_config
 from deitalk.config.yaml_text import read_yaml
-from deitalk.data.frozen_features import Ears
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.curves import evaluate
 from deitalk.evaluation.report import as_json
@@ -151,7 +151,7 @@ def _ablate(
 ) -> dict[str, Any]:
     """Every run and the table, in a folder that is held."""
     table = {}
-    lend = lru_cache(Ears)  # what a frozen frontend heard serves all runs
+    lend = lru_cache(FrozenFeatures)  # what a frozen frontend heard serves all runs
     asked = {"data": str(data.resolve()), **asked}
     for variant in variants:
         reports = []
@@ -170,7 +170,7 @@ def _report(
     data: Path,
     asked: dict[str, Any],
     says: Says,
-    lend: Callable[[str], Ears],
+    lend: Callable[[str], FrozenFeatures],
 ) -> dict[str, Any]:
     """The evaluation of one run: read, or made."""
     path = folder / "report.json"
@@ -178,8 +178,8 @@ def _report(
     if path.is_file():
         return _finished(path, config, asked)
     frozen = config.train.frozen_frontend
-    ears = None if frozen is None else lend(frozen)
-    _train(folder, config, data, ears, lambda share: says(name, share))
+    frozen_features = None if frozen is None else lend(frozen)
+    _train(folder, config, data, frozen_features, lambda share: says(name, share))
     options = {key: asked[key] for key in ("split", "most", "probes")}
     report = evaluate(load_model(folder / "best"), data, **options)
     with atomic_write(path) as beside:
@@ -203,14 +203,18 @@ def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, An
 
 
 def _train(
-    folder: Path, config: Config, data: Path, ears: Ears | None, says: Callable[[float], None]
+    folder: Path,
+    config: Config,
+    data: Path,
+    frozen_features: FrozenFeatures | None,
+    says: Callable[[float], None],
 ) -> None:
     train(
         config,
         data,
         folder,
         resume=True,
-        ears=ears,
+        frozen_features=frozen_features,
         progress=lambda step, total, values: says(step / total),
     )
 

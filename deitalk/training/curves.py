@@ -16,17 +16,17 @@ from torch.utils.data import DataLoader
 
 from deitalk.config import Config, TrainConfig
 from deitalk.data.clips import Clip, read_clips
-from deitalk.data.frozen_features import Ears
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.errors import ConfigError
-from deitalk.evaluation.validation import DevelopmentSet
+from deitalk.evaluation.validation import ValidationSet
 from deitalk.figures.canvas import can_draw
 from deitalk.models.checkpoint import describe_model, load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
 from deitalk.training.curve_loss import Loss
 from deitalk.training.distillation import Teacher, read_teacher, start_as
-from deitalk.training.run_folder import go_on, keep, open_folder, picture_path
+from deitalk.training.run_folder import open_folder, picture_path, resume_run, save_checkpoints
 from deitalk.training.run_tables import Journal, summary_writer
 from deitalk.training.update import update
 from deitalk.training.validation_figure import FixedClips
@@ -63,19 +63,19 @@ class Run:
         return {name: getattr(self, name) for name in names}
 
 
-class Witness(NamedTuple):
+class Validation(NamedTuple):
     """The validation clips: those that are scored, and those that are drawn."""
 
-    development: DevelopmentSet
+    development: ValidationSet
     drawn: FixedClips | None
     """None without matplotlib."""
 
     @classmethod
-    def of(cls, data: Path, controls: ControlSet) -> "Witness":
+    def of(cls, data: Path, controls: ControlSet) -> "Validation":
         """Read them from a dataset folder."""
         clips = read_clips(data, "validation")
         drawn = FixedClips.of(clips, controls) if clips and can_draw() else None
-        return cls(DevelopmentSet.of(clips, controls), drawn)
+        return cls(ValidationSet.of(clips, controls), drawn)
 
 
 def train(
@@ -86,7 +86,7 @@ def train(
     resume: bool = False,
     start_from: Path | None = None,
     tensorboard: bool = False,
-    ears: Ears | None = None,
+    frozen_features: FrozenFeatures | None = None,
     progress: Progress = _silent,
 ) -> dict[str, Any]:
     """Train a model.
@@ -109,7 +109,7 @@ def train(
         Model folder whose weights are the start (fine-tuning).
     tensorboard : bool
         Write TensorBoard's events to the run folder too.
-    ears : Ears or None
+    frozen_features : FrozenFeatures or None
         Those of ``train.frozen_frontend``, where several runs share what they heard.
     progress : callable
         Told the step, the number of steps and the values that were logged; by one process.
@@ -137,11 +137,13 @@ def train(
     clips = read_clips(data, "train")
     with open_folder(out, config, resume=resume, writes=accelerator.is_main_process):
         accelerator.wait_for_everyone()  # all see what was there before the first step
-        run, teacher, ears = _prepare(config, clips, start_from, ears)
+        run, teacher, frozen_features = _prepare(config, clips, start_from, frozen_features)
         if resume:
-            run.step, run.best_score = go_on(out, run.parts, forgets=accelerator.is_main_process)
-        loader = _loader(clips, run, config, accelerator, ears)
-        witness = Witness.of(data, run.model.controls)
+            run.step, run.best_score = resume_run(
+                out, run.parts, truncate_logs=accelerator.is_main_process
+            )
+        loader = _loader(clips, run, config, accelerator, frozen_features)
+        witness = Validation.of(data, run.model.controls)
         if not accelerator.is_main_process:
             progress, tensorboard = _silent, False
         progress(run.step, run.total, {})
@@ -154,8 +156,11 @@ def train(
 
 
 def _prepare(
-    config: Config, clips: Sequence[Clip], start_from: Path | None, ears: Ears | None
-) -> tuple[Run, DEITalk | None, Ears | None]:
+    config: Config,
+    clips: Sequence[Clip],
+    start_from: Path | None,
+    frozen_features: FrozenFeatures | None,
+) -> tuple[Run, DEITalk | None, FrozenFeatures | None]:
     """The run at step 0, its teacher and what it hears with."""
     network_shapes(lambda: DEITalk(config.model, pretrained=False))  # not too large to be built
     torch.manual_seed(config.train.seed)
@@ -166,10 +171,10 @@ def _prepare(
     if start_from is not None:
         _copy_weights(model, start_from)
     if config.train.frozen_frontend is not None:
-        ears = ears or Ears(config.train.frozen_frontend)
-        ears.lend_to(model)
+        frozen_features = frozen_features or FrozenFeatures(config.train.frozen_frontend)
+        frozen_features.copy_into(model)
     run = _start(config, model, n_steps(config, clips), is_taught=teacher is not None)
-    return run, teacher, ears
+    return run, teacher, frozen_features
 
 
 def _accelerator(settings: TrainConfig) -> Any:
@@ -200,7 +205,11 @@ def _copy_weights(model: DEITalk, folder: Path) -> None:
 
 
 def _loader(
-    clips: Sequence[Clip], run: Run, config: Config, accelerator: Any, ears: Ears | None
+    clips: Sequence[Clip],
+    run: Run,
+    config: Config,
+    accelerator: Any,
+    frozen_features: FrozenFeatures | None,
 ) -> DataLoader[Any]:
     """Batches from the run's step on; this process's share of each."""
     batches = Batches(
@@ -212,7 +221,7 @@ def _loader(
         skip=run.step,
         rank=accelerator.process_index,
         world=accelerator.num_processes,
-        ears=ears,
+        frozen_features=frozen_features,
         clean=config.train.teacher is not None,
     )
     return DataLoader(
@@ -223,7 +232,7 @@ def _loader(
 def _fit(
     run: Run,
     loader: DataLoader[Any],
-    witness: Witness,
+    witness: Validation,
     config: Config,
     journal: Journal,
     accelerator: Any,
@@ -322,7 +331,7 @@ def _step(
     return values | {"gradient_norm": norm, "learning_rate": rate}
 
 
-def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> dict[str, float]:
+def _evaluate(run: Run, witness: Validation, config: Config, journal: Journal) -> dict[str, float]:
     """Score and draw the averaged weights, keep them if none were better, and save the state."""
     run.average.eval()
     scores = witness.development.score(run.average)
@@ -334,5 +343,7 @@ def _evaluate(run: Run, witness: Witness, config: Config, journal: Journal) -> d
 
     if witness.drawn is not None:
         witness.drawn.draw(run.average, picture_path(journal.out, run.step))
-    run.best_score = keep(journal.out, run.parts, run.step, scores, run.best_score, save)
+    run.best_score = save_checkpoints(
+        journal.out, run.parts, run.step, scores, run.best_score, save
+    )
     return named

@@ -19,7 +19,7 @@ RIDGE = 1e-3
 """Over the mean square of the coefficients, which is about 1."""
 
 
-class LipReader(nn.Module):
+class LipRegression(nn.Module):
     """One linear map a speaker.
 
     Parameters
@@ -52,7 +52,7 @@ class LipReader(nn.Module):
         folder: MeshFolder,
         *,
         motion: str,
-    ) -> "LipReader":
+    ) -> "LipRegression":
         """Fit to the motion of clips and the places of their speakers.
 
         Parameters

@@ -31,9 +31,9 @@ from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_checkpoint import mesh_kind, save_sdfa
 from deitalk.models.mesh_head import Direction, MeshHead
 from deitalk.models.mesh_model import SDFA, build_encoder
-from deitalk.training.lip_regression import LipReader
+from deitalk.training.lip_regression import LipRegression
 from deitalk.training.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
-from deitalk.training.run_folder import go_on, keep, open_folder
+from deitalk.training.run_folder import open_folder, resume_run, save_checkpoints
 from deitalk.training.run_tables import log
 from deitalk.training.update import update
 from deitalk.workers import end_with_parent
@@ -135,7 +135,7 @@ def _train(
     total = _n_steps(config.train, segments)
     run = _start(config, model, _new_model(config, folder), total)
     if resume:
-        run.step, run.best_score = go_on(out, run.parts, forgets=True)
+        run.step, run.best_score = resume_run(out, run.parts, truncate_logs=True)
         segments.skip = run.step
     progress(run.step, run.total, {})
     loss = MeshLoss(config, folder, segments).to(run.model.device)
@@ -243,9 +243,9 @@ class MeshLoss(torch.nn.Module):
         super().__init__()
         self.precision = config.train.precision
         self.places = segments.places
-        self.lips: LipReader | None = None
+        self.lips: LipRegression | None = None
         if config.train.lip_weight:
-            self.lips = LipReader.fit(
+            self.lips = LipRegression.fit(
                 [(clip.motion, clip.speaker) for clip in segments.clips],
                 folder,
                 motion=config.model.motion,
@@ -314,7 +314,7 @@ def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -
     scores = mesh_scores(run.average, folder)
     named = {f"dev_{k}": v for k, v in scores.items()}
     log(out / "development.csv", run.step, named)
-    run.best_score = keep(
+    run.best_score = save_checkpoints(
         out,
         run.parts,
         run.step,

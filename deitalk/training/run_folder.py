@@ -28,7 +28,7 @@ import yaml
 
 from deitalk.config import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError
-from deitalk.training.run_tables import forget
+from deitalk.training.run_tables import truncate_log
 from rig.files import (
     atomic_write,
     begin_folder,
@@ -177,12 +177,12 @@ def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:
         ) from None
 
 
-def go_on(out: Path, parts: dict[str, Any], *, forgets: bool) -> tuple[int, float]:
+def resume_run(out: Path, parts: dict[str, Any], *, truncate_logs: bool) -> tuple[int, float]:
     """Bring the parts to where a run stopped; return its step and the best score so far.
 
     Without ``state.pt``, as after a kill before the first evaluation, the parts stay as they are
     and the run begins at step 0. Rows and pictures beyond the step are dropped by the process that
-    `forgets`: the run will make them again.
+    `truncate_logs`: the run will make them again.
 
     Raises
     ------
@@ -193,16 +193,16 @@ def go_on(out: Path, parts: dict[str, Any], *, forgets: bool) -> tuple[int, floa
     if (out / "state.pt").is_file():
         numbers = restore_state(out, parts)
     step = int(numbers["step"])
-    if forgets:
+    if truncate_logs:
         for name in ("metrics.csv", "development.csv"):
-            forget(out / name, step)
+            truncate_log(out / name, step)
         for picture in (out / "curves").glob("*.png"):
             if picture.stem.isdecimal() and int(picture.stem) > step:
                 picture.unlink()
     return step, float(numbers["best_score"])
 
 
-def keep(
+def save_checkpoints(
     out: Path,
     parts: dict[str, Any],
     step: int,

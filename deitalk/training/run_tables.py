@@ -80,7 +80,7 @@ def log(path: Path, step: int, values: dict[str, float]) -> None:
         beside.write_text(",".join(["step", *values]) + "\n" + row, encoding="utf-8")
 
 
-def forget(path: Path, step: int) -> None:
+def truncate_log(path: Path, step: int) -> None:
     """Drop a log's rows beyond a step: the run that goes on writes them again.
 
     Half a row at the end is dropped too; a log that holds no row is removed.

@@ -60,7 +60,7 @@ def update(
 
 @torch.no_grad()
 def _follow(run: Training, decay: float | None, frozen: frozenset[str]) -> None:
-    """Exponential moving average of weights and buffers; a young average forgets faster."""
+    """Exponential moving average of weights and buffers; a young average truncate_logs faster."""
     rate = 1.0 if decay is None else 1 - min(decay, (1 + run.step) / (10 + run.step))
     values = run.model.state_dict()
     for name, mean in run.average.state_dict().items():

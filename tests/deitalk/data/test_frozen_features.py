@@ -9,7 +9,7 @@ import torch
 from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
 from deitalk.config import Config, load_config
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import Ears
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import Batches, load_material
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
@@ -60,9 +60,11 @@ def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
     clips = read_clips(data, "train")
     config = tiny(f"train.frozen_frontend={lender}")
     model = load_model(lender)
-    ears = Ears(str(lender))
+    frozen_features = FrozenFeatures(str(lender))
     plain = Batches(clips, model.controls, config.data, seed=3, batch_size=2)
-    heard = Batches(clips, model.controls, config.data, seed=3, batch_size=2, ears=ears)
+    heard = Batches(
+        clips, model.controls, config.data, seed=3, batch_size=2, frozen_features=frozen_features
+    )
     window, same = heard.window(5), plain.window(5)
     assert torch.equal(window.curves, same.curves) and torch.equal(window.frames, same.frames)
     places = window.frames.tolist()
@@ -81,17 +83,19 @@ def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
 
 def test_a_clip_is_heard_once(data, lender, monkeypatch):
     clips = read_clips(data, "train")[:1]
-    ears = Ears(str(lender))
+    frozen_features = FrozenFeatures(str(lender))
     calls = []
-    encode = ears._owner.frontend.encode
+    encode = frozen_features._owner.frontend.encode
     monkeypatch.setattr(
-        ears._owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
+        frozen_features._owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
     )
-    batches = Batches(clips, load_model(lender).controls, tiny().data, 0, 2, ears=ears)
+    batches = Batches(
+        clips, load_model(lender).controls, tiny().data, 0, 2, frozen_features=frozen_features
+    )
     for number in range(12):
         batches.window(number)
     assert 1 <= len(calls) <= 2  # again only for a window that reaches further beyond the end
-    first = ears.hear(clips[0], np.zeros(16_000, np.float32), 10)
+    first = frozen_features.features(clips[0], np.zeros(16_000, np.float32), 10)
     assert np.isfinite(first).all() and len(calls) <= 2
 
 
@@ -104,9 +108,9 @@ def test_a_model_of_other_ears_is_refused_in_one_line(data, lender, tmp_path):
 
 def test_variants_share_what_was_heard(data, lender, tmp_path, monkeypatch):
     made = []
-    original = Ears.__init__
+    original = FrozenFeatures.__init__
     monkeypatch.setattr(
-        Ears, "__init__", lambda self, name: made.append(name) or original(self, name)
+        FrozenFeatures, "__init__", lambda self, name: made.append(name) or original(self, name)
     )
     variants = [Variant("full", TINY, ()), Variant("still", TINY, ("loss.velocity=0",))]
     overrides = [f"train.frozen_frontend={lender}", "train.batch_size=2", "train.workers=0"]

@@ -11,7 +11,7 @@ from deitalk.data.clips import read_clips
 from deitalk.evaluation.validation import (
     ARTICULATION,
     MAX_CLIPS,
-    DevelopmentSet,
+    ValidationSet,
     lips_together,
     load_example,
 )
@@ -58,7 +58,7 @@ def test_an_example_is_a_clip_at_30_frames_per_second(folder):
 
 
 def test_the_right_answer_scores_1_and_a_late_one_less(folder):
-    chosen = DevelopmentSet.of(read_clips(folder), CONTROLS)
+    chosen = ValidationSet.of(read_clips(folder), CONTROLS)
     answers = [example.curves for example in chosen.examples]
     strengths = [example.intensity for example in chosen.examples]
     right = chosen.score(Told(answers, strengths))  # type: ignore[arg-type]
@@ -73,7 +73,7 @@ def test_the_right_answer_scores_1_and_a_late_one_less(folder):
 
 
 def test_the_clips_emotion_is_what_the_model_is_asked_for(folder):
-    chosen = DevelopmentSet.of(read_clips(folder), CONTROLS)
+    chosen = ValidationSet.of(read_clips(folder), CONTROLS)
     told = Told([e.curves for e in chosen.examples], None)
     scores = chosen.score(told)  # type: ignore[arg-type]
     assert told.emotions == [1, 3, 0], "clips 1, 3 and 5 are recordings: angry, sad, neutral"
@@ -83,14 +83,14 @@ def test_the_clips_emotion_is_what_the_model_is_asked_for(folder):
 def test_recordings_are_chosen_before_synthetic_speech_and_at_most_60(folder):
     clips = read_clips(folder)
     recorded = [clip for clip in clips if clip.source == "recording"]
-    assert len(DevelopmentSet.of(clips, CONTROLS).examples) == len(recorded) == 3
+    assert len(ValidationSet.of(clips, CONTROLS).examples) == len(recorded) == 3
     synthetic = [clip for clip in clips if clip.source != "recording"]
-    assert len(DevelopmentSet.of(synthetic, CONTROLS).examples) == 3
-    assert len(DevelopmentSet.of(synthetic * 40, CONTROLS).examples) == MAX_CLIPS
+    assert len(ValidationSet.of(synthetic, CONTROLS).examples) == 3
+    assert len(ValidationSet.of(synthetic * 40, CONTROLS).examples) == MAX_CLIPS
 
 
 def test_nothing_to_score_scores_0():
-    empty = DevelopmentSet.of([], CONTROLS)
+    empty = ValidationSet.of([], CONTROLS)
     assert empty.score(Told([], None))["score"] == 0  # type: ignore[arg-type]
 
 

@@ -35,7 +35,7 @@ from deitalk.models.trim import main as trim_main
 from deitalk.models.trim import trimmed
 from deitalk.postprocess.lip_seal import LipSeal
 from deitalk.training import mesh as train_module
-from deitalk.training.lip_regression import LipReader
+from deitalk.training.lip_regression import LipRegression
 from deitalk.training.mesh import mesh_scores, train_sdfa
 from rig.face.identity import IDENTITIES
 from rig.mesh import TriMesh
@@ -532,7 +532,7 @@ def test_lip_reader_is_exact_where_motion_is_linear(sequences):
     """Offsets to lips is linear by definition; what is left is float16 and the basis."""
     folder = read_mesh_folder(sequences)
     clips = [(c.motion(), folder.training_speakers.index(c.speaker)) for c in folder.clips]
-    reader = LipReader.fit(clips, folder, motion="offsets")
+    reader = LipRegression.fit(clips, folder, motion="offsets")
     assert reader.residual_mm < 0.1
     motion, place = clips[1]
     rows = torch.from_numpy(motion["offsets"])[None]

@@ -133,7 +133,7 @@ def test_murmur_goes_and_speech_stays():
     curves[:, jaw] = [0.005, -0.009, 0.5, 1.0]
     curves[:, roll] = [-0.005, -0.5, 0.0, 0.2]
     curves[:, brow] = 0.004
-    RULES.quieten(curves)
+    RULES.apply_dead_zone(curves)
     np.testing.assert_allclose(curves[:, jaw], [0, 0, 0.49, 0.99], atol=1e-6)
     np.testing.assert_allclose(curves[:, roll], [0, -0.49, 0, 0.19], atol=1e-6)
     assert (curves[:, brow] == np.float32(0.004)).all()
@@ -150,7 +150,7 @@ def decided(curve: list[float]) -> np.ndarray:
     values = np.tile(CONTROLS.rest, (len(curve), 1)).astype(np.float32)
     place, jaw = (CONTROLS.index(n) for n in ("CTRL_L_mouth_lipsTogetherU.ty", "CTRL_C_jaw.ty"))
     values[:, place], values[:, jaw] = curve, 0.7
-    RULES.decide(values)
+    RULES.sharpen_contacts(values)
     np.testing.assert_allclose(values[:, jaw], 0.7)
     return values[:, place]
 
@@ -192,7 +192,7 @@ def test_lips_start_closing_early_and_keep_their_contact():
     values = np.tile(controls.rest, (9, 1)).astype(np.float32)
     place = controls.index("CTRL_R_mouth_lipsTogetherD.ty")
     values[4, place] = 1
-    Expression(controls).ease(values)
+    Expression(controls).limit_contact_speed(values)
     expected = [0, 0, 0.2, 0.6, 1, 0.6, 0.2, 0, 0]
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
 
@@ -212,7 +212,7 @@ def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay(
     curves = half_open()
     heard = np.full(3, 0.575, np.float32)
     strength = np.array([0.575, 0.775, 0.775], np.float32)
-    RULES.enliven(curves, strength, heard)
+    RULES.scale_opening(curves, strength, heard)
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
@@ -221,5 +221,5 @@ def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay(
 def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
-    RULES.enliven(curves, usual, usual, effort=0.6)
+    RULES.scale_opening(curves, usual, usual, effort=0.6)
     np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)

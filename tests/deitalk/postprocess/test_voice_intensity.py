@@ -5,7 +5,7 @@ import pytest
 
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.voice_intensity import MOST_EFFORT, heard_intensity, whole_take
+from deitalk.postprocess.voice_intensity import MOST_EFFORT, heard_intensity, vocal_effort_z
 from tests.deitalk.audio.test_prosody import voice
 
 
@@ -73,4 +73,4 @@ def test_silence_and_whispers_keep_the_network_s():
 def test_no_microphone_moves_a_take_further_than_the_limit():
     for fall in (0.2, 5.0):
         prosody = measure_prosody(voice(fall=fall), 90)
-        assert abs(whole_take(prosody)) <= MOST_EFFORT
+        assert abs(vocal_effort_z(prosody)) <= MOST_EFFORT

@@ -11,7 +11,7 @@ import torch
 
 from deitalk.errors import MissingError
 from deitalk.training import run_folder
-from deitalk.training.run_folder import go_on, keep, picture_path, restore_state
+from deitalk.training.run_folder import picture_path, restore_state, resume_run, save_checkpoints
 from deitalk.training.run_tables import Journal
 
 
@@ -22,7 +22,7 @@ def parts() -> dict[str, torch.nn.Module]:
 def test_the_best_is_the_latest_of_the_highest_and_the_last_is_the_last(tmp_path):
     best, saved = -np.inf, []
     for step, score in ((3, 0.4), (6, 0.7), (9, 0.7), (12, 0.5)):
-        best = keep(
+        best = save_checkpoints(
             tmp_path,
             parts(),
             step,
@@ -42,10 +42,10 @@ def test_going_on_drops_what_is_beyond_the_state(tmp_path):
         journal.write("metrics", step, {"total": 1 / step})
         picture_path(tmp_path, step).touch()
     (tmp_path / "curves" / "mine.png").touch()
-    keep(tmp_path, parts(), 6, {"score": 0.5}, 0.0, lambda *_: None)
-    assert go_on(tmp_path, parts(), forgets=False) == (6, 0.5)
+    save_checkpoints(tmp_path, parts(), 6, {"score": 0.5}, 0.0, lambda *_: None)
+    assert resume_run(tmp_path, parts(), truncate_logs=False) == (6, 0.5)
     assert len(list((tmp_path / "curves").iterdir())) == 4, "another process does not touch them"
-    go_on(tmp_path, parts(), forgets=True)
+    resume_run(tmp_path, parts(), truncate_logs=True)
     assert sorted(p.name for p in (tmp_path / "curves").iterdir()) == [
         "000003.png", "000006.png", "mine.png"
     ]  # fmt: skip

@@ -14,7 +14,7 @@ from deitalk.data.mesh_folder import MeshSequence, write_mesh_folder
 from deitalk.errors import ConfigError, DataError
 from deitalk.training.curves import train
 from deitalk.training.mesh import train_sdfa
-from deitalk.training.run_tables import forget, log
+from deitalk.training.run_tables import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, sheet, spoken
@@ -204,7 +204,7 @@ def test_two_trainings_in_one_folder_do_not_mix(data, run):
 def test_half_written_rows_are_forgotten(tmp_path, text, kept):
     path = tmp_path / "metrics.csv"
     path.write_text(text)
-    forget(path, 50)
+    truncate_log(path, 50)
     assert (path.read_text() if path.exists() else None) == kept
     log(path, 75, {"total": 0.9})
     assert path.read_text() == (kept or "step,total\n") + "75,0.9\n"
@@ -226,7 +226,7 @@ def test_a_log_that_no_run_wrote_is_one_line(tmp_path, data, message):
     path = tmp_path / "metrics.csv"
     path.write_bytes(data)
     with pytest.raises(DataError, match=message):
-        forget(path, 50)
+        truncate_log(path, 50)
     assert path.read_bytes() == data
 
 
