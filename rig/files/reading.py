@@ -12,6 +12,7 @@ import re
 import stat
 import sys
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -313,14 +314,7 @@ def _doubled(names: Iterable[str]) -> str | None:
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     """One array of an archive, its header checked before it is allocated."""
     with archive.open(entry) as stream:
-        version = np.lib.format.read_magic(stream)
-        header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }.get(version)
-        if header is None:
-            raise ValueError(f"array {quoted(entry.filename)} has version {version}")
-        shape, is_fortran, dtype = header(stream)
+        shape, is_fortran, dtype = _header(stream, entry.filename)
         count = math.prod(shape)
         if dtype.kind not in _ARRAY_KINDS or not dtype.itemsize:
             raise ValueError(f"array {quoted(entry.filename)} holds {dtype}, not numbers or text")
@@ -336,6 +330,20 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     array = flat.reshape(shape, order="F" if is_fortran else "C")
     array.setflags(write=False)
     return array
+
+
+def _header(stream: Any, name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type of an array; those that Python 2 wrote (``3L``) are read silently."""
+    version = np.lib.format.read_magic(stream)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if read is None:
+        raise ValueError(f"array {quoted(name)} has version {version}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return read(stream)
 
 
 def _fill(stream: Any, target: NDArray[np.uint8]) -> None:
