@@ -283,7 +283,7 @@ def test_command_prints_the_tables(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--noise", "absent"], "absent: neither a folder"),
+        (["--noise", "absent", "--detectors", "ours"], "absent: neither a folder"),
         (["--noise", "pink", "--detectors", "x"], "detector 'x' is unknown"),
         (["--noise", "pink", "--clips", "0"], "--clips 0: must be at least 1"),
     ],
