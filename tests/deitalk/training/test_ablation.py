@@ -102,7 +102,7 @@ def fails(*_: object) -> None:
 def test_train_score_and_go_on(data, tmp_path, monkeypatch):
     out = tmp_path / "runs"
     monkeypatch.setattr(
-        deitalk.training.curves, "keep", fails
+        deitalk.training.curves, "save_checkpoints", fails
     )  # after the rows of the first evaluation
     with pytest.raises(KeyboardInterrupt):
         ablate(VARIANTS, data, out, **ASKED)

@@ -237,7 +237,10 @@ def test_tensorboard_shows_every_step_once_after_a_kill(data, tmp_path, monkeypa
     def fails(*_: object) -> None:
         raise KeyboardInterrupt
 
-    for name in ("keep", "picture_path"):  # after the rows of step 1, then after those of step 1
+    for name in (
+        "save_checkpoints",
+        "picture_path",
+    ):  # after the rows of step 1, then after those of step 1
         monkeypatch.setattr(deitalk.training.curves, name, fails)
         with pytest.raises(KeyboardInterrupt):
             train(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
