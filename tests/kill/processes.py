@@ -126,7 +126,9 @@ def _run(arguments: Sequence[str], folder: Path, output: int) -> None:
 def _finish(code: int) -> int:
     """Do what the interpreter does at its end, which `os._exit` leaves out."""
     import atexit
+    import gc
 
+    gc.collect()  # what an exception's frames hold is finished, as when an interpreter ends
     if MODULES in os.environ:
         Path(os.environ[MODULES]).write_text("\n".join(list(sys.modules)))
     atexit._run_exitfuncs()
