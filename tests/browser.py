@@ -22,7 +22,7 @@ _FLAGS = [
 def needs_player() -> None:
     """Skip the test where the page's player is not built."""
     if not page_module.BUNDLE.is_file():
-        pytest.skip("needs the built player: npm install && npm run build in web/")
+        pytest.skip("needs the built player: npm install && npm run build in deitalk/preview/web/")
 
 
 @contextmanager
