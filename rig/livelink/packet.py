@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from rig.errors import FormatError
 
 VERSION = 6
+MAX_SECONDS = 2.0**32
+"""Latest time of a frame: what its 32 bits reach at one frame per second."""
 N_VALUES = 61
 MAX_TEXT_BYTES = 512
 PORT = 11111
@@ -96,8 +98,8 @@ def decode(data: bytes) -> Packet:
     ------
     FormatError
         If it is of another version, too short or too long, its texts are no text, its rate is not
-        above 0, or a value is not finite. A phone that sees no face sends packets without values:
-        those are too short.
+        above 0, its time is beyond `MAX_SECONDS`, or a value is not finite. A phone that sees no
+        face sends packets without values: those are too short.
     """
     if data[:1] != bytes([VERSION]):
         got = data[0] if data else "nothing"
@@ -116,7 +118,10 @@ def decode(data: bytes) -> Packet:
     values = np.array(_VALUES.unpack_from(data, offset + _TIMING.size), np.float32)
     if not (np.isfinite(values).all() and math.isfinite(subframe)):
         raise FormatError("packet holds a value that is not finite")
-    return Packet(device, subject, frame, subframe, (numerator, denominator), values)
+    packet = Packet(device, subject, frame, subframe, (numerator, denominator), values)
+    if not abs(packet.seconds) <= MAX_SECONDS:
+        raise FormatError(f"packet's time is {packet.seconds:g} s; at most {MAX_SECONDS:g} s")
+    return packet
 
 
 def _text_bytes(text: str, what: str) -> bytes:

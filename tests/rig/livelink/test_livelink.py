@@ -361,3 +361,10 @@ def test_impossible_addresses_are_errors():
         send(rest_curves(0), make_protocol("livelink", "a", ()), ("127.0.0.1", 9))
     with pytest.raises(FormatError, match="unknown protocol 'tcp'; known: livelink, json, vmc"):
         make_protocol("tcp", "a", ())
+
+
+def test_packet_rejects_times_no_clock_shows():
+    """Frames at a rate of nearly 0 lie centuries away."""
+    packet = Packet("phone", "anna", 2**31 - 1, 0.0, (1, 2**31 - 1), np.zeros(61, np.float32))
+    with pytest.raises(FormatError, match=r"at most 4\.29"):
+        decode(encode(packet))
