@@ -7,7 +7,6 @@ Legend: N samples at the file's rate, C channels.
 """
 
 import io
-import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float32]
 
 KNOWN = "wav, flac, ogg, opus, mp3, m4a, mp4, mov, webm, aac or wma"
+_NOT_AUDIO = f"{{}} is not audio that can be read; give a {KNOWN} file"
 LENGTH_SLACK_SECONDS = 0.1  # a container's duration is rounded, and may count encoder padding
 LONGEST_LOSS_SECONDS = 1.0  # of one damaged packet; a longer one states a wrong duration
 MOST_DAMAGED = 100  # packets more than sound ones
@@ -47,6 +47,7 @@ _SIGNATURES = (
 )
 _KEEP_LENGTH = ("mov", "matroska")  # durations of the others are estimates by size
 _MP3_LENGTHS = (b"Xing", b"Info", b"VBRI")  # marks of a first mp3 frame that counts the others
+_MPEG_ENDINGS = (".mp3", ".mp2", ".mpga")
 _MPEG_TAGS = (b"\x50\0", b"\x55\0")  # coding of a wav file: layers I to III
 _DECODERS = frozenset(
     "aac mp1 mp1float mp2 mp2float mp3 mp3float opus libopus vorbis libvorbis flac alac ac3 eac3 "
@@ -101,14 +102,24 @@ def open_sound(name: str, data: bytes | None) -> Iterator[SoundSource]:
     """
     with open(name, "rb") if data is None else io.BytesIO(data) as file:
         demuxer, is_mpeg = sniff(file)
-        source = None if is_mpeg else _SndfileSource.opened(name, data, file)
+        source = None if is_mpeg else _SndfileSource.opened(name, file)
         if source is not None:
             with source.file:
                 yield source
-        elif demuxer is None:
-            raise AudioError(f"{name} is not audio that can be read; give a {KNOWN} file")
-        else:
+        elif demuxer is not None:
             yield _FFmpegSource(name, file, demuxer)
+        elif name.lower().endswith(_MPEG_ENDINGS):
+            yield _padded_mpeg(name, file)
+        else:
+            raise AudioError(_NOT_AUDIO.format(name))
+
+
+def _padded_mpeg(name: str, file: IO[bytes]) -> "_FFmpegSource":
+    """MPEG audio with padding or other bytes before its first frame."""
+    try:
+        return _FFmpegSource(name, file, "mp3")
+    except AudioError:
+        raise AudioError(_NOT_AUDIO.format(name)) from None
 
 
 def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
@@ -159,16 +170,21 @@ class _SndfileSource:
         self.notes: list[str] = []
 
     @classmethod
-    def opened(cls, name: str, data: bytes | None, file: IO[bytes]) -> "_SndfileSource | None":
-        """The open source; None if libsndfile does not know the format."""
+    def opened(cls, name: str, file: IO[bytes]) -> "_SndfileSource | None":
+        """The open source; None if libsndfile does not know the format.
+
+        libsndfile gets a file without a name: by the ending ``.mp3`` it would take any bytes for
+        MPEG audio.
+        """
         import soundfile
 
+        share = missing_share(file)
         try:
-            opened = soundfile.SoundFile(_path(name) if data is None else _Seekable(data))
+            opened = soundfile.SoundFile(_Nameless(file))
         except (RuntimeError, TypeError):
             return None
         frames = opened.frames if opened.frames < 2**40 else 0
-        return cls(name, opened, round(frames * missing_share(file)))
+        return cls(name, opened, round(frames * share))
 
     def blocks(self, size: int) -> Iterator[FloatArray]:
         """Blocks (n, C) of `size` samples, the last one shorter."""
@@ -182,11 +198,6 @@ class _SndfileSource:
             raise AudioError(
                 f"{self.name} is damaged after {start / self.rate:.2f} s; export it again"
             ) from error
-
-
-def _path(name: str) -> str | bytes:
-    """A path as soundfile takes it: bytes, since it encodes no name that is not UTF-8."""
-    return name if os.name == "nt" else os.fsencode(name)
 
 
 def missing_share(file: IO[bytes]) -> float:
@@ -369,17 +380,21 @@ def _lenient(version: str) -> dict[str, Any]:
     return {"metadata_errors": "replace"} if int(version.partition(".")[0]) < 19 else {}
 
 
-class _Seekable(io.BytesIO):
-    """Bytes in which a damaged header may ask for a place before the beginning, to no effect.
+class _Nameless:
+    """A file in which a damaged header may ask for a place before the beginning, to no effect.
 
     An exception of `seek` would reach libsndfile's caller as a traceback on standard error.
     """
 
+    def __init__(self, file: IO[bytes]) -> None:
+        self.read, self.tell = file.read, file.tell
+        self._seek = file.seek
+
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         """Go to a place; stay where it does not exist."""
         try:
-            return super().seek(offset, whence)
-        except (ValueError, OverflowError):
+            return self._seek(offset, whence)
+        except (ValueError, OverflowError, OSError):
             return self.tell()
 
 

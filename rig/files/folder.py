@@ -210,6 +210,11 @@ def _read_journal(path: Path) -> dict[str, Any] | None:
     return journal if is_ours and all(is_inside(name) for name in names) else None
 
 
+def _lies_in(folder: Path, path: Path) -> bool:
+    """Whether the folder of a path, all links followed, is `folder` or below it."""
+    return path.parent.resolve().is_relative_to(folder.resolve())
+
+
 def _exchange(folder: Path, journal: dict[str, Any]) -> None:
     """Move what is staged, remove what is gone, the manifest last; may be repeated at any point.
 
@@ -218,15 +223,15 @@ def _exchange(folder: Path, journal: dict[str, Any]) -> None:
     stage = folder / journal["stage"]
     for name, before in journal["moves"].items():
         source, target = stage / name, folder / name
-        if not source.is_file():
-            continue  # moved by the process that was killed
+        if not source.is_file() or not (_lies_in(folder, source) and _lies_in(folder, target)):
+            continue  # moved by the process that was killed, or a linked subfolder leads elsewhere
         if os.path.lexists(target) and (before is None or is_changed(target, before)):
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(source, target)
     for name, before in journal["removes"].items():
         target = folder / name
-        if target.is_file() and not is_changed(target, before):
+        if _lies_in(folder, target) and target.is_file() and not is_changed(target, before):
             target.unlink()
             _remove_empty(target.parent, folder)
     if (stage / MANIFEST).is_file():

@@ -102,6 +102,26 @@ def test_mp3_with_garbage_is_read_without_a_word_on_stderr(tmp_path, capfd, rng,
     assert capfd.readouterr() == ("", "")
 
 
+def test_mp3_after_padding_is_read_silently(tmp_path, capfd):
+    sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
+    path = tmp_path / "padded.mp3"
+    path.write_bytes(bytes(3000) + (tmp_path / "a.mp3").read_bytes())
+    waveform = load_audio(path).waveform
+    assert np.abs(waveform[8000:40000]).max() == pytest.approx(np.abs(tone(16000)).max(), rel=0.1)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kept", [0, 4, 40])
+def test_load_audio_rejects_text_called_mp3_silently(tmp_path, capfd, rng, kept):
+    sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
+    head = rng.integers(1, 250, kept, dtype=np.uint8).tobytes()
+    (tmp_path / "a.mp3").write_bytes(head + b"Dear diary,\n" * 200)
+    with pytest.raises(AudioError) as error:
+        load_audio(tmp_path / "a.mp3")
+    assert_one_line(error, "a.mp3", "not audio that can be read")
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

@@ -1,5 +1,6 @@
 """Writing files: nothing half there, nothing of the user's lost, whenever a process ends."""
 
+import hashlib
 import json
 import os
 import signal
@@ -350,6 +351,32 @@ def test_recover_rejects_journal_that_leaves_its_folder(tmp_path, journal):
     assert (tmp_path / "secret").read_text() == "mine"
     assert (take / "a").read_text() == "1"
     assert not (take / "secret").exists()
+
+
+@pytest.mark.parametrize("side", ["staged", "target", "removed"])
+def test_recover_follows_no_linked_subfolder(tmp_path, side):
+    take, outside = tmp_path / "take", tmp_path / "outside"
+    fill(take, {"a": "1"})
+    outside.mkdir()
+    stage = take / ".deitalk-1"
+    stage.mkdir()
+    moves, removes = {"sub/secret": None}, {}
+    if side == "staged":  # a file from outside would be moved in
+        (outside / "secret").write_text("mine")
+        (stage / "sub").symlink_to(outside)
+    else:
+        (take / "sub").symlink_to(outside)
+        (stage / "sub").mkdir()
+        (stage / "sub" / "secret").write_text("hostile")
+    if side == "removed":
+        (outside / "secret").write_text("mine")
+        moves, removes = {}, {"sub/secret": hashlib.sha256(b"mine").hexdigest()}
+    journal = {"stage": ".deitalk-1", "moves": moves, "removes": removes}
+    (take / folders.JOURNAL).write_text(json.dumps(journal))
+    recover(take)
+    expected = {} if side == "target" else {"secret": "mine"}
+    assert {path.name: path.read_text() for path in outside.iterdir()} == expected
+    assert (take / "a").read_text() == "1"
 
 
 # several processes
