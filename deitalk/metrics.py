@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import ControlSet
+from rig.arrays import AnyFloat
 
-Floats = NDArray[np.floating]
 
-
-def parameter_error(target: Floats, predicted: Floats, controls: NDArray[np.integer]) -> float:
+def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.integer]) -> float:
     """Mean over frames of the largest squared error among some controls (LPE, EPE; §4.2).
 
     Parameters
@@ -36,24 +35,24 @@ def parameter_error(target: Floats, predicted: Floats, controls: NDArray[np.inte
     return float(np.square(target[:, controls] - predicted[:, controls]).max(axis=1).mean())
 
 
-def lip_parameter_error(target: Floats, predicted: Floats, controls: ControlSet) -> float:
+def lip_parameter_error(target: AnyFloat, predicted: AnyFloat, controls: ControlSet) -> float:
     """LPE over the control set's ``lip`` subset."""
     return parameter_error(target, predicted, controls.subset("lip"))
 
 
-def emotion_parameter_error(target: Floats, predicted: Floats, controls: ControlSet) -> float:
+def emotion_parameter_error(target: AnyFloat, predicted: AnyFloat, controls: ControlSet) -> float:
     """EPE over the control set's ``upper_face`` subset."""
     return parameter_error(target, predicted, controls.subset("upper_face"))
 
 
-def correlation(a: Floats, b: Floats) -> float:
+def correlation(a: AnyFloat, b: AnyFloat) -> float:
     """Pearson's r of two signals; NaN where one of them does not move."""
     a, b = a - a.mean(), b - b.mean()
     norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / norm if norm > 1e-9 else float("nan")
 
 
-def area_under_curve(positive: Floats, negative: Floats) -> float:
+def area_under_curve(positive: AnyFloat, negative: AnyFloat) -> float:
     """Chance that a random positive scores above a random negative; ties count half."""
     if not len(positive) or not len(negative):
         return float("nan")
@@ -63,7 +62,7 @@ def area_under_curve(positive: Floats, negative: Floats) -> float:
     return float((below + upto).mean() / 2 / len(ordered))
 
 
-def hit_rate(positive: Floats, negative: Floats, false_alarms: float = 0.05) -> float:
+def hit_rate(positive: AnyFloat, negative: AnyFloat, false_alarms: float = 0.05) -> float:
     """Share of positives above the score that lets `false_alarms` of the negatives pass."""
     if not len(positive) or not len(negative):
         return float("nan")

@@ -13,8 +13,59 @@
             └── TopologyError  triangles that name wrong vertices, meshes that do not match
 """
 
+import unicodedata
+from typing import Any
+
 from rig.limits import MESSAGE_CHARACTERS, QUOTED_CHARACTERS
-from rig.text import as_line
+
+_UNSAFE = ("Cc", "Zl", "Zp")
+"""Unicode categories that would break a line or command a terminal."""
+
+
+def decodable(text: str) -> str:
+    r"""Return a text that can be written as UTF-8.
+
+    Parameters
+    ----------
+    text : str
+        For example a file name that is no UTF-8, which Python keeps in lone surrogates.
+
+    Returns
+    -------
+    str
+        The bytes that are no UTF-8 written as ``\xff``, all else as it was.
+    """
+    if text.isascii():
+        return text
+    try:
+        raw = text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:  # a surrogate that stands for no byte
+        raw = text.encode("utf-8", "backslashreplace")
+    return raw.decode("utf-8", "backslashreplace")
+
+
+def as_line(text: str) -> str:
+    r"""Return a text as one line: `decodable`, line ends and control characters as ``\n``."""
+    text = decodable(text)
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        character.encode("unicode_escape").decode("ascii")
+        if unicodedata.category(character) in _UNSAFE
+        else character
+        for character in text
+    )
+
+
+def decodable_values(value: Any) -> Any:
+    """Return what JSON can hold with every text in it `decodable`, keys too."""
+    if isinstance(value, str):
+        return decodable(value)
+    if isinstance(value, dict):
+        return {decodable_values(key): decodable_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [decodable_values(item) for item in value]
+    return value
 
 
 def shorten(text: str, most: int) -> str:
@@ -44,7 +95,7 @@ def one_line(message: object) -> str:
     """Return a message of one line and at most `MESSAGE_CHARACTERS` characters.
 
     Line ends, control characters and bytes that are no text are written as escapes, so that any
-    terminal can print the message (`rig.text.as_line`).
+    terminal can print the message (`as_line`).
     """
     return as_line(shorten(str(message), MESSAGE_CHARACTERS))
 

@@ -30,7 +30,7 @@ FLOORS = {
         mesh controls
         files
         errors
-        limits text
+        limits arrays
     """,
 }
 """Names of folders and modules, the highest floor first; `deitalk` stands on all of `rig`."""

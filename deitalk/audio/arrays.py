@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from deitalk.audio.load import MAX_SECONDS, Recording, load_audio, read_sound
 from deitalk.errors import AudioError
+from rig.arrays import Float32
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -134,7 +135,7 @@ class _ArraySource:
         self.slack = 0
         self.notes: list[str] = []
 
-    def blocks(self, size: int) -> Iterator[npt.NDArray[np.float32]]:
+    def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of `size` samples, full scale at 1, the last one shorter."""
         kind = self.array.dtype.name
         for start in range(0, len(self.array), size):

@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.errors import AudioError
+from rig.arrays import Float32
 
 if TYPE_CHECKING:
     from av import AudioFrame, AudioStream, Packet
     from av.container import InputContainer
 
-FloatArray = npt.NDArray[np.float32]
 
 KNOWN = "wav, flac, ogg, opus, mp3, m4a, mp4, mov, webm, aac or wma"
 _NOT_AUDIO = f"{{}} is not audio that can be read; give a {KNOWN} file"
@@ -79,7 +79,7 @@ class SoundSource(Protocol):
     slack: int
     notes: list[str]
 
-    def blocks(self, size: int) -> Iterator[FloatArray]:
+    def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of about `size` samples, from the beginning to the end."""
         ...
 
@@ -186,7 +186,7 @@ class _SndfileSource:
         frames = opened.frames if opened.frames < 2**40 else 0
         return cls(name, opened, round(frames * share))
 
-    def blocks(self, size: int) -> Iterator[FloatArray]:
+    def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of `size` samples, the last one shorter."""
         start = 0
         try:
@@ -249,9 +249,9 @@ class _FFmpegSource:
             self.promised = self._announced(container)
         self.slack = round(LENGTH_SLACK_SECONDS * self.rate)
 
-    def blocks(self, size: int) -> Iterator[FloatArray]:
+    def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of `size` samples or a packet more; silence where a packet is damaged."""
-        held: list[FloatArray] = []
+        held: list[Float32] = []
         damaged: list[float] = []
         start = n_held = 0
         with self._container() as container:
@@ -327,7 +327,7 @@ class _FFmpegSource:
             for frame in frames:
                 yield frame, 0.0
 
-    def _samples(self, frame: "AudioFrame", start: int) -> FloatArray:
+    def _samples(self, frame: "AudioFrame", start: int) -> Float32:
         """Samples (n, C) of a frame, full scale 1."""
         if (frame.sample_rate, frame.layout.nb_channels) != (self.rate, self.channels):
             raise AudioError(

@@ -1,7 +1,8 @@
 """The two clocks: samples at 16 kHz and rig frames at 30 Hz (DEITalk §3.2)."""
 
 import numpy as np
-import numpy.typing as npt
+
+from rig.arrays import Float64
 
 SAMPLE_RATE = 16_000  # Hz; what wav2vec 2.0 and the mel frontend hear
 FRAME_RATE = 30  # rig frames per second
@@ -12,6 +13,6 @@ def frame_count(n_samples: int) -> int:
     return -(-FRAME_RATE * n_samples // SAMPLE_RATE)
 
 
-def frame_times(n_frames: int) -> npt.NDArray[np.float64]:
+def frame_times(n_frames: int) -> Float64:
     """Time of every rig frame in seconds: (T,), frame i at i/30."""
     return np.arange(n_frames) / FRAME_RATE

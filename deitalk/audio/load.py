@@ -16,6 +16,7 @@ from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
 from deitalk.audio.notes import describe
 from deitalk.errors import AudioError
+from rig.arrays import Float32
 from rig.files import atomic_write
 
 __all__ = [
@@ -34,8 +35,6 @@ MAX_SECONDS = 3 * 3600.0
 MAX_STREAM_BYTES = 2 * 1024**3  # of a file-like source, which is held in memory
 BLOCK_SAMPLES = 1 << 20  # per read, over all channels: 4 MB of float32
 LOUDEST_SAMPLE = 1e12  # beyond any PCM scaling: the file is not audio
-
-FloatArray = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,7 +57,7 @@ class Recording:
         What a listener may want to know; none of it stops the work.
     """
 
-    waveform: FloatArray
+    waveform: Float32
     source: str
     source_rate: int
     channels: int
@@ -193,7 +192,7 @@ class _MonoReader:
         self.waveform = np.zeros(self._length(self.promised) + SAMPLE_RATE, np.float32)
         self.filled = self.n_source = self.n_values = self.n_clipped = 0
 
-    def add(self, block: FloatArray, weights: FloatArray) -> None:
+    def add(self, block: Float32, weights: Float32) -> None:
         """Take one block (n, C) of the source."""
         self.n_source += len(block)
         self.n_values += block.size
@@ -206,7 +205,7 @@ class _MonoReader:
     def clipped_fraction(self) -> float:
         return self.n_clipped / max(self.n_values, 1)
 
-    def finish(self) -> tuple[FloatArray, list[str]]:
+    def finish(self) -> tuple[Float32, list[str]]:
         """The waveform (S,) and notes about it."""
         if self.n_source == 0:
             raise AudioError(f"{self.name} holds 0 samples; record or export it again")
@@ -229,7 +228,7 @@ class _MonoReader:
     def _length(self, n_source: int) -> int:
         return max(1, round(n_source * SAMPLE_RATE / self.rate))
 
-    def _append(self, part: FloatArray) -> None:
+    def _append(self, part: Float32) -> None:
         end = self.filled + len(part)
         if end > len(self.waveform):
             grown = np.zeros(max(end, len(self.waveform) * 3 // 2), np.float32)
@@ -239,14 +238,14 @@ class _MonoReader:
         self.filled = end
 
 
-def _remove_dc(waveform: FloatArray) -> tuple[float, float]:
+def _remove_dc(waveform: Float32) -> tuple[float, float]:
     """Subtract the mean in place; give it and the peak that is left."""
     offset = float(waveform.mean(dtype=np.float64))
     waveform -= np.float32(offset)
     return offset, float(max(waveform.max(), -waveform.min()))
 
 
-def _count_clipped(block: FloatArray) -> int:
+def _count_clipped(block: Float32) -> int:
     """Samples (n, C) that sit in a run of three or more equal ones at full scale."""
     loud = np.abs(block) >= 0.9999
     if not loud.any():
@@ -260,7 +259,7 @@ def _count_clipped(block: FloatArray) -> int:
     return int(run.sum())
 
 
-def _mixing_weights(name: str, sound: SoundSource) -> tuple[FloatArray, list[str]]:
+def _mixing_weights(name: str, sound: SoundSource) -> tuple[Float32, list[str]]:
     """Weights (C,) that make mono: the mean, or the loudest channel if the mean cancels."""
     n_channels = sound.channels
     mean = np.full(n_channels, 1 / n_channels, np.float32)
@@ -286,7 +285,7 @@ def _mixing_weights(name: str, sound: SoundSource) -> tuple[FloatArray, list[str
     return np.eye(n_channels, dtype=np.float32)[loudest], [note]
 
 
-def _finite_blocks(name: str, sound: SoundSource) -> Iterator[FloatArray]:
+def _finite_blocks(name: str, sound: SoundSource) -> Iterator[Float32]:
     """Blocks (n, C) float32 to the end of a recording, every sample finite."""
     start = 0
     for block in sound.blocks(max(1024, BLOCK_SAMPLES // sound.channels)):

@@ -9,24 +9,24 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.errors import DataError
+from rig.arrays import Float32, Float64
 
-Floats = NDArray[np.float32]
 SNRS_DB = (20.0, 10.0, 5.0, 0.0)
 MAX_FILES = 50
 CHORDS = ((0, 4, 7, 12), (7, 11, 14, 19), (9, 12, 16, 21), (5, 9, 12, 17))
 """Semitones above the tonic: I, V, vi, IV."""
 
 
-def pink_noise(n: int, seed: int = 0) -> Floats:
+def pink_noise(n: int, seed: int = 0) -> Float32:
     """Noise whose power falls 3 dB an octave [shape=(n,), RMS 1]."""
     spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(n))
     spectrum /= np.sqrt(np.maximum(np.arange(len(spectrum)), 1))
     noise = np.fft.irfft(spectrum, n)
-    unit: Floats = (noise / np.sqrt(np.square(noise).mean())).astype(np.float32)
+    unit: Float32 = (noise / np.sqrt(np.square(noise).mean())).astype(np.float32)
     return unit
 
 
-def synthetic_music(seconds: float, seed: int = 0) -> Floats:
+def synthetic_music(seconds: float, seed: int = 0) -> Float32:
     """Four chords in a loop, an arpeggio and drums [shape=(N,), 16 kHz, RMS 1].
 
     Held notes have 14 harmonics and vibrato (5.5 Hz, 0.4 %), like strings; plucked notes decay
@@ -54,49 +54,49 @@ def synthetic_music(seconds: float, seed: int = 0) -> Floats:
             _add(music, (i + half) * beat, _plucked_note(tonic * 2 ** (step / 12)))
             _add(music, (i + half) * beat, 0.3 * _burst(0.03, rng))
         _add(music, i * beat, _burst(0.12, rng) if i % 2 else 3 * _drum())
-    unit: Floats = (music / np.sqrt(np.square(music).mean())).astype(np.float32)
+    unit: Float32 = (music / np.sqrt(np.square(music).mean())).astype(np.float32)
     return unit
 
 
-def _add(music: NDArray[np.float64], start: float, note: NDArray[np.float64]) -> None:
+def _add(music: Float64, start: float, note: Float64) -> None:
     """Add a note that begins at `start` seconds, as far as it fits."""
     first = round(start * SAMPLE_RATE)
     piece = music[first : first + len(note)]
     piece += note[: len(piece)]
 
 
-def _seconds(length: float) -> NDArray[np.float64]:
+def _seconds(length: float) -> Float64:
     return np.arange(round(length * SAMPLE_RATE)) / SAMPLE_RATE
 
 
-def _held_note(pitch: float, length: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _held_note(pitch: float, length: float, rng: np.random.Generator) -> Float64:
     t = _seconds(length)
     phase = 2 * np.pi * pitch * (t + 0.004 / (2 * np.pi * 5.5) * np.sin(2 * np.pi * 5.5 * t))
     tones = [np.sin(k * phase + rng.uniform(0, 6.3)) / k for k in range(1, 15)]
-    note: NDArray[np.float64] = np.sum(tones, axis=0) * np.minimum(1, np.minimum(t, t[::-1]) / 0.05)
+    note: Float64 = np.sum(tones, axis=0) * np.minimum(1, np.minimum(t, t[::-1]) / 0.05)
     return note
 
 
-def _plucked_note(pitch: float) -> NDArray[np.float64]:
+def _plucked_note(pitch: float) -> Float64:
     t = _seconds(0.6)
     tones = [np.sin(2 * np.pi * k * pitch * t) * np.exp(-t * 6 * k) / k for k in range(1, 9)]
-    note: NDArray[np.float64] = np.sum(tones, axis=0)
+    note: Float64 = np.sum(tones, axis=0)
     return note
 
 
-def _burst(decay: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _burst(decay: float, rng: np.random.Generator) -> Float64:
     """Noise that rises with frequency and fades, as of a cymbal or a snare."""
     t = _seconds(5 * decay)
     return np.diff(rng.standard_normal(len(t) + 1)) * np.exp(-t / decay)
 
 
-def _drum() -> NDArray[np.float64]:
+def _drum() -> Float64:
     t = _seconds(0.25)
-    drum: NDArray[np.float64] = np.sin(2 * np.pi * (50 * t - 5 * np.exp(-t / 0.03)))
+    drum: Float64 = np.sin(2 * np.pi * (50 * t - 5 * np.exp(-t / 0.03)))
     return drum * np.exp(-t / 0.08)
 
 
-def read_noises(source: str) -> list[Floats]:
+def read_noises(source: str) -> list[Float32]:
     """Noises of a folder of recordings, or ``pink``.
 
     Raises
@@ -107,7 +107,7 @@ def read_noises(source: str) -> list[Floats]:
     return list(named_noises(source).values())
 
 
-def named_noises(source: str) -> dict[str, Floats]:
+def named_noises(source: str) -> dict[str, Float32]:
     """Noises by file name without suffix; 30 s of ``pink`` or ``synthetic`` music are made.
 
     Raises
@@ -131,8 +131,8 @@ def named_noises(source: str) -> dict[str, Floats]:
 
 
 def mix(
-    speech: Floats, noise: Floats, snr_db: float, activity: NDArray[np.generic] | None = None
-) -> Floats:
+    speech: Float32, noise: Float32, snr_db: float, activity: NDArray[np.generic] | None = None
+) -> Float32:
     """Add noise, `snr_db` below the level of the speech without its pauses.
 
     Parameters
@@ -154,5 +154,5 @@ def mix(
     if not np.isfinite(level) or power == 0:
         return speech.copy()
     gain = 10 ** ((level - snr_db) / 20) / np.sqrt(power)
-    mixed: Floats = (speech + gain * piece).astype(np.float32)
+    mixed: Float32 = (speech + gain * piece).astype(np.float32)
     return mixed

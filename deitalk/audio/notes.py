@@ -4,7 +4,6 @@ Legend: S samples at 16 kHz.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.voice_activity import (
@@ -13,13 +12,14 @@ from deitalk.audio.voice_activity import (
     noise_likeness,
     speech_activity,
 )
+from rig.arrays import Float32
 
 SILENT_PEAK = 10 ** (-90 / 20)  # half a step of 16 bits is -96 dBFS
 FAINT_DB = -60.0  # speech is recorded at -45 to -12 dBFS
 NOISE_LIKENESS = 0.5  # speakers: at most 0.43 of 150 recordings; noise that comes and goes: 0.54
 
 
-def describe(waveform: npt.NDArray[np.float32]) -> tuple[str, ...]:
+def describe(waveform: Float32) -> tuple[str, ...]:
     """Notes on a recording without speech, or with speech that is hardly there.
 
     Parameters

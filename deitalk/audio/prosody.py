@@ -7,13 +7,10 @@ each against the speaker's own average. Letters: S samples, N frames at 30 per s
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
-
-Floats = NDArray[np.float64]
-Audio = NDArray[np.float32]
+from rig.arrays import Bool, Float32, Float64, Int64
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""
@@ -30,27 +27,27 @@ PIECE = 2048  # frames at once, so that an hour fits
 class Prosody(NamedTuple):
     """What was measured of every frame."""
 
-    level: Floats
+    level: Float64
     """dB [shape=(N,)]."""
-    bright: Floats
+    bright: Float64
     """Power from 1 to 4 kHz [shape=(N,)]."""
-    dark: Floats
+    dark: Float64
     """Power from 80 Hz to 1 kHz [shape=(N,)]."""
-    pitch: Floats
+    pitch: Float64
     """Semitones over 100 Hz [shape=(N,)]."""
-    active: NDArray[np.bool_]
+    active: Bool
     """Loud enough to be speech [shape=(N,)]."""
-    voiced: NDArray[np.bool_]
+    voiced: Bool
     """Active, with a pitch to be trusted [shape=(N,)]."""
 
     @property
-    def tilt(self) -> Floats:
+    def tilt(self) -> Float64:
         """Bright over dark, dB [shape=(N,)]."""
-        tilt: Floats = 10 * np.log10((self.bright + 1e-12) / (self.dark + 1e-12))
+        tilt: Float64 = 10 * np.log10((self.bright + 1e-12) / (self.dark + 1e-12))
         return tilt
 
 
-def measure_prosody(waveform: Audio, n_frames: int) -> Prosody:
+def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
     """Measure a recording.
 
     Parameters
@@ -70,7 +67,7 @@ def measure_prosody(waveform: Audio, n_frames: int) -> Prosody:
     return Prosody(level, bright, dark, pitch, active, active & (strength > VOICED))
 
 
-def _measure(waveform: Audio, frames: NDArray[np.int64]) -> Floats:
+def _measure(waveform: Float32, frames: Int64) -> Float64:
     """Level, bright and dark power, pitch and its strength [shape=(5, N)]."""
     centres = np.round(frames * SAMPLE_RATE / FRAME_RATE).astype(int)
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
@@ -95,7 +92,7 @@ def _measure(waveform: Audio, frames: NDArray[np.int64]) -> Floats:
     )
 
 
-def prosody_index(prosody: Prosody) -> Floats:
+def prosody_index(prosody: Prosody) -> Float64:
     """Level, pitch and tilt against the clip's own mean, in standard deviations [shape=(N,)].
 
     Frames without speech take the index of their neighbours (weighted smoothing).
@@ -107,7 +104,7 @@ def prosody_index(prosody: Prosody) -> Floats:
         _standard(prosody.tilt, prosody.active, TILT_DB),
         _standard(prosody.pitch, prosody.voiced, PITCH_SEMITONES),
     ]
-    index: Floats = np.mean(parts, axis=0)
+    index: Float64 = np.mean(parts, axis=0)
     return index
 
 
@@ -133,7 +130,7 @@ def vocal_effort_db(prosody: Prosody) -> float:
     return float(10 * np.log10(bright / dark))
 
 
-def _standard(values: Floats, known: NDArray[np.bool_], spread: float) -> Floats:
+def _standard(values: Float64, known: Bool, spread: float) -> Float64:
     """Smoothed deviation from the mean of the known frames; unknown frames are filled in."""
     if known.sum() < 5:
         return np.zeros(len(values))

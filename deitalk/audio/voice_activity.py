@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from rig.arrays import AnyFloat, Bool, Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
@@ -34,11 +35,8 @@ EXPRESSION_HOLDS, EXPRESSION_FADES = 45, 30  # 1.5 s, then 1 s
 REST_AT_END = 13  # frames of trailing silence (0.43 s) that end in a face wholly at rest
 HOLD_AT_END = 6  # frames (0.2 s) that change nothing yet; in between, in proportion
 
-FloatArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
-
-def speech_activity(waveform: npt.ArrayLike) -> FloatArray:
+def speech_activity(waveform: npt.ArrayLike) -> Float32:
     """Where there is speech: 1, elsewhere 0.
 
     The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
@@ -75,7 +73,7 @@ def speech_activity(waveform: npt.ArrayLike) -> FloatArray:
     return speech.astype(np.float32)
 
 
-def mouth_gate(activity: npt.ArrayLike) -> FloatArray:
+def mouth_gate(activity: npt.ArrayLike) -> Float32:
     """How far the mouth may open: 1 in speech, 0 in silence.
 
     Opens over the 0.1 s before speech and closes over the 0.2 s after it, in raised cosines.
@@ -94,7 +92,7 @@ def mouth_gate(activity: npt.ArrayLike) -> FloatArray:
     return np.maximum(_fade(since / (MOUTH_CLOSES + 1)), _fade(until / (MOUTH_OPENS + 1)))
 
 
-def expression_gate(activity: npt.ArrayLike) -> FloatArray:
+def expression_gate(activity: npt.ArrayLike) -> Float32:
     """How far the emotional expression shows: through pauses, but not beyond the act.
 
     Rises over the 0.4 s before speech, holds through pauses of 1.5 s, then fades over 1 s. In
@@ -150,7 +148,7 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
 
 def normalise_level(
     waveform: npt.ArrayLike, target_db: float = -23.0, activity: npt.ArrayLike | None = None
-) -> FloatArray:
+) -> Float32:
     """Scale a recording so that its speech has one level, whatever its pauses.
 
     Parameters
@@ -208,7 +206,7 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
     return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
 
 
-def _band_levels(samples: FloatArray) -> FloatArray:
+def _band_levels(samples: Float32) -> Float32:
     """Power per band (T, K) in dB re full scale, not below `SILENCE_DB`."""
     n_frames = frame_count(len(samples))
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
@@ -223,17 +221,17 @@ def _band_levels(samples: FloatArray) -> FloatArray:
     return levels
 
 
-def _windows(samples: FloatArray, frames: npt.NDArray[np.int64]) -> FloatArray:
+def _windows(samples: Float32, frames: Int64) -> Float32:
     """The `WINDOW` samples around every frame's time (n, WINDOW), zeros outside the clip."""
     starts = frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
     low, high = int(starts[0]), int(starts[-1]) + WINDOW
     piece = samples[max(low, 0) : min(high, len(samples))]
     piece = np.pad(piece, (max(-low, 0), max(high - len(samples), 0)))
-    windows: FloatArray = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)[starts - low]
+    windows: Float32 = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)[starts - low]
     return windows
 
 
-def _noise_floor(levels: FloatArray) -> FloatArray:
+def _noise_floor(levels: Float32) -> Float32:
     """Level per band (T, K) above which there is more than noise, in dB."""
     n_frames = len(levels)
     if n_frames < SHORT_SECONDS * FRAME_RATE:
@@ -252,20 +250,20 @@ def _noise_floor(levels: FloatArray) -> FloatArray:
     return floor
 
 
-def _longest_gap(excess: FloatArray) -> int:
+def _longest_gap(excess: Float32) -> int:
     """Frames without speech that are no pause, by how far the loudest speech is above the noise."""
     loudest = np.percentile(excess, 95)
     gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
     return round(float(gap))
 
 
-def _runs(mask: BoolArray) -> npt.NDArray[np.int64]:
+def _runs(mask: Bool) -> Int64:
     """[start, stop) of every run of True: (n, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return edges.reshape(-1, 2)
 
 
-def _hysteresis(opens: BoolArray, keeps: BoolArray) -> BoolArray:
+def _hysteresis(opens: Bool, keeps: Bool) -> Bool:
     """Runs of `keeps` that hold at least one frame of `opens`."""
     kept = np.zeros_like(keeps)
     for start, stop in _runs(keeps):
@@ -273,7 +271,7 @@ def _hysteresis(opens: BoolArray, keeps: BoolArray) -> BoolArray:
     return kept
 
 
-def _without_short(mask: BoolArray, longest: int, *, keep_ends: bool = False) -> BoolArray:
+def _without_short(mask: Bool, longest: int, *, keep_ends: bool = False) -> Bool:
     """`mask` without its runs of up to `longest` frames, those at the clip's ends aside."""
     result = mask.copy()
     for start, stop in _runs(mask):
@@ -283,7 +281,7 @@ def _without_short(mask: BoolArray, longest: int, *, keep_ends: bool = False) ->
     return result
 
 
-def _distances(activity: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
     """Frames since the last and until the next speaking frame (T,) each; inf where none."""
     active = np.asarray(activity) > 0.5
     frames = np.arange(len(active), dtype=np.float32)
@@ -292,7 +290,7 @@ def _distances(activity: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
 
 
-def _fade(progress: npt.NDArray[np.floating]) -> FloatArray:
+def _fade(progress: AnyFloat) -> Float32:
     """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
-    faded: FloatArray = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
+    faded: Float32 = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
     return faded

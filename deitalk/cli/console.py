@@ -12,7 +12,7 @@ from functools import cache
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rig.text import as_line, decodable, decodable_values
+from rig.errors import as_line, decodable, decodable_values
 
 if TYPE_CHECKING:
     pass

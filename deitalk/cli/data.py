@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, emit, emit_json
-from rig.text import as_line
+from rig.errors import as_line
 
 app = CheckedCommands(help="Look at a dataset folder.", no_args_is_help=True)
 

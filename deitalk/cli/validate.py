@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import emit, emit_json
-from rig.text import as_line
+from rig.errors import as_line
 
 
 def validate(

@@ -16,10 +16,10 @@ from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.corpus.utterance import Phone
 from deitalk.phones import BILABIALS, LABIODENTALS, VOWELS
+from rig.arrays import Float64
 
 CHANNELS = (
     "jaw", "together", "press", "bite", "funnel", "purse", "stretch", "upper", "lower", "tip",
@@ -53,13 +53,12 @@ RIVAL_SECONDS = 0.09
 REACH_SECONDS = 0.45
 """Dominance is neglected farther away than this."""
 
-Floats = NDArray[np.float64]
 Segment = tuple[float, float, str, float]
 """Start and end in seconds, phone, factor on its jaw."""
 
 
 @cache
-def targets() -> dict[str, Floats]:
+def targets() -> dict[str, Float64]:
     """Target of every phone [shape=(K,)], diphthongs excepted."""
     text = resources.files("deitalk.corpus").joinpath("tables/articulation.csv").read_text()
     return {
@@ -69,7 +68,7 @@ def targets() -> dict[str, Floats]:
 
 
 @cache
-def dominance(name: str) -> Floats:
+def dominance(name: str) -> Float64:
     """How strongly a phone insists on its target, per channel [shape=(K,)]."""
     target = targets()[name]
     strength = np.full(len(CHANNELS), 0.35)
@@ -99,8 +98,8 @@ def dominance(name: str) -> Floats:
 
 
 def articulate(
-    phones: Sequence[Phone], n_frames: int, fps: float, stress: Floats | None = None
-) -> Floats:
+    phones: Sequence[Phone], n_frames: int, fps: float, stress: Float64 | None = None
+) -> Float64:
     """Channels of an utterance.
 
     Parameters
@@ -129,7 +128,7 @@ def articulate(
     return np.clip(channels, 0, 1)
 
 
-def _blend(segments: Sequence[Segment], times: Floats) -> Floats:
+def _blend(segments: Sequence[Segment], times: Float64) -> Float64:
     """Dominance-weighted mean of the targets [shape=(N, K)]."""
     n_frames = len(times)
     weighted = np.zeros((n_frames, len(CHANNELS)))
@@ -148,11 +147,11 @@ def _blend(segments: Sequence[Segment], times: Floats) -> Floats:
         target[JAW] *= factor
         weighted[first:last] += strength * target
         weight[first:last] += strength
-    mean: Floats = weighted / weight
+    mean: Float64 = weighted / weight
     return mean
 
 
-def _segments(phones: Sequence[Phone], stress: Floats | None) -> list[Segment]:
+def _segments(phones: Sequence[Phone], stress: Float64 | None) -> list[Segment]:
     """Diphthongs become two targets; unknown names become a schwa."""
     out = []
     for i, phone in enumerate(phones):
@@ -218,7 +217,7 @@ def _rivals(first: Segment, second: Segment) -> bool:
     return differ and second[0] - first[1] < RIVAL_SECONDS
 
 
-def _hold(channels: Floats, times: Floats, contact: Contact) -> None:
+def _hold(channels: Float64, times: Float64, contact: Contact) -> None:
     """Write one contact over the mean; nothing works against it."""
     rise = (times - contact.start) / contact.ramp_in + 1
     fall = (contact.end - times) / contact.ramp_out + 1

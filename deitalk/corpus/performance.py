@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
 from deitalk.corpus.articulation import articulate
@@ -22,6 +21,7 @@ from deitalk.corpus.prosody_contours import (
 from deitalk.corpus.rig_targets import intensity_envelope
 from deitalk.corpus.utterance import Phone, Utterance
 from deitalk.phones import VOWELS
+from rig.arrays import Float32, Float64
 
 CURVE_RATE = 60
 """Curves are stored at twice the rig's rate, so that training can change the speed of a clip
@@ -54,11 +54,11 @@ class Take:
     """An utterance with its prosody moved, and everything the face needs to act it."""
 
     utterance: Utterance
-    waveform: NDArray[np.float32]
+    waveform: Float32
     phones: tuple[Phone, ...]
-    intensity: NDArray[np.float64]
+    intensity: Float64
     """e(t) [shape=(N,)] at CURVE_RATE."""
-    channels: NDArray[np.float64]
+    channels: Float64
     """Articulation [shape=(N, K)] at CURVE_RATE."""
 
 
@@ -92,19 +92,17 @@ def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
     return contour
 
 
-def _moved(phone: Phone, time_map: tuple[NDArray[np.float64], NDArray[np.float64]]) -> Phone:
+def _moved(phone: Phone, time_map: tuple[Float64, Float64]) -> Phone:
     """A phone where `apply_contour` put its sound."""
     start, end = np.interp((phone.start, phone.end), *time_map)
     return replace(phone, start=float(start), end=float(end))
 
 
-def _liveliness(
-    waveform: NDArray[np.float32], contour: Contour, times: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _liveliness(waveform: Float32, contour: Contour, times: Float64) -> Float64:
     """What was applied and what the voice itself did, at seconds of the source."""
     natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
     heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
-    z: NDArray[np.float64] = contour_at(contour, times) + NATURAL_WEIGHT * heard
+    z: Float64 = contour_at(contour, times) + NATURAL_WEIGHT * heard
     return z
 
 
@@ -133,7 +131,7 @@ def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
     return (spoken[0].start, spoken[-1].end) if spoken else None
 
 
-def loudness_stress(waveform: NDArray[np.float32], phones: Sequence[Phone]) -> NDArray[np.float64]:
+def loudness_stress(waveform: Float32, phones: Sequence[Phone]) -> Float64:
     """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
     hop = SAMPLE_RATE // 100
     frames = waveform[: len(waveform) // hop * hop].reshape(-1, hop).astype(np.float64)

@@ -7,25 +7,23 @@ Letters: S samples, N frames at 30 per second.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from deitalk.audio.load import SAMPLE_RATE
 from deitalk.audio.prosody import SMOOTHING_SECONDS, measure_prosody
 from deitalk.audio.prosody import prosody_index as index_of
+from rig.arrays import Float32, Float64
 
 __all__ = ["SMOOTHING_SECONDS", "apply_contour", "contour_at", "prosody_index", "random_contour"]
 
-Floats = NDArray[np.float64]
-Audio = NDArray[np.float32]
-Contour = tuple[Floats, Floats]
+Contour = tuple[Float64, Float64]
 """Knots: seconds, and standard deviations of liveliness."""
 
 GAIN_DB_PER_Z, SHELF_DB_PER_Z, SPEED_PER_Z = 4.5, 2.5, 0.05
 """What one standard deviation of an applied contour does to gain, treble and speed with pitch."""
 
 
-def prosody_index(waveform: Audio, n_frames: int) -> Floats:
+def prosody_index(waveform: Float32, n_frames: int) -> Float64:
     """`deitalk.audio.prosody.prosody_index` of a recording [shape=(N,)]."""
     return index_of(measure_prosody(waveform, n_frames))
 
@@ -37,17 +35,17 @@ def random_contour(seconds: float, rng: np.random.Generator) -> Contour:
     return times, z - z[times <= seconds].mean()
 
 
-def contour_at(contour: Contour, times: Floats) -> Floats:
+def contour_at(contour: Contour, times: Float64) -> Float64:
     """Value of a contour: cosine-eased between knots."""
     knots, z = contour
     place = np.interp(times, knots, np.arange(len(knots)))
     below = np.minimum(place.astype(int), len(knots) - 2)
     ease = (1 - np.cos(np.pi * (place - below))) / 2
-    eased: Floats = z[below] + ease * (z[below + 1] - z[below])
+    eased: Float64 = z[below] + ease * (z[below + 1] - z[below])
     return eased
 
 
-def apply_contour(waveform: Audio, contour: Contour) -> tuple[Audio, tuple[Floats, Floats]]:
+def apply_contour(waveform: Float32, contour: Contour) -> tuple[Float32, tuple[Float64, Float64]]:
     """Make a voice livelier and duller along a contour.
 
     Gain, treble and speed (which carries pitch) follow the contour: one standard deviation is
@@ -82,7 +80,7 @@ def apply_contour(waveform: Audio, contour: Contour) -> tuple[Audio, tuple[Float
     return out.astype(np.float32), (grid, moved)
 
 
-def _warp(waveform: Floats, source: Floats, moved: Floats) -> Floats:
+def _warp(waveform: Float64, source: Float64, moved: Float64) -> Float64:
     """Read a waveform at warped times; four-fold oversampling keeps interpolation below -60 dB."""
     import soxr
 
@@ -90,5 +88,5 @@ def _warp(waveform: Floats, source: Floats, moved: Floats) -> Floats:
     last = np.interp(len(waveform) / SAMPLE_RATE, source, moved)
     times = np.arange(int(last * SAMPLE_RATE)) / SAMPLE_RATE
     at = np.interp(times, moved, source) * 4 * SAMPLE_RATE
-    warped: Floats = np.interp(at, np.arange(len(fine)), fine)
+    warped: Float64 = np.interp(at, np.arange(len(fine)), fine)
     return warped

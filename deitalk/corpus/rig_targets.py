@@ -30,8 +30,7 @@ from deitalk.corpus.articulation import (
 )
 from deitalk.emotions import EMOTIONS
 from rig import ControlSet
-
-Floats = NDArray[np.float64]
+from rig.arrays import Float32, Float64
 
 GAINS = {
     "neutral": (1.0, 1.0, 1.0),
@@ -68,7 +67,7 @@ def _sides(pattern: str) -> tuple[str, ...]:
 
 
 @cache
-def channel_matrix(controls: ControlSet) -> Floats:
+def channel_matrix(controls: ControlSet) -> Float64:
     """Controls from channels [shape=(K + 1, C)]; the last row is stickiness."""
     matrix = np.zeros((len(CHANNELS) + 1, len(controls.names)))
     order = (*CHANNELS, "sticky")
@@ -80,7 +79,7 @@ def channel_matrix(controls: ControlSet) -> Floats:
 
 
 @cache
-def style_poses(controls: ControlSet) -> Floats:
+def style_poses(controls: ControlSet) -> Float64:
     """Pose of every emotion at full intensity, as offsets from rest [shape=(5, C)]."""
     poses = np.zeros((len(EMOTIONS), len(controls.names)))
     for row in _rows("styles"):
@@ -90,7 +89,7 @@ def style_poses(controls: ControlSet) -> Floats:
     return poses * (1 + _lean(controls))
 
 
-def _lean(controls: ControlSet) -> Floats:
+def _lean(controls: ControlSet) -> Float64:
     """Share by which the left side does more, and the right side less [shape=(C,)].
 
     A smile is never even, nor is a frown; but both eyes look at one point.
@@ -108,8 +107,8 @@ def _columns(controls: ControlSet, words: tuple[str, ...]) -> NDArray[np.intp]:
 
 
 def act(
-    channels: Floats, weights: Floats, intensity: Floats, fps: float, controls: ControlSet
-) -> NDArray[np.float32]:
+    channels: Float64, weights: Float64, intensity: Float64, fps: float, controls: ControlSet
+) -> Float32:
     """Curves of an utterance, acted.
 
     Parameters
@@ -143,7 +142,7 @@ def act(
     return out.astype(np.float32)
 
 
-def _gained(channels: Floats, weights: Floats, intensity: Floats) -> Floats:
+def _gained(channels: Float64, weights: Float64, intensity: Float64) -> Float64:
     """Range of the mouth by emotion and liveliness; contacts stay contacts."""
     gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
     gains = 1 + (gains - 1) * intensity[:, None]
@@ -157,7 +156,7 @@ def _gained(channels: Floats, weights: Floats, intensity: Floats) -> Floats:
     return np.clip(moved, 0, 1.6)
 
 
-def _stickiness(together: Floats, fps: float, seconds: float = 0.06) -> Floats:
+def _stickiness(together: Float64, fps: float, seconds: float = 0.06) -> Float64:
     """How far parting lips still cling: the closure's decaying memory, while it opens."""
     decay = np.exp(-1 / (fps * seconds))
     memory = np.empty_like(together)
@@ -168,7 +167,7 @@ def _stickiness(together: Floats, fps: float, seconds: float = 0.06) -> Floats:
     return memory - together
 
 
-def intensity_envelope(z: Floats, speech: tuple[float, float] | None, fps: float) -> Floats:
+def intensity_envelope(z: Float64, speech: tuple[float, float] | None, fps: float) -> Float64:
     """Intensity of every frame from prosody in standard deviations.
 
     Parameters
@@ -198,5 +197,5 @@ def intensity_envelope(z: Floats, speech: tuple[float, float] | None, fps: float
     fall = np.clip((rest - times) / decay, 0, 1)
     ramp = np.minimum(rise, fall)
     ramp = ramp * ramp * (3 - 2 * ramp)
-    envelope: Floats = ramp * (0.15 + 0.85 / (1 + np.exp(-1.3 * z)))
+    envelope: Float64 = ramp * (0.15 + 0.85 / (1 + np.exp(-1.3 * z)))
     return envelope

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import fft, signal
 from torch import Tensor
 from torch.nn import functional as F
 
 from deitalk.audio.mel import FLOOR
-
-Audio = NDArray[np.float32]
+from rig.arrays import Float32
 
 LEVEL_SPREAD = 3.5
 """Nepers of power that are 1 in `MelSpectrogram`'s scale, whose zero is at -6.5."""
@@ -50,7 +48,7 @@ def frame_shift(rng: np.random.Generator) -> float:
     return float(rng.uniform(-SHIFT_FRAMES, SHIFT_FRAMES))
 
 
-def augment_audio(waveform: Audio, rng: np.random.Generator) -> Audio:
+def augment_audio(waveform: Float32, rng: np.random.Generator) -> Float32:
     """Noise, then pre-emphasis, each as likely as not (§4.3 ii) [shape=(S,)]."""
     x = waveform
     if rng.random() < PROBABILITY:
@@ -61,8 +59,8 @@ def augment_audio(waveform: Audio, rng: np.random.Generator) -> Audio:
 
 
 def add_noise(
-    waveform: Audio, snr_db: float, rng: np.random.Generator, *, pink: bool = False
-) -> Audio:
+    waveform: Float32, snr_db: float, rng: np.random.Generator, *, pink: bool = False
+) -> Float32:
     """Add white noise, or pink: its power falls by 3 dB an octave.
 
     Parameters
@@ -84,13 +82,13 @@ def add_noise(
         noise = fft.irfft(spectrum, len(waveform))
     level = np.sqrt(np.mean(np.square(waveform, dtype=np.float64)))
     scale = level * 10 ** (-snr_db / 20) / (np.sqrt(np.mean(noise**2)) + 1e-12)
-    noisy: Audio = (waveform + scale * noise).astype(np.float32)
+    noisy: Float32 = (waveform + scale * noise).astype(np.float32)
     return noisy
 
 
-def pre_emphasise(waveform: Audio, coefficient: float) -> Audio:
+def pre_emphasise(waveform: Float32, coefficient: float) -> Float32:
     """y_i = x_i - coefficient x_(i-1) [shape=(S,)]; 0 changes nothing."""
-    filtered: Audio = signal.lfilter([1.0, -coefficient], [1.0], waveform).astype(np.float32)
+    filtered: Float32 = signal.lfilter([1.0, -coefficient], [1.0], waveform).astype(np.float32)
     return filtered
 
 

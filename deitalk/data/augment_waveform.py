@@ -10,22 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, signal
 from scipy.interpolate import CubicSpline
 
 from deitalk.audio.load import SAMPLE_RATE
-
-Audio = NDArray[np.float32]
-Floats = NDArray[np.float64]
+from rig.arrays import Float32, Float64
 
 
 @dataclass(frozen=True)
 class Surroundings:
     """Recordings of noise and of rooms to mix in; both may be empty."""
 
-    noises: tuple[Audio, ...] = field(default=(), repr=False)
-    rooms: tuple[Audio, ...] = field(default=(), repr=False)
+    noises: tuple[Float32, ...] = field(default=(), repr=False)
+    rooms: tuple[Float32, ...] = field(default=(), repr=False)
 
     @classmethod
     def read(cls, noise_folder: str | None, room_folder: str | None) -> "Surroundings":
@@ -33,7 +30,7 @@ class Surroundings:
         return cls(_read_folder(noise_folder), _read_folder(room_folder))
 
 
-def _read_folder(folder: str | None) -> tuple[Audio, ...]:
+def _read_folder(folder: str | None) -> tuple[Float32, ...]:
     if folder is None:
         return ()
     from deitalk.audio.load import load_audio
@@ -50,22 +47,22 @@ def speed_factor(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.82, 1.25)) if rng.random() < 0.75 else 1.0
 
 
-def change_speed(waveform: Audio, factor: float) -> Audio:
+def change_speed(waveform: Float32, factor: float) -> Float32:
     """Resample: S samples become about S / factor, pitch and formants rise by the factor."""
     if factor == 1.0 or not len(waveform):
         return waveform
     import soxr
 
-    fast: Audio = soxr.resample(waveform, SAMPLE_RATE * factor, SAMPLE_RATE, quality="MQ")
+    fast: Float32 = soxr.resample(waveform, SAMPLE_RATE * factor, SAMPLE_RATE, quality="MQ")
     return fast
 
 
 def augment(
-    waveform: Audio,
+    waveform: Float32,
     rng: np.random.Generator,
     surroundings: Surroundings,
-    voices: Sequence[Audio] = (),
-) -> Audio:
+    voices: Sequence[Float32] = (),
+) -> Float32:
     """Change colour, room, band, noise and level, not the timing.
 
     Parameters
@@ -108,7 +105,7 @@ def _ratio_db(rng: np.random.Generator) -> float:
     return float(rng.uniform(low, high))
 
 
-def _colour(x: Floats, rng: np.random.Generator) -> Floats:
+def _colour(x: Float64, rng: np.random.Generator) -> Float64:
     """One to three peaking equalisers, and a tilt by (de-)emphasis (SDFA §4.3)."""
     for _ in range(rng.integers(1, 4)):
         centre = float(np.exp(rng.uniform(np.log(120), np.log(6500))))
@@ -119,7 +116,7 @@ def _colour(x: Floats, rng: np.random.Generator) -> Floats:
     return x
 
 
-def _peak(centre: float, gain_db: float, q: float) -> tuple[Floats, Floats]:
+def _peak(centre: float, gain_db: float, q: float) -> tuple[Float64, Float64]:
     """Peaking equaliser after Bristow-Johnson's audio EQ cookbook."""
     amplitude = 10 ** (gain_db / 40)
     omega = 2 * np.pi * centre / SAMPLE_RATE
@@ -129,7 +126,7 @@ def _peak(centre: float, gain_db: float, q: float) -> tuple[Floats, Floats]:
     return b / a[0], a / a[0]
 
 
-def _reverberate(x: Floats, rng: np.random.Generator, rooms: Sequence[Audio]) -> Floats:
+def _reverberate(x: Float64, rng: np.random.Generator, rooms: Sequence[Float32]) -> Float64:
     if rooms and rng.random() < 0.5:
         room = rooms[int(rng.integers(len(rooms)))][:SAMPLE_RATE].astype(np.float64)
         room = room[max(int(np.abs(room).argmax()) - 8, 0) :]  # no delay: curves stay in time
@@ -144,7 +141,7 @@ def _reverberate(x: Floats, rng: np.random.Generator, rooms: Sequence[Audio]) ->
     return signal.fftconvolve(x, tail)[: len(x)]
 
 
-def _limit_band(x: Floats, rng: np.random.Generator) -> Floats:
+def _limit_band(x: Float64, rng: np.random.Generator) -> Float64:
     if rng.random() < 0.3:
         x = signal.sosfilt(
             signal.butter(4, rng.uniform(3300, 7500), fs=SAMPLE_RATE, output="sos"), x
@@ -157,8 +154,8 @@ def _limit_band(x: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _noise(
-    n: int, rng: np.random.Generator, noises: Sequence[Audio], voices: Sequence[Audio]
-) -> Floats:
+    n: int, rng: np.random.Generator, noises: Sequence[Float32], voices: Sequence[Float32]
+) -> Float64:
     """Babble, recorded or made, at power 1; it may come and go."""
     kind = rng.random()
     if kind < 0.15 and len(voices) >= 4:
@@ -173,11 +170,11 @@ def _noise(
         noise = _tone(n, rng)
     if rng.random() < 0.4:
         noise = noise * 10 ** (_wandering(n, rng, rng.uniform(1, 8)) * rng.uniform(3, 12) / 20)
-    scaled: Floats = noise / (noise.std() + 1e-9)
+    scaled: Float64 = noise / (noise.std() + 1e-9)
     return scaled
 
 
-def _hiss(n: int, rng: np.random.Generator) -> Floats:
+def _hiss(n: int, rng: np.random.Generator) -> Float64:
     """Noise of a random colour: a slope of up to 6 dB an octave, and hills of up to 20 dB.
 
     Traffic and rooms rumble, water and cloth hiss: the slope goes either way.
@@ -191,8 +188,8 @@ def _hiss(n: int, rng: np.random.Generator) -> Floats:
 
 
 def _coloured(
-    noise: Floats, slope: float, hills: Sequence[tuple[float, float, float]] = ()
-) -> Floats:
+    noise: Float64, slope: float, hills: Sequence[tuple[float, float, float]] = ()
+) -> Float64:
     """Turn the spectrum by `slope` dB an octave; `hills` are octaves from the top, width, dB."""
     n = len(noise)
     spectrum = fft.rfft(noise, fft.next_fast_len(n, real=True))
@@ -200,32 +197,32 @@ def _coloured(
     gain_db = slope * octaves
     for below, width, height in hills:
         gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
-    coloured: Floats = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
+    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
     return coloured
 
 
-def _tone(n: int, rng: np.random.Generator) -> Floats:
+def _tone(n: int, rng: np.random.Generator) -> Float64:
     """Harmonics of a pitch that wanders: engines, horns, animals."""
     pitch = np.exp(rng.uniform(np.log(60), np.log(900)))
     glide = 2 ** (rng.uniform(0, 0.6) * _wandering(n, rng, rng.uniform(0.5, 3)))
     phase = 2 * np.pi * np.cumsum(pitch * glide) / SAMPLE_RATE
     harmonics = range(1, int(min(7000 / (pitch * glide.max()), 12)) + 1)
     fall = rng.uniform(0.3, 1.5)
-    tone: Floats = np.sum([np.sin(k * phase) * k**-fall for k in harmonics], axis=0)
+    tone: Float64 = np.sum([np.sin(k * phase) * k**-fall for k in harmonics], axis=0)
     return tone
 
 
-def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Floats:
+def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Float64:
     """A smooth random course, most of it within -1 to 1, that turns some `hertz` times a second."""
     knots = max(int(n / SAMPLE_RATE * hertz), 1) + 3
     places = np.linspace(0, knots - 1, n)
-    course: Floats = CubicSpline(np.arange(knots), 0.6 * rng.standard_normal(knots))(places)
+    course: Float64 = CubicSpline(np.arange(knots), 0.6 * rng.standard_normal(knots))(places)
     return np.clip(course, -1.5, 1.5)
 
 
-def _piece(recording: Audio, n: int, rng: np.random.Generator) -> Floats:
+def _piece(recording: Float32, n: int, rng: np.random.Generator) -> Float64:
     """A random stretch of n samples, repeated where the recording is shorter; power 1."""
     start = int(rng.integers(max(len(recording) - n, 0) + 1))
     piece = np.resize(recording[start : start + n], n).astype(np.float64)
-    scaled: Floats = piece / (piece.std() + 1e-9)
+    scaled: Float64 = piece / (piece.std() + 1e-9)
     return scaled

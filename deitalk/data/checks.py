@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
@@ -36,6 +35,7 @@ from deitalk.data.offset import (
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
 from rig import ControlSet, RigCurves, default_controls, read_curves
+from rig.arrays import Bool, Float64
 from rig.errors import RigError
 
 SHIFTED_SECONDS = 0.05
@@ -49,7 +49,6 @@ NAMED = 3
 """Clips or controls that a line names."""
 
 Level = Literal["ok", "warning", "error"]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -71,12 +70,12 @@ class Measured(NamedTuple):
     curve_end: float
     """Last frame's time on the audio's axis, seconds."""
     missing: tuple[str, ...]
-    low: Floats
-    high: Floats
+    low: Float64
+    high: Float64
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is missing."""
-    lags: Floats
+    lags: Float64
     """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
-    heard_lags: Floats | None
+    heard_lags: Float64 | None
     """The same of the jaw that the embedded model hears; None where `lags` raise no suspicion."""
     speech_share: float
     open_share: float
@@ -166,16 +165,16 @@ def _recording(path: str) -> Recording:
     return load_audio(path)
 
 
-def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Floats:
+def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Float64:
     """The jaw on the audio's axis at 60 frames per second; still if there is none."""
     at = np.arange(int(seconds * RATE)) / RATE
     if JAW not in curves.names:
         return np.zeros(len(at))
-    jaw: Floats = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
+    jaw: Float64 = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
     return jaw
 
 
-def _open_in_silence(jaw: Floats, speaking: NDArray[np.bool_]) -> float:
+def _open_in_silence(jaw: Float64, speaking: Bool) -> float:
     frames = np.minimum(np.arange(len(jaw)) * FRAME_RATE // RATE, len(speaking) - 1)
     heard = speaking[frames]
     if not heard.any() or heard.all():

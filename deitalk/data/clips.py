@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
+from rig.arrays import Float32, Float64
 
 SPLITS = ("train", "validation", "test")
 MAX_BYTES = 512 * 1024**2
@@ -142,7 +142,7 @@ def _inside(folder: Path, name: str) -> Path:
     return path
 
 
-def read_intensity(path: Path, times: NDArray[np.float64]) -> NDArray[np.float32]:
+def read_intensity(path: Path, times: Float64) -> Float32:
     """Labelled intensity at given seconds [shape=(T,)]; linear between rows, held beyond.
 
     Raises
@@ -157,7 +157,7 @@ def read_intensity(path: Path, times: NDArray[np.float64]) -> NDArray[np.float32
             f"{path}: needs rows of rising time (seconds) and intensity from 0 to 1; "
             "mend it or leave the column empty"
         )
-    held: NDArray[np.float32] = np.interp(times, known, values).astype(np.float32)
+    held: Float32 = np.interp(times, known, values).astype(np.float32)
     return held
 
 

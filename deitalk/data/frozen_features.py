@@ -16,6 +16,7 @@ from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
+from rig.arrays import Float32
 
 
 class FrozenFeatures:
@@ -53,9 +54,7 @@ class FrozenFeatures:
         frontend = model.get_submodule("frontend").requires_grad_(False)
         frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
 
-    def features(
-        self, clip: Clip, waveform: NDArray[np.float32], n_frames: int
-    ) -> NDArray[np.float16]:
+    def features(self, clip: Clip, waveform: Float32, n_frames: int) -> NDArray[np.float16]:
         """Features of a whole clip, computed at the first call.
 
         Parameters

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.errors import DataError
+from rig.arrays import Float32, Float64, Int64
 from rig.deformation.basis import (
     VARIANCES,
     Bases,
@@ -25,8 +25,7 @@ from rig.deformation.reconstruct import mesh_solver
 from rig.errors import RigError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
-Floats = NDArray[np.float64]
-Moving = Sequence[tuple[str, Callable[[], NDArray[np.float32]]]]
+Moving = Sequence[tuple[str, Callable[[], Float32]]]
 """Speaker and a call that gives a sequence's vertices (T, V, 3)."""
 
 _HELD_OUT_FRAMES = 60
@@ -59,9 +58,9 @@ class _Drawn:
     """Frames of one speaker."""
 
     speaker: str
-    s: Floats
-    r: Floats
-    offsets: Floats
+    s: Float64
+    r: Float64
+    offsets: Float64
     """[shape=(T, 3 V)]."""
 
 
@@ -114,18 +113,18 @@ def fit_mesh_bases(
     truth = [solvers[d.speaker].solve(d.s, d.r) for d in unseen]
     moving = _lively(truth, [templates[d.speaker] for d in unseen])
 
-    def solved(bases: Sequence[GradientBasis]) -> list[Floats]:
+    def solved(bases: Sequence[GradientBasis]) -> list[Float64]:
         through = [lambda values, b=basis: b.expand(b.project(values)) for basis in bases]
         return [solvers[d.speaker].solve(through[0](d.s), through[1](d.r)) for d in unseen]
 
-    def added(bases: Sequence[GradientBasis]) -> list[Floats]:
+    def added(bases: Sequence[GradientBasis]) -> list[Float64]:
         expand, project = bases[0].expand, bases[0].project
         return [
             templates[d.speaker].vertices + expand(project(d.offsets)).reshape(t.shape)
             for d, t in zip(unseen, truth, strict=True)
         ]
 
-    def errors(vertices: list[Floats]) -> Floats:
+    def errors(vertices: list[Float64]) -> Float64:
         pairs = zip(vertices, truth, strict=True)
         return unit_mm * np.concatenate([np.linalg.norm(a - b, axis=-1) for a, b in pairs])
 
@@ -144,7 +143,7 @@ def fit_mesh_bases(
 
 
 def _row(
-    share: float, cut: Sequence[GradientBasis], error: Floats, p99: float, *, is_offsets: bool
+    share: float, cut: Sequence[GradientBasis], error: Float64, p99: float, *, is_offsets: bool
 ) -> dict[str, float]:
     """A row of the table of sizes that were tried."""
     return {
@@ -157,7 +156,7 @@ def _row(
     }
 
 
-def _first(templates: Mapping[str, TriMesh]) -> Floats:
+def _first(templates: Mapping[str, TriMesh]) -> Float64:
     return next(iter(templates.values())).vertices
 
 
@@ -179,7 +178,7 @@ def _draw(
     return drawn
 
 
-def _lively(frames: Sequence[Floats], templates: Sequence[TriMesh]) -> NDArray[np.int64]:
+def _lively(frames: Sequence[Float64], templates: Sequence[TriMesh]) -> Int64:
     """Vertices that move most from their template over all frames."""
     motion = np.max(
         [

@@ -10,11 +10,12 @@ import torch
 
 from deitalk.audio.load import frame_times
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.mesh_folder import MeshClip, Rows
+from deitalk.data.mesh_folder import MeshClip
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches
 from deitalk.emotions import parse_emotion
 from deitalk.errors import DataError
 from deitalk.models.curve_features import DEITalkFeatures
+from rig.arrays import Float32
 
 
 class FeatureSegments(SegmentBatches):
@@ -68,7 +69,7 @@ class FeatureSegments(SegmentBatches):
 
 
 @torch.no_grad()
-def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Rows:
+def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
     """Features of a clip in the emotion it is acted in [shape=(T, D), float16]."""
     if not clip.emotion:
         raise DataError(

@@ -26,12 +26,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from deitalk.audio.load import SAMPLE_RATE, load_audio
 from deitalk.data.clips import SPLITS
 from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError
+from rig.arrays import Bool, Float32, Float64, Int64
 from rig.deformation.gradients import pack_vertices
 from rig.files import output_folder
 from rig.mesh import TriMesh, read_ply, write_ply
@@ -42,8 +42,7 @@ MOTION = ("stretch", "rotation", "offsets", "lips")
 LIPS_FILE = "lips.npz"
 """Where the rims are, if they are known."""
 
-Rows = NDArray[np.float32]
-Load = Callable[[], tuple[Rows, Rows]]
+Load = Callable[[], tuple[Float32, Float32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +73,11 @@ class MeshSequence:
 class Lips:
     """Vertices that face one another across the closed mouth: upper[i] over lower[i]."""
 
-    upper: NDArray[np.int64]
-    lower: NDArray[np.int64]
+    upper: Int64
+    lower: Int64
 
     @property
-    def both(self) -> NDArray[np.int64]:
+    def both(self) -> Int64:
         """Upper rim, then lower rim [shape=(2 P,)]."""
         return np.concatenate([self.upper, self.lower])
 
@@ -94,11 +93,11 @@ class MeshClip:
     emotion: str = ""
     """Empty if not known."""
 
-    def waveform(self) -> Rows:
+    def waveform(self) -> Float32:
         """The recording as it was stored [shape=(S,)]."""
         return load_audio(self.folder / "audio" / f"{self.name}.flac").waveform
 
-    def motion(self) -> dict[str, Rows]:
+    def motion(self) -> dict[str, Float32]:
         """The arrays of `MOTION` that the folder has, by name, each [shape=(T, ...)].
 
         Raises
@@ -252,10 +251,10 @@ def _write_clip(
     soundfile.write(folder / "audio" / f"{sequence.name}.flac", quiet, SAMPLE_RATE)
 
 
-def _packed(template: TriMesh, vertices: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _packed(template: TriMesh, vertices: Float32) -> tuple[Float64, Float64]:
     """As `pack_vertices`; triangles that stay where they are, most of a head, cost nothing."""
     is_off = np.abs(vertices - template.vertices) > 1e-7 * template.size
-    is_moved: NDArray[np.bool_] = np.asarray(is_off.any(axis=(0, 2)))
+    is_moved: Bool = np.asarray(is_off.any(axis=(0, 2)))
     moved = np.flatnonzero(is_moved[template.faces].any(axis=1))
     packed = []
     for rows in pack_vertices(TriMesh(template.vertices, template.faces[moved]), vertices):
@@ -265,7 +264,7 @@ def _packed(template: TriMesh, vertices: Rows) -> tuple[NDArray[np.float64], NDA
     return packed[0], packed[1]
 
 
-def _loaded(sequence: MeshSequence) -> tuple[Rows, Rows]:
+def _loaded(sequence: MeshSequence) -> tuple[Float32, Float32]:
     waveform, vertices = sequence.load()
     if len(vertices) < 2:
         raise DataError(f"clip {sequence.name!r}: {len(vertices)} frames; at least 2 are needed")

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
@@ -21,9 +20,7 @@ from deitalk.data.augment_mel import STRETCH, MelWarp, augment_audio, frame_shif
 from deitalk.data.mesh_folder import MOTION, MeshClip
 from deitalk.errors import DataError
 from deitalk.frontends.windows import Encoder
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]
+from rig.arrays import Float32, Float64
 
 _EDGE = 2
 """Spectra on either side that two derivatives need."""
@@ -63,7 +60,7 @@ class Spectra:
         self.n_before = int(np.ceil(SAMPLE_RATE * 0.05 / self.hop))
         """Spectra before the first one, so that its own window is inside the piece."""
 
-    def __call__(self, waveform: Rows, time: float, warp: MelWarp) -> Tensor:
+    def __call__(self, waveform: Float32, time: float, warp: MelWarp) -> Tensor:
         """Features whose spectrum L // 2 is centred at `time`, in seconds [shape=(C, F, L)].
 
         Where the encoder's features are no mel spectrogram, only the warp's stretch is kept to.
@@ -77,7 +74,7 @@ class Spectra:
         slope = derivative(mel)
         return torch.stack((mel, slope, derivative(slope)))[..., _EDGE:-_EDGE]
 
-    def _piece(self, waveform: Rows, time: float) -> Rows:
+    def _piece(self, waveform: Float32, time: float) -> Float32:
         """Samples for `n_wide` spectra about a time; silence outside the recording."""
         middle = self.n_before + self.n_wide // 2
         start = round(time * SAMPLE_RATE - middle * self.hop)
@@ -90,9 +87,9 @@ class Spectra:
 class ClipInMemory(NamedTuple):
     """A clip in memory."""
 
-    heard: Rows
+    heard: Float32
     """Waveform (S,), or features (T, D)."""
-    motion: dict[str, Rows]
+    motion: dict[str, Float32]
     speaker: int
 
 
@@ -163,7 +160,7 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
         which = int(np.searchsorted(self.starts_before, drawn, side="right")) - 1
         return rng, self.clips[which], drawn - int(self.starts_before[which])
 
-    def completed(self, features: Tensor, clip: ClipInMemory, places: Floats) -> Segment:
+    def completed(self, features: Tensor, clip: ClipInMemory, places: Float64) -> Segment:
         """A segment of features whose frames are at fractional places of a clip."""
         empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
         targets = {
@@ -243,7 +240,7 @@ class Segments(SegmentBatches):
     def _bins(self) -> Any:
         return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
 
-    def _surroundings(self, waveform: Rows, time: float) -> tuple[Rows, float]:
+    def _surroundings(self, waveform: Float32, time: float) -> tuple[Float32, float]:
         """What is near a moment, for the noise's sake, and the second that it begins at."""
         reach = round(self.spectra.n_wide * self.spectra.hop)
         start = max(round(time * SAMPLE_RATE) - reach, 0)
@@ -251,7 +248,7 @@ class Segments(SegmentBatches):
         return waveform[start:stop], start / SAMPLE_RATE
 
 
-def between_frames(rows: Rows, places: Floats) -> Rows:
+def between_frames(rows: Float32, places: Float64) -> Float32:
     """Rows at fractional places, linear, held beyond the ends.
 
     Parameters
@@ -268,5 +265,5 @@ def between_frames(rows: Rows, places: Floats) -> Rows:
     place = np.clip(places, 0, len(rows) - 1)
     below = np.minimum(place.astype(np.int64), len(rows) - 2)
     share = (place - below).astype(np.float32).reshape(-1, *[1] * (rows.ndim - 1))
-    out: Rows = rows[below] * (1 - share) + rows[below + 1] * share
+    out: Float32 = rows[below] * (1 - share) + rows[below + 1] * share
     return out

@@ -26,12 +26,12 @@ from deitalk.data.mesh_folder import (
     Lips,
     MeshFolder,
     MeshSequence,
-    Rows,
     read_mesh_folder,
     write_mesh_folder,
 )
 from deitalk.errors import DataError
 from rig import default_controls, read_curves
+from rig.arrays import Float32
 from rig.face import build_head
 from rig.face.identity import resolve_identity
 from rig.mesh import TriMesh, read_ply, read_ply_sequence
@@ -154,7 +154,7 @@ def vocaset_sequences(folder: Path, templates: dict[str, TriMesh]) -> list[MeshS
     return sequences
 
 
-def _scanned(frames: Path, audio: Path, template: TriMesh) -> tuple[Rows, Rows]:
+def _scanned(frames: Path, audio: Path, template: TriMesh) -> tuple[Float32, Float32]:
     """Recording and vertices of one sentence."""
     mesh, vertices = read_ply_sequence(frames)
     if not np.array_equal(mesh.faces, template.faces):
@@ -227,7 +227,7 @@ def acted_clips(
     return [clips[i] for i in places]
 
 
-def act(clip: Clip, identity: int | str, fps: float) -> tuple[Rows, Rows]:
+def act(clip: Clip, identity: int | str, fps: float) -> tuple[Float32, Float32]:
     """Recording (S,) of a clip and the skin (T, V, 3) of an embedded head that acts its curves.
 
     Raises

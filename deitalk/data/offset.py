@@ -13,10 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import SAMPLE_RATE, Recording
 from deitalk.metrics import correlation
+from rig.arrays import Float32, Float64
 
 RATE = 60
 REACH = 30
@@ -34,10 +34,8 @@ HEARD_SECONDS = 60.0
 """Of a longer clip the model hears the beginning."""
 JAW = "CTRL_C_jaw.ty"
 
-Floats = NDArray[np.float64]
 
-
-def loudness(waveform: NDArray[np.float32]) -> Floats:
+def loudness(waveform: Float32) -> Float64:
     """Level at 60 frames per second [shape=(T,), range 0 (-40 dB) to 1 (the loudest)]."""
     half = 400
     padded = np.pad(waveform.astype(np.float64), half)
@@ -45,11 +43,11 @@ def loudness(waveform: NDArray[np.float32]) -> Floats:
     total = np.concatenate(([0.0], np.cumsum(padded**2)))
     level = 10 * np.log10((total[centres + 2 * half] - total[centres]) / (2 * half) + 1e-10)
     top = level.max(initial=-100)
-    scaled: Floats = np.clip(1 + (level - top) / 40, 0, 1)
+    scaled: Float64 = np.clip(1 + (level - top) / 40, 0, 1)
     return scaled
 
 
-def vowel_band(waveform: NDArray[np.float32]) -> NDArray[np.float32]:
+def vowel_band(waveform: Float32) -> Float32:
     """The recording without what lies outside of `VOWEL_BAND_HZ` [shape=(S,)]."""
     spectrum = np.fft.rfft(waveform)
     hertz = np.fft.rfftfreq(len(waveform), 1 / SAMPLE_RATE)
@@ -57,7 +55,7 @@ def vowel_band(waveform: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.fft.irfft(spectrum, len(waveform)).astype(np.float32)
 
 
-def lag_correlations(signal: Floats, jaw: Floats) -> Floats:
+def lag_correlations(signal: Float64, jaw: Float64) -> Float64:
     """Correlation of what overlaps at every lag [shape=(L,)]; positive lags: curves come late.
 
     NaN for clips under 2 s, and where one of both never moves.
@@ -70,11 +68,11 @@ def lag_correlations(signal: Floats, jaw: Floats) -> Floats:
         correlation(signal[max(0, -k) : n - max(0, k)], jaw[max(0, k) : n - max(0, -k)])
         for k in range(-REACH, REACH + 1)
     ]
-    lags: Floats = np.nan_to_num(np.array(found))
+    lags: Float64 = np.nan_to_num(np.array(found))
     return lags
 
 
-def heard_lags(recording: Recording, level_lags: Floats, jaw: Floats) -> Floats | None:
+def heard_lags(recording: Recording, level_lags: Float64, jaw: Float64) -> Float64 | None:
     """Correlation of the jaw with that of the embedded model by lag; None without suspicion.
 
     Parameters
@@ -97,18 +95,18 @@ def heard_lags(recording: Recording, level_lags: Floats, jaw: Floats) -> Floats 
     return level_lags if predicted is None else lag_correlations(predicted, jaw[: len(predicted)])
 
 
-def peak(lags: Floats) -> int:
+def peak(lags: Float64) -> int:
     """Lag of the largest correlation, in frames."""
     return int(lags.argmax()) - REACH
 
 
-def is_clear(lags: Floats) -> bool:
+def is_clear(lags: Float64) -> bool:
     """Whether the best lag gains enough correlation over lag 0 (`GAIN`)."""
     best = float(lags.max())
     return bool(best - lags[REACH] > GAIN[0] + GAIN[1] * (1 - best))
 
 
-def is_shifted(lags: Floats) -> bool:
+def is_shifted(lags: Float64) -> bool:
     """Whether the best lag is far from 0 and clear; unknown lags (NaN) are not."""
     known = bool(np.isfinite(lags).all())
     return known and abs(peak(lags)) >= SHIFTED_FRAMES and is_clear(lags)
@@ -128,7 +126,7 @@ class _Key:
 
 
 @lru_cache(maxsize=8)
-def _predicted_jaw(key: _Key) -> Floats | None:
+def _predicted_jaw(key: _Key) -> Float64 | None:
     """The embedded model's jaw at 60 frames per second [shape=(T,)]; None without a model."""
     from deitalk.pipeline.curves import animate
 
@@ -139,7 +137,7 @@ def _predicted_jaw(key: _Key) -> Floats | None:
     short = replace(recording, waveform=recording.waveform[: int(HEARD_SECONDS * SAMPLE_RATE)])
     curves = animate(short, "neutral", model=network).curves
     at = np.arange(int(len(short.waveform) / SAMPLE_RATE * RATE)) / RATE
-    jaw: Floats = np.interp(at, curves.times, curves[JAW].astype(np.float64))
+    jaw: Float64 = np.interp(at, curves.times, curves[JAW].astype(np.float64))
     return jaw
 
 

@@ -24,6 +24,7 @@ from deitalk.data.clips import Clip, read_intensity
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
+from rig.arrays import Float32, Float64
 
 if TYPE_CHECKING:
     from deitalk.data.frozen_features import FrozenFeatures
@@ -54,11 +55,11 @@ class Window(NamedTuple):
 class Material(NamedTuple):
     """A clip in memory."""
 
-    waveform: NDArray[np.int16] | NDArray[np.float32]
+    waveform: NDArray[np.int16] | Float32
     """Level-normalised [shape=(S,)], in steps of `unit`."""
-    times: NDArray[np.float64]
+    times: Float64
     values: NDArray[np.float16]
-    intensity: NDArray[np.float32]
+    intensity: Float32
     unit: float = 1.0
 
     @property
@@ -123,7 +124,7 @@ def _waveform(path: str) -> tuple[NDArray[np.int16], float]:
 
 def cut(
     material: Material, first: int, n_frames: int, speed: float = 1.0
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], int]:
+) -> tuple[Float32, Float32, Float32, int]:
     """Window of a clip played at another speed.
 
     Parameters
@@ -159,9 +160,7 @@ def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
     return max(int(np.ceil(n_samples / SAMPLE_RATE * RIG_RATE / speed)), 1)
 
 
-def _curves_at(
-    material: Material, times: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _curves_at(material: Material, times: Float64) -> tuple[Float32, Float32]:
     """Curves [shape=(T, C)] and intensity [shape=(T,)] at given seconds of the clip."""
     step = material.times[1] - material.times[0] if len(material.times) > 1 else 1.0
     place = np.clip((times - material.times[0]) / step, 0, len(material.times) - 1)
@@ -317,7 +316,7 @@ class MaterialCache:
         return material
 
 
-def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[NDArray[np.float32]]:
+def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float32]:
     """Four other voices for babble, now and then; reading them costs time."""
     if rng.random() > 0.06:
         return []

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from deitalk.errors import EmotionError
 from rig import limits
+from rig.arrays import Float64, Int64
 from rig.errors import quoted, shorten
 from rig.files.reading import load_json, read_text
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 SHEET_SUFFIXES = (".csv", ".tsv")
 TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")
 _SEPARATORS = ",;\t"
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,9 @@ class Columns:
         Number of each key in its file, from 1: empty rows are left out.
     """
 
-    numbers: dict[str, Floats]
+    numbers: dict[str, Float64]
     texts: dict[str, list[str]]
-    rows: npt.NDArray[np.int64]
+    rows: Int64
 
 
 class Table(ABC):
@@ -286,7 +284,7 @@ class _Keys(Table):
 
     def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
         wanted = (*numbers, *texts)
-        found: dict[str, Floats] = {name: np.empty(len(self.content)) for name in numbers}
+        found: dict[str, Float64] = {name: np.empty(len(self.content)) for name in numbers}
         words: dict[str, list[str]] = {name: [] for name in texts}
         for i, key in enumerate(self.content):
             for name in wanted:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from deitalk.emotions.track_files import TRACK_SUFFIXES, Columns, Table, number, read_table
 from deitalk.errors import EmotionError
+from rig.arrays import Float32, Float64, Int64
 from rig.errors import quoted
 from rig.files import atomic_write
 from rig.limits import SECONDS
@@ -25,8 +26,6 @@ from rig.limits import SECONDS
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
 MAX_INTENSITY = 4.0  # 1 is as the voice says; beyond 4 no face is left
 ROUNDING = 1e-4  # files round their weights
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,10 @@ class EmotionTrack:
         In the order of `EMOTIONS`; each row is not negative and sums to 1.
     """
 
-    times: Floats
-    weights: Floats
+    times: Float64
+    weights: Float64
 
-    def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    def at(self, times: npt.ArrayLike) -> Float32:
         """Weights (T, 5) float32 at `times` (T,) in seconds."""
         seconds = np.asarray(times, float)
         weights = np.empty((*seconds.shape, len(EMOTIONS)), np.float32)
@@ -65,14 +64,14 @@ class IntensityCurve:
         0 (neutral reading) … 4; 1 is as predicted for the average voice.
     """
 
-    times: Floats
-    values: Floats
+    times: Float64
+    values: Float64
 
-    def at(self, times: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    def at(self, times: npt.ArrayLike) -> Float32:
         """Intensity (T,) float32 at `times` (T,): linear between keys, held outside."""
-        values: npt.NDArray[np.float32] = np.interp(
-            np.asarray(times, float), self.times, self.values
-        ).astype(np.float32)
+        values: Float32 = np.interp(np.asarray(times, float), self.times, self.values).astype(
+            np.float32
+        )
         return values
 
 
@@ -148,7 +147,7 @@ def _from_weights(path: Path, table: Table) -> EmotionTrack:
     return EmotionTrack(times, _distributions(path, times, weights))
 
 
-def _checked_times(path: Path, keys: Columns) -> Floats:
+def _checked_times(path: Path, keys: Columns) -> Float64:
     """Times of keys, checked to be within a clip and not to fall."""
     times = keys.numbers["time"]
     outside = ~(np.abs(times) <= SECONDS)
@@ -168,7 +167,7 @@ def _checked_times(path: Path, keys: Columns) -> Floats:
     return times
 
 
-def _emotion_codes(names: Sequence[str]) -> npt.NDArray[np.int64]:
+def _emotion_codes(names: Sequence[str]) -> Int64:
     """Place of each name in `EMOTIONS`."""
     place = {name: i for i, name in enumerate(EMOTIONS)}
     unknown = next((name for name in names if name not in place), None)
@@ -177,7 +176,7 @@ def _emotion_codes(names: Sequence[str]) -> npt.NDArray[np.int64]:
     return np.array([place[name] for name in names], np.int64)
 
 
-def _first_doubled(codes: npt.NDArray[np.int64]) -> int | None:
+def _first_doubled(codes: Int64) -> int | None:
     """Place of the first number that was there before."""
     _, first = np.unique(codes, return_index=True)
     again = np.ones(len(codes), bool)
@@ -185,7 +184,7 @@ def _first_doubled(codes: npt.NDArray[np.int64]) -> int | None:
     return int(np.argmax(again)) if again.any() else None
 
 
-def _distributions(path: Path, times: Floats, weights: Floats) -> Floats:
+def _distributions(path: Path, times: Float64, weights: Float64) -> Float64:
     """Rows that sum to 1, as `_weights` makes them; EmotionError names the first that cannot."""
     total = weights.sum(axis=1)
     bad = (weights < 0).any(axis=1) | (total > 1 + ROUNDING)
@@ -278,11 +277,11 @@ def write_intensity_csv(
             writer.writerow([frame, f"{time:.6f}", *(f"{value:.6g}" for value in values)])
 
 
-def _constant(weights: Floats) -> EmotionTrack:
+def _constant(weights: Float64) -> EmotionTrack:
     return EmotionTrack(np.zeros(1), weights[None])
 
 
-def _weights(strengths: Mapping[str, float], where: str) -> Floats:
+def _weights(strengths: Mapping[str, float], where: str) -> Float64:
     """Weights (5,) that sum to 1 from named strengths; the rest goes to neutral."""
     weights = np.zeros(len(EMOTIONS))
     for name, strength in strengths.items():

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from deitalk.audio.load import load_audio
 from deitalk.audio.mel import RIG_RATE, nearest_spectra
@@ -19,12 +18,13 @@ from deitalk.figures.attention import AttentionMap, attention_at
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.models.checkpoint import load_model, model_folder, read_about
 from deitalk.phones import PLOSIVES, VOWELS
+from rig.arrays import Float32
 
 
 class Attention(NamedTuple):
     """Attention over one recording."""
 
-    weights: NDArray[np.float32]
+    weights: Float32
     """Of every frame on the spectra about it [shape=(T, L)]; rows sum to 1, L // 2 is its own."""
     fps: float
     """Frames per second."""
@@ -47,7 +47,7 @@ def load_attention_model(model: str | Path, *, device: str = "cpu") -> Any:
     return load_model(model, device=device)
 
 
-def attention_of(network: Any, waveform: NDArray[np.float32]) -> Attention:
+def attention_of(network: Any, waveform: Float32) -> Attention:
     """Attention of a model over a recording.
 
     Parameters

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from rig.arrays import Float32
 
 TABLE_4_SECONDS = 5.1
 """Length of the clip of SDFA's Table 4 (there: 5,095 ms of audio, animated at 60 fps)."""
@@ -21,7 +22,7 @@ TABLE_4_MILLISECONDS = {"audio": 553.92, "audio feature": 4200.69, "animation fe
 """Published for SDFA on an i7-8700K; other machine, other output, so no ratio is printed."""
 
 
-def speechlike(seconds: float, seed: int = 0) -> NDArray[np.float32]:
+def speechlike(seconds: float, seed: int = 0) -> Float32:
     """Noise with the spectrum and the rhythm of speech: syllables at 4 Hz, pauses.
 
     One minute is made and repeated, so that a long clip costs little more than itself.

@@ -6,17 +6,16 @@ Letters: T frames, C controls.
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
+from rig.arrays import Float32
 
-Floats = NDArray[np.float32]
 MOVING = 0.02
 """A control whose standard deviation is less than this does not move."""
 
 
-def smoothness(curves: Floats, fps: float = 30.0) -> dict[str, float]:
+def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
     """Steps and jerk of the controls that move.
 
     Parameters

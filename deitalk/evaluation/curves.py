@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from deitalk.audio.load import load_audio
 from deitalk.audio.noise import read_noises
@@ -42,23 +41,23 @@ from deitalk.evaluation.validation import ARTICULATION, Example, lips_together, 
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
+from rig.arrays import Float32, Float64
 
 __all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 
-Floats = NDArray[np.float32]
 PROBES = 6
 ADULT_YEARS = 16
 """From this age on a speaker is scored among the adults; the larynx has grown by then."""
 
 
-def loudness(waveform: Floats, n_frames: int) -> Floats:
+def loudness(waveform: Float32, n_frames: int) -> Float32:
     """Level of the recording on a scale of 40 dB [shape=(T,), range 0 to 1]: the baseline."""
     centres = np.round(np.arange(n_frames) * 16_000 / 30).astype(int)
     padded = np.pad(waveform.astype(np.float64), (400, 800))
     frames = padded[centres[:, None] + np.arange(800)]
     level = 10 * np.log10((frames**2).mean(axis=1) + 1e-10)
     top = np.percentile(level, 95)
-    scaled: Floats = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
+    scaled: Float32 = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
     return scaled
 
 
@@ -70,7 +69,7 @@ class Tally:
         self.closures: list[ClosureScores] = []
         self.baseline: list[ClosureScores] = []
         self.held: list[bool] = []
-        self.lags: dict[str, list[NDArray[np.float64]]] = {"jaw": [], "lips": []}
+        self.lags: dict[str, list[Float64]] = {"jaw": [], "lips": []}
         self.peaks: dict[str, list[Peaks]] = {name: [] for name in GESTURES}
 
     def summary(self) -> dict[str, Any]:
@@ -257,7 +256,7 @@ def _score(tally: Tally, model: DEITalk, clip: Clip) -> None:
     tally.rows.append(row)
 
 
-def _errors(target: Floats, predicted: Floats, model: DEITalk) -> dict[str, float]:
+def _errors(target: Float32, predicted: Float32, model: DEITalk) -> dict[str, float]:
     """The paper's errors, and r of every articulation channel."""
     controls = model.controls
     places = [controls.index(name) for name in ARTICULATION]
@@ -276,8 +275,8 @@ def _contacts(
     tally: Tally,
     row: dict[str, float],
     example: Example,
-    predicted: Floats,
-    target: Floats,
+    predicted: Float32,
+    target: Float32,
     model: DEITalk,
 ) -> None:
     """Closures, gestures of single phones, and their timing."""

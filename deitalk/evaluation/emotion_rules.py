@@ -13,11 +13,10 @@ The highest wins; below `FAINT` the face is neutral. Letters: T frames, C contro
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig import ControlSet
+from rig.arrays import Bool, Float32
 
-Floats = NDArray[np.float32]
 FAINT = 0.1
 """A style seen less than this (control units) is no expression."""
 
@@ -38,7 +37,7 @@ RULE: dict[str, tuple[tuple[str, float], ...]] = {
 """Controls of both sides and their weight."""
 
 
-def style_scores(curves: Floats, speaking: NDArray[np.bool_], controls: ControlSet) -> Floats:
+def style_scores(curves: Float32, speaking: Bool, controls: ControlSet) -> Float32:
     """How much of happy, sad, angry and surprised a face shows [shape=(4,)]."""
     rows = curves[speaking] if speaking.any() else curves
     face = rows.mean(axis=0) - controls.rest
@@ -49,12 +48,12 @@ def style_scores(curves: Floats, speaking: NDArray[np.bool_], controls: ControlS
     return np.array(scores, np.float32)
 
 
-def _sides(face: Floats, name: str, controls: ControlSet) -> float:
+def _sides(face: Float32, name: str, controls: ControlSet) -> float:
     left, right = (face[controls.index(f"CTRL_{side}_{name}")] for side in "LR")
     return float(left + right) / 2
 
 
-def recognise(curves: Floats, speaking: NDArray[np.bool_], controls: ControlSet) -> str:
+def recognise(curves: Float32, speaking: Bool, controls: ControlSet) -> str:
     """The emotion a coder would name.
 
     Parameters
@@ -71,12 +70,12 @@ def recognise(curves: Floats, speaking: NDArray[np.bool_], controls: ControlSet)
     return list(RULE)[best] if scores[best] >= FAINT else "neutral"
 
 
-def face_distance(first: Floats, second: Floats) -> float:
+def face_distance(first: Float32, second: Float32) -> float:
     """Euclidean distance over the controls, averaged over frames: control units."""
     return float(np.sqrt(np.square(first - second).sum(axis=1)).mean())
 
 
-def lip_range(opening: Floats, speaking: NDArray[np.bool_]) -> float:
+def lip_range(opening: Float32, speaking: Bool) -> float:
     """From the 5th to the 95th percentile of the mouth's opening while somebody speaks."""
     if not speaking.any():
         return float("nan")

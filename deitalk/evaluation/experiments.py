@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.noise import SNRS_DB, mix
@@ -34,9 +33,8 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
 from rig import ControlSet
+from rig.arrays import Bool, Float32, Float64
 
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
 """Intensity 1 throughout: a strong performance."""
 LIVELY_EMOTION = "happy"
@@ -58,7 +56,7 @@ def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str,
         intensity 1 throughout, and the jaw alone at intensity 1.
     """
     controls = model.controls
-    faces: dict[str, list[Floats]] = {emotion: [] for emotion in EMOTIONS}
+    faces: dict[str, list[Float32]] = {emotion: [] for emotion in EMOTIONS}
     named: dict[str, list[str]] = {emotion: [] for emotion in EMOTIONS}
     ranges: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
     strong: dict[str, list[float]] = {emotion: [] for emotion in EMOTIONS}
@@ -92,7 +90,7 @@ def _act(
     return animate(recording, emotion, model=model, intensity_curve=curve, idle=False)
 
 
-def _distances(faces: dict[str, list[Floats]]) -> dict[str, float]:
+def _distances(faces: dict[str, list[Float32]]) -> dict[str, float]:
     return {
         f"{first}-{second}": float(
             np.mean([face_distance(a, b) for a, b in zip(faces[first], faces[second], strict=True)])
@@ -159,7 +157,7 @@ def _follow_contours(model: DEITalk, recording: Recording, seed: int) -> dict[st
     return means
 
 
-def follow(performance: Performance, label: Floats) -> dict[str, float]:
+def follow(performance: Performance, label: Float32) -> dict[str, float]:
     """Spearman of intensity, saliency and level with a label, within speech."""
     waveform = performance.recording.waveform
     within = speech_activity(waveform) > 0
@@ -206,24 +204,24 @@ def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[
         _count(pairs, name, values[1, 1], values[0, 1])
 
 
-def _opening(performance: Performance, mask: Mask, controls: ControlSet) -> float:
+def _opening(performance: Performance, mask: Bool, controls: ControlSet) -> float:
     return _mean_within(mouth_opening(performance.curves.values, controls), mask)
 
 
-def _expression(performance: Performance, mask: Mask) -> float:
+def _expression(performance: Performance, mask: Bool) -> float:
     """How far the face is from its neutral reading: control units, mean of the frames."""
     away = performance.curves.values - performance.neutral.values
     return _mean_within(np.sqrt(np.square(away).sum(axis=1)), mask)
 
 
-def _mean_within(values: Floats, mask: Mask) -> float:
+def _mean_within(values: Float32, mask: Bool) -> float:
     return float(values[mask].mean()) if mask.sum() >= LEAST_FRAMES else float("nan")
 
 
 def noise_report(
     model: DEITalk,
     clips: Sequence[Clip],
-    noises: Sequence[Floats],
+    noises: Sequence[Float32],
     progress: Callable[[], None] = lambda: None,
 ) -> dict[str, dict[str, float]]:
     """Bilabials and jaw, clean and in noise; keys are ``clean`` and decibels."""
@@ -251,7 +249,7 @@ def noise_report(
     return report
 
 
-def _mean(values: "Sequence[float] | Floats") -> float:
+def _mean(values: "Sequence[float] | Float32") -> float:
     finite = _finite(values)
     return float(finite.mean()) if len(finite) else float("nan")
 
@@ -262,6 +260,6 @@ def _error(values: Sequence[float]) -> float:
     return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else float("nan")
 
 
-def _finite(values: "Sequence[float] | Floats") -> NDArray[np.float64]:
+def _finite(values: "Sequence[float] | Float32") -> Float64:
     numbers = np.asarray(values, np.float64)
     return numbers[np.isfinite(numbers)]

@@ -9,26 +9,24 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.mel import RIG_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES, Phones
+from rig.arrays import Float32
 
 MAX_LAG_FRAMES = 4
-
-Floats = NDArray[np.float32]
 
 
 class ClosureScores(NamedTuple):
     """Highest lips-together values of events, and frames inside and outside closures."""
 
-    closures: Floats
+    closures: Float32
     """[shape=(N,)]."""
-    vowels: Floats
-    inside: Floats
+    vowels: Float32
+    inside: Float32
     """Values of the frames within closures."""
-    outside: Floats
+    outside: Float32
     """Values of the frames within clear vowels."""
 
 
@@ -45,7 +43,7 @@ class Closures(NamedTuple):
     n_vowels: int
 
 
-def closure_scores(lips: Floats, phones: Phones) -> ClosureScores:
+def closure_scores(lips: Float32, phones: Phones) -> ClosureScores:
     """Score one clip.
 
     Parameters
@@ -98,7 +96,7 @@ def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = (
     )
 
 
-def held_closures(lips: Floats, phones: Phones, level: float = 0.9) -> list[bool]:
+def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[bool]:
     """For every bilabial, whether the curve stays at `level` for two frames of its window."""
     times = np.arange(len(lips)) / RIG_RATE
     out = []
@@ -111,7 +109,7 @@ def held_closures(lips: Floats, phones: Phones, level: float = 0.9) -> list[bool
     return out
 
 
-def best_lag(target: Floats, predicted: Floats) -> int:
+def best_lag(target: Float32, predicted: Float32) -> int:
     """Frames the prediction comes late: the shift with the highest correlation, within ±4."""
     lags = range(-MAX_LAG_FRAMES, MAX_LAG_FRAMES + 1)
     edge = MAX_LAG_FRAMES

@@ -23,10 +23,10 @@ from deitalk.evaluation.mesh_emotion import acted_by_curves, expression_probe, e
 from deitalk.models.mesh_head import Direction, MeshHead
 from deitalk.models.mesh_model import SDFA
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
+from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 
-Floats = NDArray[np.float64]
 Phones = Sequence[tuple[float, float, str]]
 
 CLOSED_MM = 1.0
@@ -37,7 +37,7 @@ EMOTION = "neutral"
 """SDFA has no input for another."""
 
 
-def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Floats:
+def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Float64:
     """Mean distance of the facing pairs over the middle half of the mouth.
 
     Parameters
@@ -61,7 +61,7 @@ def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Floats:
 
 
 def smallest_gaps(
-    gap: Floats, phones: Phones, fps: float
+    gap: Float64, phones: Phones, fps: float
 ) -> tuple[list[float], list[float], list[float]]:
     """Smallest gap at every bilabial, at every bilabial after an /s/, and in every clear vowel.
 
@@ -107,7 +107,7 @@ class Tally:
 
     def __init__(self) -> None:
         self.clips = 0
-        self.errors: dict[str, list[Floats]] = {}
+        self.errors: dict[str, list[Float64]] = {}
         self.gaps: dict[str, list[float]] = {
             f"{who}_{kind}": []
             for who in ("model", "unsealed", "curves", "truth")
@@ -245,9 +245,7 @@ def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips
             tally.gaps[name] += values
 
 
-def _seen(
-    model: SDFA, clip: Clip, waveform: NDArray[np.float32], speaker: str
-) -> dict[str, NDArray[np.float32]]:
+def _seen(model: SDFA, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
     """Vertices (T, V, 3): the model's, those before its seal, those of the curves it decodes."""
     direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
     seal, model.seal = model.seal, None

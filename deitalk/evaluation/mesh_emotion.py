@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import Recording, load_audio
 from deitalk.emotions import EMOTIONS
 from deitalk.models.mesh_head import Direction, MeshHead
 from deitalk.pipeline.curves import animate
+from rig.arrays import Float32
 from rig.face import build_head
 from rig.retarget.source_head import head_landmarks
 
-Floats = NDArray[np.float32]
-Act = Callable[[str, float], Floats]
+Act = Callable[[str, float], Float32]
 
 INTENSITIES = (0.5, 1.0, 1.5)
 MOST = 3
@@ -35,7 +34,7 @@ def acted_by_curves(
     speaker: str,
     emotion: str,
     intensity: float = 1.0,
-) -> Floats:
+) -> Float32:
     """Skin (T, V, 3) of an embedded head acting the curves of the network that a model decodes."""
     performance = animate(
         audio, emotion, model=model.encoder.network, intensity=intensity, idle=False
@@ -46,7 +45,7 @@ def acted_by_curves(
 
 def acted_by_model(
     model: MeshHead, audio: Recording, speaker: str, emotion: str, intensity: float = 1.0
-) -> Floats:
+) -> Float32:
     """Skin (T, V, 3) as a mesh head moves it."""
     direction = Direction.of(emotion, intensity)
     return model.predict_mesh(audio.waveform, speaker, direction=direction)

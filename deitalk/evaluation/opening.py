@@ -1,26 +1,25 @@
 """How far the mouth is open, in curves and at rest."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.phones import Phones
 from rig import ControlSet
+from rig.arrays import Float32
 
-Floats = NDArray[np.float32]
 JAW = "CTRL_C_jaw.ty"
 OPENING = (JAW, "CTRL_L_mouth_upperLipRaise.ty", "CTRL_R_mouth_upperLipRaise.ty",
            "CTRL_L_mouth_lowerLipDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty")  # fmt: skip
 """Mean of these is the mouth's opening."""
 
 
-def mouth_opening(curves: Floats, controls: ControlSet) -> Floats:
+def mouth_opening(curves: Float32, controls: ControlSet) -> Float32:
     """Mean of jaw, upper-lip and lower-lip opening [shape=(T,)]."""
-    mean: Floats = curves[:, [controls.index(name) for name in OPENING]].mean(axis=1)
+    mean: Float32 = curves[:, [controls.index(name) for name in OPENING]].mean(axis=1)
     return mean
 
 
-def opening_in_silence(opening: Floats, waveform: Floats, phones: Phones) -> float:
+def opening_in_silence(opening: Float32, waveform: Float32, phones: Phones) -> float:
     """Mean opening in long pauses over its 95th percentile in speech; NaN without either."""
     speaking = speech_activity(waveform) > 0
     times = np.arange(len(opening)) / 30

@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.mel import RIG_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
 from deitalk.phones import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
 from rig import ControlSet
+from rig.arrays import Float32, Float64
 
-Floats = NDArray[np.float32]
 MAX_LAG_FRAMES = 4
 
 
@@ -46,15 +45,15 @@ GESTURES = {"closure": CLOSURE, "bite": BITE, "rounding": ROUNDING}
 Peaks = dict[str, list[float]]
 
 
-def gesture_curve(curves: Floats, controls: ControlSet, gesture: Gesture) -> Floats:
+def gesture_curve(curves: Float32, controls: ControlSet, gesture: Gesture) -> Float32:
     """Mean of a gesture's controls [shape=(T,)]."""
     names = controls.names
     places = [i for i, n in enumerate(names) if any(part in n for part in gesture.controls)]
-    mean: Floats = curves[:, places].mean(axis=1)
+    mean: Float32 = curves[:, places].mean(axis=1)
     return mean
 
 
-def gesture_peaks(curve: Floats, phones: Phones, gesture: Gesture) -> Peaks:
+def gesture_peaks(curve: Float32, phones: Phones, gesture: Gesture) -> Peaks:
     """Highest value within every phone of interest, by name; ``-`` holds the counter-examples.
 
     Parameters
@@ -103,13 +102,13 @@ def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[
     }
 
 
-def jaw_in_contact(lips: Floats, jaw: Floats, level: float = 0.9) -> float:
+def jaw_in_contact(lips: Float32, jaw: Float32, level: float = 0.9) -> float:
     """Mean opening of the jaw while the lips are together; NaN where they never are."""
     held = lips >= level
     return float(jaw[held].mean()) if held.any() else float("nan")
 
 
-def lag_scores(target: Floats, predicted: Floats) -> NDArray[np.float64]:
+def lag_scores(target: Float32, predicted: Float32) -> Float64:
     """Correlation with the prediction read 4 frames early ... 4 frames late [shape=(9,)]."""
     edge = MAX_LAG_FRAMES
     if len(target) <= 3 * edge:
@@ -121,7 +120,7 @@ def lag_scores(target: Floats, predicted: Floats) -> NDArray[np.float64]:
     )
 
 
-def global_lag_ms(scores: Sequence[NDArray[np.float64]]) -> float:
+def global_lag_ms(scores: Sequence[Float64]) -> float:
     """One lag for all clips: the peak of their mean `lag_scores`, between frames by a parabola.
 
     Positive where the prediction comes late.

@@ -25,8 +25,8 @@ from deitalk.corpus.prosody_contours import (
     prosody_index,
     random_contour,
 )
+from rig.arrays import Bool, Float32
 
-Floats = NDArray[np.float32]
 NATURAL_WEIGHT = 0.6
 """Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.performance`."""
 STEP_Z = 1.2
@@ -34,7 +34,7 @@ STEP_Z = 1.2
 RAMP_SECONDS = 0.3
 
 
-def spearman(label: Floats, heard: Floats, within: NDArray[np.bool_]) -> float:
+def spearman(label: Float32, heard: Float32, within: Bool) -> float:
     """Rank correlation over some frames; NaN if one does not move or there are under 10."""
     a, b = label[within], heard[within]
     if len(a) < 10 or np.ptp(a) < 1e-6 or np.ptp(b) < 1e-6:
@@ -42,7 +42,7 @@ def spearman(label: Floats, heard: Floats, within: NDArray[np.bool_]) -> float:
     return float(spearmanr(a, b).statistic)
 
 
-def level_curve(waveform: Floats, n_frames: int) -> Floats:
+def level_curve(waveform: Float32, n_frames: int) -> Float32:
     """Level in dB at a fixed gain, smoothed over half a second of speech [shape=(T,)].
 
     Pauses do not count, as in the prosody index: the strongest baseline that only hears level.
@@ -63,7 +63,7 @@ def level_curve(waveform: Floats, n_frames: int) -> Floats:
     usual = level[speaking].mean() if speaking.any() else 0.0
     total = gaussian_filter1d(np.where(speaking, level - usual, 0), sigma, mode="constant")
     weight = gaussian_filter1d(speaking.astype(float), sigma, mode="constant")
-    smooth: Floats = (usual + total / (weight + 0.02)).astype(np.float32)
+    smooth: Float32 = (usual + total / (weight + 0.02)).astype(np.float32)
     return smooth
 
 
@@ -71,7 +71,7 @@ class Modified(NamedTuple):
     """A recording made livelier or duller."""
 
     take: Recording
-    z: Floats
+    z: Float32
     """The contour at every frame of the take [shape=(T,)]."""
     frames: NDArray[np.intp]
     """The frame of the recording that every frame of the take was [shape=(T,)]."""
@@ -98,7 +98,7 @@ def halves(z: float, seconds: float) -> Contour:
     return knots, np.array([z, z, -z, -z])
 
 
-def wandering(recording: Recording, seed: int) -> tuple[Recording, Floats, Floats]:
+def wandering(recording: Recording, seed: int) -> tuple[Recording, Float32, Float32]:
     """A recording along a random contour; the contour, and the liveliness it gives [shape=(T,)].
 
     The liveliness is the contour plus `NATURAL_WEIGHT` times the voice's own, as in the corpus.

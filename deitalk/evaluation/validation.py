@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip, read_phones
@@ -19,6 +18,7 @@ from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summa
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
+from rig.arrays import Float32
 
 MAX_CLIPS = 60
 ARTICULATION = (
@@ -41,17 +41,17 @@ ARTICULATION = (
 class Example(NamedTuple):
     """A whole clip at 30 frames per second."""
 
-    waveform: NDArray[np.float32]
-    curves: NDArray[np.float32]
+    waveform: Float32
+    curves: Float32
     emotion: str
-    intensity: NDArray[np.float32]
+    intensity: Float32
     phones: list[tuple[float, float, str]]
 
 
-def lips_together(curves: NDArray[np.float32], controls: ControlSet) -> NDArray[np.float32]:
+def lips_together(curves: Float32, controls: ControlSet) -> Float32:
     """Mean of the four lips-together controls [shape=(T,)]."""
     places = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
-    mean: NDArray[np.float32] = curves[:, places].mean(axis=1)
+    mean: Float32 = curves[:, places].mean(axis=1)
     return mean
 
 
@@ -99,7 +99,7 @@ class ValidationSet:
         return means | {"score": float(np.mean(finite)) if finite else 0.0}
 
     def _row(
-        self, example: Example, predicted: NDArray[np.float32], strength: NDArray[np.float32] | None
+        self, example: Example, predicted: Float32, strength: Float32 | None
     ) -> dict[str, float]:
         target = example.curves
         places = [self.controls.index(n) for n in ARTICULATION if n in self.controls.names]
@@ -130,15 +130,13 @@ def load_example(clip: Clip, controls: ControlSet) -> Example:
 
 
 @torch.no_grad()
-def predict(
-    model: DEITalk, example: Example
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+def predict(model: DEITalk, example: Example) -> tuple[Float32, Float32 | None]:
     """The network's own curves [shape=(T, C)] and intensity [shape=(T,)], nothing added."""
     n_frames = len(example.curves)
     device = next(model.parameters()).device
     analysis = model.analyse(torch.from_numpy(example.waveform).to(device), n_frames)
     one_hot = torch.eye(len(EMOTIONS), device=device)[EMOTIONS.index(example.emotion)]
-    curves: NDArray[np.float32] = model.decode(analysis, one_hot.expand(n_frames, -1)).cpu().numpy()
+    curves: Float32 = model.decode(analysis, one_hot.expand(n_frames, -1)).cpu().numpy()
     return curves, None if analysis.strength is None else analysis.strength.cpu().numpy()
 
 

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.errors import DataError
 from deitalk.figures.canvas import drawing
 from deitalk.phones import PLOSIVES, VOWELS, Phones
-
-Floats = NDArray[np.float32]
+from rig.arrays import Float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +30,11 @@ class AttentionMap:
         Their names.
     """
 
-    rows: Floats
+    rows: Float32
     phones: tuple[str, ...]
 
     @property
-    def mean(self) -> Floats:
+    def mean(self) -> Float32:
         """Mean row [shape=(L,)]."""
         return np.asarray(self.rows.mean(axis=0), dtype=np.float32)
 
@@ -54,7 +52,7 @@ class AttentionMap:
 
 
 def attention_maps(
-    weights: Floats, phones: Phones, fps: float
+    weights: Float32, phones: Phones, fps: float
 ) -> tuple[AttentionMap, AttentionMap]:
     """Rows at the middle of every vowel and of every plosive.
 
@@ -83,7 +81,7 @@ def attention_maps(
     return vowels, plosives
 
 
-def attention_at(weights: Floats, phones: Phones, fps: float, names: Set[str]) -> AttentionMap:
+def attention_at(weights: Float32, phones: Phones, fps: float, names: Set[str]) -> AttentionMap:
     """Rows at the middle of every phone of some names; there may be none."""
     found = [(s, e, p.rstrip("012")) for s, e, p in phones if p.rstrip("012") in names]
     places = [min(round((s + e) / 2 * fps), len(weights) - 1) for s, e, _ in found]
@@ -127,7 +125,7 @@ def plot_attention(
             column[1].set_xlabel("ms from the frame")
 
 
-def plot_clip(weights: Floats, fps: float, frame_rate: float, phones: Phones, path: Path) -> None:
+def plot_clip(weights: Float32, fps: float, frame_rate: float, phones: Phones, path: Path) -> None:
     """Draw attention along a recording: time across, the window's spectra down.
 
     Parameters

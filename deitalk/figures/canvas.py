@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.errors import MissingError
+from rig.arrays import Float32
 from rig.files import atomic_write
 
 MOST_COLUMNS = 2000
@@ -60,7 +60,7 @@ def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[An
         figure.savefig(beside, dpi=dpi)
 
 
-def draw_waveform(axis: Any, waveform: NDArray[np.float32], sample_rate: int = 16_000) -> None:
+def draw_waveform(axis: Any, waveform: Float32, sample_rate: int = 16_000) -> None:
     """Draw the band between the lowest and the highest sample of every column, over seconds."""
     step = max(len(waveform) // MOST_COLUMNS, 1)
     blocks = waveform[: len(waveform) // step * step].reshape(-1, step)

@@ -3,13 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deitalk.figures.canvas import draw_waveform, drawing
 from rig import RigCurves
+from rig.arrays import Float32
 
-Floats = NDArray[np.float32]
 ROWS = (
     ("jaw", ("CTRL_C_jaw.ty",)),
     ("lips together", ("CTRL_L_mouth_lipsTogetherD.ty",)),
@@ -22,7 +19,7 @@ ROWS = (
 """Rows of the picture: a title and the controls drawn."""
 
 
-def plot(curves: RigCurves, waveform: Floats, path: Path, title: str) -> None:
+def plot(curves: RigCurves, waveform: Float32, path: Path, title: str) -> None:
     """Draw curves against the sound: waveform with intensity, then a row per group of controls.
 
     Parameters
@@ -57,7 +54,7 @@ def plot(curves: RigCurves, waveform: Floats, path: Path, title: str) -> None:
         axes[-1].set_xlabel("seconds")
 
 
-def _waveform(axis: Any, curves: RigCurves, waveform: Floats, title: str) -> None:
+def _waveform(axis: Any, curves: RigCurves, waveform: Float32, title: str) -> None:
     draw_waveform(axis, waveform)
     strength = axis.twinx()
     strength.plot(curves.times, curves.intensity, color="crimson")

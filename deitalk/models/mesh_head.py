@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from deitalk.audio.load import SAMPLE_RATE, frame_times
@@ -35,8 +34,6 @@ from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import FRAMES_AT_ONCE, SDFA, checked_waveform
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED
 from deitalk.postprocess.voice_intensity import heard_intensity
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

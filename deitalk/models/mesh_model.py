@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deitalk.audio.load import SAMPLE_RATE
@@ -43,6 +42,7 @@ from deitalk.models.deformation_decoder import (
     Offsets,
 )
 from deitalk.postprocess.lip_seal import LipSeal
+from rig.arrays import Float32
 from rig.deformation.reconstruct import DeformationSolver, mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh
@@ -193,7 +193,7 @@ class SDFA(nn.Module):
             yield FeatureChunk(features, (places - first).to(self.device), kept)
 
     @torch.no_grad()
-    def attention_weights(self, waveform: Any) -> NDArray[np.float32]:
+    def attention_weights(self, waveform: Any) -> Float32:
         """Where each frame of a recording looks [shape=(T, W)]; rows sum to 1 (Fig. 9).
 
         Raises
@@ -218,7 +218,7 @@ class SDFA(nn.Module):
         speaker: str | int = 0,
         template: TriMesh | None = None,
         direction: "Direction | None" = None,
-    ) -> NDArray[np.float32]:
+    ) -> Float32:
         """Vertices of a whole recording (§3.5).
 
         Parameters
@@ -241,7 +241,7 @@ class SDFA(nn.Module):
         pieces = self.pieces(waveform, speaker, direction)
         return np.concatenate([self.vertices(piece, mesh) for piece in pieces])
 
-    def vertices(self, motion: Motion, template: TriMesh) -> NDArray[np.float32]:
+    def vertices(self, motion: Motion, template: TriMesh) -> Float32:
         """Vertices (T, V, 3) of a template in frames of gradients or offsets."""
         if isinstance(motion, Offsets):
             offsets = motion.offsets.cpu().numpy().reshape(-1, *template.vertices.shape)
@@ -301,7 +301,7 @@ def _solver(template: TriMesh) -> DeformationSolver:
     return mesh_solver(template)
 
 
-def checked_waveform(waveform: Any) -> NDArray[np.float32]:
+def checked_waveform(waveform: Any) -> Float32:
     """One row of finite samples, or DataError."""
     samples = np.asarray(waveform, dtype=np.float32)
     if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():

@@ -7,7 +7,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.load import Recording, frame_times
@@ -33,6 +32,7 @@ from deitalk.postprocess.blinks import add_idle_motion
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.voice_intensity import heard_intensity, vocal_effort_z
 from rig import RigCurves
+from rig.arrays import Float32
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
 
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, unremarked
-
-Floats = NDArray[np.float32]
 
 
 def animate(
@@ -133,15 +131,15 @@ def animate(
 
 def _apply_rules(
     network: "DEITalk",
-    neutral: Floats,
-    emotional: Floats,
-    strength: Floats,
-    heard: Floats,
-    applied: Floats,
-    shown: Floats,
+    neutral: Float32,
+    emotional: Float32,
+    strength: Float32,
+    heard: Float32,
+    applied: Float32,
+    shown: Float32,
     effort: float,
-    activity: Floats,
-) -> Floats:
+    activity: Float32,
+) -> Float32:
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
     rules = Expression(network.controls)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
@@ -169,9 +167,9 @@ def _settings(emotion: Any, intensity: float, curve: Any, idle: bool, seed: int)
 
 def _curves(
     network: "DEITalk",
-    values: Floats,
-    emotion: Floats | None = None,
-    intensity: Floats | None = None,
+    values: Float32,
+    emotion: Float32 | None = None,
+    intensity: Float32 | None = None,
 ) -> RigCurves:
     controls = network.controls
     return RigCurves(
@@ -187,10 +185,10 @@ def _curves(
 def _read(
     network: "DEITalk",
     recording: Recording,
-    weights: Floats,
-    activity: Floats,
+    weights: Float32,
+    activity: Float32,
     progress: Callable[[float], None],
-) -> tuple[Floats, Floats, Floats, Floats]:
+) -> tuple[Float32, Float32, Float32, Float32]:
     """Neutral and emotional reading [shape=(T, C)], saliency and intensity [shape=(T,)]."""
     import torch
 
@@ -234,7 +232,7 @@ def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recordi
     return replace(recording, warnings=(*recording.warnings, note))
 
 
-def _clamp(values: Floats, network: "DEITalk") -> int:
+def _clamp(values: Float32, network: "DEITalk") -> int:
     """Clamp to the controls' ranges in place; count the values that were more than 1 % outside."""
     low, high = network.controls.minimum, network.controls.maximum
     count = 0

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.load import Recording
@@ -34,6 +33,7 @@ from deitalk.pipeline.arguments import (
     whole_seed,
 )
 from deitalk.pipeline.curves import animate
+from rig.arrays import Float32, Float64
 from rig.curves import snap_fps
 from rig.errors import quoted
 from rig.face import build_head
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from deitalk.models.mesh_head import Direction
     from deitalk.models.mesh_model import SDFA
 
-Floats32 = NDArray[np.float32]
 Progress = Callable[[float], None]
 
 GLB_TOLERANCE_MM = 0.02
@@ -83,12 +82,12 @@ class MeshPerformance:
     """
 
     mesh: TriMesh
-    vertices: Floats32
+    vertices: Float32
     fps: float
     unit_mm: float
     recording: Recording
     landmarks: Mapping[str, int] | None = None
-    colours: NDArray[np.float64] | None = None
+    colours: Float64 | None = None
 
     def save(self, target: str | Path, *, force: bool = False) -> Path:
         """Write the sequence: ``.glb``, ``.npz`` (vertices), or a folder of PLY files.
@@ -260,7 +259,7 @@ def _by_gradients(
     mesh = network.template(speaker)
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=PREDICTED_BYTES)
-    parts: list[Floats32] = []
+    parts: list[Float32] = []
     for motion in network.pieces(recording.waveform, speaker, direction):
         parts.append(network.vertices(motion, mesh))
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))

@@ -5,13 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deitalk.audio.load import Recording
 from rig import RigCurves
-
-Floats = NDArray[np.float32]
+from rig.arrays import Float32
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,8 +40,8 @@ class Performance:
 
     curves: RigCurves
     neutral: RigCurves
-    saliency: Floats
-    predicted: Floats
+    saliency: Float32
+    predicted: Float32
     recording: Recording
     clipped: int
     timings: dict[str, float] = field(default_factory=dict)

@@ -19,18 +19,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deitalk import __version__
 from deitalk.audio.load import frame_times, write_wav
 from deitalk.emotions import write_intensity_csv
 from deitalk.pipeline.performance import Performance
 from rig import write_curves
-from rig.errors import TargetError
+from rig.arrays import Float32
+from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats.exchange import exchange_names, write_exchange_files
-from rig.text import decodable_values
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {
@@ -175,7 +172,7 @@ def _fill(
     )
 
 
-def _track(values: NDArray[np.float32] | None) -> NDArray[np.float32]:
+def _track(values: Float32 | None) -> Float32:
     """A track every performance has."""
     assert values is not None, "a performance carries its emotion and intensity"
     return values

@@ -5,11 +5,9 @@ they are left out of the curves it learns and added here.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig import ControlSet
-
-Floats = NDArray[np.float32]
+from rig.arrays import Float32
 
 BLINK = np.array([0.0, 0.45, 0.95, 1.0, 0.75, 0.45, 0.2, 0.06, 0.0])
 """Closure of the lids at 30 Hz: shut in 0.1 s, open again in 0.17 s (Trutoiu et al. 2011)."""
@@ -20,7 +18,7 @@ REST_SECONDS = 0.5
 
 
 def add_idle_motion(
-    curves: Floats, controls: ControlSet, *, fps: float, rng: np.random.Generator
+    curves: Float32, controls: ControlSet, *, fps: float, rng: np.random.Generator
 ) -> None:
     """Add blinks and gaze motion to curves, in place.
 
@@ -44,7 +42,7 @@ def add_idle_motion(
             curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += gaze[:, axis]
 
 
-def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
+def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
     """Closure of the lids [shape=(T,), range 0 to 1]."""
     shape_times = np.arange(len(BLINK)) / 30
     shape = np.interp(np.arange(0, shape_times[-1] + 1 / fps, 1 / fps), shape_times, BLINK)
@@ -58,7 +56,7 @@ def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
         time += max(INTERVAL_SECONDS * np.exp(INTERVAL_SPREAD * rng.standard_normal()), 0.6)
 
 
-def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Floats:
+def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
     """Small saccades, left-right and up-down, in control units [shape=(T, 2)]."""
     track = np.zeros((n_frames, 2), np.float32)
     time, place = 0.4, np.zeros(2)

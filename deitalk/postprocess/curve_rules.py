@@ -15,8 +15,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, logit
 
 from rig import ControlSet
-
-Floats = NDArray[np.float32]
+from rig.arrays import Bool, Float32
 
 LEAST_PREDICTED = 0.15
 """Where the voice is fainter than this, an edited curve scales as if it were this strong."""
@@ -56,7 +55,7 @@ SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue
 """Parts of the names of the other controls that speech moves."""
 
 
-def _decided(values: Floats, middle: "Floats | float") -> Floats:
+def _decided(values: Float32, middle: "Float32 | float") -> Float32:
     """S-curve from 0 to 1 that makes one half of `middle`."""
     return np.asarray(expit(DECISION * (logit(values) - logit(middle))), np.float32)
 
@@ -68,8 +67,8 @@ class Expression:
     controls: ControlSet
 
     def blend(
-        self, neutral: Floats, emotional: Floats, applied: Floats, predicted: Floats
-    ) -> Floats:
+        self, neutral: Float32, emotional: Float32, applied: Float32, predicted: Float32
+    ) -> Float32:
         """Scale the expression by the applied intensity and keep contacts closed.
 
         Parameters
@@ -94,7 +93,7 @@ class Expression:
         delta += neutral
         return delta
 
-    def sharpen_contacts(self, curves: Floats) -> None:
+    def sharpen_contacts(self, curves: Float32) -> None:
         """Make contacts of what the network only believes, in place.
 
         A network trained on squared errors answers a doubtful /b/ with 0.5: lips that almost meet
@@ -110,13 +109,13 @@ class Expression:
         if not len(curves):
             return
         values = np.clip(curves[:, self.seals], 0, 1)
-        peaks: Floats = maximum_filter1d(values, PEAK_FRAMES, axis=0)
+        peaks: Float32 = maximum_filter1d(values, PEAK_FRAMES, axis=0)
         shares = np.asarray(values / np.maximum(peaks, 1e-6), np.float32)
         shoulder = np.minimum(SHOULDER + DOUBT * (1 - peaks), SHARPEST)
         curves[:, self.seals] = _decided(peaks, DECIDED) * _decided(shares, shoulder)
 
     def scale_opening(
-        self, curves: Floats, strength: Floats, heard: Floats, effort: float = 0.0
+        self, curves: Float32, strength: Float32, heard: Float32, effort: float = 0.0
     ) -> None:
         """Open the mouth as far as the voice is lively, in place.
 
@@ -139,7 +138,7 @@ class Expression:
         ratio *= 1 + EFFORT_GAIN * effort
         curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
 
-    def limit_contact_speed(self, curves: Floats) -> None:
+    def limit_contact_speed(self, curves: Float32) -> None:
         """Let lips start closing early and part late rather than jump, in place.
 
         Contacts keep their height; the frames around them are raised until no step of a
@@ -159,16 +158,16 @@ class Expression:
                     curves[:-frames, place], sharp[frames:] - reach
                 )
 
-    def contact(self, neutral: Floats) -> Floats:
+    def contact(self, neutral: Float32) -> Float32:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""
         closed = np.maximum(
             neutral[:, self.together].mean(axis=1), neutral[:, self.bite].mean(axis=1)
         )
         share = np.clip((closed - CONTACT_FROM) / (CONTACT_FULL - CONTACT_FROM), 0, 1)
-        smooth: Floats = share * share * (3 - 2 * share)
+        smooth: Float32 = share * share * (3 - 2 * share)
         return smooth
 
-    def rest_in_silence(self, curves: Floats, mouth: Floats, expression: Floats) -> None:
+    def rest_in_silence(self, curves: Float32, mouth: Float32, expression: Float32) -> None:
         """Bring curves to rest where nobody speaks, in place.
 
         Parameters
@@ -188,7 +187,7 @@ class Expression:
             part *= 1 - gate + gate * mouth[rows, None]
         curves += rest
 
-    def apply_dead_zone(self, curves: Floats) -> None:
+    def apply_dead_zone(self, curves: Float32) -> None:
         """Remove the network's murmur from controls that part or move the lips, in place.
 
         Values below 0.01 go to 0; above, nothing but that is lost.
@@ -223,7 +222,7 @@ class Expression:
         return np.concatenate((self.together, self.bite))
 
     @cached_property
-    def follows_mouth(self) -> NDArray[np.bool_]:
+    def follows_mouth(self) -> Bool:
         """Controls that rest as soon as the mouth does: they speak, or part the lips.
 
         What an expression alone moves (corners, brows, lids, cheeks) stays through pauses.

@@ -8,8 +8,8 @@ millimetre reads as missed; the heads' own motion ends in the same operator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32, Int64
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH
 
@@ -35,8 +35,8 @@ class LipSeal:
         Millimetres in a unit of the vertices.
     """
 
-    upper: NDArray[np.int64]
-    lower: NDArray[np.int64]
+    upper: Int64
+    lower: Int64
     reach_mm: float
     unit_mm: float
 
@@ -53,7 +53,7 @@ class LipSeal:
             unit_mm,
         )
 
-    def amounts(self, vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    def amounts(self, vertices: Float32) -> Float32:
         """How far the lips of each frame are brought together [shape=(T,), range 0 to 1]."""
         gap = self._gap(vertices)
         quarter = gap.shape[1] // 4
@@ -62,7 +62,7 @@ class LipSeal:
         far = np.clip(2 * apart / self.reach_mm - 1, 0, 1)
         return np.asarray(1 - far * far * (3 - 2 * far), dtype=np.float32)
 
-    def __call__(self, vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, vertices: Float32) -> Float32:
         """Vertices (T, V, 3) with their lips sealed where they nearly meet."""
         sealed = vertices.copy()
         move = self._gap(vertices) * self.amounts(vertices)[:, None, None]
@@ -71,7 +71,7 @@ class LipSeal:
         sealed[:, self.lower] -= (1 - UPPER_PART) * move[:, None] * share
         return sealed
 
-    def _gap(self, vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _gap(self, vertices: Float32) -> Float32:
         rim = RINGS.index(0)
-        gap: NDArray[np.float32] = vertices[:, self.lower[rim]] - vertices[:, self.upper[rim]]
+        gap: Float32 = vertices[:, self.lower[rim]] - vertices[:, self.upper[rim]]
         return gap

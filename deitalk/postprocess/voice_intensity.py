@@ -12,12 +12,10 @@ its intensity: e = 0.15 + 0.85 / (1 + exp(-1.3 z)). Letters: T frames.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.prosody import Prosody, prosody_index, vocal_effort_db
-
-Floats = NDArray[np.float32]
+from rig.arrays import Bool, Float32, Float64
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Intensity of the dullest moment, and how fast it rises with z (`deitalk.corpus.rig_targets`)."""
@@ -31,7 +29,7 @@ EDGE_FRAMES = 3.0
 """What is measured counts in speech and fades beside it, with this sigma."""
 
 
-def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Floats:
+def heard_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> Float32:
     """Intensity heard in a voice: the network's, smoothed and mended by measurement.
 
     Parameters
@@ -63,7 +61,7 @@ def heard_intensity(strength: Floats, prosody: Prosody, activity: Floats) -> Flo
     mended = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(mended, strength, speaking)
     counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
-    heard: Floats = (pauses + counts * (mended - pauses)).astype(np.float32)
+    heard: Float32 = (pauses + counts * (mended - pauses)).astype(np.float32)
     return heard
 
 
@@ -78,24 +76,22 @@ def vocal_effort_z(prosody: Prosody) -> float:
     return MOST_EFFORT * float(np.tanh(above / MOST_EFFORT))
 
 
-def _liveliness(strength: Floats) -> NDArray[np.float64]:
+def _liveliness(strength: Float32) -> Float64:
     """Standard deviations of liveliness behind an intensity."""
     share = np.clip((strength.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
-    z: NDArray[np.float64] = np.log(share / (1 - share)) / STEEPNESS
+    z: Float64 = np.log(share / (1 - share)) / STEEPNESS
     return z
 
 
-def _through_pauses(
-    mended: NDArray[np.float64], strength: Floats, speaking: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _through_pauses(mended: Float64, strength: Float32, speaking: Bool) -> Float64:
     """Intensity of the frames without speech: nobody is livelier for saying nothing."""
     frames, spoken = np.arange(len(strength)), np.flatnonzero(speaking)
-    held: NDArray[np.float64] = np.interp(frames, spoken, mended[spoken])
+    held: Float64 = np.interp(frames, spoken, mended[spoken])
     outside = (frames < spoken[0]) | (frames > spoken[-1])
     return np.where(outside, np.minimum(held, strength), held)
 
 
-def _smoothed(z: NDArray[np.float64], speaking: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _smoothed(z: Float64, speaking: Bool) -> Float64:
     """Gaussian mean over the frames with speech."""
     weight = gaussian_filter1d(speaking.astype(float), SMOOTHING_FRAMES, mode="constant")
     total = gaussian_filter1d(np.where(speaking, z, 0), SMOOTHING_FRAMES, mode="constant")

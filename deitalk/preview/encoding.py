@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.errors import MissingError
 from deitalk.preview.source import PreviewError
+from rig.arrays import Float32
 from rig.face.render.lettering import Picture
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def write_mp4(
     *,
     fps: float,
     size: tuple[int, int],
-    samples: NDArray[np.float32],
+    samples: Float32,
     sample_rate: int,
     encoder: Encoder | None = None,
 ) -> None:
@@ -152,9 +152,7 @@ def _video_track(
 class _Sound:
     """The sound track, written in step with the pictures so that little is held in memory."""
 
-    def __init__(
-        self, container: "OutputContainer", samples: NDArray[np.float32], sample_rate: int
-    ) -> None:
+    def __init__(self, container: "OutputContainer", samples: Float32, sample_rate: int) -> None:
         self.container = container
         self.samples, self.rate = _at_aac_rate(samples, sample_rate)
         self.track: Any = container.add_stream("aac", rate=self.rate, layout="mono")
@@ -186,7 +184,7 @@ class _Sound:
         self.written += count
 
 
-def _at_aac_rate(samples: NDArray[np.float32], sample_rate: int) -> tuple[NDArray[np.float32], int]:
+def _at_aac_rate(samples: Float32, sample_rate: int) -> tuple[Float32, int]:
     """The samples at a rate that AAC in MP4 has: as they are, or at 48 kHz."""
     if sample_rate in SOUND_RATES:
         return samples, sample_rate

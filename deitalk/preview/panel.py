@@ -3,13 +3,11 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.preview.source import PreviewSource
+from rig.arrays import Float32
 from rig.curves import EMOTIONS
 from rig.face.render.lettering import Picture, text_width, write_text
-
-Floats = NDArray[np.float32]
 
 KEY_CURVES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jaw open", ("CTRL_C_jaw.ty",)),
@@ -131,7 +129,7 @@ def _draw_sound(lane: Picture, source: PreviewSource, seconds: float) -> None:
             lane[int(low * tall) : int(high * tall) + 1, x] = (110, 160, 200)
 
 
-def _draw_emotion(lane: Picture, emotion: Floats | None) -> None:
+def _draw_emotion(lane: Picture, emotion: Float32 | None) -> None:
     """Colour of every frame's emotions, mixed by their weights."""
     if emotion is None:
         return
@@ -140,7 +138,7 @@ def _draw_emotion(lane: Picture, emotion: Floats | None) -> None:
     lane[:] = (weight @ np.array([EMOTION_COLORS[e] for e in EMOTIONS])).astype(np.uint8)[None]
 
 
-def _draw_curve(lane: Picture, values: Floats, color: tuple[int, int, int]) -> None:
+def _draw_curve(lane: Picture, values: Float32, color: tuple[int, int, int]) -> None:
     """A filled curve of values 0..1."""
     tall, width = lane.shape[:2]
     frames = np.linspace(0, len(values) - 1, width)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.decoding import open_sound
 from deitalk.data.clips import read_phones
 from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls, read_curves
+from rig.arrays import Float32
 
 MAX_SECONDS = 1800.0
 MAX_AUDIO_BYTES = 500_000_000
@@ -44,9 +44,9 @@ class PreviewSource:
 
     title: str
     curves: RigCurves
-    samples: NDArray[np.float32]
+    samples: Float32
     sample_rate: int
-    neutral: NDArray[np.float32] | None = None
+    neutral: Float32 | None = None
     phones: Phones = ()
 
     @property
@@ -125,7 +125,7 @@ def _on_the_board(curves: RigCurves) -> RigCurves:
     return curves if curves.names == names else curves.select(names)
 
 
-def _read_audio(path: Path) -> tuple[NDArray[np.float32], int]:
+def _read_audio(path: Path) -> tuple[Float32, int]:
     """Mono samples at the recording's own rate."""
     if not path.is_file():
         raise PreviewError(f"recording {path} is not there; give it with --audio")

@@ -7,12 +7,12 @@ Letters: T frames, V vertices.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.load import SAMPLE_RATE
 from deitalk.data import checks as check
 from deitalk.data import offset
 from deitalk.preview.source import PreviewSource
+from rig.arrays import AnyFloat, Float32, Float64
 from rig.face import Head, build_head
 
 OPEN_CM = 0.1
@@ -77,18 +77,18 @@ def bilabial_warnings(source: PreviewSource) -> list[Finding]:
     return found
 
 
-def lip_gaps(head: Head, values: NDArray[np.floating]) -> NDArray[np.float64]:
+def lip_gaps(head: Head, values: AnyFloat) -> Float64:
     """Widest distance between the rims of the lips (T,), cm, of control values (T, 185)."""
     upper, lower = head.features.lip_rims()
     skin = head.pose(values)[:, head.slices["skin"]].astype(np.float64)
-    gaps: NDArray[np.float64] = np.linalg.norm(skin[:, lower] - skin[:, upper], axis=-1).max(1)
+    gaps: Float64 = np.linalg.norm(skin[:, lower] - skin[:, upper], axis=-1).max(1)
     return gaps
 
 
-def _at_16_khz(samples: NDArray[np.float32], rate: int) -> NDArray[np.float32]:
+def _at_16_khz(samples: Float32, rate: int) -> Float32:
     import soxr
 
     if rate == SAMPLE_RATE:
         return samples
-    resampled: NDArray[np.float32] = soxr.resample(samples, rate, SAMPLE_RATE)
+    resampled: Float32 = soxr.resample(samples, rate, SAMPLE_RATE)
     return resampled

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deitalk.data.mesh_folder import MeshFolder
 from deitalk.models.deformation_decoder import Coefficients
+from rig.arrays import Float32, Float64
 
 RIDGE = 1e-3
 """Over the mean square of the coefficients, which is about 1."""
@@ -48,7 +48,7 @@ class LipRegression(nn.Module):
     @classmethod
     def fit(
         cls,
-        clips: Sequence[tuple[dict[str, NDArray[np.float32]], int]],
+        clips: Sequence[tuple[dict[str, Float32], int]],
         folder: MeshFolder,
         *,
         motion: str,
@@ -94,5 +94,5 @@ class LipRegression(nn.Module):
         return self.partings[speaker.argmax(dim=1)].unsqueeze(1)
 
 
-def _stacked(rows: list[NDArray[np.float64]]) -> Tensor:
+def _stacked(rows: list[Float64]) -> Tensor:
     return torch.from_numpy(np.stack(rows)).float()

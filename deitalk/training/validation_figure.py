@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.data.clips import Clip
 from deitalk.evaluation.validation import Example, lips_together, load_example, predict
 from deitalk.figures.canvas import draw_waveform, drawing
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
+from rig.arrays import Float32
 
 N_CLIPS = 2
 SHOWN_SECONDS = 8.0
 """Of longer clips the beginning is shown."""
 JAW = "CTRL_C_jaw.ty"
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class FixedClips:
         column[-1].set_xlim(0, min(len(curves) / 30, SHOWN_SECONDS))
 
 
-def _draw_pair(axis: Any, label: str, target: Floats, predicted: Floats | None) -> None:
+def _draw_pair(axis: Any, label: str, target: Float32, predicted: Float32 | None) -> None:
     """A target as an area, a prediction as a line; an intensity may be unknown or not predicted."""
     times = np.arange(len(target)) / 30
     axis.fill_between(times, 0, np.nan_to_num(target), color="0.8", lw=0, label="target")

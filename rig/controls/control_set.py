@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.controls.control import NEWER_ONLY, SETS, Control, read_table
 from rig.errors import ControlError, quoted
 from rig.files.reading import read_text
@@ -35,7 +36,6 @@ _LONGEST_NAME = 100
 SIDES = {"left": "L", "right": "R", "center": "C"}
 
 Indices = NDArray[np.intp]
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -79,17 +79,17 @@ class ControlSet:
         return tuple(control.name for control in self.controls)
 
     @cached_property
-    def minimum(self) -> Floats:
+    def minimum(self) -> Float32:
         """Lower ends of the ranges [shape=(C,)]."""
         return _floats([control.minimum for control in self.controls])
 
     @cached_property
-    def maximum(self) -> Floats:
+    def maximum(self) -> Float32:
         """Upper ends of the ranges [shape=(C,)]."""
         return _floats([control.maximum for control in self.controls])
 
     @cached_property
-    def rest(self) -> Floats:
+    def rest(self) -> Float32:
         """Values of the face at rest [shape=(C,)]; not all are 0."""
         return _floats([control.rest for control in self.controls])
 
@@ -100,7 +100,7 @@ class ControlSet:
         return _indices(places)
 
     @cached_property
-    def mirror_sign(self) -> Floats:
+    def mirror_sign(self) -> Float32:
         """1, or -1 where mirroring turns the value round [shape=(C,)]."""
         return _floats([control.mirror_sign for control in self.controls])
 
@@ -313,7 +313,7 @@ def _check_control(control: Control, known: set[str]) -> None:
         )
 
 
-def _floats(values: Sequence[float]) -> Floats:
+def _floats(values: Sequence[float]) -> Float32:
     array = np.array(values, dtype=np.float32)
     array.setflags(write=False)
     return array

@@ -22,6 +22,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.controls import Control, ControlSet
 from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.curves import RigCurves
@@ -41,8 +42,6 @@ SMALLEST_JAW = 1e-4
 MAX_SWEEPS = 60
 """Of coordinate descent; the worst group (Pucker, Funnel) gains a factor 3 per sweep."""
 
-Floats = NDArray[np.float32]
-
 
 @dataclass(frozen=True, eq=False)
 class ArkitFit:
@@ -60,7 +59,7 @@ class ArkitFit:
     """
 
     curves: RigCurves
-    residual: Floats
+    residual: Float32
     lost: float
 
     def __str__(self) -> str:
@@ -151,7 +150,7 @@ def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = Non
     return ArkitFit(fitted, np.linalg.norm(missed, axis=1), min(lost, 1.0))
 
 
-def _fit(moved: Floats) -> Floats:
+def _fit(moved: Float32) -> Float32:
     """Return weights in [0, 1] that best fit the poses [shape=(T, 61)].
 
     A raw curve at 1 was clamped: it only says "1 or more". So the fit is to the clamped sum.
@@ -164,13 +163,13 @@ def _fit(moved: Floats) -> Floats:
     return weights
 
 
-def _fit_group(moved: Floats, poses: Floats) -> Floats:
+def _fit_group(moved: Float32, poses: Float32) -> Float32:
     """Fit shapes that share raw curves, by coordinate descent; one shape takes one exact step."""
     weights = np.zeros((len(moved), len(poses)), np.float32)
     size = (poses * poses).sum(axis=1)
     is_clamped = moved >= 1 - 1e-6
     if len(poses) == 1:
-        alone: Floats = np.clip(moved @ poses.T / size, 0, 1)
+        alone: Float32 = np.clip(moved @ poses.T / size, 0, 1)
         return alone
     model = np.zeros_like(moved)
     for _ in range(MAX_SWEEPS):
@@ -199,7 +198,7 @@ def _groups() -> list[list[int]]:
     return groups
 
 
-def _turn_eyes(values: Floats, raw: RigCurves) -> None:
+def _turn_eyes(values: Float32, raw: RigCurves) -> None:
     """Write eye rotations in radians: yaw to the character's right and pitch down are positive."""
     arkit = arkit_controls()
     for side, letter in (("Left", "L"), ("Right", "R")):
@@ -212,7 +211,7 @@ def _turn_eyes(values: Floats, raw: RigCurves) -> None:
         values[:, arkit.index(f"{side}EyePitch")] = np.radians(pitch)
 
 
-def _turn_head(values: Floats, degrees: Floats) -> None:
+def _turn_head(values: Float32, degrees: Float32) -> None:
     if degrees.shape != (len(values), 3) or not np.isfinite(degrees).all():
         raise CurveError(
             f"head rotations of shape {degrees.shape} must be {(len(values), 3)} finite degrees: "
@@ -223,7 +222,7 @@ def _turn_head(values: Floats, degrees: Floats) -> None:
 
 
 @cache
-def _poses() -> Floats:
+def _poses() -> Float32:
     """Return the raw curves that each shape moves [shape=(61, 251)]."""
     raw = raw_controls()
     table = _table()

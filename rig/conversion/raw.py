@@ -19,6 +19,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import ControlError
@@ -33,8 +34,6 @@ OLDER_TONGUE = {
     "tongueTwistRight": "tongueRollRight",
 }
 """Names of the mh3 rig for the same movements."""
-
-Floats = NDArray[np.float32]
 
 
 @cache
@@ -107,12 +106,12 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
     return replace(raw, values=values, names=board.names, control_set=DEFAULT_ID)
 
 
-def _driver(board: RigCurves, name: str) -> Floats:
+def _driver(board: RigCurves, name: str) -> Float32:
     both = BOTH_EYES.get(name)
     return board[name] if both is None else np.clip(board[name] + board[both], -1, 1)
 
 
-def _nearest(points: Floats, inputs: Floats, outputs: Floats) -> Floats:
+def _nearest(points: Float32, inputs: Float32, outputs: Float32) -> Float32:
     """Return the input of the nearest point on a path [points shape=(T, curves)]."""
     best = np.full(len(points), np.inf, np.float32)
     x = np.zeros(len(points), np.float32)
@@ -127,7 +126,7 @@ def _nearest(points: Floats, inputs: Floats, outputs: Floats) -> Floats:
 
 
 @cache
-def _paths() -> dict[str, tuple[NDArray[np.intp], Floats, Floats]]:
+def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
     """Return, by board channel: its raw columns, its knots (K,), and their values (K, columns)."""
     by_driver: dict[str, list[tuple[int, str]]] = {}
     for column, row in enumerate(_table()):

@@ -12,9 +12,9 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.curves import RigCurves, check_clip, n_frames_for, rest_curves
 from rig.errors import FormatError, quoted
@@ -48,7 +48,6 @@ MINIMUM_CUE_SECONDS = 0.06
 TRANSITION_SECONDS = 0.08
 OCULUS = "oculus"
 RHUBARB = "rhubarb"
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def names(viseme_set: str) -> tuple[str, ...]:
     return tuple(row["name"] for row in _rows(viseme_set))
 
 
-def weights(curves: RigCurves, viseme_set: str = OCULUS) -> Floats:
+def weights(curves: RigCurves, viseme_set: str = OCULUS) -> Float32:
     """Return how much each frame is each viseme [shape=(T, visemes), rows sum to 1].
 
     Parameters
@@ -81,7 +80,7 @@ def weights(curves: RigCurves, viseme_set: str = OCULUS) -> Floats:
     squares = np.stack([((measured - pose) ** 2).sum(axis=1) for pose in poses], axis=1)
     share = np.exp((squares.min(axis=1, keepdims=True) - squares) / (2 * WIDTH**2))
     share[share < 0.01] = 0
-    total: Floats = share / share.sum(axis=1, keepdims=True)
+    total: Float32 = share / share.sum(axis=1, keepdims=True)
     return total
 
 
@@ -128,7 +127,7 @@ def cues_to_curves(given: Sequence[Cue], fps: float = 30.0) -> RigCurves:
     return posed(uniform_filter1d(amounts, size, axis=0, mode="nearest"), fps)
 
 
-def gestures(curves: RigCurves) -> Floats:
+def gestures(curves: RigCurves) -> Float32:
     """Return the ten gestures [shape=(T, 10), range 0 to 1]; controls that are absent rest."""
     board = curves.reorder(default_controls())
     measured = [
@@ -138,7 +137,7 @@ def gestures(curves: RigCurves) -> Floats:
     return np.stack(measured, axis=1).astype(np.float32)
 
 
-def posed(amounts: Floats, fps: float) -> RigCurves:
+def posed(amounts: Float32, fps: float) -> RigCurves:
     """Return board curves of gestures [amounts shape=(T, 10)]; the opposite of `gestures`."""
     rest = rest_curves(len(amounts), fps=fps)
     values = rest.values.copy()
@@ -175,7 +174,7 @@ def _controls(gesture: str) -> list[tuple[str, float]]:
 
 
 @cache
-def _poses(viseme_set: str) -> Floats:
+def _poses(viseme_set: str) -> Float32:
     """Return the poses [shape=(visemes, 10)]."""
     rows = _rows(viseme_set)
     return np.array([[float(row[gesture]) for gesture in GESTURES] for row in rows], np.float32)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
+from rig.arrays import Bool, Float32
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError
@@ -189,7 +190,7 @@ def smooth(
 
 
 def _restore_closures(
-    values: NDArray[np.float32], curves: RigCurves, chosen: NDArray[np.intp], sigma: float
+    values: Float32, curves: RigCurves, chosen: NDArray[np.intp], sigma: float
 ) -> None:
     present = set(chosen.tolist())
     for name in CLOSURE_CONTROLS:
@@ -202,7 +203,7 @@ def _restore_closures(
             values[:, column] = weight * original + (1 - weight) * values[:, column]
 
 
-def _closures(curve: NDArray[np.float32], sigma: float, *, is_jaw: bool) -> NDArray[np.bool_]:
+def _closures(curve: Float32, sigma: float, *, is_jaw: bool) -> Bool:
     """Return the frames where a moving curve is deepest in its neighbourhood, and deep."""
     size = 2 * math.ceil(sigma) + 1
     lowest, highest = minimum_filter1d(curve, size), maximum_filter1d(curve, size)
@@ -212,7 +213,7 @@ def _closures(curve: NDArray[np.float32], sigma: float, *, is_jaw: bool) -> NDAr
     return np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
 
 
-def _bump(closed: NDArray[np.bool_], sigma: float) -> NDArray[np.float32]:
+def _bump(closed: Bool, sigma: float) -> Float32:
     """Return 1 on closed frames, falling as a Gaussian to 0 away from them."""
     radius = max(1, math.ceil(3 * sigma))
     frames = np.flatnonzero(closed)

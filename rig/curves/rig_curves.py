@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
 from rig.errors import ControlError, CurveError
 from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
@@ -23,8 +24,6 @@ NTSC = 30000 / 1001
 NTSC_DOUBLE = 60000 / 1001
 STANDARD_RATES = (24.0, NTSC_FILM, 25.0, NTSC, 30.0, 48.0, 50.0, NTSC_DOUBLE, 60.0, 100.0, 120.0)
 """Frame rates (Hz) of film and games; 23.976, 29.97 and 59.94 are exact fractions."""
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,11 +56,11 @@ class RigCurves:
         If a name is empty or doubled.
     """
 
-    values: Floats
+    values: Float32
     names: tuple[str, ...]
     fps: float = 30.0
-    emotion: Floats | None = None
-    intensity: Floats | None = None
+    emotion: Float32 | None = None
+    intensity: Float32 | None = None
     control_set: str = DEFAULT_ID
 
     def __post_init__(self) -> None:
@@ -91,7 +90,7 @@ class RigCurves:
             f"{len(self.names)} controls of {self.control_set}{tracks}>"
         )
 
-    def __getitem__(self, name: str) -> Floats:
+    def __getitem__(self, name: str) -> Float32:
         """Return one control over time [shape=(T,)], by any spelling of the default board."""
         return self.values[:, self.index(name)]
 
@@ -101,7 +100,7 @@ class RigCurves:
         return len(self) / self.fps
 
     @cached_property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Float64:
         """Time of each frame in seconds [shape=(T,)]."""
         return frames_to_time(np.arange(len(self)), fps=self.fps)
 
@@ -168,9 +167,9 @@ class RigCurves:
         high = np.minimum(low + 1, len(self) - 1)
         weight = np.clip(position - low, 0.0, 1.0).astype(np.float32)
 
-        def interpolate(rows: Floats) -> Floats:
+        def interpolate(rows: Float32) -> Float32:
             w = weight.reshape(-1, *[1] * (rows.ndim - 1))
-            blended: Floats = rows[low] * (1 - w) + rows[high] * w
+            blended: Float32 = rows[low] * (1 - w) + rows[high] * w
             return blended
 
         return replace(self._with_rows(interpolate), fps=fps)
@@ -188,7 +187,7 @@ class RigCurves:
         sources = [self.index(controls.names[i]) for i in controls.mirror_index[in_set]]
         return replace(self, values=self.values[:, sources] * controls.mirror_sign[in_set])
 
-    def _with_rows(self, change: Callable[[Floats], Floats]) -> "RigCurves":
+    def _with_rows(self, change: Callable[[Float32], Float32]) -> "RigCurves":
         emotion = None if self.emotion is None else change(self.emotion)
         intensity = None if self.intensity is None else change(self.intensity)
         return replace(self, values=change(self.values), emotion=emotion, intensity=intensity)
@@ -237,7 +236,7 @@ def rest_curves(
     return RigCurves(values, controls.names, fps, control_set=controls.id)
 
 
-def frames_to_time(frames: ArrayLike, *, fps: float) -> NDArray[np.float64]:
+def frames_to_time(frames: ArrayLike, *, fps: float) -> Float64:
     """Return the time of frames in seconds: frame / fps."""
     return np.asarray(frames, dtype=np.float64) / fps
 
@@ -291,7 +290,7 @@ def snap_fps(fps: float) -> float:
     return fps
 
 
-def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Floats:
+def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float32:
     """Return a read-only float32 array of a shape, or say which value is wrong."""
     with np.errstate(over="ignore"):  # what becomes infinite is named below
         array = np.asarray(values, dtype=np.float32)
@@ -310,7 +309,7 @@ def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float
     return array
 
 
-def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Floats | None:
+def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Float32 | None:
     if values is None:
         return None
     track = _array(values, what, shape)
@@ -319,6 +318,6 @@ def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Float
     return track
 
 
-def _joined(tracks: Sequence[Floats | None]) -> Floats | None:
+def _joined(tracks: Sequence[Float32 | None]) -> Float32 | None:
     present = [track for track in tracks if track is not None]
     return np.concatenate(present) if len(present) == len(tracks) else None

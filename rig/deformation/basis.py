@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.deformation.gradients import pack_vertices
 from rig.deformation.reconstruct import DeformationSolver
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
 from rig.mesh.trimesh import TriMesh, triangle_areas
-
-Floats = NDArray[np.float64]
 
 VARIANCES = (0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9999)
 """Shares of weighted variance that `choose_bases` tries, in this order."""
@@ -41,18 +40,18 @@ class GradientBasis:
         Root of each number's triangle area, over its mean.
     """
 
-    mean: NDArray[np.float32]
+    mean: Float32
     components: NDArray[np.float16]
-    deviations: NDArray[np.float32]
-    weights: NDArray[np.float32]
+    deviations: Float32
+    weights: Float32
 
-    def project(self, frames: Any) -> Floats:
+    def project(self, frames: Any) -> Float64:
         """Coefficients [shape=(..., K)] of frames [shape=(..., D)]: weighted least squares."""
         weighted = (np.asarray(frames, dtype=np.float64) - self.mean) * self.weights
         directions = self.components.astype(np.float64) * self.weights
         return np.asarray(weighted @ directions.T / self.deviations.astype(np.float64) ** 2)
 
-    def expand(self, coefficients: Any) -> Floats:
+    def expand(self, coefficients: Any) -> Float64:
         """Frames [shape=(..., D)] of coefficients [shape=(..., K)]."""
         given = np.asarray(coefficients, dtype=np.float64)
         return np.asarray(self.mean + given @ self.components.astype(np.float64))

@@ -6,13 +6,11 @@ T frames, N triangles. A gradient is `T_i = R_i S_i`; a frame is packed as s (6N
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.deformation.rotations import exp_entries, polar, rotation_log, unwrap_sequence
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, degenerate_triangles, listed
-
-Floats = NDArray[np.float64]
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Order of the six packed stretch entries: xx, xy, xz, yy, yz, zz."""
@@ -22,7 +20,7 @@ _COLLAPSED = 1e-14
 """A moved triangle counts as collapsed below this share of the mesh's squared size."""
 
 
-def triangle_frames(vertices: Any, faces: Any) -> Floats:
+def triangle_frames(vertices: Any, faces: Any) -> Float64:
     """Edges of each triangle with its fourth vertex, as columns (SDFA Eq. 1 and 3).
 
     v4 - v1 = n / sqrt(|n|), n = (v2 - v1) x (v3 - v1): as long as the root of twice the area, so
@@ -59,7 +57,7 @@ def refuse_degenerate(mesh: TriMesh) -> None:
         )
 
 
-def deformation_gradients(rest: TriMesh, deformed: Any) -> Floats:
+def deformation_gradients(rest: TriMesh, deformed: Any) -> Float64:
     """T_i = V~_i V_i^-1 for each triangle (SDFA Eq. 2-4).
 
     Parameters
@@ -91,10 +89,10 @@ def deformation_gradients(rest: TriMesh, deformed: Any) -> Floats:
     moved = triangle_frames(points, rest.faces)
     _refuse_collapsed(moved, rest.size)
     inverse = np.linalg.inv(triangle_frames(rest.vertices, rest.faces))
-    return cast(Floats, moved @ inverse)
+    return cast(Float64, moved @ inverse)
 
 
-def _refuse_collapsed(moved: Floats, size: float) -> None:
+def _refuse_collapsed(moved: Float64, size: float) -> None:
     # |v4 - v1|^2 is twice the area.
     doubled_area = np.sum(moved[..., 2] ** 2, axis=-1)
     flat = doubled_area <= _COLLAPSED * size**2
@@ -109,7 +107,7 @@ def _refuse_collapsed(moved: Floats, size: float) -> None:
     )
 
 
-def pack(gradients: Any, *, continuous: bool = False) -> tuple[Floats, Floats]:
+def pack(gradients: Any, *, continuous: bool = False) -> tuple[Float64, Float64]:
     """Split frames of gradients into packed stretch and rotation (SDFA §3.4).
 
     Parameters
@@ -147,7 +145,7 @@ def pack(gradients: Any, *, continuous: bool = False) -> tuple[Floats, Floats]:
 
 def pack_vertices(
     rest: TriMesh, deformed: Any, *, continuous: bool = False
-) -> tuple[Floats, Floats]:
+) -> tuple[Float64, Float64]:
     """Packed s and r of deformed meshes [shape=(T, V, 3)], a few frames at a time."""
     points = np.asarray(deformed)
     parts = [
@@ -160,7 +158,7 @@ def pack_vertices(
     return s, r
 
 
-def unpack(s: Any, r: Any) -> Floats:
+def unpack(s: Any, r: Any) -> Float64:
     """Put T = R S together again.
 
     Parameters
@@ -186,7 +184,7 @@ def unpack(s: Any, r: Any) -> Floats:
     return np.moveaxis(products, (0, 1), (-2, -1))
 
 
-def gradient_entries(stretch: Floats, turn: Floats) -> Floats:
+def gradient_entries(stretch: Float64, turn: Float64) -> Float64:
     """Entries [shape=(3, 3, ...)] of R S from packed rows (6, ...) and (3, ...)."""
     rotation = exp_entries(np.ascontiguousarray(turn))
     xx, xy, xz, yy, yz, zz = np.ascontiguousarray(stretch)

@@ -15,17 +15,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
+from rig.arrays import Bool, Float64, Int64
 from rig.deformation.gradients import gradient_entries, refuse_degenerate
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, components, triangle_areas
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FRAMES_PER_SOLVE = 8
 """Right-hand sides go through the factors eight frames (24 columns) at a time, which stays in
@@ -45,8 +42,8 @@ class RigidPart:
         for upper). Empty: the part stays.
     """
 
-    vertices: Ints
-    follows: Ints
+    vertices: Int64
+    follows: Int64
 
 
 class DeformationSolver:
@@ -104,7 +101,7 @@ class DeformationSolver:
         )
         self._threads = ThreadpoolController()
 
-    def solve(self, s: Any, r: Any, *, pin_positions: Any = None) -> Floats:
+    def solve(self, s: Any, r: Any, *, pin_positions: Any = None) -> Float64:
         """Vertices that best keep the packed gradients (Eq. 5-6).
 
         Parameters
@@ -133,7 +130,7 @@ class DeformationSolver:
             )
         s2, r2 = np.atleast_2d(s), np.atleast_2d(r)
 
-        def gradients() -> Iterator[Floats]:
+        def gradients() -> Iterator[Float64]:
             for stretch, turn in zip(s2, r2, strict=True):
                 rows = np.ascontiguousarray(stretch.reshape(-1, 6).T, dtype=np.float64)
                 turns = np.ascontiguousarray(turn.reshape(-1, 3).T, dtype=np.float64)
@@ -144,7 +141,7 @@ class DeformationSolver:
         solved = self._run(gradients(), len(s2), pin_positions)
         return solved[0] if s.ndim == 1 else solved
 
-    def solve_gradients(self, gradients: Any, *, pin_positions: Any = None) -> Floats:
+    def solve_gradients(self, gradients: Any, *, pin_positions: Any = None) -> Float64:
         """Vertices from whole gradients [shape=(T, N, 3, 3) or (N, 3, 3)]; else as `solve`."""
         t = np.asarray(gradients, dtype=np.float64)
         if t.ndim not in (3, 4) or t.shape[-3:] != (len(self.template.faces), 3, 3):
@@ -157,7 +154,7 @@ class DeformationSolver:
         solved = self._run(each, len(frames), pin_positions)
         return solved[0] if t.ndim == 3 else solved
 
-    def _run(self, gradients: Iterator[Floats], frames: int, pin_positions: Any) -> Floats:
+    def _run(self, gradients: Iterator[Float64], frames: int, pin_positions: Any) -> Float64:
         vertices = np.tile(self.template.vertices, (frames, 1, 1))
         pins = self._pin_positions(pin_positions, frames)
         vertices[:, self.pins] = pins
@@ -176,13 +173,13 @@ class DeformationSolver:
             self._move_rigidly(part, vertices)
         return vertices
 
-    def _assemble(self, gradient: Floats, pins: Floats, out: Floats) -> None:
+    def _assemble(self, gradient: Float64, pins: Float64, out: Float64) -> None:
         """Right-hand side A^T c of one frame [shape=(3, free)], pins moved to this side."""
         for axis in range(3):
             out[axis] = self._right_hand @ np.ascontiguousarray(gradient[axis]).ravel()
         out -= (self._coupling @ pins).T
 
-    def _pin_positions(self, positions: Any, frames: int) -> Floats:
+    def _pin_positions(self, positions: Any, frames: int) -> Float64:
         given = self.template.vertices[self.pins] if positions is None else positions
         given = np.asarray(given, dtype=np.float64)
         if given.shape not in ((len(self.pins), 3), (frames, len(self.pins), 3)):
@@ -192,7 +189,7 @@ class DeformationSolver:
             )
         return np.broadcast_to(given, (frames, len(self.pins), 3))
 
-    def _move_rigidly(self, part: RigidPart, vertices: Floats) -> None:
+    def _move_rigidly(self, part: RigidPart, vertices: Float64) -> None:
         rest = self.template.vertices
         if len(part.follows) == 0:
             return
@@ -201,7 +198,7 @@ class DeformationSolver:
             frame[part.vertices] = rest[part.vertices] @ rotation.T + shift
 
 
-def rigid_motion(before: Any, after: Any) -> tuple[Floats, Floats]:
+def rigid_motion(before: Any, after: Any) -> tuple[Float64, Float64]:
     """Rotation R [shape=(3, 3)] and shift t [shape=(3,)] that best take points to points.
 
     Least squares over `R x + t` (Kabsch); never a reflection.
@@ -243,7 +240,7 @@ def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart
     return parts
 
 
-def quietest_pins(template: TriMesh, shapes: Any) -> Ints:
+def quietest_pins(template: TriMesh, shapes: Any) -> Int64:
     """For each component, the vertex that moves least over `shapes` [shape=(K, V, 3)].
 
     A pin held at its neutral place costs exactly the motion it really had.
@@ -252,11 +249,11 @@ def quietest_pins(template: TriMesh, shapes: Any) -> Ints:
     labels = components(template)
     order = np.lexsort((motion, labels))
     first = order[np.unique(labels[order], return_index=True)[1]]
-    pins: Ints = np.sort(first)
+    pins: Int64 = np.sort(first)
     return pins
 
 
-def _membership(parts: Sequence[RigidPart], count: int) -> NDArray[np.bool_]:
+def _membership(parts: Sequence[RigidPart], count: int) -> Bool:
     inside = np.zeros(count, dtype=bool)
     for part in parts:
         outside = [i for i in (*part.vertices, *part.follows) if not 0 <= i < count]
@@ -266,7 +263,7 @@ def _membership(parts: Sequence[RigidPart], count: int) -> NDArray[np.bool_]:
     return inside
 
 
-def _choose_pins(template: TriMesh, in_part: NDArray[np.bool_], pins: Ints) -> Ints:
+def _choose_pins(template: TriMesh, in_part: Bool, pins: Int64) -> Int64:
     count = len(template.vertices)
     free = ~in_part
     free[np.setdiff1d(np.arange(count), template.faces)] = False
@@ -277,11 +274,11 @@ def _choose_pins(template: TriMesh, in_part: NDArray[np.bool_], pins: Ints) -> I
     missing = np.setdiff1d(labels[free], labels[pins])
     depth = np.where(free, template.vertices[:, 2], np.inf)
     rearmost = [int(np.argmin(np.where(labels == label, depth, np.inf))) for label in missing]
-    chosen: Ints = np.unique(np.concatenate([pins, np.array(rearmost, dtype=np.int64)]))
+    chosen: Int64 = np.unique(np.concatenate([pins, np.array(rearmost, dtype=np.int64)]))
     return chosen
 
 
-def _gradient_operator(vertices: Floats, faces: Ints) -> csr_array:
+def _gradient_operator(vertices: Float64, faces: Int64) -> csr_array:
     """Sparse A: positions -> gradient within each triangle's plane [shape=(3 N, V)].
 
     Row a N + i holds derivative along axis a on triangle i: the rows of the pseudo-inverse of

@@ -7,15 +7,14 @@ numpy works on long rows. `...` is any batch: triangles, or frames x triangles.
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rig.arrays import Float64
 
 _NEWTON_STEPS = 40
 _CYCLE = ((1, 2), (2, 0), (0, 1))
 
 
-def polar(matrices: Any) -> tuple[Floats, Floats]:
+def polar(matrices: Any) -> tuple[Float64, Float64]:
     """Split each T into R S: a rotation and a symmetric stretch.
 
     SDFA §3.4 (after its refs. 19, 20), by Newton's iteration X <- (g X + X^-T / g) / 2 with the
@@ -48,7 +47,7 @@ def polar(matrices: Any) -> tuple[Floats, Floats]:
     return matrix(rotation), matrix(stretch)
 
 
-def polar_rotation(t: Floats) -> Floats:
+def polar_rotation(t: Float64) -> Float64:
     """Nearest rotation to each T, both as entries [shape=(3, 3, ...)]."""
     x = np.array(t, dtype=np.float64)
     tolerance = 8 * np.finfo(x.dtype).eps
@@ -67,11 +66,11 @@ def polar_rotation(t: Floats) -> Floats:
     return x
 
 
-def _norm(x: Floats) -> Floats:
-    return cast(Floats, np.sqrt(np.einsum("ij...,ij...->...", x, x)))
+def _norm(x: Float64) -> Float64:
+    return cast(Float64, np.sqrt(np.einsum("ij...,ij...->...", x, x)))
 
 
-def _cofactors(x: Floats) -> Floats:
+def _cofactors(x: Float64) -> Float64:
     result = np.empty_like(x)
     for i, (a, b) in enumerate(_CYCLE):
         for j, (c, d) in enumerate(_CYCLE):
@@ -79,7 +78,7 @@ def _cofactors(x: Floats) -> Floats:
     return result
 
 
-def rotation_log(rotations: Any) -> Floats:
+def rotation_log(rotations: Any) -> Float64:
     """Rotation vector of each R: axis times angle, |r| <= pi radians.
 
     By way of the unit quaternion, whose largest entry is found first: accurate at every angle,
@@ -104,10 +103,10 @@ def rotation_log(rotations: Any) -> Floats:
     sine = np.sqrt(np.sum(q[1:] * q[1:], axis=0))
     angle = 2.0 * np.arctan2(sine, q[0])
     factor = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=sine > 0)
-    return cast(Floats, np.moveaxis(factor * q[1:], 0, -1))
+    return cast(Float64, np.moveaxis(factor * q[1:], 0, -1))
 
 
-def _quaternion_outer(r: Floats) -> Floats:
+def _quaternion_outer(r: Float64) -> Float64:
     """Give 4 q q^T for each rotation [shape=(4, 4, ...)], q = (w, x, y, z)."""
     outer = np.empty((4, 4, *r.shape[2:]))
     outer[0, 0] = 1 + r[0, 0] + r[1, 1] + r[2, 2]
@@ -120,7 +119,7 @@ def _quaternion_outer(r: Floats) -> Floats:
     return outer
 
 
-def rotation_exp(vectors: Any) -> Floats:
+def rotation_exp(vectors: Any) -> Float64:
     """Rotation of each rotation vector [shape=(..., 3), radians] -> [shape=(..., 3, 3)].
 
     Rodrigues' formula (SDFA §3.4); any angle, beyond pi too.
@@ -129,7 +128,7 @@ def rotation_exp(vectors: Any) -> Floats:
     return matrix(exp_entries(components))
 
 
-def exp_entries(vectors: Floats) -> Floats:
+def exp_entries(vectors: Float64) -> Float64:
     """Rodrigues' formula on entries: [shape=(3, ...)] -> [shape=(3, 3, ...)]."""
     x, y, z = vectors
     half = 0.5 * np.sqrt(x * x + y * y + z * z)
@@ -151,7 +150,7 @@ def exp_entries(vectors: Floats) -> Floats:
     return result
 
 
-def unwrap(vectors: Any, reference: Any) -> Floats:
+def unwrap(vectors: Any, reference: Any) -> Float64:
     """Choose, of the vectors that mean the same rotation, the one nearest to a reference.
 
     r and r + 2 pi k axis are one rotation. Near pi the logarithm jumps from one end of the axis
@@ -180,10 +179,10 @@ def unwrap(vectors: Any, reference: Any) -> Floats:
     axis = np.divide(direction, length, out=np.zeros_like(direction), where=length > 0)
     along = np.sum(ref * axis, axis=-1, keepdims=True)
     turns = np.round((along - np.where(still, 0.0, angle)) / (2 * np.pi))
-    return cast(Floats, r + 2 * np.pi * turns * axis)
+    return cast(Float64, r + 2 * np.pi * turns * axis)
 
 
-def unwrap_sequence(vectors: Any, start: Any = None) -> Floats:
+def unwrap_sequence(vectors: Any, start: Any = None) -> Float64:
     """Unwrap frame after frame [shape=(T, N, 3), radians]; the first against `start` or rest."""
     frames = np.array(vectors, dtype=np.float64)
     before = np.zeros_like(frames[0]) if start is None else np.asarray(start, dtype=np.float64)
@@ -192,12 +191,12 @@ def unwrap_sequence(vectors: Any, start: Any = None) -> Floats:
     return frames
 
 
-def entries(matrices: Any) -> Floats:
+def entries(matrices: Any) -> Float64:
     """Turn (..., 3, 3) into contiguous entries (3, 3, ...)."""
     moved = np.moveaxis(np.asarray(matrices, dtype=np.float64), (-2, -1), (0, 1))
     return np.ascontiguousarray(moved)
 
 
-def matrix(rows: Floats) -> Floats:
+def matrix(rows: Float64) -> Float64:
     """Turn entries (3, 3, ...) back into (..., 3, 3), a view."""
     return np.moveaxis(rows, (0, 1), (-2, -1))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.geometry.mesh import Array
 from rig.face.head import Head
 from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig.face.render import VIEWS, Renderer, make_renderer
@@ -30,7 +30,7 @@ class Tile:
     """One picture of a sheet: its title, control values (185,) and view."""
 
     title: str
-    values: Array
+    values: Float64
     view: str
 
 

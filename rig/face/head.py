@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rig.arrays import Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
 from rig.face.cache import Arrays, load_or_build
 from rig.face.geometry import ears, eyes, hair, teeth
-from rig.face.geometry.mesh import Array, Index, Mesh, join, mirrored
+from rig.face.geometry.mesh import Mesh, join, mirrored
 from rig.face.geometry.skin import Skin, build_skin, paint_skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
@@ -24,7 +25,7 @@ from rig.face.motion.shapes_mouth import MOUTH_SHAPES
 from rig.face.motion.shapes_other import neck_shapes, side_shapes
 from rig.face.motion.tongue import Tongue
 
-Inputs = dict[str, Array]
+Inputs = dict[str, Float64]
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
 """Full gaze (MetaHuman's board: 40 degrees sideways and down, 30 up)."""
 CONVERGENCE_DEGREES = 2.0
@@ -39,8 +40,8 @@ BATCH = 64
 class _Follow:
     """Vertices that ride on the skin: for each, some skin vertices and their weights."""
 
-    near: Index
-    weight: Array
+    near: Int64
+    weight: Float64
 
 
 class Head:
@@ -61,7 +62,7 @@ class Head:
         The skin's loops and anatomy, for landmarks and checks.
     """
 
-    def __init__(self, identity: Identity, features: Skin, shapes: dict[str, Array]) -> None:
+    def __init__(self, identity: Identity, features: Skin, shapes: dict[str, Float64]) -> None:
         self.identity, self.features = identity, features
         place = features.anatomy
         self._lip_z = float(features.vertices[features.loop(MOUTH, 0)[13], 2])
@@ -126,7 +127,7 @@ class Head:
             arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
         return arches
 
-    def _follow(self, vertices: Array, count: int = 16, reach_cm: float = 0.45) -> _Follow:
+    def _follow(self, vertices: Float64, count: int = 16, reach_cm: float = 0.45) -> _Follow:
         from scipy.spatial import cKDTree
 
         skin = self.features
@@ -135,7 +136,7 @@ class Head:
         weight = np.exp(-((np.asarray(distance) / reach_cm) ** 2)) + 1e-9
         return _Follow(ids[near], weight / weight.sum(1, keepdims=True))
 
-    def pose(self, values: ArrayLike) -> NDArray[np.float32]:
+    def pose(self, values: ArrayLike) -> Float32:
         """Vertices of the joined mesh for control values.
 
         Parameters
@@ -164,7 +165,7 @@ class Head:
         )
         return out[0] if table.ndim == 1 else out
 
-    def _pose(self, frames: Array) -> NDArray[np.float32]:
+    def _pose(self, frames: Float64) -> Float32:
         inputs = bindings()(frames)
         inputs["larynxUp"] = inputs["larynxUp"] + np.interp(
             inputs["swallow"], [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0.4, 1, 1, 0.4, 0]
@@ -183,14 +184,14 @@ class Head:
         self._pose_rest(vertices, inputs)
         return vertices.astype(np.float32)
 
-    def _clear_teeth(self, skin: Array, inputs: Inputs) -> None:
+    def _clear_teeth(self, skin: Float64, inputs: Inputs) -> None:
         upper, lower = self._arches["upper"], self._arches["lower"]
         skin[:, upper.ids] += upper.push(skin[:, upper.ids] - _teeth_shift(inputs, "upper"))
         in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
         moved = in_jaw + lower.push(in_jaw - _teeth_shift(inputs, "lower"))
         skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
 
-    def _pose_mouth(self, vertices: Array, inputs: Inputs) -> None:
+    def _pose_mouth(self, vertices: Float64, inputs: Inputs) -> None:
         vertices[:, self.slices["teeth_upper"]] += _teeth_shift(inputs, "upper")
         lower_shift = _teeth_shift(inputs, "lower")
         lower = vertices[:, self.slices["teeth_lower"]] + lower_shift
@@ -203,7 +204,7 @@ class Head:
         high, low = (skin[:, k, 1:] for k in self._rim_middle)
         vertices[:, self.slices["tongue"]] = self._tongue.settle(tongue, edge[:, 0, 1:], low, high)
 
-    def _pose_eyes(self, vertices: Array, inputs: Inputs, turns: dict[str, Array]) -> None:
+    def _pose_eyes(self, vertices: Float64, inputs: Inputs, turns: dict[str, Float64]) -> None:
         gaze_x = {s: np.clip(inputs[f"gaze.x_{s}"], -1, 1) for s in "LR"}
         gaze_y = {s: np.clip(inputs[f"gaze.y_{s}"], -1, 1) for s in "LR"}
         parallel = np.clip(inputs["gaze.parallel"], 0, 1)
@@ -219,7 +220,7 @@ class Head:
             vertices[:, self.slices[f"eye_{s}"]] = ball @ turn.transpose(0, 2, 1) + center
             self._pose_lashes(vertices, inputs, s, turns[s])
 
-    def _pose_lashes(self, vertices: Array, inputs: Inputs, s: str, turn: Array) -> None:
+    def _pose_lashes(self, vertices: Float64, inputs: Inputs, s: str, turn: Float64) -> None:
         part, root = self.slices[f"lash_{s}"], self._lash_root[s]
         skin = vertices[:, self.slices["skin"]]
         neutral = self.features.vertices[root]
@@ -236,7 +237,7 @@ class Head:
         moved = np.stack(np.broadcast_arrays(offset[:, 0], y, z), -1)
         vertices[:, part] = skin[:, root] + moved
 
-    def _pose_rest(self, vertices: Array, inputs: Inputs) -> None:
+    def _pose_rest(self, vertices: Float64, inputs: Inputs) -> None:
         skin = vertices[:, self.slices["skin"]]
         for s, side in (("L", 1), ("R", -1)):
             ride = self._brows[s]
@@ -246,12 +247,12 @@ class Head:
             vertices[:, self.slices[f"ear_{s}"]] += lift
 
 
-def _teeth_shift(inputs: Inputs, jaw: str) -> Array:
+def _teeth_shift(inputs: Inputs, jaw: str) -> Float64:
     """How far (T, 1, 3) the teeth of one jaw are moved by their own controls, cm."""
     return 0.25 * np.stack([inputs[f"teeth.{jaw}_{axis}"] for axis in "xyz"], -1)[:, None]
 
 
-def _gaze_matrix(pitch_degrees: Array, yaw_degrees: Array) -> Array:
+def _gaze_matrix(pitch_degrees: Float64, yaw_degrees: Float64) -> Float64:
     """Rotations (T, 3, 3): first up by pitch, then to the character's left by yaw."""
     p, w = np.radians(pitch_degrees), np.radians(yaw_degrees)
     zero, one = np.zeros_like(p), np.ones_like(p)
@@ -264,7 +265,7 @@ def _build(identity: Identity) -> Arrays:
     """Neutral skin and every linear shape of one identity, as plain arrays."""
     skin = build_skin(identity)
     maker = ShapeMaker(skin)
-    shapes: dict[str, Array] = {}
+    shapes: dict[str, Float64] = {}
     for shape in (*MOUTH_SHAPES, *FACE_SHAPES):
         shapes |= maker.make(shape)
     shapes |= side_shapes(maker) | neck_shapes(maker)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.geometry.mesh import Array
 
 MOUTH_POSES: dict[str, dict[str, float]] = {
     "rest": {},
@@ -53,7 +53,7 @@ EMOTION_POSES: dict[str, dict[str, float]] = {
 """Textbook (FACS) poses of the five emotions, for looking at the head."""
 
 
-def pose_values(pose: dict[str, float], strength: float = 1.0) -> Array:
+def pose_values(pose: dict[str, float], strength: float = 1.0) -> Float64:
     """Control values (185,) of a pose: rest plus its entries times `strength`.
 
     Raises

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.face.geometry import teeth
 from rig.face.geometry.topology import EYE_L, EYE_R
@@ -39,7 +40,7 @@ def head_arrays(head: Head) -> tuple[Arrays, dict[str, Any]]:
     return arrays, _facts(head)
 
 
-def _real(values: NDArray[Any]) -> NDArray[np.float32]:
+def _real(values: NDArray[Any]) -> Float32:
     return np.ascontiguousarray(values, np.float32)
 
 

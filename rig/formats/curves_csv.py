@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.controls import ControlSet
 from rig.conversion.convert import controls_of, known_controls
 from rig.curves import RigCurves, snap_fps
@@ -101,7 +101,7 @@ def names_of_set(
     return list(known.resolve(names)), known
 
 
-def fps_of(times: NDArray[np.float64], *, where: str) -> float:
+def fps_of(times: Float64, *, where: str) -> float:
     """Return the rate of evenly spaced times (seconds): a standard one where it fits.
 
     Raises

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Bool
+
 CHUNK_CELLS = 30_000
 """Numbers formatted at once; about 1 MB, so that it stays in the cache."""
 LARGEST = 9.0e17
@@ -85,7 +87,7 @@ def rendered(block: Block) -> Text:
     return Text(np.where(keep, text, 0)[:, :-1])
 
 
-def _framed(text: NDArray[np.uint8], keep: NDArray[np.bool_], before: bytes, after: bytes) -> bytes:
+def _framed(text: NDArray[np.uint8], keep: Bool, before: bytes, after: bytes) -> bytes:
     """Join the kept characters of each row, with text around each."""
     n_rows = len(text)
     head = np.tile(np.frombuffer(before, np.uint8), (n_rows, 1))
@@ -97,7 +99,7 @@ def _framed(text: NDArray[np.uint8], keep: NDArray[np.bool_], before: bytes, aft
 
 def _cells(
     block: Block | Text, start: int, stop: int, separator: bytes
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.uint8], Bool]:
     """Return characters and which of them count [both shape=(rows, columns * width)]."""
     if isinstance(block, Text):
         part = block.characters[start:stop]
@@ -127,7 +129,7 @@ def _fraction(
     whole: NDArray[np.signedinteger],
     block: Block,
     text: NDArray[np.uint8],
-    keep: NDArray[np.bool_],
+    keep: Bool,
     point: int,
 ) -> None:
     text[..., point] = ord(".")
@@ -146,7 +148,7 @@ def _fraction(
 def _integer(
     rest: NDArray[np.signedinteger],
     text: NDArray[np.uint8],
-    keep: NDArray[np.bool_],
+    keep: Bool,
     n_integer: int,
 ) -> None:
     for place in range(n_integer, 0, -1):

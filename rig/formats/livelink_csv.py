@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import limits
+from rig.arrays import Float64, Int64
 from rig.controls import ControlSet, check_unique
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
@@ -48,8 +49,8 @@ class LiveLinkTake:
         Columns after the time code and the count.
     """
 
-    ticks: NDArray[np.int64]
-    values: NDArray[np.float64]
+    ticks: Int64
+    values: Float64
     names: tuple[str, ...]
 
     @property
@@ -154,13 +155,13 @@ def write(path: Path, curves: RigCurves) -> None:
     write_take(path, LiveLinkTake(frame_ticks(len(curves), curves.fps), values, curves.names))
 
 
-def frame_ticks(n_frames: int, fps: float) -> NDArray[np.int64]:
+def frame_ticks(n_frames: int, fps: float) -> Int64:
     """Return the ticks of evenly spaced frames: 2000 apart at 30 fps, 2002 at 29.97."""
     ticks = np.rint(np.arange(n_frames) * (TICKS_PER_SECOND / fps))
     return np.asarray(ticks, dtype=np.int64)
 
 
-def timecode_text(ticks: NDArray[np.int64]) -> NDArray[np.uint8]:
+def timecode_text(ticks: Int64) -> NDArray[np.uint8]:
     """Return ``HH:MM:SS:FF.mmm`` as characters [shape=(T, 15)]."""
     text = np.tile(np.frombuffer(b"00:00:00:00.000", np.uint8), (len(ticks), 1))
     sixtieths = ticks // 1000

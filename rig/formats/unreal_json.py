@@ -10,8 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.conversion.raw import board_to_raw
 from rig.curves import RigCurves
@@ -66,7 +66,7 @@ def _key(name: str, *, first: bool) -> bytes:
     return (b"\n " if first else b",\n ") + json.dumps(name).encode() + b": "
 
 
-def _values(values: NDArray[np.float32]) -> Iterator[bytes]:
+def _values(values: Float32) -> Iterator[bytes]:
     if np.ptp(values) < 0.5 * 10.0**-DECIMALS:
         yield f"{round(float(values[0]), DECIMALS):g}".encode()
         return

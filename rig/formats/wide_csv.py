@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.errors import FormatError, quoted, shorten
 from rig.files.reading import check_expansion, check_file, decode_text, open_file
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
@@ -66,7 +66,7 @@ def count_rows(path: Path, n_columns: int) -> int:
 
 def read_numbers(
     path: Path, header: Sequence[str], *, text_columns: Sequence[int] = (), skip_rows: int = 1
-) -> tuple[NDArray[np.float64], list[list[str]]]:
+) -> tuple[Float64, list[list[str]]]:
     """Read the rows under the header.
 
     Parameters
@@ -111,7 +111,7 @@ def read_numbers(
     return numbers, [table[i].astype(str).tolist() for i in text_columns]
 
 
-def read_matrix(path: Path, n_columns: int) -> NDArray[np.float64]:
+def read_matrix(path: Path, n_columns: int) -> Float64:
     """Read a table without a header [shape=(T, n_columns)].
 
     Raises
@@ -156,7 +156,7 @@ def _read_table(
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _as_numbers(column: "pd.Series[Any]") -> NDArray[np.float64]:
+def _as_numbers(column: "pd.Series[Any]") -> Float64:
     """Return a column as numbers, NaN where a cell is none."""
     try:
         return pd.to_numeric(column, errors="coerce").to_numpy(np.float64)

@@ -20,8 +20,8 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.errors import FormatError
 
 VERSION = 6
@@ -57,7 +57,7 @@ class Packet:
     frame: int
     subframe: float
     rate: tuple[int, int]
-    values: NDArray[np.float32]
+    values: Float32
 
     @property
     def seconds(self) -> float:

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.arrays import Float32
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.errors import FormatError, quoted
 from rig.livelink import osc
@@ -19,7 +17,6 @@ DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 MAX_JSON_BYTES = 60_000
 MAX_OSC_BYTES = 1_400
 """Below one Ethernet frame, so that nothing is cut into fragments."""
-Floats = NDArray[np.float32]
 
 
 class LiveProtocol(Protocol):
@@ -29,7 +26,7 @@ class LiveProtocol(Protocol):
     def control_set(self) -> str | None:
         """Set the values belong to; None takes any."""
 
-    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return the datagrams of one frame."""
 
 
@@ -42,7 +39,7 @@ class LiveLinkFace:
     names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
 
-    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return one packet."""
         rate = Fraction(fps).limit_denominator(1001)
         timing = (rate.numerator, rate.denominator)
@@ -61,7 +58,7 @@ class PropertyJson:
     names: Sequence[str] = ()
     control_set: str | None = None
 
-    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return one datagram of text, below 60 kB.
 
         Raises
@@ -90,7 +87,7 @@ class Vmc:
     names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
 
-    def datagrams(self, frame: int, seconds: float, fps: float, values: Floats) -> list[bytes]:
+    def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return bundles that fit an Ethernet frame each."""
         messages = [
             osc.message("/VMC/Ext/OK", 1),

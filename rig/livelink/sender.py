@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from threading import Event
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.conversion.convert import convert, known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
@@ -174,7 +174,7 @@ class _Run:
         seconds = self.clock.now() - self.start
         return SendReport(self.n_sent, self.n_skipped, seconds, max(self.worst, 0.0))
 
-    def _send(self, index: int, values: NDArray[np.float32]) -> None:
+    def _send(self, index: int, values: Float32) -> None:
         frame = self.first_frame + index
         fps = self.curves.fps
         for datagram in self.protocol.datagrams(frame, index / fps, fps, values):

@@ -4,13 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from rig.arrays import Bool, Float64, Int64
 from rig.mesh.trimesh import TriMesh, triangle_normals
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _PENALTY = 1e3
 """A refused triangle counts this many mesh sizes further away: it answers only for want of any."""
@@ -31,12 +28,12 @@ class SurfacePoints:
         False where no allowed triangle was near, and a refused one answered.
     """
 
-    triangles: Ints
-    weights: Floats
-    distances: Floats
-    allowed: NDArray[np.bool_]
+    triangles: Int64
+    weights: Float64
+    distances: Float64
+    allowed: Bool
 
-    def interpolate(self, faces: Ints, values: Any) -> Floats:
+    def interpolate(self, faces: Int64, values: Any) -> Float64:
         """Values at the points [shape=(Q, ...)] from values at vertices [shape=(V, ...)]."""
         corners = np.asarray(values)[faces[self.triangles]]
         return np.asarray(np.einsum("qk,qk...->q...", self.weights, corners))
@@ -105,9 +102,7 @@ class ClosestPoints:
         surface = np.einsum("qk,qkc->qc", weights, self._corners[triangles])
         return SurfacePoints(triangles, weights, np.linalg.norm(points - surface, axis=1), allowed)
 
-    def _refused(
-        self, triangles: Ints, normals: Any, labels: Any, least_cosine: float
-    ) -> NDArray[np.bool_]:
+    def _refused(self, triangles: Int64, normals: Any, labels: Any, least_cosine: float) -> Bool:
         refused = np.zeros(len(triangles), dtype=bool)
         if normals is not None:
             refused |= np.einsum("qc,qc->q", self._normals[triangles], normals) < least_cosine
@@ -116,7 +111,7 @@ class ClosestPoints:
         return refused
 
 
-def closest_barycentric(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+def closest_barycentric(points: Float64, corners: Float64) -> tuple[Float64, Float64]:
     """Closest point of triangle `corners` [shape=(Q, 3, 3)] to each of `points` [shape=(Q, 3)].
 
     Either the foot of the perpendicular, if it falls inside, or the nearest point of an edge.
@@ -140,7 +135,7 @@ def closest_barycentric(points: Floats, corners: Floats) -> tuple[Floats, Floats
     return best, distance
 
 
-def _foot(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+def _foot(points: Float64, corners: Float64) -> tuple[Float64, Float64]:
     """Perpendicular foot; at infinite distance where it falls outside the triangle."""
     a = corners[:, 0]
     u, v, w = corners[:, 1] - a, corners[:, 2] - a, points - a

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
@@ -196,7 +197,7 @@ def _add_mesh(
     ]
 
 
-def _checked_weights(animation: WeightAnimation, count: int) -> NDArray[np.float32]:
+def _checked_weights(animation: WeightAnimation, count: int) -> Float32:
     weights = np.asarray(animation.weights, dtype=np.float32)
     if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
         raise MeshError(f"animation weights have shape {weights.shape}; they must be (T, {count})")
@@ -208,7 +209,7 @@ def _checked_weights(animation: WeightAnimation, count: int) -> NDArray[np.float
 
 
 def add_animation(
-    builder: GlbBuilder, animation: WeightAnimation, weights: dict[int, NDArray[np.float32]]
+    builder: GlbBuilder, animation: WeightAnimation, weights: dict[int, Float32]
 ) -> None:
     """Append one animation that drives the morph weights of nodes (§3.11)."""
     frames = len(next(iter(weights.values())))

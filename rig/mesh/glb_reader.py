@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
 from rig.limits import NODES, PRIMITIVES, SHAPES, TARGETS, TRIANGLES, VERTICES
 from rig.mesh.glb import GlbBuilder, WeightAnimation, add_animation, read_container, write_container
 from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
-
-Floats = NDArray[np.float64]
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -38,10 +37,10 @@ _COMPRESSED = {
 class _Piece:
     """One primitive, already in scene space."""
 
-    vertices: Floats
-    faces: NDArray[np.int64]
+    vertices: Float64
+    faces: Int64
     names: list[str]
-    deltas: list[NDArray[np.float32]]
+    deltas: list[Float32]
 
 
 def read_glb(path: Path | str) -> ShapeSet:
@@ -123,7 +122,7 @@ def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[_Piece]:
                 yield _piece(document, binary, mesh, primitive, transform)
 
 
-def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Floats]]:
+def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
     """Nodes of the default scene with their world transforms; a node is visited once."""
     nodes = document.get("nodes", [])
     if len(nodes) > NODES:
@@ -142,7 +141,7 @@ def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Floats]]:
         waiting.extend((child, world) for child in nodes[index].get("children", []))
 
 
-def _local_transform(node: dict[str, Any]) -> Floats:
+def _local_transform(node: dict[str, Any]) -> Float64:
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
@@ -164,7 +163,7 @@ def _piece(
     binary: bytes,
     mesh: dict[str, Any],
     primitive: dict[str, Any],
-    world: Floats,
+    world: Float64,
 ) -> _Piece:
     vertices = _stored(document, binary, primitive["attributes"]["POSITION"], "VEC3")
     if "indices" in primitive:
@@ -184,7 +183,7 @@ def _piece(
     return _Piece(placed, corners.reshape(-1, 3), names, turned)
 
 
-def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> Floats:
+def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> Float64:
     """Positions or indices: an accessor of one type, whose numbers are all in the file."""
     accessor = document["accessors"][index]
     if accessor["type"] != kind or "bufferView" not in accessor:
@@ -192,7 +191,7 @@ def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> F
     return read_accessor(document, binary, index)
 
 
-def _delta(document: dict[str, Any], binary: bytes, target: dict[str, Any], count: int) -> Floats:
+def _delta(document: dict[str, Any], binary: bytes, target: dict[str, Any], count: int) -> Float64:
     """Displacements of one morph target [shape=(count, 3)]."""
     if "POSITION" not in target:
         return np.zeros((count, 3))
@@ -210,7 +209,7 @@ def target_names(mesh: dict[str, Any], count: int) -> list[str]:
     return [str(name) for name in names]
 
 
-def read_accessor(document: dict[str, Any], binary: bytes, index: int) -> Floats:
+def read_accessor(document: dict[str, Any], binary: bytes, index: int) -> Float64:
     """One accessor as float64 [shape=(count,) or (count, width)], sparse parts put in."""
     accessor = document["accessors"][index]
     kind = np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -318,7 +317,7 @@ def animate_glb(
         nodes = _morphing_nodes(document)
     weights = np.asarray(animation.weights, dtype=np.float32)
     column = {name: i for i, name in enumerate(names)}
-    driven: dict[int, NDArray[np.float32]] = {}
+    driven: dict[int, Float32] = {}
     for node, targets in nodes:
         picked = np.zeros((len(weights), len(targets)), dtype=np.float32)
         known = [(k, column[t]) for k, t in enumerate(targets) if t in column]

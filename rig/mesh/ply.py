@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32, Int64
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.files import atomic_write, output_folder
 from rig.files.reading import check_file, open_file
@@ -45,7 +46,7 @@ def read_ply(path: Path | str) -> TriMesh:
     return TriMesh(vertices, _triangulate(polygons))
 
 
-def _triangulate(polygons: Lists) -> NDArray[np.int64]:
+def _triangulate(polygons: Lists) -> Int64:
     """Triangles [shape=(N, 3)] of polygons: fans from their first corners."""
     counts = np.maximum(polygons.lengths - 2, 0)
     if counts.sum() > TRIANGLES:
@@ -54,7 +55,7 @@ def _triangulate(polygons: Lists) -> NDArray[np.int64]:
     first = np.repeat(starts, counts)
     within = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     places = np.stack([first, first + within + 1, first + within + 2], axis=1)
-    triangles: NDArray[np.int64] = polygons.values.astype(np.int64)[places]
+    triangles: Int64 = polygons.values.astype(np.int64)[places]
     return triangles
 
 
@@ -84,7 +85,7 @@ def write_ply(path: Path | str, mesh: TriMesh, *, ascii: bool = False) -> None:
         beside.write_bytes(header + body)
 
 
-def read_ply_sequence(folder: Path | str) -> tuple[TriMesh, NDArray[np.float32]]:
+def read_ply_sequence(folder: Path | str) -> tuple[TriMesh, Float32]:
     """Read a folder of PLY files as frames, in the order of their names.
 
     Returns

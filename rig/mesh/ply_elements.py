@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Int64
 from rig.errors import quoted
 from rig.limits import HEADER_BYTES, VERTICES
 
@@ -54,7 +55,7 @@ class Lists:
         One list after the other.
     """
 
-    lengths: NDArray[np.int64]
+    lengths: Int64
     values: NDArray[np.generic]
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.errors import FormatError, TopologyError
 from rig.files import atomic_write, is_folder_name
 from rig.mesh.glb import WeightAnimation, write_glb
@@ -18,8 +18,6 @@ from rig.mesh.ply import write_ply_sequence
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh, check_length
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 Kind = Literal["glb", "npz", "folder"]
 
 _FRAMES_AT_FIRST = 384
@@ -109,9 +107,7 @@ def scaled(shapes: ShapeSet, factor: float) -> ShapeSet:
     return replace(shapes, neutral=neutral, deltas=np.float32(factor) * shapes.deltas)
 
 
-def principal_shapes(
-    mesh: TriMesh, vertices: Any, tolerance: float
-) -> tuple[ShapeSet, NDArray[np.float32]]:
+def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[ShapeSet, Float32]:
     """Say a sequence by as few linear shapes as keep every vertex within a bound.
 
     Parameters
@@ -163,7 +159,7 @@ def principal_shapes(
     return ShapeSet(mesh, names, deltas), (weights / largest).astype(np.float32)
 
 
-def _directions(deltas: Floats32) -> Floats:
+def _directions(deltas: Float32) -> Float64:
     """At least one orthonormal direction [shape=(K, 3 V)] that frames span, the strongest first."""
     flat = deltas.reshape(len(deltas), -1).astype(np.float64)
     power, left = np.linalg.eigh(flat @ flat.T)
@@ -173,7 +169,7 @@ def _directions(deltas: Floats32) -> Floats:
     return np.asarray((left[:, kept] / np.sqrt(power[kept])).T @ flat)
 
 
-def _coefficients(frames: Floats32, rest: Floats32, directions: Floats) -> Floats:
+def _coefficients(frames: Float32, rest: Float32, directions: Float64) -> Float64:
     """Of every frame along the directions [shape=(T, K)]."""
     return np.concatenate(
         [
@@ -183,7 +179,7 @@ def _coefficients(frames: Floats32, rest: Floats32, directions: Floats) -> Float
     )
 
 
-def _errors(frames: Floats32, rest: Floats32, directions: Floats) -> Floats:
+def _errors(frames: Float32, rest: Float32, directions: Float64) -> Float64:
     """How far the worst vertex of each frame is off [shape=(T,)]."""
     worst = np.empty(len(frames))
     for k in range(0, len(frames), _FRAMES_AT_ONCE):
@@ -194,7 +190,7 @@ def _errors(frames: Floats32, rest: Floats32, directions: Floats) -> Floats:
     return worst
 
 
-def _fewest(frames: Floats32, rest: Floats32, directions: Floats, tolerance: float) -> Floats:
+def _fewest(frames: Float32, rest: Float32, directions: Float64, tolerance: float) -> Float64:
     """The first directions that keep the bound; all of them where none do."""
     low, high = 1, len(directions)
     while low < high:

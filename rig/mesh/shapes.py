@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files import atomic_write
 from rig.files.reading import read_npz
 from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
 from rig.mesh.trimesh import TriMesh
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class ShapeSet:
 
     neutral: TriMesh
     names: tuple[str, ...]
-    deltas: NDArray[np.float32]
+    deltas: Float32
     landmarks: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -74,16 +73,16 @@ class ShapeSet:
             raise MeshError(f"no shape {name!r}; known shapes: {', '.join(self.names[:12])} ...")
         return self.names.index(name)
 
-    def delta(self, name: str) -> Floats:
+    def delta(self, name: str) -> Float64:
         """Displacement of one shape [shape=(V, 3)] as float64."""
         return np.asarray(self.deltas[self.index(name)], dtype=np.float64)
 
-    def evaluate(self, weights: Any) -> Floats:
+    def evaluate(self, weights: Any) -> Float64:
         """Vertices at `weights` [shape=(T, K)] -> [shape=(T, V, 3)]: neutral + sum of deltas."""
         w = np.asarray(weights, dtype=np.float64)
         if w.ndim != 2 or w.shape[1] != len(self.names):
             raise MeshError(f"weights have shape {w.shape}; they must be (T, {len(self.names)})")
-        flat: Floats = w @ self.deltas.reshape(len(self.names), -1)
+        flat: Float64 = w @ self.deltas.reshape(len(self.names), -1)
         return np.asarray(self.neutral.vertices + flat.reshape(len(w), -1, 3))
 
 

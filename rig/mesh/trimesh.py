@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
+from rig.arrays import Float64, Int64
 from rig.errors import MeshError, TopologyError
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DEGENERATE_AREA = 1e-12
 """A triangle is degenerate below this share of the squared diagonal of the mesh's box."""
@@ -41,8 +39,8 @@ class TriMesh:
         If an index points outside the vertices or a triangle names a vertex twice.
     """
 
-    vertices: Floats
-    faces: Ints
+    vertices: Float64
+    faces: Int64
 
     def __post_init__(self) -> None:
         vertices = np.array(self.vertices, dtype=np.float64)
@@ -73,7 +71,7 @@ class TriMesh:
         """Return the mesh with every triangle turned over."""
         return TriMesh(self.vertices, self.faces[:, ::-1])
 
-    def compact(self) -> tuple["TriMesh", Ints]:
+    def compact(self) -> tuple["TriMesh", Int64]:
         """Drop vertices no triangle uses.
 
         Returns
@@ -86,7 +84,7 @@ class TriMesh:
         return TriMesh(self.vertices[used], faces.reshape(-1, 3)), used
 
 
-def _check_shapes(vertices: Floats, faces: NDArray[Any]) -> None:
+def _check_shapes(vertices: Float64, faces: NDArray[Any]) -> None:
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise MeshError(f"vertices have shape {vertices.shape}; they must be (V, 3)")
     if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
@@ -109,7 +107,7 @@ def _check_shapes(vertices: Floats, faces: NDArray[Any]) -> None:
         )
 
 
-def _check_indices(faces: Ints, count: int) -> None:
+def _check_indices(faces: Int64, count: int) -> None:
     outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
     if len(outside):
         raise TopologyError(
@@ -145,25 +143,25 @@ def listed(indices: NDArray[Any], most: int = 8) -> str:
     return words + (f" and {len(indices) - most} more" if len(indices) > most else "")
 
 
-def cross_products(mesh: TriMesh) -> Floats:
+def cross_products(mesh: TriMesh) -> Float64:
     """Give each triangle's (v2 - v1) x (v3 - v1) [shape=(N, 3)], twice its area long."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    product: Floats = np.cross(b - a, c - a)
+    product: Float64 = np.cross(b - a, c - a)
     return product
 
 
-def triangle_areas(mesh: TriMesh) -> Floats:
+def triangle_areas(mesh: TriMesh) -> Float64:
     """Area of each triangle [shape=(N,), squared unit of the mesh]."""
-    areas: Floats = 0.5 * np.linalg.norm(cross_products(mesh), axis=1)
+    areas: Float64 = 0.5 * np.linalg.norm(cross_products(mesh), axis=1)
     return areas
 
 
-def triangle_normals(mesh: TriMesh) -> Floats:
+def triangle_normals(mesh: TriMesh) -> Float64:
     """Unit normal of each triangle [shape=(N, 3)]; zero where the triangle has no area."""
     return _unit(cross_products(mesh))
 
 
-def vertex_normals(mesh: TriMesh) -> Floats:
+def vertex_normals(mesh: TriMesh) -> Float64:
     """Area-weighted unit normal at each vertex [shape=(V, 3)]; zero at unused vertices."""
     normals = np.zeros_like(mesh.vertices)
     products = cross_products(mesh)
@@ -172,15 +170,15 @@ def vertex_normals(mesh: TriMesh) -> Floats:
     return _unit(normals)
 
 
-def _unit(vectors: Floats) -> Floats:
+def _unit(vectors: Float64) -> Float64:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: Floats = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
     return unit
 
 
-def degenerate_triangles(mesh: TriMesh) -> Ints:
+def degenerate_triangles(mesh: TriMesh) -> Int64:
     """Indices of triangles without area (less than `DEGENERATE_AREA` of the size squared)."""
-    found: Ints = np.flatnonzero(triangle_areas(mesh) <= DEGENERATE_AREA * mesh.size**2)
+    found: Int64 = np.flatnonzero(triangle_areas(mesh) <= DEGENERATE_AREA * mesh.size**2)
     return found
 
 
@@ -191,9 +189,9 @@ def without_degenerate(mesh: TriMesh) -> TriMesh:
     return TriMesh(mesh.vertices, mesh.faces[keep])
 
 
-def edges(faces: Ints) -> Ints:
+def edges(faces: Int64) -> Int64:
     """Directed edges of every triangle, corner by corner [shape=(3 N, 2)]."""
-    joined: Ints = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    joined: Int64 = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     return joined
 
 
@@ -208,7 +206,7 @@ def adjacency(mesh: TriMesh) -> csr_array:
     return matrix
 
 
-def components(mesh: TriMesh) -> Ints:
+def components(mesh: TriMesh) -> Int64:
     """Number each vertex's connected part [shape=(V,), 0 is the part with most vertices].
 
     A vertex no triangle uses is a part of its own.
@@ -217,17 +215,17 @@ def components(mesh: TriMesh) -> Ints:
     order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
-    numbered: Ints = rank[labels]
+    numbered: Int64 = rank[labels]
     return numbered
 
 
-def boundary_edges(mesh: TriMesh) -> Ints:
+def boundary_edges(mesh: TriMesh) -> Int64:
     """Edges that one triangle alone has [shape=(E, 2)], directed as in that triangle."""
     directed = edges(mesh.faces)
     _, inverse, counts = np.unique(
         np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    rim: Ints = directed[counts[inverse.ravel()] == 1]
+    rim: Int64 = directed[counts[inverse.ravel()] == 1]
     return rim
 
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.controls import default_controls
 from rig.conversion.arkit import arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.face.geometry.mesh import Array
 from rig.face.head import Head
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.shapes import ShapeSet
@@ -49,13 +48,13 @@ class Morphs:
     """
 
     names: tuple[str, ...]
-    deltas: NDArray[np.float32]
+    deltas: Float32
 
 
 def arkit_morphs(head: Head) -> Morphs:
     """Shapes of a head under ARKit's names, and correctives."""
     rest = head.mesh.vertices
-    deltas: dict[str, Array] = {}
+    deltas: dict[str, Float64] = {}
     for name in SHAPES:
         base = dict([BASES[name]]) if name in BASES else {}
         with_it = {**base, name: 1.0}
@@ -66,11 +65,11 @@ def arkit_morphs(head: Head) -> Morphs:
     return Morphs(tuple(deltas), np.stack(list(deltas.values())).astype(np.float32))
 
 
-def _added(deltas: dict[str, Array], weights: dict[str, float]) -> Array:
+def _added(deltas: dict[str, Float64], weights: dict[str, float]) -> Float64:
     return np.asarray(sum(weights[name] * deltas[name] for name in weights if name in deltas))
 
 
-def arkit_pose(head: Head, pose: dict[str, float]) -> Array:
+def arkit_pose(head: Head, pose: dict[str, float]) -> Float64:
     """Vertices (V, 3) of the head itself, cm, for ARKit weights."""
     controls = arkit_controls()
     values = controls.rest.copy()

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.errors import MeshError
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 
-Floats = NDArray[np.float64]
-Evaluate = Callable[[NDArray[np.float32]], Any]
+Evaluate = Callable[[Float32], Any]
 """Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
 
 _STILL = 1e-4
@@ -40,7 +40,7 @@ class Half:
     control: str
     sign: int = 1
 
-    def amount(self, values: NDArray[Any], controls: ControlSet) -> Floats:
+    def amount(self, values: NDArray[Any], controls: ControlSet) -> Float64:
         """How far along [shape=(T,), range 0 to 1], of control values [shape=(T, C)]."""
         i = controls.index(self.control)
         rest = float(controls.rest[i])
@@ -65,7 +65,7 @@ class Driver:
     groups: tuple[tuple[Half, ...], ...]
     peak: float | None = None
 
-    def weight(self, values: NDArray[Any], controls: ControlSet) -> Floats:
+    def weight(self, values: NDArray[Any], controls: ControlSet) -> Float64:
         """Weight over time [shape=(T,), range 0 to 1]."""
         product = np.ones(len(values))
         for group in self.groups:
@@ -74,7 +74,7 @@ class Driver:
             return product
         return np.asarray(np.interp(product, [0.0, self.peak, 1.0], [0.0, 1.0, 0.0]))
 
-    def pose(self, controls: ControlSet) -> NDArray[np.float32]:
+    def pose(self, controls: ControlSet) -> Float32:
         """Control values [shape=(C,)] at which the weight is 1."""
         values = controls.rest.copy()
         for group in self.groups:
@@ -103,12 +103,12 @@ class BakedRig:
     drivers: tuple[Driver, ...]
     controls: ControlSet
 
-    def weights(self, curves: RigCurves) -> NDArray[np.float32]:
+    def weights(self, curves: RigCurves) -> Float32:
         """Weights of the shapes over time [shape=(T, K), range 0 to 1]."""
         values = curves.reorder(self.controls).values
         return self.weights_of(values)
 
-    def weights_of(self, values: NDArray[Any]) -> NDArray[np.float32]:
+    def weights_of(self, values: NDArray[Any]) -> Float32:
         """As `weights`, of bare control values [shape=(T, C)]."""
         weights = np.zeros((len(values), len(self.drivers)), dtype=np.float32)
         for k, driver in enumerate(self.drivers):
@@ -164,7 +164,7 @@ def bake(
     """
     drivers: list[Driver] = []
     names: list[str] = []
-    deltas: list[NDArray[np.float32]] = []
+    deltas: list[Float32] = []
     rest = _posed(evaluate, controls.rest, neutral)
     for name, driver in [*control_halves(controls), *correctives]:
         shown = rest.copy()
@@ -196,7 +196,7 @@ def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:
     return halves
 
 
-def _posed(evaluate: Evaluate, values: NDArray[np.float32], neutral: TriMesh) -> Floats:
+def _posed(evaluate: Evaluate, values: Float32, neutral: TriMesh) -> Float64:
     vertices = np.asarray(evaluate(np.asarray(values, dtype=np.float32)[None]), dtype=np.float64)
     if vertices.shape != (1, *neutral.vertices.shape):
         raise MeshError(

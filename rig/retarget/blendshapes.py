@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from rig.arrays import Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.conversion.arkit import arkit_controls, arkit_to_raw
 from rig.conversion.convert import convert
@@ -31,8 +32,6 @@ from rig.retarget.correctives import (
     half_weight,
     own_drivers,
 )
-
-Floats = NDArray[np.float64]
 
 _SWEEPS = 60
 _SETTLED = 1e-4
@@ -78,7 +77,7 @@ class BlendshapeFit:
     """
 
     names: tuple[str, ...]
-    weights: NDArray[np.float32]
+    weights: Float32
     lost: float
     unsaid: tuple[str, ...]
 
@@ -102,7 +101,7 @@ class ShapePoses:
     """
 
     names: tuple[str, ...]
-    poses: Floats
+    poses: Float64
     mouth_close: int | None
     jaw_open: int | None
     close_gain: float = 1.0
@@ -155,7 +154,7 @@ class ShapePoses:
         of_arkit = self.mouth_close is not None and self.jaw_open is not None
         return of_arkit or any(len(driver.groups) > 1 for driver in self.drivers.values())
 
-    def _fitted(self, moved: Floats, curves: RigCurves) -> Floats:
+    def _fitted(self, moved: Float64, curves: RigCurves) -> Float64:
         """Weights of all shapes: driven where there is a driver, else fitted to what is left."""
         if not self.drivers:
             return _bounded_fit(moved, self.poses)
@@ -259,7 +258,7 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
     return float(np.clip(np.median(strength[useful] / back[useful]), 0.0, 1.0))
 
 
-def _known_pose(key: str) -> Floats:
+def _known_pose(key: str) -> Float64:
     """Pose of a known name; half or both sides of it where only those are known; else zeros."""
     known = _known_poses()
     key = key.replace("pupildilate", "eyepupilwide")  # ICT-FaceKit's word
@@ -275,8 +274,8 @@ def _known_pose(key: str) -> Floats:
 
 
 @cache
-def _known_poses() -> dict[str, Floats]:
-    known: dict[str, Floats] = {}
+def _known_poses() -> dict[str, Float64]:
+    known: dict[str, Float64] = {}
     for controls, to_raw in (
         (default_controls(), board_to_raw),
         (arkit_controls(), arkit_to_raw),
@@ -296,7 +295,7 @@ def _known_poses() -> dict[str, Floats]:
     return {key: pose for key, pose in known.items() if pose.any()}
 
 
-def _own_pose(controls: Mapping[str, float]) -> Floats:
+def _own_pose(controls: Mapping[str, float]) -> Float64:
     """Raw change for controls given by board, raw or ARKit names."""
     change = np.zeros(len(raw_controls()))
     for name, value in controls.items():
@@ -326,7 +325,7 @@ def _columns(stem: str) -> NDArray[np.intp]:
     return np.flatnonzero(np.array([n.startswith(PREFIX + stem) for n in names]))
 
 
-def _stand_in(moved: Floats, covered: NDArray[Any]) -> Floats:
+def _stand_in(moved: Float64, covered: NDArray[Any]) -> Float64:
     """Let curves no shape has speak through near relatives that some shape has."""
     index = {n.removeprefix(PREFIX): i for i, n in enumerate(raw_controls().names)}
     result = np.where(covered, moved, 0.0)
@@ -342,7 +341,7 @@ def _stand_in(moved: Floats, covered: NDArray[Any]) -> Floats:
     return result
 
 
-def _bounded_fit(moved: Floats, poses: Floats) -> Floats:
+def _bounded_fit(moved: Float64, poses: Float64) -> Float64:
     """Weights in [0, 1] minimising |moved - weights @ poses| frame by frame [shape=(T, K)].
 
     Coordinate descent over shapes, all frames at once; shapes that share no curve with another

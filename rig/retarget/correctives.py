@@ -9,15 +9,13 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import AnyFloat, Float64
 from rig.controls import DEFAULT_ID, default_controls
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.retarget.bake import Driver, control_halves, face_correctives
-
-Floats = NDArray[np.float64]
 
 ARKIT_HALVES: Mapping[str, tuple[str, ...]] = {
     "jawOpen_half": ("jawOpen",),
@@ -28,7 +26,7 @@ ARKIT_HALVES: Mapping[str, tuple[str, ...]] = {
 """Shapes whose least weight drives each half."""
 
 
-def half_weight(weights: Sequence[NDArray[np.floating]]) -> Floats:
+def half_weight(weights: Sequence[AnyFloat]) -> Float64:
     """Weight of a half [shape=(T,), range 0 to 1]: 1 where the least weight is 0.5, 0 at 0 and 1.
 
     Parameters
@@ -61,7 +59,7 @@ def own_drivers(names: Sequence[str]) -> dict[int, Driver]:
     return {k: drivers[name] for k, name in enumerate(names) if name in drivers}
 
 
-def driver_poses(drivers: Mapping[int, Driver], n_shapes: int) -> Floats:
+def driver_poses(drivers: Mapping[int, Driver], n_shapes: int) -> Float64:
     """Change of the raw curves at weight 1 [shape=(K, 251)]; zero for correctives."""
     board, rest = default_controls(), raw_controls().rest
     poses = np.zeros((n_shapes, len(raw_controls())))
@@ -74,7 +72,7 @@ def driver_poses(drivers: Mapping[int, Driver], n_shapes: int) -> Floats:
     return poses
 
 
-def driver_weights(drivers: Mapping[int, Driver], curves: RigCurves) -> dict[int, Floats]:
+def driver_weights(drivers: Mapping[int, Driver], curves: RigCurves) -> dict[int, Float64]:
     """Weights by column [each shape=(T,), range 0 to 1] of board, raw or ARKit curves."""
     board = default_controls()
     values = convert(curves, DEFAULT_ID).reorder(board).values

@@ -8,13 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.mesh.trimesh import components
 from rig.retarget.registration import Registration
 from rig.retarget.transfer import local_jacobians
-
-Floats = NDArray[np.float64]
 
 _REACH = 0.45
 """How far from the slit the scaling fades, in widths of the eye."""
@@ -27,7 +25,7 @@ def fit_lids(
     source_landmarks: Mapping[str, int],
     target_landmarks: Mapping[str, int],
     deltas: Any,
-) -> Floats:
+) -> Float64:
     """Scale displacements across each eye's slit by how far this eye opens.
 
     Parameters
@@ -70,7 +68,7 @@ def fit_lids(
     return result
 
 
-def _fade(points: Floats, outer: Floats, inner: Floats, width: float) -> Floats:
+def _fade(points: Float64, outer: Float64, inner: Float64, width: float) -> Float64:
     """1 on the slit from corner to corner, falling off around it."""
     span = inner - outer
     along = np.clip((points - outer) @ span / (span @ span), 0.0, 1.0)

@@ -8,19 +8,16 @@ along the surface.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
+from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
 from rig.mesh.trimesh import TriMesh, boundary_edges, components, vertex_normals
 from rig.retarget.landmarks import similarity
 from rig.retarget.registration import Rounds, closest_rounds, edge_lengths
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ORIENTATIONS = (
     np.eye(3),
@@ -128,12 +125,12 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     return Guess({name: int(used[v]) for name, v in found.items()}, residual)
 
 
-def _largest_part(mesh: TriMesh) -> tuple[TriMesh, Ints]:
+def _largest_part(mesh: TriMesh) -> tuple[TriMesh, Int64]:
     labels = components(mesh)
     return TriMesh(mesh.vertices, mesh.faces[labels[mesh.faces[:, 0]] == 0]).compact()
 
 
-def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Floats) -> tuple[float, Floats, Floats]:
+def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, Float64, Float64]:
     """Best similarity of the skin's front over the target in one orientation, of several sizes."""
     points = target.vertices @ axes.T
     normals = vertex_normals(TriMesh(points, target.faces))
@@ -166,16 +163,16 @@ def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Floats) -> tuple[float, F
     return (*best, axes)
 
 
-def _query(tree: KDTree, points: Floats) -> tuple[Floats, Ints]:
+def _query(tree: KDTree, points: Float64) -> tuple[Float64, Int64]:
     distance, nearest = tree.query(points)
     return np.asarray(distance), np.asarray(nearest, dtype=np.int64)
 
 
-def _nearest_vertex(mesh: TriMesh, point: Floats) -> int:
+def _nearest_vertex(mesh: TriMesh, point: Float64) -> int:
     return int(np.argmin(np.linalg.norm(mesh.vertices - point, axis=1)))
 
 
-def _eyes(mesh: TriMesh, seen: dict[str, Floats], eyes: float) -> dict[str, int]:
+def _eyes(mesh: TriMesh, seen: dict[str, Float64], eyes: float) -> dict[str, int]:
     """Lids from the open rims of the eyes, where the skin has them."""
     ends = boundary_edges(mesh)
     count = len(mesh.vertices)
@@ -200,7 +197,7 @@ def _eyes(mesh: TriMesh, seen: dict[str, Floats], eyes: float) -> dict[str, int]
     return found
 
 
-def _lid(mesh: TriMesh, loop: Floats, middle: Floats, side: float) -> int:
+def _lid(mesh: TriMesh, loop: Float64, middle: Float64, side: float) -> int:
     """Vertex of a lid's edge: the one furthest into the eye, near the loop and its middle.
 
     Behind the edge the skin turns in and the loop lies wider than what one sees open.
@@ -218,7 +215,7 @@ def _lid(mesh: TriMesh, loop: Floats, middle: Floats, side: float) -> int:
     return int(np.argmin(np.where(here, side * offset[:, 1], np.inf)))
 
 
-def _mouth(mesh: TriMesh, seen: dict[str, Floats]) -> dict[str, int]:
+def _mouth(mesh: TriMesh, seen: dict[str, Float64]) -> dict[str, int]:
     """Rims and corners from the slit: near in space, far along the surface."""
     corners = seen["mouth_corner_left"], seen["mouth_corner_right"]
     width = float(np.linalg.norm(corners[0] - corners[1]))
@@ -248,7 +245,7 @@ def _mouth(mesh: TriMesh, seen: dict[str, Floats]) -> dict[str, int]:
     return found
 
 
-def _slit_pairs(mesh: TriMesh, near: Ints, width: float) -> tuple[Ints, float]:
+def _slit_pairs(mesh: TriMesh, near: Int64, width: float) -> tuple[Int64, float]:
     """Pairs (upper, lower) of vertices across the slit [shape=(P, 2)], and where they end.
 
     That is how far short of the corners, where the way round is no longer long.

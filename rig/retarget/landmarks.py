@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from rig.arrays import Float64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import load_json, read_text
 from rig.limits import COORDINATE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.trimesh import TriMesh
-
-Floats = NDArray[np.float64]
 
 UPPER_RIM = ("upper_rim", "upper_rim_left", "upper_rim_right")
 LOWER_RIM = ("lower_rim", "lower_rim_left", "lower_rim_right")
@@ -126,7 +124,7 @@ def check_names(names: Iterable[str]) -> None:
         raise MeshError(f"unknown landmark {quoted(unknown[0])}; known: {', '.join(LANDMARKS)}")
 
 
-def similarity(before: Any, after: Any) -> tuple[float, Floats, Floats]:
+def similarity(before: Any, after: Any) -> tuple[float, Float64, Float64]:
     """Scale, rotation and shift that best take points to points: `scale R x + shift`.
 
     Umeyama's closed form (1991); never a reflection.

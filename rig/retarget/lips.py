@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmarks import CORNERS
 from rig.retarget.registration import Registration
 from rig.retarget.transfer import local_jacobians
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _NEAR_SLIT = 0.03
 """Lips are paired where they are this near, in widths of the mouth, or half again the gap."""
@@ -41,11 +38,11 @@ class LipPairs:
         Distance between the mouth's corners.
     """
 
-    upper: Ints
-    lower: Ints
+    upper: Int64
+    lower: Int64
     width: float
 
-    def gaps(self, vertices: Any, up: Any = (0.0, 1.0, 0.0)) -> Floats:
+    def gaps(self, vertices: Any, up: Any = (0.0, 1.0, 0.0)) -> Float64:
         """Signed gap of each pair along `up` [shape=(..., P)]; negative where lips cross."""
         points = np.asarray(vertices, dtype=np.float64)
         apart = points[..., self.upper, :] - points[..., self.lower, :]
@@ -53,7 +50,7 @@ class LipPairs:
         return np.asarray(apart @ (direction / np.linalg.norm(direction)))
 
 
-def lip_pairs(mesh: TriMesh, landmarks: Mapping[str, int], labels: Ints) -> LipPairs:
+def lip_pairs(mesh: TriMesh, landmarks: Mapping[str, int], labels: Int64) -> LipPairs:
     """Pair the vertices along the slit of a neutral face with its mouth closed or nearly so.
 
     Parameters
@@ -95,7 +92,7 @@ def repair_lips(
     target_pairs: LipPairs,
     source_deltas: Any,
     target_deltas: Any,
-) -> Floats:
+) -> Float64:
     """Give the target's lip pairs the parting and meeting of the source's pairs.
 
     Each target pair looks up what the nearest source pairs do *relative to one another*, turned
@@ -139,12 +136,12 @@ def repair_lips(
     return result
 
 
-def _nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
+def _nearest(points: Float64, queries: Float64) -> tuple[Float64, Int64]:
     distance, index = KDTree(points).query(queries)
     return np.asarray(distance), np.asarray(index, dtype=np.int64)
 
 
-def _along_slit(points: Floats, values: Floats, reach: float) -> Floats:
+def _along_slit(points: Float64, values: Float64, reach: float) -> Float64:
     """Gaussian mean of values [shape=(K, P, 3)] over the pairs about each: no ripples of one pair.
 
     Pairs near a corner see very different partings side by side; unsmoothed they stand out as
@@ -155,7 +152,7 @@ def _along_slit(points: Floats, values: Floats, reach: float) -> Floats:
     return np.asarray(np.einsum("pq,kqc->kpc", near / near.sum(axis=1, keepdims=True), values))
 
 
-def _inverse_distance(points: Floats, queries: Floats, values: Floats) -> Floats:
+def _inverse_distance(points: Float64, queries: Float64, values: Float64) -> Float64:
     """Interpolate values [shape=(K, P, 3)] at points to queries by their four nearest."""
     count = min(4, len(points))
     distance, nearest = KDTree(points).query(queries, k=count)

@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.deformation.basis import choose_bases
 from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices
 from rig.deformation.reconstruct import DeformationSolver
@@ -23,8 +23,6 @@ from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.methods import Method, carry_shapes
 from rig.retarget.registration import lip_labels
 from rig.retarget.source_head import source_head
-
-Floats = NDArray[np.float64]
 
 PAPER_TRIANGLES = 9976
 """SDFA §4.1: N of its template."""
@@ -79,7 +77,7 @@ def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[str]:
             )
 
 
-def round_trip(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Iterator[str]:
+def round_trip(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
     """Largest vertex error over the size of the head, in three storages; polar against SVD."""
     moved = mesh.vertices + np.concatenate([deltas, mixes(deltas, rng, 30)])
     s, r = pack_vertices(mesh, moved)
@@ -97,7 +95,7 @@ def round_trip(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Itera
     yield f"R S against T: {np.abs(rotation @ stretch - gradients).max():.1e}"
 
 
-def timings(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Iterator[str]:
+def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
     """Milliseconds a frame on the paper's number of triangles around the face's middle."""
     front = mesh.vertices[np.argmax(mesh.vertices[:, 2])]
     distance = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1) - front, axis=1)
@@ -133,7 +131,7 @@ def timings(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Iterator
     yield f"    solve (Eq. 6)                             {1e3 * seconds / frames:6.2f} ms a frame"
 
 
-def bases(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Iterator[str]:
+def bases(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
     """Sizes of the bases against the error at the most mobile tenth of the vertices."""
     moved = mesh.vertices + mixes(deltas, rng, 400)
     motion = np.linalg.norm(deltas, axis=-1).mean(axis=0)
@@ -147,7 +145,7 @@ def bases(mesh: TriMesh, deltas: Floats, rng: np.random.Generator) -> Iterator[s
         )
 
 
-def mixes(deltas: Floats, rng: np.random.Generator, frames: int) -> Floats:
+def mixes(deltas: Float64, rng: np.random.Generator, frames: int) -> Float64:
     """Random faces: each shape is on in 15 % of the frames, with an exponential weight up to 1."""
     shape = (frames, len(deltas))
     weights = np.minimum(rng.exponential(0.25, shape), 1.0) * (rng.random(shape) < 0.15)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float64
 from rig.errors import MeshError
 from rig.limits import RETARGET_VERTICES
 from rig.mesh.shapes import ShapeSet
@@ -23,7 +23,6 @@ from rig.retarget.registration import POOR_MATCH, Registration, register
 from rig.retarget.source_head import SourceHead, source_head
 from rig.retarget.transfer import transfer_displacements, transfer_gradients
 
-Floats = NDArray[np.float64]
 Method = Literal["displacements", "gradients"]
 
 _VERTICES_AT_ONCE = 4_000_000
@@ -152,7 +151,7 @@ def carry_shapes(
     return Carried(shapes, registration, source_pairs, target_pairs)
 
 
-def sequence_for(registration: Registration, vertices: Any) -> Floats:
+def sequence_for(registration: Registration, vertices: Any) -> Float64:
     """Carry frames of the source head [shape=(T, V, 3)] to the target by their gradients.
 
     SDFA's own way across topologies: T of each source triangle, Eq. 5-6 on the target.

@@ -3,8 +3,8 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64
 from rig.controls import default_controls
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -14,7 +14,7 @@ METRES_PER_CM = 0.01
 
 
 @lru_cache(maxsize=1)
-def morph_head(identity: int = 0) -> tuple[BakedRig, NDArray[np.float64]]:
+def morph_head(identity: int = 0) -> tuple[BakedRig, Float64]:
     """Return the head baked to morph targets, in cm, and its linear vertex colours.
 
     Parameters
@@ -34,14 +34,14 @@ def morph_head(identity: int = 0) -> tuple[BakedRig, NDArray[np.float64]]:
     head = build_head(identity)
     mesh = TriMesh(head.mesh.vertices, head.mesh.faces)
 
-    def evaluate(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def evaluate(values: Float32) -> Float32:
         return np.asarray(head.pose(values))
 
     rig = bake(mesh, evaluate, default_controls(), correctives=face_correctives())
     return rig, srgb_to_linear(head.mesh.colors)
 
 
-def srgb_to_linear(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+def srgb_to_linear(colours: Float64) -> Float64:
     """Return linear light of sRGB values (IEC 61966-2-1)."""
     low = colours <= 0.04045
     return np.where(low, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

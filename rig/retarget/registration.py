@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
+from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints, SurfacePoints
 from rig.mesh.trimesh import (
@@ -27,9 +27,6 @@ from rig.mesh.trimesh import (
     vertex_normals,
 )
 from rig.retarget.landmarks import CORNERS, LOWER_RIM, UPPER_RIM, check_landmarks, similarity
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 Rounds = Sequence[tuple[float, float, float]]
 """Per round: stiffness; furthest match that counts, in distances between the outer eye corners;
@@ -78,10 +75,10 @@ class Registration:
 
     source: TriMesh
     target: TriMesh
-    placed: Floats
-    source_labels: Ints
-    target_labels: Ints
-    rotation: Floats
+    placed: Float64
+    source_labels: Int64
+    target_labels: Int64
+    rotation: Float64
     scale: float
     eyes: float
     residual: float
@@ -93,7 +90,7 @@ class Registration:
         normals = vertex_normals(self.target)
         return self.correspond_points(self.target.vertices, normals, self.target_labels)
 
-    def correspond_points(self, points: Floats, normals: Floats, labels: Ints) -> SurfacePoints:
+    def correspond_points(self, points: Float64, normals: Float64, labels: Int64) -> SurfacePoints:
         """For points on the target with the target's normals, their points on the source's skin.
 
         The triangles are numbered in `skin_faces`.
@@ -105,7 +102,7 @@ class Registration:
         return search.query(points, normals=outward, labels=labels)
 
     @cached_property
-    def skin_faces(self) -> Ints:
+    def skin_faces(self) -> Int64:
         """Triangles of the source's largest part; teeth and tongue must not answer for lips."""
         on_skin = components(self.source)[self.source.faces[:, 0]] == 0
         return np.flatnonzero(np.asarray(on_skin))
@@ -182,7 +179,7 @@ def _shared_points(
     source_landmarks: Mapping[str, int],
     target: TriMesh,
     target_landmarks: Mapping[str, int],
-) -> tuple[Ints, Floats]:
+) -> tuple[Int64, Float64]:
     """Source vertices and target points of the landmarks both have, each place once.
 
     On a coarse mesh two landmarks may share a vertex; an upper and a lower one may not.
@@ -206,7 +203,7 @@ def _shared_points(
     return from_[chosen], to[chosen]
 
 
-def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Ints:
+def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Int64:
     """Label vertices near the mouth +1 (upper lip), -1 (lower lip) or 0 [shape=(V,)]."""
     graph = edge_lengths(mesh)
     width = float(np.linalg.norm(np.subtract(*(mesh.vertices[landmarks[c]] for c in CORNERS))))
@@ -221,7 +218,7 @@ def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Ints:
     return labels
 
 
-def _along_surface(graph: csr_array, seeds: Sequence[int], reach: float) -> Floats:
+def _along_surface(graph: csr_array, seeds: Sequence[int], reach: float) -> Float64:
     return np.asarray(dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True))
 
 
@@ -240,7 +237,7 @@ def edge_lengths(mesh: TriMesh) -> csr_array:
     return csr_array(coo_array((lengths[first], (low[first], high[first])), shape=(count, count)))
 
 
-def _thin_plate(centres: Floats, goals: Floats, points: Floats) -> Floats:
+def _thin_plate(centres: Float64, goals: Float64, points: Float64) -> Float64:
     spline = RBFInterpolator(centres, goals - centres, kernel="thin_plate_spline", smoothing=0.02)
     return np.asarray(spline(points))
 
@@ -253,7 +250,7 @@ def _is_inside_out(placed: TriMesh, target: TriMesh, eyes: float) -> bool:
     return bool(len(cosine) and np.median(cosine) < 0)
 
 
-def _restrict(vertices: Floats, faces: Ints, keep: Ints) -> tuple[TriMesh, Ints]:
+def _restrict(vertices: Float64, faces: Int64, keep: Int64) -> tuple[TriMesh, Int64]:
     new_index = np.full(len(vertices), -1, dtype=np.int64)
     new_index[keep] = np.arange(len(keep))
     inside = (new_index[faces] >= 0).all(axis=1)
@@ -262,13 +259,13 @@ def _restrict(vertices: Floats, faces: Ints, keep: Ints) -> tuple[TriMesh, Ints]
 
 def closest_rounds(
     skin: TriMesh,
-    labels: Ints,
+    labels: Int64,
     search: ClosestPoints,
-    landmarks: Ints,
-    goals: Floats,
+    landmarks: Int64,
+    goals: Float64,
     eyes: float,
     rounds: Rounds = _ROUNDS,
-) -> Floats:
+) -> Float64:
     """Pull the skin to its closest points, round by round more freely.
 
     Parameters
@@ -324,7 +321,7 @@ def _bending(mesh: TriMesh) -> csc_array:
     return csc_array(laplacian.T @ laplacian + 1e-9 * diags_array(np.ones(len(degree))))
 
 
-def _carry_along(aligned: Floats, skin: Ints, surface: Floats, neighbours: int = 8) -> Floats:
+def _carry_along(aligned: Float64, skin: Int64, surface: Float64, neighbours: int = 8) -> Float64:
     """Move eyes, teeth, tongue with the skin nearest to them, by inverse distance."""
     placed = aligned.copy()
     placed[skin] = surface

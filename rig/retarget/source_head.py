@@ -4,16 +4,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.face import Head, build_head
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH, NOSTRIL_L, NOSTRIL_R
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, face_correctives
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PARTS = ("skin", "eye_L", "eye_R", "teeth_upper", "teeth_lower", "tongue")
 """What is carried to another head; brows, lashes, ears and hair are the other head's own."""
@@ -46,14 +43,14 @@ def source_head(identity: int = 0) -> SourceHead:
     mesh = _part_mesh(head, kept)
     controls = default_controls()
 
-    def evaluate(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def evaluate(values: Float32) -> Float32:
         return np.asarray(head.pose(values)[:, kept])
 
     rig = bake(mesh, evaluate, controls, correctives=face_correctives())
     return SourceHead(rig.shapes.neutral, head_landmarks(head), rig)
 
 
-def _part_mesh(head: Head, kept: Ints) -> TriMesh:
+def _part_mesh(head: Head, kept: Int64) -> TriMesh:
     new_index = np.full(len(head.mesh.vertices), -1, dtype=np.int64)
     new_index[kept] = np.arange(len(kept))
     faces = new_index[head.mesh.faces]
@@ -91,7 +88,7 @@ def head_landmarks(head: Head) -> dict[str, int]:
     return {name: int(v) for name, v in (found | _profile(skin.vertices, found, head)).items()}
 
 
-def _profile(points: Floats, known: dict[str, Ints], head: Head) -> dict[str, int]:
+def _profile(points: Float64, known: dict[str, Int64], head: Head) -> dict[str, int]:
     """Nose, chin and brows, by where the skin stands out or folds in."""
     skin = head.features
     inside = (skin.kind == MOUTH) & (skin.ring < 0)
@@ -119,7 +116,7 @@ def _profile(points: Floats, known: dict[str, Ints], head: Head) -> dict[str, in
     return {name: int(v) for name, v in found.items()}
 
 
-def _deepest(middle: Ints, points: Floats, above: Floats, below: Floats) -> int:
+def _deepest(middle: Int64, points: Float64, above: Float64, below: Float64) -> int:
     """Midline vertex furthest behind the straight line from one point of the profile to another."""
     y, z = points[middle, 1], points[middle, 2]
     share = (y - below[1]) / (above[1] - below[1])

@@ -11,11 +11,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from rig.arrays import Bool, Float64, Int64
 from rig.deformation.gradients import deformation_gradients
 from rig.deformation.reconstruct import DeformationSolver, rigid_motion
 from rig.errors import MeshError
@@ -29,9 +29,6 @@ from rig.mesh.trimesh import (
     without_degenerate,
 )
 from rig.retarget.registration import Registration
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _TRUSTED = 0.25
 """A correspondence further than this share of the eye distance is filled in from neighbours."""
@@ -49,7 +46,7 @@ _SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
 """Points of a target triangle whose source gradients are averaged."""
 
 
-def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
+def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
     """Displacements of the target's vertices from those of the source's.
 
     Parameters
@@ -74,7 +71,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Floats:
     return _settle_parts(registration, mapped, result)
 
 
-def transfer_gradients(registration: Registration, deltas: Any) -> Floats:
+def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
     """As `transfer_displacements`, by deformation gradients; frames of a take go the same way.
 
     Vertices whose source stays within 0.1 % of the head through all K are held there; each part
@@ -102,7 +99,7 @@ def transfer_gradients(registration: Registration, deltas: Any) -> Floats:
     return result
 
 
-def _checked(registration: Registration, deltas: Any) -> Floats:
+def _checked(registration: Registration, deltas: Any) -> Float64:
     array = np.asarray(deltas, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != registration.source.vertices.shape:
         raise MeshError(
@@ -113,7 +110,7 @@ def _checked(registration: Registration, deltas: Any) -> Floats:
 
 
 @lru_cache(maxsize=2)
-def local_jacobians(registration: Registration) -> Floats:
+def local_jacobians(registration: Registration) -> Float64:
     """How the registration turns and stretches space around each source vertex.
 
     Affine maps fitted to the placed skin about a few hundred of its vertices, within a Gaussian of
@@ -144,17 +141,17 @@ def local_jacobians(registration: Registration) -> Floats:
     return np.asarray((blend.T @ fitted.reshape(len(centres), 9)).reshape(-1, 3, 3))
 
 
-def _gaussian(centres: Floats, points: Floats, reach: float) -> Floats:
+def _gaussian(centres: Float64, points: Float64, reach: float) -> Float64:
     squared = (centres**2).sum(axis=1)[:, None] - 2 * centres @ points.T + (points**2).sum(axis=1)
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (2 * reach**2)))
 
 
-def _moments(weights: Floats, values: Floats, points: Floats) -> Floats:
+def _moments(weights: Float64, values: Float64, points: Float64) -> Float64:
     outer = (values[:, :, None] * points[:, None, :]).reshape(len(points), 9)
     return np.asarray((weights @ outer).reshape(-1, 3, 3))
 
 
-def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
+def _sampled_triangles(registration: Registration, target: TriMesh) -> Int64:
     """Triangles of the source's skin under four points of each target triangle [shape=(N, 4)]."""
     corners = target.vertices[target.faces]
     sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
@@ -166,7 +163,7 @@ def _sampled_triangles(registration: Registration, target: TriMesh) -> Ints:
     return np.stack([points.triangles for points in found], axis=1)
 
 
-def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats:
+def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
     """Fill untrusted vertices harmonically from trusted ones of their part; parts without: 0."""
     links = adjacency(target)
     _, labels = connected_components(links, directed=False)
@@ -189,7 +186,7 @@ def _fill(target: TriMesh, deltas: Floats, trusted: NDArray[np.bool_]) -> Floats
     return result
 
 
-def _soften(registration: Registration, deltas: Floats) -> Floats:
+def _soften(registration: Registration, deltas: Float64) -> Float64:
     """Take the registration's ripples out: mix vertices with neighbours a millimetre or two off.
 
     A coarse mesh, whose edges are longer than the ripples, is left as it is.
@@ -209,7 +206,7 @@ def _soften(registration: Registration, deltas: Floats) -> Floats:
     return result
 
 
-def _settle_parts(registration: Registration, mapped: Floats, result: Floats) -> Floats:
+def _settle_parts(registration: Registration, mapped: Float64, result: Float64) -> Float64:
     """Make loose parts of the target (eyes, teeth) move as one piece.
 
     A part nearest to a loose part of the source takes its motion, rigid if that is; a part on the
@@ -240,7 +237,7 @@ def _settle_parts(registration: Registration, mapped: Floats, result: Floats) ->
     return result
 
 
-def _as_one_piece(rest: Floats, delta: Floats) -> Floats:
+def _as_one_piece(rest: Float64, delta: Float64) -> Float64:
     """The rigid motion nearest to a displacement; itself where it plainly bends."""
     turn, shift = rigid_motion(rest, rest + delta)
     rigid = rest @ turn.T + shift - rest

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import known_controls
@@ -205,7 +205,7 @@ def _pace(path: Path, take: LiveLinkTake) -> list[Finding]:
 
 
 def _motion(
-    path: Path, values: NDArray[np.floating], names: tuple[str, ...], control_set: str
+    path: Path, values: AnyFloat, names: tuple[str, ...], control_set: str
 ) -> list[Finding]:
     """Find curves that never move, jumps, and a mouth that stays open at the end."""
     findings = []

@@ -10,7 +10,6 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.audio.load import load_audio
@@ -25,6 +24,7 @@ from deitalk.evaluation.voice_activity.scores import (
     score_activity,
     share,
 )
+from rig.arrays import Float32
 
 SNRS_DB = (20, 15, 10, 5, 0)
 CHOICE_SNRS_DB = (10, 0)
@@ -33,7 +33,6 @@ CLEAN_SNR_DB = 50
 """Pink noise under clean speech: the padding of a dataset and the pauses of speech engines are
 digital silence, which no microphone gives."""
 
-Floats = NDArray[np.float32]
 Condition = tuple[str, int]
 """Name of the noise and speech-to-noise ratio in dB."""
 CLEAN: Condition = ("clean", CLEAN_SNR_DB)
@@ -43,12 +42,12 @@ CLEAN: Condition = ("clean", CLEAN_SNR_DB)
 class Example:
     """A clip of speech with its labels."""
 
-    waveform: Floats
+    waveform: Float32
     labels: Labels
     group: str
     """Where the speech is from: ``espeak``, ``librispeech``, ..."""
 
-    def heard(self, condition: Condition, noises: dict[str, Floats], seed: int) -> Floats:
+    def heard(self, condition: Condition, noises: dict[str, Float32], seed: int) -> Float32:
         """The speech in noise that begins anywhere in its recording [shape=(S,)]."""
         name, snr_db = condition
         noise = noises[name]
@@ -97,7 +96,7 @@ def choose_setting(
     detector: Detector,
     examples: Sequence[Example],
     conditions: Sequence[Condition],
-    noises: dict[str, Floats],
+    noises: dict[str, Float32],
 ) -> Setting:
     """Operating point with the highest mean `Counts.suitability` over `conditions`."""
     if len(detector.settings) == 1:
@@ -120,7 +119,7 @@ def compare(
     detectors: dict[Detector, Setting],
     examples: Sequence[Example],
     conditions: Sequence[Condition],
-    noises: dict[str, Floats],
+    noises: dict[str, Float32],
 ) -> Results:
     """Score detectors at their operating points; all hear the same mixtures."""
     results: Results = defaultdict(Counts)
@@ -137,8 +136,8 @@ def compare(
 
 
 def _heard(
-    examples: Sequence[Example], conditions: Sequence[Condition], noises: dict[str, Floats]
-) -> Iterator[tuple[Floats, Condition, Example]]:
+    examples: Sequence[Example], conditions: Sequence[Condition], noises: dict[str, Float32]
+) -> Iterator[tuple[Float32, Condition, Example]]:
     for seed, example in enumerate(examples):
         for condition in conditions:
             yield example.heard(condition, noises, seed), condition, example

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.errors import DataError, MissingError
+from rig.arrays import AnyFloat, Bool, Float32
 
 LONGEST_GAP = 6
 """Frames (0.2 s) without speech that are bridged in the output of other packages' detectors."""
@@ -20,9 +20,6 @@ WIDENINGS = (0, 1, 2, 3)
 """Frames added before and after speech: the choices."""
 SILERO_CHUNK, SILERO_CONTEXT = 512, 64  # samples
 WEBRTC_CHUNK = 160  # samples, 10 ms
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -41,12 +38,12 @@ class Detector:
     """A source of evidence for speech, and the operating points to choose from."""
 
     name: str
-    evidence: Callable[[Floats, int], Floats]
+    evidence: Callable[[Float32, int], Float32]
     """(waveform [shape=(S,)], mode) to evidence [shape=(T,), range 0 to 1]."""
     settings: tuple[Setting, ...] = (Setting(),)
 
 
-def decide(evidence: NDArray[np.floating], setting: Setting) -> Flags:
+def decide(evidence: AnyFloat, setting: Setting) -> Bool:
     """Frames of speech [shape=(T,)]: threshold, bridged gaps, no single frames, widened."""
     from scipy.ndimage import binary_closing, binary_dilation, binary_opening
 
@@ -93,7 +90,7 @@ def _silero() -> Detector:
     model = Path(spec.origin).parent / "data" / "silero_vad_16k_sequence.onnx"
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
-    def evidence(waveform: Floats, mode: int) -> Floats:
+    def evidence(waveform: Float32, mode: int) -> Float32:
         n_chunks = -(-len(waveform) // SILERO_CHUNK)
         padded = np.zeros(SILERO_CONTEXT + n_chunks * SILERO_CHUNK, np.float32)
         padded[SILERO_CONTEXT : SILERO_CONTEXT + len(waveform)] = waveform
@@ -103,7 +100,7 @@ def _silero() -> Detector:
         (speech,) = session.run(["speech_probs"], inputs)
         centres = (np.arange(n_chunks) + 0.5) * SILERO_CHUNK / SAMPLE_RATE
         times = frame_times(frame_count(len(waveform)))
-        at_frames: Floats = np.interp(times, centres, speech.ravel()).astype(np.float32)
+        at_frames: Float32 = np.interp(times, centres, speech.ravel()).astype(np.float32)
         return at_frames
 
     thresholds = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -118,7 +115,7 @@ def _webrtc() -> Detector:
     except ImportError:
         raise MissingError("webrtc needs a package; pip install webrtcvad-wheels") from None
 
-    def evidence(waveform: Floats, mode: int) -> Floats:
+    def evidence(waveform: Float32, mode: int) -> Float32:
         detector = webrtcvad.Vad(mode)
         n_chunks = -(-len(waveform) // WEBRTC_CHUNK)
         padded = np.pad(waveform, (0, n_chunks * WEBRTC_CHUNK - len(waveform)))
@@ -129,7 +126,7 @@ def _webrtc() -> Detector:
         reach = SAMPLE_RATE / WEBRTC_CHUNK / FRAME_RATE / 2
         first = np.clip(np.round(times - reach), 0, n_chunks - 1).astype(int)
         stop = np.clip(np.round(times + reach), first + 1, n_chunks).astype(int)
-        share: Floats = ((total[stop] - total[first]) / (stop - first)).astype(np.float32)
+        share: Float32 = ((total[stop] - total[first]) / (stop - first)).astype(np.float32)
         return share
 
     return Detector(

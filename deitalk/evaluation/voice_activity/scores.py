@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from deitalk.audio.frames import FRAME_RATE, frame_times
 from deitalk.audio.voice_activity import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
 from deitalk.errors import DataError
+from rig.arrays import Bool
 
 SHORTEST_PAUSE_SECONDS = 0.2
 """Silences up to this are closures of stop consonants: speech."""
@@ -22,18 +23,16 @@ ONSET_SECONDS = 0.1
 SHUT = 0.1
 """Mouth gate below which the mouth counts as shut."""
 
-Flags = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class Labels:
     """What every frame of a clip is; a frame that is neither speech nor pause is not scored."""
 
-    speech: Flags
+    speech: Bool
     """[shape=(T,)]."""
-    pause: Flags
+    pause: Bool
     """[shape=(T,)]."""
-    settled: Flags
+    settled: Bool
     """Pause frames that the mouth gate's fades beside speech do not reach [shape=(T,)]."""
     onsets: tuple[float, ...]
     """Seconds at which speech begins after a pause [length N]."""

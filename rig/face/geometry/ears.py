@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, Mesh, grid_faces, painted
+from rig.arrays import Float64
+from rig.face.geometry.mesh import Mesh, grid_faces, painted
 from rig.face.geometry.sdf import project
 from rig.face.identity import Identity
 
@@ -47,14 +48,14 @@ def ear(identity: Identity) -> Mesh:
     return Mesh(vertices, mesh.faces, _shaded(mesh.colors), mesh.gloss)
 
 
-def _ear_center(identity: Identity) -> Array:
+def _ear_center(identity: Identity) -> Float64:
     """Just outside the side of the head, level with the nose."""
     direction = np.array([[1.0, -0.14, -0.22]])
     on_skin = project(direction / np.linalg.norm(direction), identity)[0]
     return np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
 
 
-def _shaded(colors: Array) -> Array:
+def _shaded(colors: Float64) -> Float64:
     """The bowl is darker, the rim a little redder."""
     radius = np.repeat(_RADIUS, _COLUMNS)
     back = np.repeat(np.arange(len(_RADIUS)) > 13, _COLUMNS)

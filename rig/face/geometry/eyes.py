@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, Index, Mesh, grid_faces, painted
+from rig.arrays import Float64, Int64
+from rig.face.geometry.mesh import Mesh, grid_faces, painted
 from rig.face.geometry.skin import Skin
 from rig.face.identity import Identity
 
@@ -11,7 +12,7 @@ _RINGS = np.array([0, 0.3, 0.6, 0.85, 1.0, 1.02, 1.3, 1.6, 1.8, 1.93, 2.0, 2.05]
 _COLUMNS = 40
 
 
-def eyeball(identity: Identity, radius: float) -> tuple[Mesh, Array]:
+def eyeball(identity: Identity, radius: float) -> tuple[Mesh, Float64]:
     """An eyeball around the origin that looks along +z, and its pupil shape.
 
     Returns
@@ -32,14 +33,14 @@ def eyeball(identity: Identity, radius: float) -> tuple[Mesh, Array]:
     return Mesh(vertices, faces, colors, gloss), widened - vertices
 
 
-def _polar_grid(polar: Array, radius: float) -> Array:
+def _polar_grid(polar: Float64, radius: float) -> Float64:
     turn = np.arange(_COLUMNS) / _COLUMNS * 2 * np.pi
     ring = np.sin(polar)[:, None]
     z = np.cos(polar)[:, None] * np.ones(_COLUMNS)
     return radius * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], -1).reshape(-1, 3)
 
 
-def _eye_colors(identity: Identity, degrees: Array, column: Index) -> tuple[Array, Array]:
+def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Float64, Float64]:
     iris = np.array(identity.iris)
     fleck = 1 + 0.16 * np.sin(column * 2.9) * np.sin(column * 1.3)
     stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 17, 22.5, IRIS_DEGREES, 25.6, 45, 180]
@@ -62,7 +63,7 @@ def _eye_colors(identity: Identity, degrees: Array, column: Index) -> tuple[Arra
     return np.clip(colors, 0, 1), np.full(len(degrees), 1.0)
 
 
-def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Index, Array]:
+def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Int64, Float64]:
     """A dark fringe along the upper lid: mesh, the rim vertex each column hangs on, place 0..1.
 
     Columns run from the inner corner (0) to the outer (1) of the eye.

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, Mesh, grid_faces, join, painted, smoothstep, unit
+from rig.arrays import Float64
+from rig.face.geometry.mesh import Mesh, grid_faces, join, painted, smoothstep, unit
 from rig.face.geometry.sdf import cast
 from rig.face.geometry.skin import direction_points
 from rig.face.identity import Identity
@@ -12,7 +13,7 @@ _AXIS = np.array([0.0, 2.2, -0.9])
 _FRONT, _SIDE, _BACK = 0.0, np.pi / 2, np.pi
 
 
-def _hairline(turn: Array) -> Array:
+def _hairline(turn: Float64) -> Float64:
     """Elevation (degrees, from `_AXIS`) of the hair's edge at each turn (0 front, pi back)."""
     around = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
     stops = np.radians([0, 18, 34, 46, 56, 66, 74, 80, 88, 96, 104, 112, 122, 140, 180])
@@ -53,7 +54,7 @@ def _lining(shell: Mesh) -> Mesh:
     )
 
 
-def _thickness(rise: Array, turn: Array, elevation: Array, identity: Identity) -> Array:
+def _thickness(rise: Float64, turn: Float64, elevation: Float64, identity: Identity) -> Float64:
     """Height of the hair over the skin, cm: quick at the edge, full at the crown."""
     volume = identity.hair_volume_cm
     base = 0.12 + volume * smoothstep(rise * 3.2) * (0.75 + 0.35 * np.sin(elevation))
@@ -71,7 +72,7 @@ def _thickness(rise: Array, turn: Array, elevation: Array, identity: Identity) -
     return np.asarray(base + quiff + locks * (1 - smoothstep((rise - 0.75) * 4)))
 
 
-def _hanging(shell: Array, hem: Array, turn: Array, identity: Identity) -> list[Array]:
+def _hanging(shell: Float64, hem: Float64, turn: Float64, identity: Identity) -> list[Float64]:
     """Rows of hair below the edge at the sides and the back (nothing for short hair)."""
     if not identity.hair_length_cm:
         return []

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, unit
+from rig.arrays import Float64
+from rig.face.geometry.mesh import unit
 from rig.face.geometry.sdf import CENTER, project
 from rig.face.identity import Identity
 
@@ -25,7 +26,7 @@ MOUTH_HALF_WIDTH = 2.38
 class Anatomy:
     """Places that several parts need, for one identity (cm)."""
 
-    eye: Array
+    eye: Float64
     eye_radius: float
     mouth_y: float
     mouth_half_width: float
@@ -39,18 +40,18 @@ def anatomy(identity: Identity) -> Anatomy:
     return Anatomy(eye, radius, mouth_y, MOUTH_HALF_WIDTH * identity.mouth_width)
 
 
-def angles(count: int) -> Array:
+def angles(count: int) -> Float64:
     """`count` equal steps around a loop, radians."""
     return np.arange(count) / count * 2 * np.pi
 
 
-def lip_line(u: Array, place: Anatomy) -> tuple[Array, Array]:
+def lip_line(u: Float64, place: Anatomy) -> tuple[Float64, Float64]:
     """Height and depth of the closed mouth's line at u in -1 (right corner) .. 1 (left)."""
     y = place.mouth_y + 0.07 * np.sin(np.pi * u**2) - 0.03 * np.exp(-((u / 0.3) ** 2))
     return y + 0.09 * np.abs(u) ** 3, 9.7 - 1.45 * u**2
 
 
-def mouth_loop(offset: float, identity: Identity) -> Array:
+def mouth_loop(offset: float, identity: Identity) -> Float64:
     """Points (MOUTH_COUNT, 3) of the loop `offset` cm outside the lips' rim, before projection."""
     place = anatomy(identity)
     t = angles(MOUTH_COUNT)
@@ -68,7 +69,7 @@ def mouth_loop(offset: float, identity: Identity) -> Array:
     return np.stack([(place.mouth_half_width + 0.62 * offset) * c, y, z], -1)
 
 
-def lid_outline(offset: float, identity: Identity) -> Array:
+def lid_outline(offset: float, identity: Identity) -> Float64:
     """Left eye: (EYE_COUNT, 2) x and y from the eye's centre of the loop `offset` cm out."""
     t = angles(EYE_COUNT)
     c, s = np.cos(t), np.sin(t)
@@ -83,7 +84,7 @@ def lid_outline(offset: float, identity: Identity) -> Array:
     return np.stack([x, arch + tilt + canthus], -1)
 
 
-def mouth_directions(identity: Identity) -> Array:
+def mouth_directions(identity: Identity) -> Float64:
     """Directions (loops, MOUTH_COUNT, 3) from `CENTER` of the mouth's loops."""
     aim = np.stack([mouth_loop(r, identity) for r in MOUTH_OFFSETS])
     for _ in range(4):  # slide along the skin to the heights the outline asks for
@@ -92,7 +93,7 @@ def mouth_directions(identity: Identity) -> Array:
     return unit(aim - CENTER)
 
 
-def eye_directions(identity: Identity) -> Array:
+def eye_directions(identity: Identity) -> Float64:
     """Directions (loops, EYE_COUNT, 3) from `CENTER` of the left eye's loops."""
     place = anatomy(identity)
     rows = []
@@ -103,7 +104,7 @@ def eye_directions(identity: Identity) -> Array:
     return np.stack(rows)
 
 
-def nostril_directions(identity: Identity) -> Array:
+def nostril_directions(identity: Identity) -> Float64:
     """Directions (loops, NOSTRIL_COUNT, 3) from `CENTER` of the left nostril's loops."""
     t = angles(NOSTRIL_COUNT)
     long, wide = identity.nose_length, identity.nose_width

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from rig.arrays import Float64, Int64
 
 
 @dataclass(frozen=True)
@@ -18,10 +16,10 @@ class Mesh:
     `colors` (V, 3) are sRGB in 0..1; `gloss` (V,) in 0..1 is how much a vertex shines.
     """
 
-    vertices: Array
-    faces: Index
-    colors: Array = field(repr=False)
-    gloss: Array = field(repr=False)
+    vertices: Float64
+    faces: Int64
+    colors: Float64 = field(repr=False)
+    gloss: Float64 = field(repr=False)
 
 
 def join(meshes: list[Mesh]) -> Mesh:
@@ -35,7 +33,7 @@ def join(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def painted(vertices: Array, faces: Index, color: ArrayLike, gloss: float = 0.2) -> Mesh:
+def painted(vertices: Float64, faces: Int64, color: ArrayLike, gloss: float = 0.2) -> Mesh:
     """Build a mesh of one colour, or of one colour a vertex."""
     n = len(vertices)
     return Mesh(
@@ -48,7 +46,7 @@ def mirrored(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1], mesh.colors, mesh.gloss)
 
 
-def grid_faces(rows: int, columns: int, *, closed: bool = True, start: int = 0) -> Index:
+def grid_faces(rows: int, columns: int, *, closed: bool = True, start: int = 0) -> Int64:
     """Triangles of a (rows, columns) grid of vertices; `closed` joins last column to first."""
     i, j = np.meshgrid(
         np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij"
@@ -58,7 +56,7 @@ def grid_faces(rows: int, columns: int, *, closed: bool = True, start: int = 0) 
     return np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
 
 
-def adjacency(faces: Index, n_vertices: int) -> sp.csr_matrix:
+def adjacency(faces: Int64, n_vertices: int) -> sp.csr_matrix:
     """Symmetric 0/1 matrix of the mesh's edges."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     one_way = sp.coo_matrix(
@@ -69,14 +67,14 @@ def adjacency(faces: Index, n_vertices: int) -> sp.csr_matrix:
     return both
 
 
-def edge_counts(faces: Index) -> tuple[Index, Index]:
+def edge_counts(faces: Int64) -> tuple[Int64, Int64]:
     """Every edge (E, 2) once, and how many faces use it (2 inside a manifold, 1 on a border)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
     unique, counts = np.unique(edges, axis=0, return_counts=True)
     return unique, counts
 
 
-def vertex_normals(vertices: Array, faces: Index) -> Array:
+def vertex_normals(vertices: Float64, faces: Int64) -> Float64:
     """Unit normals (V, 3), the faces' cross products summed at their corners (area weights)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
@@ -91,12 +89,12 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
 
 
-def unit(vectors: Array) -> Array:
+def unit(vectors: Float64) -> Float64:
     """Vectors divided by their lengths along the last axis."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def smoothstep(x: Array | float) -> Array:
+def smoothstep(x: Float64 | float) -> Float64:
     """0 below 0, 1 above 1, and a smooth cubic between."""
     clipped = np.clip(x, 0.0, 1.0)
     return np.asarray(clipped * clipped * (3 - 2 * clipped))

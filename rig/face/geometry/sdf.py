@@ -5,14 +5,15 @@ Units are cm; +x is the character's left, +y up, +z forward; the eyes' centres a
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, unit
+from rig.arrays import Float64
+from rig.face.geometry.mesh import unit
 from rig.face.identity import Identity
 
 CENTER = np.array([0.0, 0.0, 0.5])
 """The head is star-shaped around this point: every ray from it leaves the skin once."""
 
 
-def ellipsoid(p: Array, center: tuple[float, ...], radii: tuple[float, ...]) -> Array:
+def ellipsoid(p: Float64, center: tuple[float, ...], radii: tuple[float, ...]) -> Float64:
     """Distance to an axis-aligned ellipsoid (first-order)."""
     q = (p - np.array(center)) / np.array(radii)
     length = np.linalg.norm(q, axis=-1)
@@ -21,8 +22,8 @@ def ellipsoid(p: Array, center: tuple[float, ...], radii: tuple[float, ...]) -> 
 
 
 def capsule(
-    p: Array, a: tuple[float, ...], b: tuple[float, ...], radius_a: float, radius_b: float
-) -> Array:
+    p: Float64, a: tuple[float, ...], b: tuple[float, ...], radius_a: float, radius_b: float
+) -> Float64:
     """Distance to a capsule from `a` to `b` whose radius changes linearly."""
     start, axis = np.array(a), np.array(b) - np.array(a)
     h = np.clip(((p - start) @ axis) / (axis @ axis), 0, 1)
@@ -32,18 +33,18 @@ def capsule(
     )
 
 
-def blend(a: Array, b: Array, k: float) -> Array:
+def blend(a: Float64, b: Float64, k: float) -> Float64:
     """Union of two shapes with a fillet of about `k` cm (polynomial smooth minimum)."""
     h = np.clip(0.5 + 0.5 * (b - a) / k, 0, 1)
     return b + (a - b) * h - k * h * (1 - h)
 
 
-def carve(a: Array, b: Array, k: float) -> Array:
+def carve(a: Float64, b: Float64, k: float) -> Float64:
     """Shape `a` without shape `b`, edges rounded by about `k` cm."""
     return -blend(-a, b, k)
 
 
-def head_distance(points: Array, identity: Identity) -> Array:
+def head_distance(points: Float64, identity: Identity) -> Float64:
     """Signed distance (negative inside) from points (..., 3) to the head without ears and lips."""
     p = points.copy()
     p[..., 0] = np.abs(p[..., 0])
@@ -51,14 +52,14 @@ def head_distance(points: Array, identity: Identity) -> Array:
                       p, identity)  # fmt: skip
 
 
-def _skull(p: Array, i: Identity) -> Array:
+def _skull(p: Float64, i: Identity) -> Float64:
     d = ellipsoid(p, (0, 3.3, -0.9), (7.25 * i.skull_width, 8.3, 9.4))
     d = blend(d, ellipsoid(p, (0, 2.9, 3.0), (6.0 * i.skull_width, 5.5, 5.55)), 2.2)
     temple = ellipsoid(p, (8.6 * i.skull_width, 1.2, 5.4), (1.9, 2.6, 2.6))
     return carve(d, temple, 2.0)
 
 
-def _with_face(d: Array, p: Array, i: Identity) -> Array:
+def _with_face(d: Float64, p: Float64, i: Identity) -> Float64:
     drop = i.jaw_drop_cm
     w, jaw = i.face_width, i.jaw_width
     d = blend(d, ellipsoid(p, (0, -3.8, 1.8), (5.8 * w, 7.0, 6.45)), 2.4)
@@ -75,7 +76,7 @@ def _with_face(d: Array, p: Array, i: Identity) -> Array:
     return carve(d, ellipsoid(p, (3.1 * i.eye_spacing, 0.0, 9.35), (2.2, 1.3, 1.45)), 1.2)
 
 
-def _with_nose(d: Array, p: Array, i: Identity) -> Array:
+def _with_nose(d: Float64, p: Float64, i: Identity) -> Float64:
     long, wide, high = i.nose_length, i.nose_width, i.nose_height
     tip_y, tip_z = -4.0 * long + i.nose_tip_up_cm, 9.45 + 0.65 * high
     bridge = capsule(p, (0, 0.9, 7.6 + 0.4 * high), (0, tip_y + 0.35, tip_z - 0.1), 0.5, 0.72)
@@ -89,14 +90,14 @@ def _with_nose(d: Array, p: Array, i: Identity) -> Array:
     return carve(d, capsule(p, (0, -5.4, 9.74), (0, -6.2, 9.62), 0.15, 0.16), 0.4)
 
 
-def _with_neck(d: Array, p: Array, i: Identity) -> Array:
+def _with_neck(d: Float64, p: Float64, i: Identity) -> Float64:
     neck = capsule(p, (0, -6, -2.2), (0, -26, -4.6), 4.6 * i.neck_width, 5.4 * i.neck_width)
     d = blend(d, neck, 1.4)
     sternal = capsule(p, (4.0 * i.neck_width, -6.5, -1.2), (1.2, -17, 1.6), 0.8, 0.9)
     return blend(d, sternal, 1.2)
 
 
-def project(directions: Array, identity: Identity, samples: int = 60) -> Array:
+def project(directions: Float64, identity: Identity, samples: int = 60) -> Float64:
     """Outermost point of the skin along each direction (n, 3) from `CENTER`.
 
     Steep downward rays are bent: their origin slides down the neck's axis and they turn
@@ -109,7 +110,7 @@ def project(directions: Array, identity: Identity, samples: int = 60) -> Array:
     return cast(origin, ray, identity, samples)
 
 
-def cast(origin: Array, ray: Array, identity: Identity, samples: int = 60) -> Array:
+def cast(origin: Float64, ray: Float64, identity: Identity, samples: int = 60) -> Float64:
     """Outermost point of the skin along each ray (n, 3); `origin` is one (3,) or each ray's own."""
     start = np.broadcast_to(origin, ray.shape)
     t = np.linspace(1.0, 30.0, samples)

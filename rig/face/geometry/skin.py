@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rig.arrays import Float64, Int64
 from rig.face.geometry import loops
 from rig.face.geometry.loops import Anatomy, anatomy
-from rig.face.geometry.mesh import Array, Index, adjacency, edge_counts, smoothstep, unit
+from rig.face.geometry.mesh import adjacency, edge_counts, smoothstep, unit
 from rig.face.geometry.sdf import CENTER, project
 from rig.face.geometry.topology import (
     EYE_L,
@@ -50,20 +51,20 @@ class Skin:
     -1..-2. `mirror` is each vertex's partner on the other side.
     """
 
-    vertices: Array
-    faces: Index
-    kind: Index
-    ring: Index
-    slot: Index
-    mirror: Index
+    vertices: Float64
+    faces: Int64
+    kind: Int64
+    ring: Int64
+    slot: Int64
+    mirror: Int64
     anatomy: Anatomy
 
-    def loop(self, kind: int, ring: int) -> Index:
+    def loop(self, kind: int, ring: int) -> Int64:
         """Vertices of one loop in order around it."""
         chosen = np.flatnonzero((self.kind == kind) & (self.ring == ring))
         return chosen[np.argsort(self.slot[chosen])]
 
-    def lip_rims(self) -> tuple[Index, Index]:
+    def lip_rims(self) -> tuple[Int64, Int64]:
         """Opposing vertices of the upper and the lower lip's rim, from corner to corner."""
         rim = self.loop(MOUTH, 0)
         upper = np.arange(1, len(rim) // 2)
@@ -84,7 +85,7 @@ def build_skin(identity: Identity) -> Skin:
     return _finished(skin)
 
 
-def _smoothed(vertices: Array, topology: Topology) -> Array:
+def _smoothed(vertices: Float64, topology: Topology) -> Float64:
     """Taubin smoothing: removes the lumps between the primitives, keeps the volume."""
     graph = adjacency(topology.faces, len(vertices))
     degree = np.asarray(graph.sum(1))
@@ -118,7 +119,7 @@ def _with_lips(skin: Skin, identity: Identity) -> Skin:
     return replace(skin, vertices=vertices)
 
 
-def _extend(skin: Skin, rows: list[Array], kind: int, faces: list[Index], tip_ring: int) -> Skin:
+def _extend(skin: Skin, rows: list[Float64], kind: int, faces: list[Int64], tip_ring: int) -> Skin:
     """Append inner loops (`rows`) and one closing vertex to the skin."""
     count = len(rows[0])
     partner = (count // 2 - np.arange(count)) % count
@@ -140,7 +141,7 @@ def _extend(skin: Skin, rows: list[Array], kind: int, faces: list[Index], tip_ri
     )
 
 
-def _inner_faces(skin: Skin, rim: Index, n_rows: int, flipped: bool) -> list[Index]:
+def _inner_faces(skin: Skin, rim: Int64, n_rows: int, flipped: bool) -> list[Int64]:
     """Strips from `rim` inwards over `n_rows` new loops, then a fan to the closing vertex."""
     start, count = len(skin.vertices), len(rim)
     tip, outer, parts = start + n_rows * count, rim, []
@@ -255,13 +256,13 @@ def _finished(skin: Skin) -> Skin:
     return replace(skin, vertices=vertices)
 
 
-def paint_skin(skin: Skin, identity: Identity) -> tuple[Array, Array]:
+def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     """Vertex colours (V, 3) sRGB and gloss (V,): blush, lips, dark mouth, lid edges."""
     v, ring, kind = skin.vertices, skin.ring, skin.kind
     base = np.array(identity.skin)
     colors = np.tile(base, (len(v), 1))
 
-    def mix(weight: Array, color: Array) -> None:
+    def mix(weight: Float64, color: Float64) -> None:
         colors[:] += weight[:, None] * (color - colors)
 
     x, y, z = np.abs(v[:, 0]), v[:, 1], v[:, 2]
@@ -285,6 +286,6 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Array, Array]:
     return colors, gloss
 
 
-def direction_points(points: Array, identity: Identity) -> Array:
+def direction_points(points: Float64, identity: Identity) -> Float64:
     """Where the rays from the head's centre through `points` (n, 3) leave the flesh."""
     return project(unit(points - CENTER), identity)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, Mesh, grid_faces, join, mirrored, painted
+from rig.arrays import Float64
+from rig.face.geometry.mesh import Mesh, grid_faces, join, mirrored, painted
 
 TOOTH = np.array([0.83, 0.77, 0.71])
 GUM = np.array([0.66, 0.33, 0.33])
@@ -16,7 +17,7 @@ UPPER_EDGE, LOWER_EDGE = -0.22, -0.36
 """Height of the incisors' biting edges below the line where the lips meet, cm."""
 
 
-def arch_point(s: Array, lip_z: float, *, is_upper: bool) -> tuple[Array, Array]:
+def arch_point(s: Float64, lip_z: float, *, is_upper: bool) -> tuple[Float64, Float64]:
     """Find x and z of the dental arch at s in -1..1 (0 between the front teeth)."""
     width, depth = (2.06, 4.2) if is_upper else (1.94, 4.1)
     front = lip_z - (UPPER_BACK if is_upper else LOWER_BACK)
@@ -57,7 +58,7 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
     return join(parts)
 
 
-def _lip_shadow(vertices: Array, edge: float, up: int, lip_z: float) -> Array:
+def _lip_shadow(vertices: Float64, edge: float, up: int, lip_z: float) -> Float64:
     """Light (V,) that lips and cheeks leave to the teeth: least at the gums and at the back."""
     from_edge, behind = up * (vertices[:, 1] - edge), lip_z - vertices[:, 2]
     back = np.interp(behind, [0.6, 1.4, 2.8, 4.2], [1.0, 0.85, 0.6, 0.4])
@@ -77,7 +78,7 @@ def _gum(y: float, lip_z: float, *, is_upper: bool) -> Mesh:
     return Mesh(mesh.vertices, mesh.faces, _darkened(mesh.colors, mesh.vertices), mesh.gloss)
 
 
-def _darkened(colors: Array, vertices: Array) -> Array:
+def _darkened(colors: Float64, vertices: Float64) -> Float64:
     """Less light reaches deeper into the mouth."""
     shade = np.interp(vertices[:, 2], [3.5, 6.0, 8.2], [0.25, 0.6, 1.0])
     return colors * shade[:, None]
@@ -87,7 +88,7 @@ TONGUE_ROWS, TONGUE_COLUMNS = 26, 22
 TONGUE_BACK, TONGUE_LENGTH = 1.12, 5.4
 
 
-def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Array]:
+def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
     """The tongue at rest behind the lower teeth, and every vertex's place 0 (tip) .. 1 (root)."""
     s = np.linspace(0, 1, TONGUE_ROWS)
     turn = np.arange(TONGUE_COLUMNS) / TONGUE_COLUMNS * 2 * np.pi

@@ -13,8 +13,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull, cKDTree
 
+from rig.arrays import Bool, Float64, Int64
 from rig.face.geometry import loops
-from rig.face.geometry.mesh import Array, Index, Mask, adjacency, unit
+from rig.face.geometry.mesh import adjacency, unit
 from rig.face.geometry.sdf import project
 from rig.face.identity import Identity
 
@@ -33,15 +34,15 @@ class Topology:
     (0 is the rim) and which place on the loop; `mirror` (V,) is the vertex on the other side.
     """
 
-    directions: Array
-    faces: Index
-    kind: Index
-    ring: Index
-    slot: Index
-    mirror: Index
+    directions: Float64
+    faces: Int64
+    kind: Int64
+    ring: Int64
+    slot: Int64
+    mirror: Int64
 
 
-def spacing(directions: Array) -> Array:
+def spacing(directions: Float64) -> Float64:
     """Wanted distance between neighbouring vertices, radians seen from the head's centre."""
     from_face = np.degrees(np.arccos(np.clip(directions @ FACE_AXIS, -1, 1)))
     from_nose = np.degrees(np.arccos(np.clip(directions @ NOSE_AXIS, -1, 1)))
@@ -53,7 +54,7 @@ def spacing(directions: Array) -> Array:
     return np.minimum(np.minimum(face, nose), neck)
 
 
-def loop_directions(identity: Identity) -> list[tuple[int, Array]]:
+def loop_directions(identity: Identity) -> list[tuple[int, Float64]]:
     """Every feature's kind and its loops (loops, count, 3), the order vertices are stored in."""
     eye, nostril = loops.eye_directions(identity), loops.nostril_directions(identity)
     flip = np.array([-1, 1, 1])
@@ -66,11 +67,11 @@ def loop_directions(identity: Identity) -> list[tuple[int, Array]]:
     ]
 
 
-def _gnomonic(directions: Array) -> Array:
+def _gnomonic(directions: Float64) -> Float64:
     return directions[:, :2] / np.maximum(directions[:, 2:3], 1e-3)
 
 
-def in_polygon(points: Array, polygon: Array) -> Mask:
+def in_polygon(points: Float64, polygon: Float64) -> Bool:
     """Which points (n, 2) lie inside a closed polygon (m, 2)."""
     x, y = points[:, 0], points[:, 1]
     inside = np.zeros(len(points), bool)
@@ -80,7 +81,7 @@ def in_polygon(points: Array, polygon: Array) -> Mask:
     return inside
 
 
-def _in_a_feature(directions: Array, features: list[tuple[int, Array]]) -> Mask:
+def _in_a_feature(directions: Float64, features: list[tuple[int, Float64]]) -> Bool:
     flat, front = _gnomonic(directions), directions[:, 2] > 0.2
     inside = np.zeros(len(directions), bool)
     for _, rows in features:
@@ -88,13 +89,13 @@ def _in_a_feature(directions: Array, features: list[tuple[int, Array]]) -> Mask:
     return inside
 
 
-def _midline(rows: Array, features: list[tuple[int, Array]]) -> Array:
+def _midline(rows: Float64, features: list[tuple[int, Float64]]) -> Float64:
     """A row of points in the mirror plane, all the way round."""
     elevation = np.radians(np.arange(-100, 260, 0.25))
     ring = np.stack([0 * elevation, np.sin(elevation), np.cos(elevation)], -1)
     gap = 0.8 * spacing(ring)
     distance, _ = cKDTree(rows).query(ring)
-    chosen: list[Array] = []
+    chosen: list[Float64] = []
     for point, radius in zip(ring, gap * ((distance > 0.6 * gap) & ~_in_a_feature(ring, features)),
                              strict=True):  # fmt: skip
         is_free = radius > 0 and (not chosen or np.linalg.norm(point - chosen[-1]) > radius)
@@ -103,7 +104,7 @@ def _midline(rows: Array, features: list[tuple[int, Array]]) -> Array:
     return np.array(chosen)
 
 
-def _scattered(rows: Array, midline: Array, features: list[tuple[int, Array]]) -> Array:
+def _scattered(rows: Float64, midline: Float64, features: list[tuple[int, Float64]]) -> Float64:
     """Poisson-disc points on the left half, away from loops and midline."""
     n = 60_000
     i = np.arange(n) + 0.5
@@ -129,7 +130,7 @@ def _scattered(rows: Array, midline: Array, features: list[tuple[int, Array]]) -
     return points[chosen]
 
 
-def _hull(directions: Array) -> Index:
+def _hull(directions: Float64) -> Int64:
     """Delaunay triangles on the sphere, counter-clockwise from outside, mirror-symmetric."""
     faces = ConvexHull(directions).simplices.astype(np.int64)
     a, b, c = (directions[faces[:, k]] for k in range(3))
@@ -138,7 +139,7 @@ def _hull(directions: Array) -> Index:
     return faces
 
 
-def _symmetric(faces: Index, directions: Array, mirror: Index) -> Index:
+def _symmetric(faces: Int64, directions: Float64, mirror: Int64) -> Int64:
     """Keep the triangles of the left half and add their mirror images.
 
     Where an edge joins a vertex to its own mirror image across the midline, the edge is turned
@@ -159,7 +160,7 @@ def _symmetric(faces: Index, directions: Array, mirror: Index) -> Index:
     return np.concatenate([kept, mirror[kept][:, ::-1]])
 
 
-def _relaxed(directions: Array, movable: Mask, midline: Mask) -> Array:
+def _relaxed(directions: Float64, movable: Bool, midline: Bool) -> Float64:
     """Move filler points towards their neighbours' mean, six times."""
     for _ in range(6):
         graph = adjacency(_hull(directions), len(directions))
@@ -172,7 +173,7 @@ def _relaxed(directions: Array, movable: Mask, midline: Mask) -> Array:
     return directions
 
 
-def _strips(start: int, count: int, n_loops: int, flipped: bool) -> Index:
+def _strips(start: int, count: int, n_loops: int, flipped: bool) -> Int64:
     """Two triangles a quad between neighbouring loops of one feature."""
     i = np.arange(count)
     parts = []
@@ -184,7 +185,7 @@ def _strips(start: int, count: int, n_loops: int, flipped: bool) -> Index:
     return faces[:, ::-1] if flipped else faces
 
 
-def _mirror_of(points: Array) -> Index:
+def _mirror_of(points: Float64) -> Int64:
     """Index of the mirror image of every point."""
     distance, index = cKDTree(points).query(points * [-1, 1, 1])
     assert np.max(distance) < 1e-6, "the skin's points are not mirror-symmetric"
@@ -246,8 +247,8 @@ def _cut_at_neck(whole: Topology) -> Topology:
 
 
 def _spans_feature(
-    faces: Index, directions: Array, kind: Index, features: list[tuple[int, Array]]
-) -> Mask:
+    faces: Int64, directions: Float64, kind: Int64, features: list[tuple[int, Float64]]
+) -> Bool:
     """Hull triangles that lie inside a feature's outermost loop, to be cut out."""
     corner = kind[faces]
     same = (corner[:, 0] > 0) & (corner == corner[:, :1]).all(1)
@@ -258,7 +259,7 @@ def _spans_feature(
     return cut
 
 
-def directions_for(identity: Identity) -> Array:
+def directions_for(identity: Identity) -> Float64:
     """The topology's directions with the loops where `identity` has them.
 
     The filler follows the loops harmonically, so that triangles keep their shape.

@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.controls import default_controls
-from rig.face.geometry.mesh import Array
 
 Effect = tuple[str, float]
 
@@ -182,7 +182,7 @@ class Bindings:
             self._matrix[control + sign * count, self._place[target]] += gain
         self._upper = [controls.index(f"CTRL_{s}_nose_wrinkleUpper.ty") for s in "LR"]
 
-    def __call__(self, values: Array) -> dict[str, Array]:
+    def __call__(self, values: Float64) -> dict[str, Float64]:
         """Inputs by name, each (T,), of control values (T, 185)."""
         table = np.concatenate([np.maximum(values, 0), np.maximum(-values, 0)], 1) @ self._matrix
         inputs = {name: table[:, k] for name, k in self._place.items()}

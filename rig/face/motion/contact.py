@@ -7,12 +7,13 @@ through one another. Full closure is exact, whatever jaw, purse or smile do.
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.face.geometry import loops
-from rig.face.geometry.mesh import Array, smoothstep
+from rig.face.geometry.mesh import smoothstep
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import FILLER, MOUTH
 
-Inputs = dict[str, Array]
+Inputs = dict[str, Float64]
 _SEAL_RINGS = np.arange(-2, 10)
 _SEAL_SHARE = np.array([0.75, 1.0, 1.0, 0.93, 0.80, 0.62, 0.42, 0.27, 0.17, 0.10, 0.05, 0.02])
 _UPPER_PART = 0.38
@@ -47,18 +48,18 @@ class Arch:
         self._center_z, self._edge_y, self._up = center_z, edge_y, up
         self._least = np.minimum(self._ratio(v[self.ids]), 1.0)
 
-    def _is_under(self, skin: Skin) -> Array:
+    def _is_under(self, skin: Skin) -> Float64:
         """1 at the rim of the lower lip, which F tucks under the upper teeth; 0 past its red."""
         ring, slot = skin.ring[self.ids], skin.slot[self.ids]
         is_lower = (skin.kind[self.ids] == MOUTH) & (slot > loops.MOUTH_COUNT // 2)
         return np.asarray(is_lower * np.interp(ring, [-2, 0, 2, 4], [1, 1, 0.6, 0]))
 
-    def _ratio(self, points: Array) -> Array:
+    def _ratio(self, points: Float64) -> Float64:
         a, b = self._axes
         z = points[..., 2] - self._center_z
         return np.asarray(np.sqrt((points[..., 0] / a) ** 2 + (np.maximum(z, 0) / b) ** 2 + 1e-9))
 
-    def push(self, points: Array) -> Array:
+    def push(self, points: Float64) -> Float64:
         """Displacement (T, n, 3) that brings `points` (at `ids`) in front of the teeth."""
         grow = np.maximum(self._least / self._ratio(points) - 1, 0)
         beyond = self._up * (points[..., 1] - self._edge_y)
@@ -84,7 +85,7 @@ class Seal:
         left = smoothstep(0.5 + self._u * loops.MOUTH_HALF_WIDTH / 1.3)
         self._sides = {"L": left, "R": 1 - left}
 
-    def amounts(self, inputs: Inputs) -> tuple[Array, Array]:
+    def amounts(self, inputs: Inputs) -> tuple[Float64, Float64]:
         """How far (T, n) upper and lower lip go along their part of the gap, 0..1."""
         far = np.abs(self._u)
         center, inner = np.exp(-((far / 0.35) ** 2)), np.exp(-(((far - 0.45) / 0.28) ** 2))
@@ -102,7 +103,7 @@ class Seal:
             total.append(np.clip(amount, 0, 1))
         return total[0], total[1]
 
-    def pose(self, vertices: Array, inputs: Inputs) -> None:
+    def pose(self, vertices: Float64, inputs: Inputs) -> None:
         """Close the lips in place (T, V, 3)."""
         amount_u, amount_l = self.amounts(inputs)
         gap = vertices[:, self._lower[self._rim]] - vertices[:, self._upper[self._rim]]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array
+from rig.arrays import Float64
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import EYE_L, FILLER, MOUTH
 from rig.face.motion.shapes import ShapeMaker
@@ -10,17 +10,17 @@ from rig.face.motion.shapes import ShapeMaker
 OPEN_DEGREES = 19.0
 HINGE = np.array([0.0, -2.6, 0.6])
 _SLIDE_OPEN, _SIDE, _FORWARD = -0.25, 0.60, 0.60
-Inputs = dict[str, Array]
+Inputs = dict[str, Float64]
 
 
 class Jaw:
     """Rotates skin, lower teeth and tongue with the jaw."""
 
-    def __init__(self, skin: Skin, weights: Array) -> None:
+    def __init__(self, skin: Skin, weights: Float64) -> None:
         self.skin_weights = weights
 
     @staticmethod
-    def weights(maker: ShapeMaker) -> Array:
+    def weights(maker: ShapeMaker) -> Float64:
         """How much (V,) each skin vertex follows the jaw, 0..1.
 
         A thin plate between the skull (0) and the chin (1). On the lips the weights follow
@@ -49,22 +49,22 @@ class Jaw:
         spread = 0.5 * (spread + spread[skin.mirror])
         return np.asarray(np.clip(spread, 0, 1))
 
-    def pose(self, skin: Array, inputs: Inputs) -> None:
+    def pose(self, skin: Float64, inputs: Inputs) -> None:
         """Open the jaw in place on skin vertices (T, V, 3)."""
         moving = np.flatnonzero(self.skin_weights > 1e-4)
         skin[:, moving] = self.ride(skin[:, moving], inputs, self.skin_weights[moving])
 
-    def ride(self, points: Array, inputs: Inputs, share: Array | float = 1.0) -> Array:
+    def ride(self, points: Float64, inputs: Inputs, share: Float64 | float = 1.0) -> Float64:
         """Points (T, n, 3) taken along by the jaw, each by its share of angle and slide."""
         angle, slide = self._motion(inputs)
         return np.asarray(_turned(points, angle * share) + slide * np.asarray(share)[..., None])
 
-    def undo(self, points: Array, inputs: Inputs) -> Array:
+    def undo(self, points: Float64, inputs: Inputs) -> Float64:
         """Points (T, n, 3) of the world as the jaw sees them (the inverse of a full `ride`)."""
         angle, slide = self._motion(inputs)
         return _turned(points - slide, -angle)
 
-    def _motion(self, inputs: Inputs) -> tuple[Array, Array]:
+    def _motion(self, inputs: Inputs) -> tuple[Float64, Float64]:
         open_ = np.clip(inputs["jaw.open"], 0, 1.35)
         zero = np.zeros_like(open_)
         slide = np.stack(
@@ -74,7 +74,7 @@ class Jaw:
         return np.radians(OPEN_DEGREES) * open_[:, None], slide[:, None]
 
 
-def _turned(points: Array, angle: Array) -> Array:
+def _turned(points: Float64, angle: Float64) -> Float64:
     """Rotate points (T, n, 3) downwards about the hinge's x axis by `angle` (T, n) or (T, 1)."""
     q = points - HINGE
     cos, sin = np.cos(angle), np.sin(angle)

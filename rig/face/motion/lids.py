@@ -4,26 +4,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Float64, Int64
 from rig.face.geometry import loops
-from rig.face.geometry.mesh import Array, Index
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import EYE_L, EYE_R
 
 _RING_SHARE = np.array([1.0, 0.98, 0.86, 0.60, 0.32, 0.12, 0.0])
 _MEET = 0.16
 """Where closed lids meet, as a share of the way from the lower to the upper rim."""
-Inputs = dict[str, Array]
+Inputs = dict[str, Float64]
 
 
 @dataclass(frozen=True)
 class _Eye:
-    ids: Index
-    slot: Index
-    share: Array
-    center: Array
-    rim: Index
-    upper: Array
-    arch: Array
+    ids: Int64
+    slot: Int64
+    share: Float64
+    center: Float64
+    rim: Int64
+    upper: Float64
+    arch: Float64
 
 
 class Lids:
@@ -43,11 +43,11 @@ class Lids:
                 (np.sin(t) > 1e-6).astype(float), np.abs(np.sin(t)),
             )  # fmt: skip
 
-    def pose(self, vertices: Array, inputs: Inputs) -> dict[str, Array]:
+    def pose(self, vertices: Float64, inputs: Inputs) -> dict[str, Float64]:
         """Turn the lids in place (T, V, 3); returns each rim's turn (T, EYE_COUNT), radians."""
         return {name: self._pose_eye(vertices, inputs, name) for name in self._eyes}
 
-    def _pose_eye(self, vertices: Array, inputs: Inputs, name: str) -> Array:
+    def _pose_eye(self, vertices: Float64, inputs: Inputs, name: str) -> Float64:
         eye = self._eyes[name]
         rim = vertices[:, eye.rim] - eye.center
         angle = np.arctan2(rim[..., 1], rim[..., 2])
@@ -61,7 +61,7 @@ class Lids:
         vertices[:, eye.ids] = eye.center + around * np.maximum(self._least / length, 1)
         return turn
 
-    def _rim_turn(self, angle: Array, eye: _Eye, inputs: Inputs, name: str) -> Array:
+    def _rim_turn(self, angle: Float64, eye: _Eye, inputs: Inputs, name: str) -> Float64:
         """How far every rim vertex turns upwards; opposite rims meet and never cross."""
         opposite = angle[:, self._opposite]
         gap = np.where(eye.upper > 0, angle - opposite, opposite - angle)
@@ -77,13 +77,13 @@ class Lids:
         return turn * (eye.arch > 1e-6)
 
 
-def _inner(eye: _Eye) -> Array:
+def _inner(eye: _Eye) -> Float64:
     """1 towards the nose, 0 at the outer corner: where a frown presses the lid."""
     t = loops.angles(loops.EYE_COUNT)
     return np.asarray(0.5 - 0.5 * np.cos(t))
 
 
-def _lid_shares(inputs: Inputs, name: str) -> tuple[Array, Array]:
+def _lid_shares(inputs: Inputs, name: str) -> tuple[Float64, Float64]:
     """Shares (T, 1) of the opening that the upper lid closes and the lower lid rises."""
     get = {k: inputs[f"lid.{k}_{name}"] for k in ("close", "upper", "lower", "lookDown")}
     blink = np.clip(get["close"], 0, 1)
@@ -95,7 +95,7 @@ def _lid_shares(inputs: Inputs, name: str) -> tuple[Array, Array]:
     return upper[:, None], lower[:, None]
 
 
-def _lid_angles(inputs: Inputs, name: str) -> tuple[Array, Array, Array]:
+def _lid_angles(inputs: Inputs, name: str) -> tuple[Float64, Float64, Float64]:
     """Extra turns (T,), radians: upper lid up, lower lid down, and both down with the gaze."""
     get = {k: np.clip(inputs[f"lid.{k}_{name}"], 0, 1)
            for k in ("widen", "upperUp", "lowerDown", "lookUp", "lookDown", "close")}  # fmt: skip

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Bool, Float64, Int64
 from rig.face.geometry import loops
-from rig.face.geometry.mesh import Array, Index, Mask, smoothstep, vertex_normals
+from rig.face.geometry.mesh import smoothstep, vertex_normals
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH, NOSTRIL_L
 from rig.face.motion.thin_plate import ThinPlate
 
-Number = float | Array
+Number = float | Float64
 Triple = tuple[Number, Number, Number]
 
 
@@ -29,26 +30,26 @@ class LipPoints:
     at the corner; `bell` is 1 - u**2 and `corner` is u**2.2.
     """
 
-    u: Array
-    ring: Array
-    upper: Array
+    u: Float64
+    ring: Float64
+    upper: Float64
 
     @property
-    def bell(self) -> Array:
+    def bell(self) -> Float64:
         """1 in the middle of the lip, 0 at the corner."""
         return 1 - self.u**2
 
     @property
-    def corner(self) -> Array:
+    def corner(self) -> Float64:
         """0 in the middle of the lip, 1 at the corner."""
         return np.asarray(self.u**2.2)
 
     @property
-    def lower(self) -> Array:
+    def lower(self) -> Float64:
         """1 on the lower lip, 0 on the upper."""
         return 1 - self.upper
 
-    def rings(self, **at: float) -> Array:
+    def rings(self, **at: float) -> Float64:
         """Interpolate over loops; keys are ``r0``, ``r2``, ... and ``m1`` for loop -1."""
         where = [(-1 if k[0] == "m" else 1) * int(k[1:]) for k in at]
         return np.interp(self.ring, where, list(at.values()))
@@ -91,7 +92,7 @@ class ShapeMaker:
         self.still = far & (skin.kind == FILLER)
         self.nose = _nose(skin)
 
-    def make(self, shape: Shape) -> dict[str, Array]:
+    def make(self, shape: Shape) -> dict[str, Float64]:
         """Displacements by name: one for a whole shape, two for a split one."""
         whole = self._solve(shape) + sum(
             (self._fold(crease) for crease in shape.creases), np.zeros((1, 3))
@@ -102,13 +103,13 @@ class ShapeMaker:
         share = self.left_share[:, None]
         return {f"{shape.name}_L": whole * share, f"{shape.name}_R": whole * (1 - share)}
 
-    def lip_points(self, chosen: Mask) -> LipPoints:
+    def lip_points(self, chosen: Bool) -> LipPoints:
         """Lip coordinates of the chosen vertices."""
         t = self._t[chosen]
         upper = smoothstep(0.5 + 2.2 * np.sin(t))
         return LipPoints(np.abs(np.cos(t)), self.skin.ring[chosen].astype(float), upper)
 
-    def _solve(self, shape: Shape) -> Array:
+    def _solve(self, shape: Shape) -> Float64:
         skin, n = self.skin, len(self.skin.vertices)
         fixed, values = self.still | self.lid, np.zeros((n, 3))
         lips = (skin.kind == MOUTH) & (skin.ring <= shape.reach)
@@ -124,7 +125,7 @@ class ShapeMaker:
             return values
         return self.plate.spread(fixed, values)
 
-    def _lip_motion(self, lips: Callable[[LipPoints], Triple], chosen: Mask) -> Array:
+    def _lip_motion(self, lips: Callable[[LipPoints], Triple], chosen: Bool) -> Float64:
         """The formula on the lips; it fades out on the loops inside the mouth."""
         p = self.lip_points(chosen)
         capped = LipPoints(p.u, np.maximum(p.ring, -1), p.upper)
@@ -133,14 +134,14 @@ class ShapeMaker:
         fade = np.interp(-p.ring, [1, 2, 3, 4, 5], [1, 0.85, 0.5, 0.2, 0])
         return np.asarray(motion * fade[:, None])
 
-    def _nearest(self, x: float, y: float, count: int = 3) -> Index:
+    def _nearest(self, x: float, y: float, count: int = 3) -> Int64:
         """Vertices of the front of the face closest to (x, y)."""
         v = self.skin.vertices
         off = (v[:, 0] - x) ** 2 + (v[:, 1] - y) ** 2 + 100 * (v[:, 2] < 2) + 100 * self.lid
         off = off + 100 * ((self.skin.kind == MOUTH) & (self.skin.ring < 0))
         return np.argsort(off)[: count if x else 1].astype(np.int64)
 
-    def _fold(self, crease: Crease) -> Array:
+    def _fold(self, crease: Crease) -> Float64:
         line, depth, width = crease
         v = self.skin.vertices
         point = np.stack([np.abs(v[:, 0]), v[:, 1]], -1)
@@ -151,7 +152,7 @@ class ShapeMaker:
         return np.asarray(((groove + roll) * front)[:, None] * self.normals)
 
 
-def _nose(skin: Skin) -> Mask:
+def _nose(skin: Skin) -> Bool:
     """Tip and bridge of the nose, which the lips pull at in vain."""
     rim = skin.vertices[skin.loop(NOSTRIL_L, 0)]
     x, y, z = np.abs(skin.vertices[:, 0]), skin.vertices[:, 1], skin.vertices[:, 2]
@@ -159,7 +160,7 @@ def _nose(skin: Skin) -> Mask:
     return np.asarray(front & (y > rim[:, 1].mean()) & (y < -1.5))
 
 
-def _signed_distance(points: Array, line: Array) -> Array:
+def _signed_distance(points: Float64, line: Float64) -> Float64:
     """Distance to a polyline, positive on its left; grows fast beyond its ends."""
     best, sign = np.full(len(points), np.inf), np.ones(len(points))
     for k in range(len(line) - 1):

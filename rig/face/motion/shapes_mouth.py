@@ -1,6 +1,6 @@
 """Shapes of the lips and the muscles that pull them (cm at full strength, left side)."""
 
-from rig.face.geometry.mesh import Array
+from rig.arrays import Float64
 from rig.face.motion.shapes import LipPoints, Shape, Triple
 
 NASOLABIAL = ((1.62, -3.9), (2.15, -4.9), (2.9, -5.9), (3.45, -7.2), (3.5, -8.0))
@@ -12,7 +12,7 @@ def _towards(side: str) -> int:
     return -1 if side == "U" else 1
 
 
-def _share(p: LipPoints, side: str) -> Array:
+def _share(p: LipPoints, side: str) -> Float64:
     """1 on the lip meant, 0 on the other."""
     return p.upper if side == "U" else p.lower
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, smoothstep
+from rig.arrays import Float64
+from rig.face.geometry.mesh import smoothstep
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import MOUTH
 from rig.face.motion.shapes import ShapeMaker
@@ -10,7 +11,7 @@ from rig.face.motion.shapes import ShapeMaker
 _LARYNX_Y = -13.0
 
 
-def side_shapes(maker: ShapeMaker) -> dict[str, Array]:
+def side_shapes(maker: ShapeMaker) -> dict[str, Float64]:
     """Mouth, upper lip and lower lip moved to the character's left by half a centimetre or so."""
     skin = maker.skin
     lips = (skin.kind == MOUTH) & (skin.ring <= 5)
@@ -27,7 +28,7 @@ def side_shapes(maker: ShapeMaker) -> dict[str, Array]:
     return shapes
 
 
-def _near_line(skin: Skin, a: tuple[float, ...], b: tuple[float, ...], width: float) -> Array:
+def _near_line(skin: Skin, a: tuple[float, ...], b: tuple[float, ...], width: float) -> Float64:
     """1 on the segment a-b (left half, mirrored), falling to 0 over `width` cm."""
     p = skin.vertices
     start, axis = np.array(a), np.array(b) - np.array(a)
@@ -36,7 +37,7 @@ def _near_line(skin: Skin, a: tuple[float, ...], b: tuple[float, ...], width: fl
     return np.asarray(np.exp(-((distance / width) ** 2)))
 
 
-def neck_shapes(maker: ShapeMaker) -> dict[str, Array]:
+def neck_shapes(maker: ShapeMaker) -> dict[str, Float64]:
     """Cords, larynx and the floor of the mouth."""
     skin, normals = maker.skin, maker.normals
     y, z = skin.vertices[:, 1], skin.vertices[:, 2]

@@ -4,7 +4,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
-from rig.face.geometry.mesh import Array, Mask, adjacency
+from rig.arrays import Bool, Float64
+from rig.face.geometry.mesh import adjacency
 from rig.face.geometry.skin import Skin
 
 
@@ -25,7 +26,7 @@ class ThinPlate:
         self._matrix = (laplacian.T @ laplacian + 1e-9 * sp.eye(n)).tocsc()
         self._factors: dict[bytes, tuple[SuperLU, sp.csc_matrix]] = {}
 
-    def spread(self, fixed: Mask, values: Array) -> Array:
+    def spread(self, fixed: Bool, values: Float64) -> Float64:
         """Keep `values` (V, k) where `fixed` (V,), and fill the rest in smoothly."""
         free = ~fixed
         key = np.packbits(fixed).tobytes()

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.face.geometry import teeth
-from rig.face.geometry.mesh import Array, smoothstep
+from rig.face.geometry.mesh import smoothstep
 
-Inputs = dict[str, Array]
+Inputs = dict[str, Float64]
 
 
 class Tongue:
@@ -21,7 +22,7 @@ class Tongue:
         Where the lips meet.
     """
 
-    def __init__(self, rest: Array, place: Array, mouth_y: float, lip_z: float) -> None:
+    def __init__(self, rest: Float64, place: Float64, mouth_y: float, lip_z: float) -> None:
         self._rest, self._s = rest, place
         rows = rest.reshape(teeth.TONGUE_ROWS, teeth.TONGUE_COLUMNS, 3)
         self._axis = np.repeat(rows.mean(1), teeth.TONGUE_COLUMNS, 0)
@@ -32,7 +33,7 @@ class Tongue:
         self._teeth_z = lip_z - teeth.UPPER_BACK
         self.jaw_share = 0.55 + 0.42 * (1 - place)
 
-    def shape(self, inputs: Inputs) -> Array:
+    def shape(self, inputs: Inputs) -> Float64:
         """The tongue bent by its own controls (T, n, 3), before the jaw takes it along."""
         get = {k: inputs[f"tongue.{k}"][:, None] for k in (
             "in", "out", "up", "left", "press", "wide", "bend", "twist", "roll", "tipUp",
@@ -56,7 +57,9 @@ class Tongue:
         z = self._axis[:, 2] + offset[:, 2] + reach
         return np.stack(np.broadcast_arrays(x, y, z), -1)
 
-    def settle(self, points: Array, lower_edge: Array, lip_low: Array, lip_high: Array) -> Array:
+    def settle(
+        self, points: Float64, lower_edge: Float64, lip_low: Float64, lip_high: Float64
+    ) -> Float64:
         """Keep the tongue (T, n, 3) under palate and upper teeth, over lower teeth and lip.
 
         `lower_edge`, `lip_low` and `lip_high` (T, 2) are y and z of the lower incisors' edge and

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.face.geometry.mesh import Array, unit
+from rig.arrays import Float64
+from rig.face.geometry.mesh import unit
 
 NEAR, FAR = 15.0, 140.0
 
@@ -17,7 +18,7 @@ class View:
     position: tuple[float, float, float]
     degrees: float
 
-    def matrix(self, aspect: float) -> Array:
+    def matrix(self, aspect: float) -> Float64:
         """World to clip space, (4, 4), for column vectors; `aspect` is width / height."""
         eye, target = np.array(self.position), np.array(self.target)
         back = unit(eye - target)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.face.geometry.mesh import Array
+from rig.arrays import Float64
 
 Picture = NDArray[np.uint8]
 
@@ -30,7 +30,7 @@ _STROKES = {
 
 
 @lru_cache(maxsize=512)
-def _glyph(character: str, height: int) -> Array:
+def _glyph(character: str, height: int) -> Float64:
     """Coverage (height, width) 0..1 of one character."""
     width = round(height * 0.82)
     cover = np.zeros((height, width))

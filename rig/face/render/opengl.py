@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Float64
 from rig.errors import RigError
-from rig.face.geometry.mesh import Array, Mesh
+from rig.face.geometry.mesh import Mesh
 from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
 from rig.face.render.shading import glsl, glsl_background
@@ -66,7 +67,7 @@ class OpenGLRenderer:
         sky = context.program(vertex_shader=sky_vertex, fragment_shader=sky_fragment)
         self._sky = context.vertex_array(sky, [])
 
-    def draw(self, vertices: Array, normals: Array) -> Picture:
+    def draw(self, vertices: Float64, normals: Float64) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
         width, height = self.size
         self._points.write(np.hstack([vertices, normals]).astype("f4").tobytes())

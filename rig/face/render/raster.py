@@ -8,12 +8,9 @@ nearest fragment is a minimum.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.face.geometry.mesh import Index
+from rig.arrays import Float32, Int32, Int64
 
-Float = NDArray[np.float32]
-Int = NDArray[np.int32]
 FRAGMENTS = 65_536
 """Fragments made at a time."""
 _NOTHING = (int(np.float32(np.inf).view(np.int32)) << 32) | 0xFFFFFFFF
@@ -29,22 +26,22 @@ class Screen:
 
     width: int
     height: int
-    x: Float
-    y: Float
-    depth: Float
+    x: Float32
+    y: Float32
+    depth: Float32
 
 
 @dataclass(frozen=True)
 class _Spans:
     """Runs of samples in one row: triangle, row, first column and length."""
 
-    triangle: Int
-    row: Int
-    column: Int
-    length: Int
+    triangle: Int32
+    row: Int32
+    column: Int32
+    length: Int32
 
 
-def front_faces(screen: Screen, faces: Index) -> Index:
+def front_faces(screen: Screen, faces: Int64) -> Int64:
     """Faces that show their outside and touch the picture (counter-clockwise, y downwards)."""
     ax, bx, cx = (screen.x[faces[:, k]] for k in range(3))
     ay, by, cy = (screen.y[faces[:, k]] for k in range(3))
@@ -56,7 +53,7 @@ def front_faces(screen: Screen, faces: Index) -> Index:
     return faces[is_front]
 
 
-def planes(screen: Screen, faces: Index, values: Float) -> tuple[Float, Float, Float]:
+def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Float32, Float32]:
     """How vertex values (V, k) run over each face: at its first corner, per x and per y.
 
     Each of the three arrays is (F, k).
@@ -72,7 +69,7 @@ def planes(screen: Screen, faces: Index, values: Float) -> tuple[Float, Float, F
     return first, per_x, per_y
 
 
-def nearest_faces(screen: Screen, faces: Index) -> tuple[Int, Float]:
+def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
     """Nearest face and its depth (height, width) at every sample; -1 and inf where there is none.
 
     Parameters
@@ -97,14 +94,14 @@ def nearest_faces(screen: Screen, faces: Index) -> tuple[Int, Float]:
     return face, (nearest >> 32).astype(np.int32).view(np.float32).reshape(shape)
 
 
-def middle_of(sample: Index | Int) -> Float:
+def middle_of(sample: Int64 | Int32) -> Float32:
     """Place of samples' middles, float32."""
     return sample.astype(np.float32) + np.float32(0.5)
 
 
 def _fragments(
-    screen: Screen, spans: _Spans, cut: Index, start: Float, slope: Float
-) -> tuple[Int, Index]:
+    screen: Screen, spans: _Spans, cut: Int64, start: Float32, slope: Float32
+) -> tuple[Int32, Int64]:
     """Every sample of some spans, and its depth and triangle as one number."""
     length = spans.length[cut]
     step = _ramp(length)
@@ -114,26 +111,26 @@ def _fragments(
     return sample, key << 32 | np.repeat(spans.triangle[cut], length)
 
 
-def _cuts(lengths: Int) -> list[Index]:
+def _cuts(lengths: Int32) -> list[Int64]:
     """Spans in groups whose samples fit a processor's cache."""
     ends = np.cumsum(lengths)
     stops = np.arange(FRAGMENTS, ends[-1] if len(ends) else 0, FRAGMENTS)
     return np.split(np.arange(len(ends)), np.searchsorted(ends, stops))
 
 
-def _ramp(counts: Int) -> Int:
+def _ramp(counts: Int32) -> Int32:
     """0, 1, ... counts[0] - 1, 0, 1, ... counts[1] - 1, and so on."""
     ends = np.cumsum(counts, dtype=np.int32)
     total = int(ends[-1]) if len(ends) else 0
     return np.asarray(np.arange(total, dtype=np.int32) - np.repeat(ends - counts, counts))
 
 
-def _first(edge: Float, limit: int) -> Int:
+def _first(edge: Float32, limit: int) -> Int32:
     """Index of the first sample whose centre lies at or past `edge`, within 0 .. limit."""
     return np.asarray(np.clip(np.ceil(edge - np.float32(0.5)), 0, limit), np.int32)
 
 
-def _spans(screen: Screen, faces: Index) -> _Spans:
+def _spans(screen: Screen, faces: Int64) -> _Spans:
     """Spans of all faces; neighbours share no sample and leave none out."""
     order = np.argsort(screen.y[faces], axis=1)
     high, middle, low = np.take_along_axis(faces, order, axis=1).T
@@ -156,7 +153,7 @@ def _spans(screen: Screen, faces: Index) -> _Spans:
     return _Spans(triangle[kept], row[kept], column[kept], length[kept])
 
 
-def _along(screen: Screen, top: Index, bottom: Index, triangle: Int, y: Float) -> Float:
+def _along(screen: Screen, top: Int64, bottom: Int64, triangle: Int32, y: Float32) -> Float32:
     """Where the edge from `top` to `bottom` of each span's triangle crosses the span's row.
 
     Both triangles at an edge compute the same numbers, so no crack opens between them.

@@ -2,8 +2,9 @@
 
 from typing import Literal, Protocol
 
+from rig.arrays import Float64
 from rig.errors import RigError
-from rig.face.geometry.mesh import Array, Mesh, vertex_normals
+from rig.face.geometry.mesh import Mesh, vertex_normals
 from rig.face.render.camera import View
 from rig.face.render.lettering import Picture
 from rig.face.render.opengl import OpenGLRenderer, open_context
@@ -14,7 +15,7 @@ __all__ = ["Backend", "Picture", "Renderer", "check_backend", "make_renderer"]
 
 
 class _Drawer(Protocol):
-    def draw(self, vertices: Array, normals: Array) -> Picture: ...
+    def draw(self, vertices: Float64, normals: Float64) -> Picture: ...
 
     def close(self) -> None: ...
 
@@ -31,7 +32,7 @@ class Renderer:
     def __init__(self, mesh: Mesh, drawer: _Drawer, backend: str) -> None:
         self._mesh, self._drawer, self.backend = mesh, drawer, backend
 
-    def render(self, vertices: Array, normals: Array | None = None) -> Picture:
+    def render(self, vertices: Float64, normals: Float64 | None = None) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3).
 
         `normals` (V, 3) may be given where several views share them.

@@ -5,9 +5,9 @@ ground ambient, and a gentle shoulder. sRGB is taken as a square, which is cheap
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.face.geometry.mesh import Array, unit
+from rig.arrays import Float32, Float64
+from rig.face.geometry.mesh import unit
 
 LIGHTS = (
     # direction to the light, colour times strength
@@ -19,10 +19,9 @@ LIGHTS = (
 WRAP = (0.38, 0.22, 0.16)
 SKY, GROUND = (0.22, 0.24, 0.27), (0.10, 0.085, 0.08)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
-Float = NDArray[np.float32]
 
 
-def _column(values: tuple[float, ...]) -> Float:
+def _column(values: tuple[float, ...]) -> Float32:
     return np.array(values, np.float32)[:, None]
 
 
@@ -31,7 +30,7 @@ _TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS])).astype(np.flo
 _LIGHT = [_column(color) for _, color in LIGHTS]
 
 
-def shade(albedo: Float, normals: Float, to_eye: Float, gloss: Float) -> Float:
+def shade(albedo: Float32, normals: Float32, to_eye: Float32, gloss: Float32) -> Float32:
     """Colour of surface points, as the shader of `glsl` gives it.
 
     Parameters
@@ -63,12 +62,12 @@ def shade(albedo: Float, normals: Float, to_eye: Float, gloss: Float) -> Float:
     return np.asarray(np.sqrt((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1)))
 
 
-def _log_half_cosine(total: Float, eye: Float) -> Float:
+def _log_half_cosine(total: Float32, eye: Float32) -> Float32:
     """Logarithm of n.(d + v) / |d + v|, of normal and half vector (exp and log beat a power)."""
     return np.asarray(np.log(np.clip(total / np.sqrt(np.maximum(2 + 2 * eye, 1e-6)), 1e-3, 1)))
 
 
-def background(height: int) -> Array:
+def background(height: int) -> Float64:
     """One column (height, 1, 3) sRGB, top to bottom."""
     t = np.linspace(0, 1, height)[:, None, None]
     return np.array(BACKGROUND_TOP) * (1 - t) + np.array(BACKGROUND_BOTTOM) * t

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rig.face.geometry.mesh import Array, Index, Mesh, adjacency, unit
+from rig.arrays import Float32, Float64, Int32, Int64
+from rig.face.geometry.mesh import Mesh, adjacency, unit
 from rig.face.render.camera import FAR, NEAR, View
 from rig.face.render.lettering import Picture
-from rig.face.render.raster import Float, Int, Screen, front_faces, middle_of, nearest_faces, planes
+from rig.face.render.raster import Screen, front_faces, middle_of, nearest_faces, planes
 from rig.face.render.shading import background, shade
 
 T = TypeVar("T", bound=np.generic)
@@ -37,7 +38,7 @@ class SoftwareRenderer:
         distance = np.linalg.norm(np.subtract(view.position, view.target))
         self._step = np.float32(STEP_CM * NEAR * FAR / (FAR - NEAR) / distance**2)
 
-    def draw(self, vertices: Array, normals: Array) -> Picture:
+    def draw(self, vertices: Float64, normals: Float64) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
         screen = self._project(vertices)
         faces = front_faces(screen, self._faces)
@@ -60,7 +61,7 @@ class SoftwareRenderer:
     def close(self) -> None:
         """Nothing to free."""
 
-    def _project(self, vertices: Array) -> Screen:
+    def _project(self, vertices: Float64) -> Screen:
         width, height = 2 * self._size[0], 2 * self._size[1]
         clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
         x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
@@ -68,7 +69,7 @@ class SoftwareRenderer:
             width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
         )
 
-    def _differs(self, faces: Index, face: Int, depth: Float, sample: int) -> Index:
+    def _differs(self, faces: Int64, face: Int32, depth: Float32, sample: int) -> Int64:
         """Pixels whose sample sees another surface than sample 0 does."""
         at = np.flatnonzero(face[sample] != face[0])
         part = np.append(self._part[faces[:, 0]], -1)  # face -1 is the backdrop
@@ -77,7 +78,7 @@ class SoftwareRenderer:
             is_other |= np.abs(depth[sample, at] - depth[0, at]) > self._step
         return np.asarray(at[is_other])
 
-    def _colors(self, surfaces: "_Surfaces", pixels: Index, face: Int, sample: int) -> Float:
+    def _colors(self, surfaces: "_Surfaces", pixels: Int64, face: Int32, sample: int) -> Float32:
         """Colours (3, n) 0..255 of faces seen by one sample of some pixels."""
         width = self._size[0]
         out = np.empty((3, len(pixels)), np.float32)
@@ -92,12 +93,12 @@ class SoftwareRenderer:
 class _Surfaces:
     """Vertex values spread linearly over each face."""
 
-    def __init__(self, screen: Screen, faces: Index, values: Float) -> None:
+    def __init__(self, screen: Screen, faces: Int64, values: Float32) -> None:
         corner = faces[:, 0]
         table = [screen.x[corner, None], screen.y[corner, None], *planes(screen, faces, values)]
         self._table, self._count = np.concatenate(table, axis=1), values.shape[1]
 
-    def at(self, face: Int, column: Index, row: Index) -> Float:
+    def at(self, face: Int32, column: Int64, row: Int64) -> Float32:
         """Values (k, n) of faces (n,) at samples."""
         entry = np.ascontiguousarray(self._table.take(face, axis=0).T)
         x, y = middle_of(column) - entry[0], middle_of(row) - entry[1]
@@ -112,12 +113,12 @@ def _by_pixel(grid: NDArray[T]) -> NDArray[T]:
     return np.ascontiguousarray(quads).reshape(4, -1)
 
 
-def _parts(mesh: Mesh) -> Int:
+def _parts(mesh: Mesh) -> Int32:
     """Number (V,) of the connected piece each vertex belongs to."""
     return connected_components(adjacency(mesh.faces, len(mesh.vertices)))[1].astype(np.int32)
 
 
-def _directions_to_eye(view: View, matrix: Array, size: tuple[int, int]) -> Float:
+def _directions_to_eye(view: View, matrix: Float64, size: tuple[int, int]) -> Float32:
     """Unit vectors (3, height * width) from what each pixel shows towards the camera."""
     width, height = size
     x, y = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height

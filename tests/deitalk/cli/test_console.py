@@ -14,7 +14,7 @@ from typer.main import get_command
 from deitalk.cli import app
 from deitalk.cli.console import _Lines, bar, console, emit, emit_json
 from rig import default_controls, rest_curves, write_curves
-from rig.text import as_line, decodable, decodable_values
+from rig.errors import as_line, decodable, decodable_values
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
