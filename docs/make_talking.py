@@ -1,0 +1,80 @@
+"""Write docs/pictures/talking.webp, the README's moving picture: ``make pictures``.
+
+The recording docs/samples/amiable.flac in three emotions on the embedded head, at 1.5 times the
+intensity predicted from the voice, above its waveform and that intensity.
+"""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from deitalk import animate
+from deitalk.preview.panel import label
+from rig.face import build_head
+from rig.face.render import View, make_renderer
+from rig.face.render.lettering import Picture, text_width, write_text
+
+DOCS = Path(__file__).parent
+RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"
+EMOTIONS, INTENSITY = ("neutral", "happy", "angry"), 1.5
+VIEW = View((0, -2.9, 4), (8, -2.0, 60), 21)
+FACE, STRIP_HEIGHT = (280, 320), 96
+"""Width and height of a face, and height of the strip, pixels."""
+STEP = 2
+"""Rig frames (30 Hz) to a picture: 15 pictures a second."""
+BACK, SOUND, CURVE, TEXT = (30, 33, 39), (96, 125, 150), (245, 190, 66), (225, 228, 233)
+
+
+def main() -> None:
+    """Animate the recording, draw every second frame and write the animation."""
+    takes = [animate(RECORDING, emotion, intensity=INTENSITY) for emotion in EMOTIONS]
+    frames = range(0, len(takes[0].curves), STEP)
+    faces = [
+        _faces(take.curves.values[::STEP], name) for take, name in zip(takes, EMOTIONS, strict=True)
+    ]
+    strip = _strip(takes[0].recording.waveform, takes[0].predicted)
+    pictures = []
+    for rows, frame in zip(zip(*faces, strict=True), frames, strict=True):
+        lower = strip.copy()
+        column = int(frame / len(takes[0].curves) * strip.shape[1])
+        lower[:, column : column + 2] = 255
+        pictures.append(Image.fromarray(np.vstack([np.hstack(rows), lower])))
+    pictures[0].save(
+        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=72, method=4,
+        duration=[round((k + STEP) / 0.03) - round(k / 0.03) for k in frames],
+    )  # fmt: skip
+
+
+def _faces(values: np.ndarray, title: str) -> list[Picture]:
+    """A picture (height, width, 3) of the head for every row of control values (T, 185)."""
+    head = build_head(0)
+    renderer = make_renderer(head.mesh, size=FACE, view=VIEW, backend="software")
+    pictures = [renderer.render(pose) for pose in head.pose(values)]
+    renderer.close()
+    for picture in pictures:
+        label(picture, title, ((FACE[0] - text_width(title)) // 2, FACE[1] - 22))
+    return pictures
+
+
+def _strip(waveform: np.ndarray, intensity: np.ndarray) -> Picture:
+    """The waveform in grey with the intensity (0 to 1, from the lower to the upper edge)."""
+    width, height = FACE[0] * len(EMOTIONS), STRIP_HEIGHT
+    strip = np.empty((height, width, 3), np.uint8)
+    strip[:] = BACK
+    rows = np.arange(height)[:, None]
+    edges = np.linspace(0, len(waveform), width + 1).astype(int)
+    parts = [waveform[a:b] for a, b in pairwise(edges)]
+    peak = np.abs(waveform).max() * 2.2
+    low, high = (
+        height * (0.5 - np.array([f(part) for part in parts]) / peak) for f in (np.max, np.min)
+    )
+    strip[(rows >= low) & (rows <= high)] = SOUND
+    level = np.interp(np.linspace(0, len(intensity) - 1, width), range(len(intensity)), intensity)
+    strip[np.abs(rows - (height - 4) * (1 - level) - 2) <= 1.2] = CURVE
+    return write_text(strip, "intensity predicted from the voice", (8, 8), height=9, color=TEXT)
+
+
+if __name__ == "__main__":
+    main()
