@@ -1,16 +1,13 @@
-"""When somebody speaks: voice activity at 30 Hz, the gates made of it, and the level of speech.
+"""Voice activity at 30 Hz and the level of speech, from the whole clip. numpy only.
 
-Paper silent: neither paper says what the face does in silence. Here the mouth shuts and the
-expression decays by these gates, which see the whole clip. numpy only.
-
-Legend: S samples at 16 kHz, T rig frames at 30 Hz, K bands.
+K frequency bands.
 """
 
 import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from rig.arrays import AnyFloat, Bool, Float32, Int64
+from rig.arrays import Bool, Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
@@ -28,12 +25,6 @@ LONGEST_CLOSURE = 6  # frames; a gap up to 0.2 s is a stop consonant, not a paus
 LONGEST_DROWNED = 15  # frames; in noise a weak syllable beside the consonant is missed as well
 NOISY_DB, CLEAN_DB = 25.0, 40.0  # excess of the loudest speech, between the two in proportion
 SHORTEST_SPEECH = 2  # frames; a single one is a click
-
-MOUTH_OPENS, MOUTH_CLOSES = 3, 6  # frames: 0.1 s before speech, 0.2 s after
-EXPRESSION_RISES = 12  # 0.4 s before speech
-EXPRESSION_HOLDS, EXPRESSION_FADES = 45, 30  # 1.5 s, then 1 s
-REST_AT_END = 13  # frames of trailing silence (0.43 s) that end in a face wholly at rest
-HOLD_AT_END = 6  # frames (0.2 s) that change nothing yet; in between, in proportion
 
 
 def speech_activity(waveform: npt.ArrayLike) -> Float32:
@@ -71,55 +62,6 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
         speech = _without_short(speech, SHORTEST_SPEECH - 1)
     return speech.astype(np.float32)
-
-
-def mouth_gate(activity: npt.ArrayLike) -> Float32:
-    """How far the mouth may open: 1 in speech, 0 in silence.
-
-    Opens over the 0.1 s before speech and closes over the 0.2 s after it, in raised cosines.
-
-    Parameters
-    ----------
-    activity : array (T,)
-        From `speech_activity`.
-
-    Returns
-    -------
-    ndarray (T,) float32
-        0 … 1.
-    """
-    since, until = _distances(activity)
-    return np.maximum(_fade(since / (MOUTH_CLOSES + 1)), _fade(until / (MOUTH_OPENS + 1)))
-
-
-def expression_gate(activity: npt.ArrayLike) -> Float32:
-    """How far the emotional expression shows: through pauses, but not beyond the act.
-
-    Rises over the 0.4 s before speech, holds through pauses of 1.5 s, then fades over 1 s. In
-    trailing silence the fade is complete by the last frame, however early that is: from 0.43 s
-    of silence on the face ends at rest, under 0.2 s the clip is taken to be cut and nothing
-    fades, in between in proportion.
-
-    Parameters
-    ----------
-    activity : array (T,)
-        From `speech_activity`.
-
-    Returns
-    -------
-    ndarray (T,) float32
-        0 … 1.
-    """
-    since, until = _distances(activity)
-    fading = _fade((since - EXPRESSION_HOLDS) / EXPRESSION_FADES)
-    gate = np.maximum(fading, _fade(until / (EXPRESSION_RISES + 1)))
-    if len(gate) and 0 < since[-1] < EXPRESSION_HOLDS + EXPRESSION_FADES:
-        trailing = int(since[-1])
-        depth = np.clip((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END), 0, 1)
-        held = max(trailing - EXPRESSION_FADES, trailing // 4)
-        progress = (np.arange(1, trailing + 1) - held) / (trailing - held)
-        gate[-trailing:] = 1 - depth * (1 - _fade(progress))
-    return gate
 
 
 def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = None) -> float:
@@ -279,18 +221,3 @@ def _without_short(mask: Bool, longest: int, *, keep_ends: bool = False) -> Bool
         if stop - start <= longest and not at_end:
             result[start:stop] = False
     return result
-
-
-def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
-    """Frames since the last and until the next speaking frame (T,) each; inf where none."""
-    active = np.asarray(activity) > 0.5
-    frames = np.arange(len(active), dtype=np.float32)
-    last = np.maximum.accumulate(np.where(active, frames, -np.inf))
-    following = np.minimum.accumulate(np.where(active, frames, np.inf)[::-1])[::-1]
-    return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
-
-
-def _fade(progress: AnyFloat) -> Float32:
-    """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
-    faded: Float32 = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
-    return faded

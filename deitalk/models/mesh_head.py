@@ -20,7 +20,7 @@ from torch import Tensor
 
 from deitalk.audio.load import SAMPLE_RATE, frame_times
 from deitalk.audio.prosody import measure_prosody
-from deitalk.audio.voice_activity import expression_gate, normalise_level, speech_activity
+from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.emotions import (
     EMOTIONS,
     EmotionTrack,
@@ -33,6 +33,7 @@ from deitalk.models.curve_features import FPS, DEITalkFeatures
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import FRAMES_AT_ONCE, SDFA, checked_waveform
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED
+from deitalk.postprocess.gates import expression_gate
 from deitalk.postprocess.voice_intensity import heard_intensity
 
 

@@ -11,12 +11,7 @@ import numpy as np
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.load import Recording, frame_times
 from deitalk.audio.prosody import measure_prosody
-from deitalk.audio.voice_activity import (
-    expression_gate,
-    mouth_gate,
-    normalise_level,
-    speech_activity,
-)
+from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import CheckpointError
 from deitalk.pipeline.arguments import (
@@ -30,6 +25,7 @@ from deitalk.pipeline.arguments import (
 from deitalk.pipeline.performance import Performance
 from deitalk.postprocess.blinks import add_idle_motion
 from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.gates import expression_gate, mouth_gate
 from deitalk.postprocess.voice_intensity import heard_intensity, vocal_effort_z
 from rig import RigCurves
 from rig.arrays import Float32

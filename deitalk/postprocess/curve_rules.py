@@ -175,7 +175,7 @@ class Expression:
         curves : ndarray [shape=(T, C)]
             Changed.
         mouth, expression : ndarray [shape=(T,), range 0 to 1]
-            From `deitalk.audio.voice_activity.mouth_gate` and `expression_gate`.
+            From `deitalk.postprocess.gates.mouth_gate` and `expression_gate`.
         """
         rest = self.controls.rest
         curves -= rest

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE, frame_times
-from deitalk.audio.voice_activity import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
 from deitalk.errors import DataError
+from deitalk.postprocess.gates import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
 from rig.arrays import Bool
 
 SHORTEST_PAUSE_SECONDS = 0.2

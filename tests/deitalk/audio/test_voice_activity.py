@@ -1,16 +1,12 @@
-"""Voice activity on signals whose onsets are known, and the laws of the gates made of it."""
+"""Voice activity on signals whose onsets are known, and the level of speech."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import (
     LONGEST_DROWNED,
     active_level_db,
-    expression_gate,
-    mouth_gate,
     normalise_level,
     speech_activity,
 )
@@ -160,77 +156,6 @@ def test_real_speech_keeps_its_activity_in_noise(shared):
     assert np.mean(found) > 0.92
     assert len(false) >= 20
     assert np.mean(false) < 0.03
-
-
-masks = st.lists(st.tuples(st.booleans(), st.integers(1, 120)), min_size=1, max_size=8).map(
-    lambda runs: np.concatenate([np.full(n, float(b)) for b, n in runs])
-)
-
-
-@given(masks)
-def test_gates_are_open_in_speech_and_move_smoothly(activity):
-    for gate, fastest in ((mouth_gate(activity), 0.36), (expression_gate(activity), 0.17)):
-        assert gate.dtype == np.float32
-        assert gate.shape == activity.shape
-        assert (gate[activity == 1] == 1).all()
-        assert gate.min() >= 0
-        assert np.abs(np.diff(gate)).max(initial=0) <= fastest
-
-
-@given(masks)
-def test_nobody_speaks_nothing_shows(activity):
-    assert not mouth_gate(0 * activity).any()
-    assert not expression_gate(0 * activity).any()
-
-
-def test_mouth_opens_before_and_closes_after():
-    activity = np.zeros(60)
-    activity[20:30] = 1
-    gate = mouth_gate(activity)
-    assert np.flatnonzero(gate).tolist() == list(range(17, 36))  # 0.1 s before, 0.2 s after
-    assert (np.diff(gate[16:21]) > 0).all()
-    assert (np.diff(gate[29:37]) < 0).all()
-
-
-@pytest.mark.parametrize("pause", [10, 12, 30, 100])
-def test_mouth_is_shut_in_pauses(pause):
-    activity = np.concatenate([np.ones(20), np.zeros(pause), np.ones(20)])
-    shut = mouth_gate(activity)[20 : 20 + pause] == 0
-    assert shut.sum() == max(0, pause - 9)  # but for 6 closing and 3 opening frames
-
-
-def test_expression_survives_pauses_of_a_second_and_a_half():
-    activity = np.concatenate([np.ones(20), np.zeros(45), np.ones(20)])
-    assert (expression_gate(activity) == 1).all()
-
-
-def test_expression_decays_in_long_pauses_and_returns_before_speech():
-    activity = np.concatenate([np.ones(20), np.zeros(150), np.ones(20)])
-    gate = expression_gate(activity)
-    assert (gate[:64] == 1).all()
-    assert (gate[95:157] == 0).all()
-    assert (np.diff(gate[157:171]) > 0).all()
-
-
-@pytest.mark.parametrize("trailing", [18, 25, 45, 60, 74, 75, 90, 300])
-def test_face_rests_at_the_end_of_trailing_silence(trailing):
-    activity = np.concatenate([np.zeros(20), np.ones(20), np.zeros(trailing)])
-    gate = expression_gate(activity)
-    assert gate[-1] == 0
-    assert mouth_gate(activity)[-1] == 0
-    assert (np.diff(gate[40:]) <= 0).all()
-
-
-def test_a_clip_cut_in_speech_keeps_its_expression():
-    assert expression_gate(np.concatenate([np.ones(20), np.zeros(6)]))[-1] == 1
-
-
-@pytest.mark.parametrize("trailing_seconds", [0.6, 1.0, 3.0])
-def test_rest_at_the_end_from_the_waveform(rng, trailing_seconds):
-    waveform, _ = placed(rng, [-0.5, 2, -trailing_seconds])
-    activity = speech_activity(waveform)
-    assert mouth_gate(activity)[-1] == 0
-    assert expression_gate(activity)[-1] == 0
 
 
 def test_active_level_leaves_pauses_out(rng):
