@@ -16,10 +16,20 @@ from rig.errors import one_line
 
 
 class DeitalkError(ValueError):
-    """Something the caller can mend; the message says how, in one line."""
+    """Something that the caller can correct; the message says how, in one line.
 
-    def __init__(self, message: object = "") -> None:
+    Parameters
+    ----------
+    message : object
+        The value, the rule and the way out.
+    parameter : str
+        Parameter that the message names in backticks as the way out (``set `force=True` ``);
+        a command line names its option instead.
+    """
+
+    def __init__(self, message: object = "", *, parameter: str = "") -> None:
         super().__init__(one_line(message))
+        self.parameter = parameter
 
 
 class AudioError(DeitalkError):

@@ -12,7 +12,7 @@ from deitalk.cli.animate import animate
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.attention import attention
 from deitalk.cli.benchmark import benchmark
-from deitalk.cli.console import emit, escape_what_cannot_be_encoded
+from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
 from deitalk.cli.corpus import app as corpus_app
@@ -30,7 +30,7 @@ from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, unin
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from deitalk.errors import DeitalkError
-from rig.errors import ExistsError, RigError, one_line
+from rig.errors import RigError, one_line
 
 app = CheckedCommands(
     name="deitalk",
@@ -96,10 +96,8 @@ def main() -> None:
         _fail(_usage(error), 2)
     except (typer.Abort, Terminated):
         _fail("stopped", CTRL_C_CODE)
-    except ExistsError as error:
-        _fail(f"{error}, or add --force to replace it")
     except (DeitalkError, RigError) as error:
-        _fail(str(error))
+        _fail(name_option(error))
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has left; nothing to say
         sys.exit(1)

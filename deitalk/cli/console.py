@@ -5,18 +5,19 @@ characters are printed escaped.
 """
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-from rig.errors import as_line, decodable, decodable_values
+from deitalk.errors import DeitalkError
+from rig.errors import RigError, as_line, decodable, decodable_values
 
-if TYPE_CHECKING:
-    pass
-
+_ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
+"""A parameter in an error message, alone or with its value."""
 VISIBLE_SECONDS = 1.0
 """Work that takes less shows no bar."""
 FIRST_LINE_SECONDS = 3.0
@@ -139,3 +140,18 @@ class _Lines:
         self.tenth, self.printed = tenth, now
         details = f", {text}" if text else ""
         self.write(f"{self.title}: {share:.0%} after {took:.0f} s{details}")
+
+
+def name_option(error: DeitalkError | RigError) -> str:
+    """Return an error's message with its parameter named as on the command line.
+
+    ``set `force=True` `` becomes ``set --force``, ``give `fps` `` becomes ``give --fps``.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        value = found["value"]
+        name = "--" + error.parameter.replace("_", "-")
+        return name if value in (None, "True") else f"{name} {value}"
+
+    pattern = _ASSIGNED.format(re.escape(error.parameter))
+    return re.sub(pattern, option, str(error)) if error.parameter else str(error)

@@ -63,7 +63,7 @@ def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
     folder = Path(folder)
     table = folder / "clips.csv"
     if not table.is_file():
-        raise DataError(f"{folder}: holds no clips.csv; see `deitalk corpus build --help`")
+        raise DataError(f"{folder}: holds no clips.csv; docs/dataset.md describes it")
     frame = _read_table(table, REQUIRED, dtype=str, keep_default_na=False)
     _check_values(table, frame)
     rows: list[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]

@@ -167,7 +167,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     config = load_config(folder / "config.yaml")
     if not isinstance(config, Config):
         raise CheckpointError(
-            f"{name_or_path}: an SDFA model moves meshes, not controls; use deitalk mesh --model"
+            f"{name_or_path}: an SDFA model moves meshes, not controls; animate a mesh with it"
         )
     controls = default_controls()
     _check_controls(folder, controls)

@@ -35,7 +35,7 @@ FILES = {
     "curves.json": "the same curves with emotion and intensity, schema deitalk.curves/1",
     "neutral.npz": "the neutral reading of the same speech, what intensity 0 gives",
     "intensity.csv": "emotion weights, saliency, predicted and applied intensity; edit the last "
-    "column and give it back with --intensity-curve",
+    "column and give it back as the intensity curve",
     "audio.wav": "the recording as 16 kHz mono, in time with the curves",
     "take.json": "this file",
 }

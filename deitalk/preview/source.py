@@ -128,7 +128,7 @@ def _on_the_board(curves: RigCurves) -> RigCurves:
 def _read_audio(path: Path) -> tuple[Float32, int]:
     """Mono samples at the recording's own rate."""
     if not path.is_file():
-        raise PreviewError(f"recording {path} is not there; give it with --audio")
+        raise PreviewError(f"recording {path} is not there; give `audio`", parameter="audio")
     if path.stat().st_size > MAX_AUDIO_BYTES:
         raise PreviewError(f"recording {path} is over {MAX_AUDIO_BYTES / 1e6:.0f} MB; cut it first")
     blocks = [np.zeros(0, np.float32)]

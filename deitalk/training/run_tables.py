@@ -64,7 +64,8 @@ def summary_writer() -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise MissingError(
-            "--tensorboard needs tensorboard; pip install 'deitalk[tensorboard]'"
+            "`tensorboard=True` needs TensorBoard; pip install 'deitalk[tensorboard]'",
+            parameter="tensorboard",
         ) from None
     return SummaryWriter
 

@@ -87,12 +87,14 @@ def check_folder(
     if manifest.kind != kind:
         raise TargetError(f"{folder} holds {manifest.kind}, not {kind}; name another folder")
     if not force:
-        raise ExistsError(f"{folder} exists; name another folder")
+        raise ExistsError(
+            f"{folder} exists; name another folder, or set `force=True`", parameter="force"
+        )
     _check_kept(folder, manifest, names)
     for source in inputs:
         for name in (*manifest.files, *names):
             if source is not None and is_same(folder / name, source):
-                raise TargetError(f"{source} is read by this command; name another folder")
+                raise TargetError(f"{source} is also an input; name another folder")
 
 
 @contextmanager

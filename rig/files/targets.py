@@ -41,9 +41,11 @@ def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) ->
         raise TargetError(f"{path} is a device or a pipe; name a file")
     for source in inputs:
         if source is not None and is_same(path, source):
-            raise TargetError(f"{path} is read by this command; name another file")
+            raise TargetError(f"{path} is also an input; name another file")
     if mode is not None and not force:
-        raise ExistsError(f"{path} exists; name another file")
+        raise ExistsError(
+            f"{path} exists; name another file, or set `force=True`", parameter="force"
+        )
     parent = Path(os.path.realpath(path)).parent
     if not parent.is_dir():
         raise TargetError(f"{parent} is not a folder; make it first, or name another file")

@@ -63,7 +63,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     numbers, _ = read_numbers(path, header)
     if fps is None:
         if "time" not in header:
-            raise FormatError(f"{path} has no column 'time'; say the rate with fps")
+            raise FormatError(f"{path} has no column 'time'; give `fps`", parameter="fps")
         fps = fps_of(numbers[:, header.index("time")], where=str(path))
     curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)
     return curves.reorder(controls)

@@ -44,6 +44,6 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     """
     check_file(path, CURVES_BYTES)
     if fps is None:
-        raise FormatError(f"{path} does not say its rate; give fps")
+        raise FormatError(f"{path} holds no frame rate; give `fps`", parameter="fps")
     numbers = read_matrix(path, len(columns()))
     return RigCurves(numbers.astype(np.float32), columns(), fps).reorder()

@@ -95,7 +95,7 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     """
     skin, chosen = _largest_part(source)
     if len(mesh.vertices) < _FEWEST_VERTICES:
-        raise MeshError(f"{len(mesh.vertices)} vertices are too few for a face; give --landmarks")
+        raise _unrecognised(f"{len(mesh.vertices)} vertices are too few for a face")
     marks = {name: int(np.searchsorted(chosen, v)) for name, v in landmarks.items()}
     target, used = _largest_part(mesh)
     fits = [_fit_rigidly(skin, target, axes) for axes in ORIENTATIONS]
@@ -115,9 +115,7 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     )
     residual = float(np.median(search.query(surface).distances)) / eyes
     if residual > _WORST:
-        raise MeshError(
-            "no face was recognised in the mesh; give --landmarks (and check that it is upright)"
-        )
+        raise _unrecognised("no face was recognised in the mesh (it must stand upright)")
     found = {name: _nearest_vertex(turned, surface[v]) for name, v in marks.items()}
     seen = {name: surface[v] for name, v in marks.items()}
     found = {n: v for n, v in found.items() if not n.startswith(_VAGUE)}
@@ -238,7 +236,7 @@ def _mouth(mesh: TriMesh, seen: dict[str, Float64]) -> dict[str, int]:
         best = pairs[here[np.argmax(centre[here, 2])]]
         found[f"upper_rim{name}"], found[f"lower_rim{name}"] = int(best[0]), int(best[1])
     if "upper_rim" not in found:
-        raise MeshError("no closed mouth was found in the mesh; give --landmarks")
+        raise _unrecognised("no closed mouth was found in the mesh")
     for side, extreme, way in (("left", np.argmax, short), ("right", np.argmin, -short)):
         end = centre[extreme(centre[:, 0])] + np.array([way, 0.0, 0.0])
         found[f"mouth_corner_{side}"] = _nearest_vertex(mesh, end)
@@ -267,4 +265,8 @@ def _slit_pairs(mesh: TriMesh, near: Int64, width: float) -> tuple[Int64, float]
         above = points[one, 1] - points[two, 1] + 0.01 * width * (normals[two, 1] - normals[one, 1])
         upper, lower = np.where(above > 0, one, two), np.where(above > 0, two, one)
         return np.stack([upper, lower], axis=1), 0.5 * _WAY_ROUND * reach
-    raise MeshError("no closed mouth was found in the mesh; give --landmarks")
+    raise _unrecognised("no closed mouth was found in the mesh")
+
+
+def _unrecognised(problem: str) -> MeshError:
+    return MeshError(f"{problem}; give `landmarks`", parameter="landmarks")

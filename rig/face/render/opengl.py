@@ -103,12 +103,14 @@ def open_context() -> Any:
     except ImportError as error:
         raise RigError(
             "OpenGL pictures need moderngl, which is not installed; "
-            "pip install 'deitalk[preview]', or use backend='software'"
+            "pip install 'deitalk[preview]', or give `backend=software`",
+            parameter="backend",
         ) from error
     try:
         return moderngl.create_context(standalone=True, backend="egl")
     except Exception as error:  # moderngl raises bare Exception when EGL or a driver is missing
         raise RigError(
             f"no OpenGL context could be made ({error}); install Mesa's EGL "
-            "(Debian: libegl1 libgl1-mesa-dri), or use backend='software'"
+            "(Debian: libegl1 libgl1-mesa-dri), or give `backend=software`",
+            parameter="backend",
         ) from error

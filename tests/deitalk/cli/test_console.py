@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -12,9 +13,10 @@ import pytest
 from typer.main import get_command
 
 from deitalk.cli import app
-from deitalk.cli.console import _Lines, bar, console, emit, emit_json
+from deitalk.cli.console import _Lines, bar, console, emit, emit_json, name_option
+from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
-from rig.errors import as_line, decodable, decodable_values
+from rig.errors import RigError, as_line, decodable, decodable_values
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
@@ -168,3 +170,24 @@ def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
     assert json.loads(done.stdout)["out"] == r"t\xfe[b].json"
     done = run(tmp_path, "convert", source, target, LC_ALL=locale)
     assert done.returncode == 1 and done.stderr.startswith(rb"deitalk: t\xfe[b].json exists")
+
+
+@pytest.mark.parametrize(
+    ("message", "parameter", "printed"),
+    [
+        ("a.csv exists, set `force=True`", "force", "a.csv exists, set --force"),
+        ("no rate; give `fps`", "fps", "no rate; give --fps"),
+        ("no GPU; give `backend=software`", "backend", "no GPU; give --backend software"),
+        ("give `start_from`", "start_from", "give --start-from"),
+        ("`fps` of `x`.csv; see `deitalk -h`", "x.csv", "`fps` of `x`.csv; see `deitalk -h`"),
+        ("set `force=True`", "", "set `force=True`"),
+    ],
+)
+def test_name_option_replaces_the_named_parameter_only(message, parameter, printed):
+    for kind in (RigError, DeitalkError):
+        assert name_option(kind(message, parameter=parameter)) == printed
+
+
+def test_errors_keep_their_parameter_across_processes():
+    error = pickle.loads(pickle.dumps(RigError("exists; set `force=True`", parameter="force")))
+    assert name_option(error) == "exists; set --force"

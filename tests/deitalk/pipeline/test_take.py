@@ -96,7 +96,7 @@ def test_write_take_keeps_its_recording(tmp_path, performance):
     write(take, replace(performance, recording=named), force=True)
     assert source.read_bytes() == b"the source"
     named = replace(performance.recording, source=str(take / "audio.wav"))
-    with pytest.raises(TargetError, match="read by this command"):
+    with pytest.raises(TargetError, match="is also an input"):
         write(take, replace(performance, recording=named), force=True)
 
 

@@ -134,7 +134,7 @@ def test_check_file_rejects_existing_file_and_input(tmp_path):
     with pytest.raises(ExistsError, match=r"a\.csv exists"):
         check_file(path)
     check_file(path, force=True, inputs=(None, "<bytes>", tmp_path / "other"))
-    with pytest.raises(TargetError, match="is read by this command"):
+    with pytest.raises(TargetError, match="is also an input"):
         check_file(path, force=True, inputs=(link,))
 
 
@@ -180,7 +180,7 @@ def test_check_folder_rejects_other_kind_input_and_edited_file(tmp_path):
     check_folder(take, kind="take", force=True)
     with pytest.raises(TargetError, match="holds take, not model"):
         check_folder(take, kind="model", force=True)
-    with pytest.raises(TargetError, match=r"audio\.wav is read by this command"):
+    with pytest.raises(TargetError, match=r"audio\.wav is also an input"):
         check_folder(take, kind="take", force=True, inputs=(take / "audio.wav",))
     (take / "preview.mp4").write_text("mine")
     with pytest.raises(TargetError, match=r"preview\.mp4 was not written by deitalk"):

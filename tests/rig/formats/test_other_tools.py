@@ -138,7 +138,7 @@ def test_emoface_text_goes_both_ways(tmp_path, curves):
 
 def test_emoface_faults_are_errors(tmp_path):
     (tmp_path / "c.txt").write_text("0,0\n")
-    with pytest.raises(FormatError, match="does not say its rate; give fps"):
+    with pytest.raises(FormatError, match="holds no frame rate; give `fps`"):
         read_curves(tmp_path / "c.txt")
     with pytest.raises(FormatError, match=r"data row 1, column '3' is empty"):
         read_curves(tmp_path / "c.txt", fps=30)

@@ -118,7 +118,7 @@ def test_unknown_shapes_and_unsaid_curves_are_told(tmp_path, curves):
 @pytest.mark.parametrize("mesh", [MESH, GRID], ids=["two triangles", "a sheet"])
 def test_what_is_no_face_is_not_taken_for_one(tmp_path, curves, mesh):
     write_obj(tmp_path / "a.obj", mesh)
-    with pytest.raises(MeshError, match="give --landmarks"):
+    with pytest.raises(MeshError, match="give `landmarks`"):
         retarget_curves(curves, tmp_path / "a.obj", tmp_path / "out.glb")
 
 
