@@ -61,10 +61,11 @@ train-tiny: setup  ## Corpus of two minutes and a training of six steps, end to 
 	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
 	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
 
-pictures: setup-dev  ## Draw docs/pictures: the embedded head, still and speaking
+pictures: setup-dev  ## Draw docs/pictures: head, moving picture, architecture
 	mkdir -p docs/pictures
 	$(BIN)/deitalk face sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
 	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
+	$(BIN)/python docs/make_architecture.py
 	$(BIN)/python docs/make_talking.py
 
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
