@@ -97,7 +97,8 @@ def one_line(message: object) -> str:
     Line ends, control characters and bytes that are no text are written as escapes, so that any
     terminal can print the message (`as_line`).
     """
-    return as_line(shorten(str(message), MESSAGE_CHARACTERS))
+    line = as_line(shorten(str(message), MESSAGE_CHARACTERS))  # escapes make it longer
+    return shorten(line, MESSAGE_CHARACTERS)
 
 
 class RigError(ValueError):

@@ -1,9 +1,15 @@
-"""Error messages of the library name parameters; options belong to the command line."""
+"""Error messages: one short line; the library names parameters, the command line options."""
 
 import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
+
+from deitalk.errors import DeitalkError
+from rig.errors import RigError
+from rig.limits import MESSAGE_CHARACTERS
 
 ROOT = Path(__file__).resolve().parents[1]
 OPTION = re.compile(r"(?:^|[\s`'\"(])--[a-z]")
@@ -43,3 +49,12 @@ def test_library_messages_name_no_option():
 def test_options_are_found_in_messages():
     source = "raise A(f'{x} exists; ' 'give --force')\nraise B('pip install --user a')\nx = ' --a'"
     assert [found.partition(":")[0] for found in options(source)] == ["1"]
+
+
+@pytest.mark.parametrize("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
+def test_message_with_escapes_stays_within_its_limit(text):
+    for kind in (RigError, DeitalkError):
+        message = str(kind(f"name {text} end"))
+        assert len(message) <= MESSAGE_CHARACTERS
+        assert "\n" not in message and "\0" not in message
+        assert message.startswith("name ") and message.endswith(" end")
