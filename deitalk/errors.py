@@ -3,33 +3,21 @@
 ::
 
     ValueError
-    └── DeitalkError
-        ├── AudioError       a recording that cannot be read or used
-        ├── EmotionError     an unknown emotion, a malformed track or intensity
-        ├── ConfigError      an unknown key or a value out of its range
-        ├── CheckpointError  weights that do not fit
-        ├── DataError        a dataset folder that does not hold what it must
-        └── MissingError     a program or package this machine lacks
+    └── UserError                anything the caller can correct (rig.errors)
+        └── DeitalkError
+            ├── AudioError       a recording that cannot be read or used
+            ├── EmotionError     an unknown emotion, a malformed track or intensity
+            ├── ConfigError      an unknown key or a value out of its range
+            ├── CheckpointError  weights that do not fit
+            ├── DataError        an incomplete dataset folder
+            └── MissingError     a program or package this machine lacks
 """
 
-from rig.errors import one_line
+from rig.errors import UserError
 
 
-class DeitalkError(ValueError):
-    """Something that the caller can correct; the message says how, in one line.
-
-    Parameters
-    ----------
-    message : object
-        The value, the rule and the way out.
-    parameter : str
-        Parameter that the message names in backticks as the way out (``set `force=True` ``);
-        a command line names its option instead.
-    """
-
-    def __init__(self, message: object = "", *, parameter: str = "") -> None:
-        super().__init__(one_line(message))
-        self.parameter = parameter
+class DeitalkError(UserError):
+    """An error about speech, emotions, models or data."""
 
 
 class AudioError(DeitalkError):
@@ -49,7 +37,7 @@ class CheckpointError(DeitalkError):
 
 
 class DataError(DeitalkError):
-    """A dataset folder that does not hold what it must."""
+    """A dataset folder that lacks files or columns, or holds wrong ones."""
 
 
 class MissingError(DeitalkError):

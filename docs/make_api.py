@@ -21,8 +21,8 @@ C controls or channels, V vertices, S samples, K keys.
 `Audio` is a path, bytes, a binary file, a `Recording`, an array or a tensor; `Samples` an array or
 a tensor; `SAMPLE_RATE` 16,000 Hz; `MAX_SECONDS` 10,800 s.
 
-Every error that a caller can mend is a `DeitalkError` or a `RigError` (both are `ValueError`),
-one line each: the value, the rule and the way out.
+Every error that a caller can correct is a `rig.errors.UserError` (a `ValueError`) with a
+message of one line: the value, the rule and the way out. `parameter` names the one to set.
 """
 PACKAGES = (("deitalk", "deitalk"), ("rig", "rig"))
 ERRORS = ("deitalk.errors", "rig.errors")

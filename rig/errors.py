@@ -3,14 +3,15 @@
 ::
 
     ValueError
-    └── RigError          anything about controls, curves, meshes, files
-        ├── ControlError  an unknown, missing or doubled control
-        ├── CurveError    values, shapes or times that make no curves
-        ├── FormatError   a file that is not what its name says
-        ├── TargetError   a path that must not or cannot be written to
-        │   └── ExistsError   one that is there and is not to be replaced
-        └── MeshError     vertices, triangles or shapes that make no mesh
-            └── TopologyError  triangles that name wrong vertices, meshes that do not match
+    └── UserError             anything the caller can correct
+        └── RigError          anything about controls, curves, meshes, files
+            ├── ControlError  an unknown, missing or doubled control
+            ├── CurveError    values, shapes or times that make no curves
+            ├── FormatError   a file whose content does not match its name
+            ├── TargetError   a path that must not or cannot be written to
+            │   └── ExistsError   one that exists and is not to be replaced
+            └── MeshError     vertices, triangles or shapes that make no mesh
+                └── TopologyError  triangles with wrong vertices, meshes that do not match
 """
 
 import unicodedata
@@ -101,8 +102,8 @@ def one_line(message: object) -> str:
     return shorten(line, MESSAGE_CHARACTERS)
 
 
-class RigError(ValueError):
-    """Something about a face that the caller can correct; the message says how, in one line.
+class UserError(ValueError):
+    """An error that the caller can correct; the message says how, in one line.
 
     Parameters
     ----------
@@ -118,6 +119,10 @@ class RigError(ValueError):
         self.parameter = parameter
 
 
+class RigError(UserError):
+    """An error about a face: its controls, curves, meshes or files."""
+
+
 class ControlError(RigError):
     """A control name that is unknown, missing or doubled."""
 
@@ -127,7 +132,7 @@ class CurveError(RigError):
 
 
 class FormatError(RigError):
-    """A file that is not what its name says."""
+    """A file whose content does not match its name."""
 
 
 class TargetError(RigError):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.arrays import Float64
+from rig.arrays import Float64, Int64
 
 SAMPLE_RATE = 16_000  # Hz; what wav2vec 2.0 and the mel frontend hear
 FRAME_RATE = 30  # rig frames per second
@@ -11,6 +11,11 @@ FRAME_RATE = 30  # rig frames per second
 def frame_count(n_samples: int) -> int:
     """T = ceil(30 · S / 16000), in integers: 16000 samples -> 30 frames, 16001 -> 31."""
     return -(-FRAME_RATE * n_samples // SAMPLE_RATE)
+
+
+def frame_centres(frames: Int64) -> Int64:
+    """Sample at the time of each rig frame [shape=(T,)]: 0, 533, 1067, 1600 for frames 0 to 3."""
+    return np.round(frames * SAMPLE_RATE / FRAME_RATE).astype(np.int64)
 
 
 def frame_times(n_frames: int) -> Float64:

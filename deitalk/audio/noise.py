@@ -13,14 +13,16 @@ from rig.arrays import Float32, Float64
 
 SNRS_DB = (20.0, 10.0, 5.0, 0.0)
 MAX_FILES = 50
+SUFFIXES = (".flac", ".wav", ".ogg")
 CHORDS = ((0, 4, 7, 12), (7, 11, 14, 19), (9, 12, 16, 21), (5, 9, 12, 17))
 """Semitones above the tonic: I, V, vi, IV."""
 
 
-def pink_noise(n: int, seed: int = 0) -> Float32:
-    """Noise whose power falls 3 dB an octave [shape=(n,), RMS 1]."""
+def pink_noise(n: int, seed: int | np.random.Generator = 0) -> Float32:
+    """Noise without DC whose power falls 3 dB an octave [shape=(n,), RMS 1]; n at least 2."""
     spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(n))
-    spectrum /= np.sqrt(np.maximum(np.arange(len(spectrum)), 1))
+    spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
+    spectrum[0] = 0
     noise = np.fft.irfft(spectrum, n)
     unit: Float32 = (noise / np.sqrt(np.square(noise).mean())).astype(np.float32)
     return unit
@@ -119,15 +121,32 @@ def named_noises(source: str) -> dict[str, Float32]:
         return {source: pink_noise(16_000 * 30)}
     if source == "synthetic":
         return {source: synthetic_music(30)}
-    folder = Path(source)
-    if not folder.is_dir():
+    if not Path(source).is_dir():
         raise DataError(
             f"{source}: neither a folder of recordings nor one of the words pink, synthetic"
         )
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in (".flac", ".wav", ".ogg"))
+    return dict(read_recordings(source, MAX_FILES))
+
+
+def read_recordings(folder: Path | str, most: int | None = None) -> list[tuple[str, Float32]]:
+    """File names without suffix and recordings of a folder, in alphabetical order.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Only its own files are read, not those of subfolders.
+    most : int, optional
+        Number of files to read; all without it.
+
+    Raises
+    ------
+    DataError
+        If the folder holds no recording.
+    """
+    files = sorted(f for f in Path(folder).glob("*") if f.suffix.lower() in SUFFIXES)
     if not files:
-        raise DataError(f"{source}: holds no .flac, .wav or .ogg; give a folder that does, or pink")
-    return {file.stem: load_audio(file).waveform for file in files[:MAX_FILES]}
+        raise DataError(f"{folder}: holds no {', '.join(SUFFIXES)}; name a folder of recordings")
+    return [(file.stem, load_audio(file).waveform) for file in files[:most]]
 
 
 def mix(
@@ -148,11 +167,26 @@ def mix(
     -------
     ndarray [shape=(S,)]
     """
-    level = active_level_db(speech, activity)
-    piece = np.resize(noise, len(speech)).astype(np.float64)
+    return mix_at_level(speech, noise, active_level_db(speech, activity) - snr_db)
+
+
+def mix_at_level(waveform: Float32, noise: Float32 | Float64, level_db: float) -> Float32:
+    """Add noise of a given level.
+
+    Parameters
+    ----------
+    waveform, noise : ndarray [shape=(S,)], [shape=(N,)]
+        16 kHz; the noise is repeated as needed. Silent noise adds nothing.
+    level_db : float
+        RMS of the noise afterwards, dB re full scale; no noise is added at ``-inf``.
+
+    Returns
+    -------
+    ndarray [shape=(S,)]
+    """
+    piece = np.resize(noise, len(waveform)).astype(np.float64)
     power = np.square(piece).mean()
-    if not np.isfinite(level) or power == 0:
-        return speech.copy()
-    gain = 10 ** ((level - snr_db) / 20) / np.sqrt(power)
-    mixed: Float32 = (speech + gain * piece).astype(np.float32)
+    if not np.isfinite(level_db) or power == 0:
+        return waveform.copy()
+    mixed: Float32 = (waveform + 10 ** (level_db / 20) / np.sqrt(power) * piece).astype(np.float32)
     return mixed

@@ -3,9 +3,8 @@
 Legend: S samples at 16 kHz.
 """
 
-import numpy as np
-
 from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import (
     SHORT_SECONDS,
     active_level_db,
@@ -38,7 +37,7 @@ def describe(waveform: Float32) -> tuple[str, ...]:
         return ()
     activity = speech_activity(waveform)
     if not activity.any():
-        level = 10 * np.log10(float(np.mean(np.square(waveform, dtype=np.float64))))
+        level = rms_db(waveform)
         kind = "sound too quiet to tell from noise" if level < FAINT_DB else "steady sound"
         return (f"no speech found, only {kind} ({level:.0f} dBFS), so the mouth stays shut",)
     notes = []

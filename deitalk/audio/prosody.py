@@ -4,18 +4,20 @@ The index that follows human ratings of arousal best without training is the mea
 each against the speaker's own average. Letters: S samples, N frames at 30 per second.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
 from rig.arrays import Bool, Float32, Float64, Int64
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""
 SMOOTHING_SECONDS = 0.2
 """Sigma of the Gaussian that smooths the index: about 0.5 s wide at half its height."""
+LEVEL_WINDOW = 800  # samples, 50 ms
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 ACTIVE_DB = 25.0  # what is further below the loudest speech does not count
 VOICED = 0.35  # least autocorrelation
@@ -47,6 +49,36 @@ class Prosody(NamedTuple):
         return tilt
 
 
+def level_db(waveform: Float32, centres: Int64, width: int = LEVEL_WINDOW) -> Float64:
+    """Mean power around some samples.
+
+    Parameters
+    ----------
+    waveform : ndarray [shape=(S,)]
+        Full scale is 1; silence before and after it.
+    centres : ndarray of int [shape=(T,)]
+        Samples, 0 to S.
+    width : int
+        Samples that are averaged, the first of them at ``centre - width // 2``.
+
+    Returns
+    -------
+    ndarray [shape=(T,)]
+        dB re full scale, -100 or more.
+    """
+    total = np.concatenate(([0.0], np.cumsum(np.square(waveform, dtype=np.float64))))
+    first = np.clip(centres - width // 2, 0, len(waveform))
+    last = np.clip(centres - width // 2 + width, 0, len(waveform))
+    level: Float64 = 10 * np.log10((total[last] - total[first]) / width + 1e-10)
+    return level
+
+
+def rms_db(waveform: Float32) -> float:
+    """RMS of a whole recording, dB re full scale; ``-inf`` for digital silence."""
+    power = float(np.square(waveform, dtype=np.float64).mean())
+    return 10 * math.log10(power) if power > 0 else -math.inf
+
+
 def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
     """Measure a recording.
 
@@ -69,7 +101,7 @@ def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
 
 def _measure(waveform: Float32, frames: Int64) -> Float64:
     """Level, bright and dark power, pitch and its strength [shape=(5, N)]."""
-    centres = np.round(frames * SAMPLE_RATE / FRAME_RATE).astype(int)
+    centres = frame_centres(frames)
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
     piece = waveform[max(low, 0) : high].astype(np.float64)
     piece = np.pad(piece, (max(-low, 0), high - low - max(-low, 0) - len(piece)))

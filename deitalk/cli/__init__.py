@@ -29,8 +29,7 @@ from deitalk.cli.retarget import retarget
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
-from deitalk.errors import DeitalkError
-from rig.errors import RigError, one_line
+from rig.errors import UserError, one_line
 
 app = CheckedCommands(
     name="deitalk",
@@ -96,7 +95,7 @@ def main() -> None:
         _fail(_usage(error), 2)
     except (typer.Abort, Terminated):
         _fail("stopped", CTRL_C_CODE)
-    except (DeitalkError, RigError) as error:
+    except UserError as error:
         _fail(name_option(error))
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has left; nothing to say

@@ -13,8 +13,7 @@ from functools import cache
 from time import monotonic
 from typing import Any, Protocol
 
-from deitalk.errors import DeitalkError
-from rig.errors import RigError, as_line, decodable, decodable_values
+from rig.errors import UserError, as_line, decodable, decodable_values
 
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
 """A parameter in an error message, alone or with its value."""
@@ -142,7 +141,7 @@ class _Lines:
         self.write(f"{self.title}: {share:.0%} after {took:.0f} s{details}")
 
 
-def name_option(error: DeitalkError | RigError) -> str:
+def name_option(error: UserError) -> str:
     """Return an error's message with its parameter named as on the command line.
 
     ``set `force=True` `` becomes ``set --force``, ``give `fps` `` becomes ``give --fps``.

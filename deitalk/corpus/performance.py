@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.prosody import level_db
 from deitalk.corpus.articulation import articulate
 from deitalk.corpus.prosody_contours import (
     Contour,
@@ -134,8 +135,7 @@ def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
 def loudness_stress(waveform: Float32, phones: Sequence[Phone]) -> Float64:
     """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
     hop = SAMPLE_RATE // 100
-    frames = waveform[: len(waveform) // hop * hop].reshape(-1, hop).astype(np.float64)
-    level = 10 * np.log10((frames**2).mean(axis=1) + 1e-8)
+    level = level_db(waveform, np.arange(len(waveform) // hop) * hop + hop // 2, hop)
     usual = np.percentile(level, 85)
     stress = np.ones(len(phones))
     for i, phone in enumerate(phones):

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import fft, signal
+from scipy import signal
 from torch import Tensor
 from torch.nn import functional as F
 
 from deitalk.audio.mel import FLOOR
+from deitalk.audio.noise import mix_at_level, pink_noise
+from deitalk.audio.prosody import rms_db
 from rig.arrays import Float32
 
 LEVEL_SPREAD = 3.5
@@ -74,16 +76,9 @@ def add_noise(
     pink : bool
         Pink instead of white.
     """
-    noise = rng.standard_normal(len(waveform))
-    if pink:
-        spectrum = fft.rfft(noise)
-        spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
-        spectrum[0] = 0
-        noise = fft.irfft(spectrum, len(waveform))
-    level = np.sqrt(np.mean(np.square(waveform, dtype=np.float64)))
-    scale = level * 10 ** (-snr_db / 20) / (np.sqrt(np.mean(noise**2)) + 1e-12)
-    noisy: Float32 = (waveform + scale * noise).astype(np.float32)
-    return noisy
+    n = len(waveform)
+    noise = pink_noise(n, rng) if pink else rng.standard_normal(n)
+    return mix_at_level(waveform, noise, rms_db(waveform) - snr_db)
 
 
 def pre_emphasise(waveform: Float32, coefficient: float) -> Float32:

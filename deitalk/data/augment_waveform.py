@@ -7,13 +7,13 @@ its input. Letters: S samples.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from scipy import fft, signal
 from scipy.interpolate import CubicSpline
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.noise import read_recordings
 from rig.arrays import Float32, Float64
 
 
@@ -27,19 +27,11 @@ class Surroundings:
     @classmethod
     def read(cls, noise_folder: str | None, room_folder: str | None) -> "Surroundings":
         """Read every audio file of two folders; None leaves a kind out."""
-        return cls(_read_folder(noise_folder), _read_folder(room_folder))
-
-
-def _read_folder(folder: str | None) -> tuple[Float32, ...]:
-    if folder is None:
-        return ()
-    from deitalk.audio.load import load_audio
-    from deitalk.errors import DataError
-
-    files = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in (".wav", ".flac"))
-    if not files:
-        raise DataError(f"{folder}: holds no .wav or .flac; name a folder of recordings or null")
-    return tuple(load_audio(path).waveform for path in files)
+        noises, rooms = (
+            () if folder is None else tuple(sound for _, sound in read_recordings(folder))
+            for folder in (noise_folder, room_folder)
+        )
+        return cls(noises, rooms)
 
 
 def speed_factor(rng: np.random.Generator) -> float:

@@ -33,10 +33,9 @@ from deitalk.data.offset import (
     vowel_band,
 )
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import DeitalkError
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float64
-from rig.errors import RigError
+from rig.errors import UserError
 
 SHIFTED_SECONDS = 0.05
 """Pooled lag beyond which the curves do not belong to the sound."""
@@ -117,7 +116,7 @@ def check_dataset(
     for done, place in enumerate(places):
         try:
             measured.append(measure(clips[place], controls))
-        except (DeitalkError, RigError) as error:
+        except UserError as error:
             unreadable.append(f"{clips[place].name} ({error})")
         progress((done + 1) / len(places))
     checks = [

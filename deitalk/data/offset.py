@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.audio.load import SAMPLE_RATE, Recording
+from deitalk.audio.prosody import level_db
 from deitalk.metrics import correlation
 from rig.arrays import Float32, Float64
 
@@ -37,11 +38,8 @@ JAW = "CTRL_C_jaw.ty"
 
 def loudness(waveform: Float32) -> Float64:
     """Level at 60 frames per second [shape=(T,), range 0 (-40 dB) to 1 (the loudest)]."""
-    half = 400
-    padded = np.pad(waveform.astype(np.float64), half)
-    centres = np.arange(len(waveform) * RATE // SAMPLE_RATE) * SAMPLE_RATE // RATE
-    total = np.concatenate(([0.0], np.cumsum(padded**2)))
-    level = 10 * np.log10((total[centres + 2 * half] - total[centres]) / (2 * half) + 1e-10)
+    frames = np.arange(len(waveform) * RATE // SAMPLE_RATE)
+    level = level_db(waveform, frames * SAMPLE_RATE // RATE)
     top = level.max(initial=-100)
     scaled: Float64 = np.clip(1 + (level - top) / 40, 0, 1)
     return scaled

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from deitalk.audio.frames import frame_centres
 from deitalk.audio.load import load_audio
 from deitalk.audio.noise import read_noises
+from deitalk.audio.prosody import level_db
 from deitalk.data.clips import Clip, read_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.curve_statistics import captured_smoothness, smoothness
@@ -52,10 +54,7 @@ ADULT_YEARS = 16
 
 def loudness(waveform: Float32, n_frames: int) -> Float32:
     """Level of the recording on a scale of 40 dB [shape=(T,), range 0 to 1]: the baseline."""
-    centres = np.round(np.arange(n_frames) * 16_000 / 30).astype(int)
-    padded = np.pad(waveform.astype(np.float64), (400, 800))
-    frames = padded[centres[:, None] + np.arange(800)]
-    level = 10 * np.log10((frames**2).mean(axis=1) + 1e-10)
+    level = level_db(waveform, frame_centres(np.arange(n_frames)))
     top = np.percentile(level, 95)
     scaled: Float32 = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
     return scaled

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import spearmanr
 
+from deitalk.audio.frames import frame_centres
 from deitalk.audio.load import FRAME_RATE, Recording
+from deitalk.audio.prosody import level_db
+from deitalk.corpus.performance import NATURAL_WEIGHT
 from deitalk.corpus.prosody_contours import (
     SMOOTHING_SECONDS,
     Contour,
@@ -27,8 +30,6 @@ from deitalk.corpus.prosody_contours import (
 )
 from rig.arrays import Bool, Float32
 
-NATURAL_WEIGHT = 0.6
-"""Weight of a voice's own prosody beside an applied contour, as in `deitalk.corpus.performance`."""
 STEP_Z = 1.2
 """Standard deviations by which a take is made livelier, or duller."""
 RAMP_SECONDS = 0.3
@@ -54,10 +55,7 @@ def level_curve(waveform: Float32, n_frames: int) -> Float32:
     n_frames : int
         Frames T, 30 per second.
     """
-    centres = np.round(np.arange(n_frames) * 16_000 / FRAME_RATE).astype(int)
-    padded = np.pad(waveform.astype(np.float64), (400, 800))
-    power = np.square(padded[centres[:, None] + np.arange(800)]).mean(axis=1)
-    level = 10 * np.log10(power + 1e-10)
+    level = level_db(waveform, frame_centres(np.arange(n_frames)))
     speaking = level > np.percentile(level, 95) - 25
     sigma = SMOOTHING_SECONDS * FRAME_RATE
     usual = level[speaking].mean() if speaking.any() else 0.0

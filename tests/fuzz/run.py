@@ -1,6 +1,6 @@
 """Run a reader on fuzzed inputs in workers with bounded memory and time, and keep what fails.
 
-An input is one of: read; refused in one line (RigError, DeitalkError); or a failure: any other
+An input is one of: read; refused in one line (UserError); or a failure: any other
 exception or warning, a message that is too long or of several lines, more than the time, or a
 worker that ends (memory, crash).
 """
@@ -16,8 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deitalk.errors import DeitalkError
-from rig.errors import RigError
+from rig.errors import UserError
 from rig.limits import MESSAGE_CHARACTERS
 
 from .readers import Reader, Seed, input_of, readers
@@ -43,7 +42,7 @@ def attempt(reader: Reader, path: Path) -> str:
     """Read one file: "" if read, "refused", or what went wrong."""
     try:
         reader.read(path)
-    except (RigError, DeitalkError) as error:
+    except UserError as error:
         text = str(error)
         if "\n" in text or len(text) > MESSAGE_CHARACTERS or not text:
             return f"message of {len(text)} characters: {text[:200]!r}"

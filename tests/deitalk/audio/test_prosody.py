@@ -1,10 +1,17 @@
-"""Prosody measured on voices made by hand: pitch, brightness, and what gain and noise do to them."""
+"""Level, pitch, brightness and vocal effort of synthetic voices."""
 
 import numpy as np
 import pytest
 
 from deitalk.audio.noise import mix, pink_noise
-from deitalk.audio.prosody import PIECE, measure_prosody, prosody_index, vocal_effort_db
+from deitalk.audio.prosody import (
+    PIECE,
+    level_db,
+    measure_prosody,
+    prosody_index,
+    rms_db,
+    vocal_effort_db,
+)
 
 RATE = 16_000
 
@@ -18,6 +25,19 @@ def voice(pitch_hz: float = 120.0, fall: float = 2.0, seconds: float = 3.0) -> n
     return (0.1 * tone * (np.mod(t, 0.5) < 0.35) + floor).astype(np.float32)
 
 
+def test_level_is_mean_power_within_the_window():
+    square = np.where(np.arange(1600) % 2, 0.5, -0.5).astype(np.float32)  # power 1/4
+    level = level_db(square, np.array([0, 800, 1600]))
+    np.testing.assert_allclose(level, 10 * np.log10([1 / 8, 1 / 4, 1 / 8]), atol=1e-6)
+    np.testing.assert_allclose(level_db(square, np.array([1595]), 20), 10 * np.log10(3 / 16))
+    np.testing.assert_allclose(level_db(0 * square, np.array([800])), -100)
+
+
+def test_rms_of_a_constant_is_its_level():
+    assert rms_db(np.full(10, 0.1, np.float32)) == pytest.approx(-20, abs=1e-5)
+    assert rms_db(np.zeros(10, np.float32)) == -np.inf
+
+
 def test_pitch_in_semitones_over_100_hz():
     measured = measure_prosody(voice(150.0), 90)
     assert measured.voiced.sum() > 45
@@ -25,15 +45,15 @@ def test_pitch_in_semitones_over_100_hz():
     np.testing.assert_allclose(np.median(measured.pitch[measured.voiced]), expected, atol=0.15)
 
 
-def test_brightness_by_hand():
-    """Two tones of known amplitude: 10 dB apart."""
+def test_tilt_of_two_tones_is_their_ratio():
+    """10 dB apart."""
     t = np.arange(2 * RATE) / RATE
     tones = 0.1 * np.sin(2 * np.pi * 300 * t) + 0.1 / 10**0.5 * np.sin(2 * np.pi * 2100 * t)
     measured = measure_prosody(tones.astype(np.float32), 60)
     np.testing.assert_allclose(measured.tilt[5:55], -10, atol=0.05)
 
 
-def test_pieces_are_not_seen(monkeypatch):
+def test_measures_do_not_depend_on_the_piece_length(monkeypatch):
     waveform = voice(seconds=5)
     whole = measure_prosody(waveform, 150)
     monkeypatch.setattr("deitalk.audio.prosody.PIECE", 37)
@@ -51,7 +71,7 @@ def test_gain_changes_neither_the_index_nor_the_effort(gain):
     assert vocal_effort_db(scaled) == pytest.approx(vocal_effort_db(plain), abs=1e-3)
 
 
-def test_effort_is_brightness_and_noise_hardly_changes_it():
+def test_vocal_effort_rises_with_brightness_and_is_robust_to_noise():
     soft, loud = voice(fall=1.2), voice(fall=0.8)
     difference = [vocal_effort_db(measure_prosody(w, 90)) for w in (soft, loud)]
     assert difference[1] - difference[0] > 4
@@ -59,7 +79,7 @@ def test_effort_is_brightness_and_noise_hardly_changes_it():
     assert vocal_effort_db(measure_prosody(noisy, 90)) == pytest.approx(difference[0], abs=1.5)
 
 
-def test_silence_and_nothing():
+def test_measures_of_silent_and_empty_recordings():
     assert np.isnan(vocal_effort_db(measure_prosody(np.zeros(RATE, np.float32), 30)))
     assert len(prosody_index(measure_prosody(np.zeros(0, np.float32), 0))) == 0
     np.testing.assert_array_equal(prosody_index(measure_prosody(np.zeros(100, np.float32), 1)), 0)

@@ -81,14 +81,14 @@ def test_speeds_are_those_of_other_vocal_tracts():
     assert 0.15 < (factors == 1).mean() < 0.35
 
 
-def test_surroundings_are_read_in_a_fixed_order_and_an_empty_folder_is_named(tmp_path):
-    for i, name in enumerate(("b.wav", "a.flac")):
+def test_surroundings_are_read_in_fixed_order_and_reject_an_empty_folder(tmp_path):
+    for i, name in enumerate(("b.wav", "a.flac", "b.flac")):
         soundfile.write(tmp_path / name, np.full(100 * (i + 1), 0.1, np.float32), RATE)
     (tmp_path / "notes.txt").write_text("no sound")
     read = Surroundings.read(str(tmp_path), None)
-    assert [len(noise) for noise in read.noises] == [200, 100] and read.rooms == ()
+    assert [len(noise) for noise in read.noises] == [200, 300, 100] and read.rooms == ()
     (empty := tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match=r"empty: holds no \.wav or \.flac"):
+    with pytest.raises(DataError, match=r"empty: holds no \.flac, \.wav, \.ogg"):
         Surroundings.read(None, str(empty))
 
 
