@@ -14,7 +14,7 @@ from deitalk import animate
 from deitalk.preview.panel import label
 from rig.face import build_head
 from rig.face.render import View, make_renderer
-from rig.face.render.lettering import Picture, text_width, write_text
+from rig.face.render.picture import Picture, text_width, write_text
 
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"

@@ -11,7 +11,7 @@ import numpy as np
 from deitalk.errors import MissingError
 from deitalk.preview.source import PreviewError
 from rig.arrays import Float32
-from rig.face.render.lettering import Picture
+from rig.face.render.picture import Picture
 
 if TYPE_CHECKING:
     from av.container import OutputContainer

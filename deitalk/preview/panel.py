@@ -7,7 +7,7 @@ import numpy as np
 from deitalk.preview.source import PreviewSource
 from rig.arrays import Float32
 from rig.curves import EMOTIONS
-from rig.face.render.lettering import Picture, text_width, write_text
+from rig.face.render.picture import Picture, text_width, write_text
 
 KEY_CURVES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jaw open", ("CTRL_C_jaw.ty",)),

@@ -13,7 +13,7 @@ from rig.face import build_head
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.lettering import Picture
+from rig.face.render.picture import Picture
 from rig.face.render.renderer import Backend
 from rig.files import atomic_write, check_file
 

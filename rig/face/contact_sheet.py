@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.face.head import Head
 from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.lettering import write_text
+from rig.face.render.picture import text_width, write_text
 from rig.face.render.renderer import Backend, Picture
 
 SHEETS = (
@@ -121,8 +121,8 @@ def draw_sheet(
                 head.mesh, size=size, view=VIEWS[tile.view], backend=backend
             )
         drawn = renderers[tile.view].render(head.pose(tile.values).astype(np.float64))
-        letter = min(11, int((width - 12) / max(len(tile.title), 1) / 0.82))
-        drawn = write_text(drawn, tile.title, (8, 8), height=max(letter, 6))
+        fitting = (h for h in (11, 10, 9, 8, 7) if text_width(tile.title, h) <= width - 12)
+        drawn = write_text(drawn, tile.title, (8, 8), height=next(fitting, 6))
         y, x = k // columns * height, k % columns * width
         picture[y : y + height, x : x + width] = drawn
     for renderer in renderers.values():

@@ -125,7 +125,9 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
     if order == "":
         return _ascii(file, element)
     if any(p.length_type for p in element.properties):
-        return _equal_lists(file, element, order, left) or _binary_rows(file, element, order)
+        return _equal_lists(file, element, order, left) or _gathered(
+            element, _rows(file, element, order, left)
+        )
     kind = np.dtype([(p.name, order + p.type) for p in element.properties])
     rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
     return {p.name: rows[p.name] for p in element.properties}
@@ -202,7 +204,7 @@ def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Col
     begin = file.tell()
     if not element.count:
         return None
-    first = next(iter(_rows(file, element, order)))
+    first = next(iter(_rows(file, element, order, left)))
     file.seek(begin)
     fields: list[tuple[str, str] | tuple[str, str, int]] = []
     for i, (p, value) in enumerate(zip(element.properties, first, strict=True)):
@@ -229,11 +231,7 @@ def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Col
     return columns
 
 
-def _binary_rows(file: BinaryIO, element: Element, order: str) -> Columns:
-    return _gathered(element, _rows(file, element, order))
-
-
-def _rows(file: BinaryIO, element: Element, order: str) -> Iterator[Row]:
+def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[Row]:
     for _ in range(element.count):
         row: Row = []
         for p in element.properties:
@@ -244,6 +242,8 @@ def _rows(file: BinaryIO, element: Element, order: str) -> Iterator[Row]:
                 if count < 0:
                     raise ValueError(f"a list of {count} values")
             kind = np.dtype(order + p.type)
+            if kind.itemsize * count > left:  # before so much memory is taken
+                raise ValueError("the file is cut short")
             values = np.frombuffer(_exactly(file, kind.itemsize * count), kind)
             row.append(values if p.length_type else values[0].item())
         yield row

@@ -310,25 +310,18 @@ def _read_override(path: Path) -> object:
 
 
 def _datagram_seeds(folder: Path) -> list[Seed]:
-    from rig.livelink.protocols import LiveLinkFace, Vmc
+    from rig.livelink.protocols import LiveLinkFace
 
     values = np.linspace(0, 1, 61, dtype=np.float32)
     packets = LiveLinkFace().datagrams(5, 0.1, 29.97, values)
-    osc = Vmc().datagrams(5, 0.1, 30, values)
-    return [Seed("d.bin", data, mutated) for data in packets] + [
-        Seed("d.osc", data, mutated) for data in osc
-    ]
+    return [Seed("d.bin", data, mutated) for data in packets]
 
 
 def _read_datagram(path: Path) -> object:
-    from rig.livelink.osc import parse
     from rig.livelink.packet import decode
     from rig.livelink.receiver import Recording
 
-    data = path.read_bytes()
-    if path.suffix == ".osc":
-        return parse(data)
-    packet = decode(data)
+    packet = decode(path.read_bytes())
     return Recording(packet.subject, (packet,)).to_take().to_curves()
 
 

@@ -10,7 +10,7 @@ from rig.arrays import Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh
 from rig.face.render.camera import View
-from rig.face.render.lettering import Picture
+from rig.face.render.picture import Picture
 from rig.face.render.shading import glsl, glsl_background
 
 SUPERSAMPLE = 1.5

@@ -6,8 +6,8 @@ from rig.arrays import Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh, vertex_normals
 from rig.face.render.camera import View
-from rig.face.render.lettering import Picture
 from rig.face.render.opengl import OpenGLRenderer, open_context
+from rig.face.render.picture import Picture
 from rig.face.render.software import SoftwareRenderer
 
 Backend = Literal["auto", "opengl", "software"]

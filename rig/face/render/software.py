@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from rig.arrays import Float32, Float64, Int32, Int64
 from rig.face.geometry.mesh import Mesh, adjacency, unit
 from rig.face.render.camera import FAR, NEAR, View
-from rig.face.render.lettering import Picture
+from rig.face.render.picture import Picture
 from rig.face.render.raster import Screen, front_faces, middle_of, nearest_faces, planes
 from rig.face.render.shading import background, shade
 

@@ -251,6 +251,18 @@ def test_morph_names_reject_documents_that_do_not_fit(glb, change):
     assert "inconsistent" in refused(morph_names, glb(change))
 
 
+@pytest.mark.parametrize("length", [100, 2**28, 2**31 - 1])
+def test_ply_list_longer_than_its_file_takes_no_memory(tmp_path, length):
+    data = b"ply\nformat binary_little_endian 1.0\nelement face 1\n"
+    data += b"property list uint double vertex_indices\nend_header\n" + struct.pack("<I", length)
+    (tmp_path / "a.ply").write_bytes(data + bytes(80))
+    tracemalloc.start()
+    with pytest.raises(RigError, match="cut short"):
+        read_ply(tmp_path / "a.ply")
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
 def test_glb_takes_no_memory_that_its_file_has_not(tmp_path):
     """A file of 300 bytes that declares 3.6 GB of zeros."""
     document = {
