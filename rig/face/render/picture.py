@@ -3,13 +3,16 @@
 from functools import lru_cache
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RigError
 from rig.files import atomic_write
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
 
 Picture = NDArray[np.uint8]
 
@@ -36,11 +39,13 @@ def write_png(path: Path | str, picture: Picture) -> None:
 
 
 @lru_cache(maxsize=16)
-def _font(height: int) -> Any:
+def _font(height: int) -> "FreeTypeFont":
     """Return the font whose capitals are about `height` pixels tall."""
     from PIL import ImageFont
 
-    return ImageFont.load_default(_SIZE * height)
+    font = ImageFont.load_default(_SIZE * height)
+    assert isinstance(font, ImageFont.FreeTypeFont)  # as given a size
+    return font
 
 
 def text_width(text: str, height: int = 11) -> int:
