@@ -1,4 +1,4 @@
-"""Speech in, an acted MetaHuman face out.
+"""MetaHuman facial animation from speech and an emotion.
 
 >>> from deitalk import animate
 >>> performance = animate("speech.wav", "happy")
@@ -48,7 +48,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name at its first use, so that ``import deitalk`` costs nothing."""
+    """Import a public name at its first use, so that ``import deitalk`` is fast."""
     for home, names in _HOMES.items():
         if name in names:
             from importlib import import_module

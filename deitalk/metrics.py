@@ -1,4 +1,4 @@
-"""What a prediction is scored by: the paper's errors, closures, correlations (DEITalk §4.2).
+"""Scores of a prediction: the paper's errors, detection scores and correlation (DEITalk §4.2).
 
 Letters: T frames, C controls, N events.
 """
@@ -28,9 +28,9 @@ def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.
     Notes
     -----
     Paper silent: which 86 and 18 controls, and what "maximum error l2" squares. LVE, which the
-    paper follows, is the largest squared distance among lip vertices, averaged over frames; a
-    control is a scalar, so the square of its error. Name the set wherever a number is shown, and
-    do not set it beside the paper's 0.00162 and 0.00079.
+    paper follows, is the largest squared distance among lip vertices, averaged over frames; for a
+    scalar control it is the squared error. Values depend on the set and are not comparable with
+    the paper's 0.00162 and 0.00079.
     """
     return float(np.square(target[:, controls] - predicted[:, controls]).max(axis=1).mean())
 
@@ -46,14 +46,14 @@ def emotion_parameter_error(target: AnyFloat, predicted: AnyFloat, controls: Con
 
 
 def correlation(a: AnyFloat, b: AnyFloat) -> float:
-    """Pearson's r of two signals; NaN where one of them does not move."""
+    """Pearson's r of two signals; NaN if one of them is constant."""
     a, b = a - a.mean(), b - b.mean()
     norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / norm if norm > 1e-9 else float("nan")
 
 
 def area_under_curve(positive: AnyFloat, negative: AnyFloat) -> float:
-    """Chance that a random positive scores above a random negative; ties count half."""
+    """Area under the ROC curve: probability of a positive above a negative; ties count half."""
     if not len(positive) or not len(negative):
         return float("nan")
     ordered = np.sort(negative)
@@ -63,7 +63,7 @@ def area_under_curve(positive: AnyFloat, negative: AnyFloat) -> float:
 
 
 def hit_rate(positive: AnyFloat, negative: AnyFloat, false_alarms: float = 0.05) -> float:
-    """Share of positives above the score that lets `false_alarms` of the negatives pass."""
+    """Share of positives above the threshold that `false_alarms` of the negatives exceed."""
     if not len(positive) or not len(negative):
         return float("nan")
     return float((positive > np.quantile(negative, 1 - false_alarms)).mean())

@@ -1,4 +1,4 @@
-"""The phone set, its classes, and the windows in which lips are scored.
+"""The phone set, its classes, and the windows for scores of the lips.
 
 ARPABET with the reduced vowels and the flap that speech engines distinguish (AX, IX, DX), the
 glottal stop (Q) and silence (SIL): 44 names.
@@ -14,14 +14,14 @@ VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
 BILABIALS = frozenset("PBM")
 LABIODENTALS = frozenset("FV")
 NEAR_LIPS = BILABIALS | LABIODENTALS | {"W"}
-"""Phones beside which a vowel's lips are not scored."""
+"""Phones that exclude neighbouring vowels from the scores of the lips."""
 PLOSIVES = frozenset("PBTDKG")
 STOPS = PLOSIVES | {"CH", "JH", "DX"}
 """Phones that begin with a closure, during which there is little or no sound."""
 WIDEN_FRAMES = 2
 """Frames at 30 Hz by which the window of a contact is widened on both sides."""
 CLEAR_SECONDS = 0.067
-"""Distance at which a vowel is clear of a contact."""
+"""Least distance of a clear vowel from a contact, seconds."""
 
 Phones = Sequence[tuple[float, float, str]]
 """Start and end in seconds, and the name."""

@@ -1,7 +1,7 @@
-"""Processes that work for another one, and end when it does: by an error, a signal or ``kill -9``.
+"""Worker processes that end with their parent: by an error, a signal or ``kill -9``.
 
-A pool waits for the tasks that are running, and workers that nobody waits for go on; both write
-into folders that the next command takes for free.
+A pool of the standard library waits for running tasks, and its workers outlive a killed parent;
+both would write into folders that the next command uses.
 """
 
 import os
@@ -29,7 +29,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        writer.close()  # running tasks are given up
+        writer.close()  # running tasks are abandoned
         raise
     finally:
         pool.shutdown(cancel_futures=True)

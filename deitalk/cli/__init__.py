@@ -33,7 +33,7 @@ from rig.errors import UserError, one_line
 
 app = CheckedCommands(
     name="deitalk",
-    help="Speech in, an acted MetaHuman face out.",
+    help="MetaHuman facial animation from speech and an emotion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -71,15 +71,15 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Speech in, an acted MetaHuman face out."""
+    """MetaHuman facial animation from speech and an emotion."""
     hold_targets(context)
 
 
-UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer has no name for it
+UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer does not export it
 
 
 def main() -> None:
-    """Run a command; what a user can mend is one line on stderr.
+    """Run a command; an error that a user can correct is one line on stderr.
 
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
     that Ctrl-C, SIGTERM or SIGHUP stopped, otherwise 1.
@@ -98,7 +98,7 @@ def main() -> None:
     except UserError as error:
         _fail(name_option(error))
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of a pipe has left; nothing to say
+        sys.stderr.close()  # the reader of a pipe has ended
         sys.exit(1)
     except MemoryError:
         _fail("not enough memory; give a shorter recording or a smaller file")
@@ -110,16 +110,16 @@ def main() -> None:
 
 
 def _usage(error: Any) -> str:
-    """What is wrong with the command line, and which command tells how it is right."""
+    """Message for a wrong command line, with the command that prints its help."""
     problem = str(error.format_message()).rstrip(".")
     command = error.ctx.command_path if error.ctx else "deitalk"
     return f"{problem}; see `{command} --help`"
 
 
 def _fail(message: str, code: int = 1) -> None:
-    """Print one line and leave; after a signal the line names it, whatever error it ended in."""
+    """Print one line and exit; after a signal the line names the signal, whatever the error."""
     if (stopped := received()) is not None:
         message, code = f"stopped by {stopped.name}", stopped.exit_code
-    with suppress(OSError):  # the terminal may be gone
+    with suppress(OSError):  # the terminal may be closed
         typer.secho(f"deitalk: {one_line(message)}", fg="red", err=True)
     sys.exit(code)

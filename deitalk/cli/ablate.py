@@ -27,12 +27,14 @@ def ablate(
         typer.Option(min=1, max=MAX_COUNT, help="Steps of every run; default: as configured."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of every variant.")] = 3,
-    split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "test",
+    split: Annotated[
+        str, typer.Option(help="validation for choices, test for final scores.")
+    ] = "test",
     most: Most = None,
 ) -> None:
     """Train every variant with several seeds, score them, write OUT/ablations.md and .json.
 
-    Stopped, it goes on where it was: run the same line again.
+    A stopped ablation is continued by the same command.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""`deitalk animate`: speech and an emotion in, a take out."""
+"""`deitalk animate`: a take from speech and an emotion."""
 
 import os
 import sys
@@ -41,7 +41,7 @@ def animate(
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Of the blinks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
     device: Device = "cpu",
     threads: Threads = 1,
     preview: Annotated[
@@ -52,8 +52,8 @@ def animate(
 ) -> None:
     """Animate a face from a recording.
 
-    With --json: mean_intensity is what the voice says, mean_applied_intensity what the face shows
-    (0 where the emotion is neutral).
+    With --json: mean_intensity is predicted from the voice, mean_applied_intensity is that of the
+    curves (0 if the emotion is neutral).
 
     Examples
     --------
@@ -90,12 +90,12 @@ def animate(
 
 
 def _acted(performance: "Performance", emotion: str) -> str:
-    """Which emotion was acted, and how strongly."""
+    """Emotion and mean intensity of the curves."""
     if not performance.has_emotion:
         return f"emotion {emotion}: the neutral reading"
     return (
         f"emotion {emotion}, applied intensity {performance.mean_applied_intensity:.2f} on average "
-        f"({performance.mean_intensity:.2f} heard in the voice)"
+        f"({performance.mean_intensity:.2f} predicted from the voice)"
     )
 
 
@@ -115,7 +115,7 @@ def _check(
     preview: bool,
     force: bool,
 ) -> None:
-    """Refuse what could not be written, before an hour of speech is animated for it."""
+    """Raise for targets that cannot be written, before the recording is animated."""
     from deitalk.errors import DeitalkError
     from deitalk.pipeline.take import KIND, check_take
     from rig.curves import snap_fps
@@ -160,7 +160,7 @@ def _perform(
 
 
 def _read(speech: str, asked: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
-    """Read what was given before the network is loaded: a mistake shows at once."""
+    """Read the inputs before the network is loaded, so that errors are reported early."""
     from deitalk.audio.load import load_audio
     from deitalk.emotions import check_intensity, parse_emotion, read_intensity_curve
 
@@ -206,7 +206,7 @@ def _write_file(out: Path, performance: "Performance", fps: float | None) -> Non
     if report.note:
         console().note(report.note)
     for track in report.dropped:
-        console().note(f"{out.name} cannot hold the {track} track; a take folder does")
+        console().note(f"{out.name} cannot contain the {track} track; a take folder can")
 
 
 def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) -> dict[str, Any]:

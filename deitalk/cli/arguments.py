@@ -1,7 +1,7 @@
-"""What every command asks of its arguments, before it does any work.
+"""Checks of the arguments of every command, before it does any work.
 
 Numbers with a fraction must be finite, paths must not be empty. `CheckedCommands` adds these
-checks to each of its commands, so that none is without them.
+checks to each of its commands.
 """
 
 import inspect
@@ -13,12 +13,12 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import typer
 
 MAX_SEED = 2**32 - 1
-"""Largest seed that every generator takes."""
+"""Largest seed of every generator."""
 MAX_THREADS = 1024
-"""More threads end the process on most systems."""
+"""Most threads; more end the process on most systems."""
 MAX_PROCESSES = 256
 MAX_COUNT = 10**9
-"""Largest number of steps, clips or recordings that is asked for."""
+"""Largest number of steps, clips or recordings."""
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -49,14 +49,14 @@ def _check(kind: Any, option: Any) -> None:
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number, or refuse NaN and infinity."""
+    """Return a number; raise for NaN and infinity."""
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value:g} is not a finite number")
     return value
 
 
 def usable_device(name: str) -> str:
-    """Return the name of a kind of device that torch has, or refuse it."""
+    """Return the name of a device; raise if torch does not have it."""
     from deitalk.errors import DeitalkError
     from deitalk.models.devices import check_device
 
@@ -67,7 +67,7 @@ def usable_device(name: str) -> str:
 
 
 def path(text: str | Path) -> Path:
-    """Return a path, or refuse an empty one, which would stand for the current folder."""
+    """Return a path; raise for an empty one, which would stand for the current folder."""
     if not str(text):
         raise typer.BadParameter("an empty path; name a file or a folder")
     return Path(text)

@@ -1,4 +1,4 @@
-"""`deitalk attention`: where a model listens."""
+"""`deitalk attention`: temporal attention of a model."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,7 +26,7 @@ def attention(
     model: Annotated[
         str, typer.Option(help="default, or a model folder with SDFA's attention.")
     ] = "default",
-    split: Annotated[str, typer.Option(help="Of a dataset folder.")] = "validation",
+    split: Annotated[str, typer.Option(help="Split of a dataset folder.")] = "validation",
     clips: Annotated[
         int, typer.Option(min=1, max=MAX_COUNT, help="Recordings of a dataset folder.")
     ] = 20,
@@ -36,8 +36,8 @@ def attention(
 ) -> None:
     """Draw the temporal attention of a model over a recording, or over vowels and plosives.
 
-    Evenness is the entropy of a frame's weights over that of equal ones: 1 listens everywhere in
-    the window, 0 to one spectrum. SDFA reports even weights at vowels, a peak at plosives.
+    Evenness is the entropy of a frame's weights over that of equal weights: 1 is flat over the
+    window, 0 is one spectrum. SDFA reports even weights at vowels, a peak at plosives.
 
     Examples
     --------
@@ -50,9 +50,9 @@ def attention(
     check_drawing()
     reserve_picture(out, force=force, inputs=(source, phones))
     if source.is_dir() and phones is not None:
-        raise DataError("--phones goes with one recording; a dataset folder brings its own")
+        raise DataError("--phones goes with one recording; a dataset folder has its own")
     with console().status("listening"):
-        pooled = _listen(source, out, phones, model, split, clips, device)
+        pooled = _measure(source, out, phones, model, split, clips, device)
     said = {
         name: {"phones": len(kind.phones), "evenness": kind.evenness, "peak": kind.peak}
         for name, kind in zip(("vowels", "plosives"), pooled, strict=False)
@@ -68,7 +68,7 @@ def attention(
         )
 
 
-def _listen(
+def _measure(
     source: Path,
     out: Path,
     phones: Path | None,
@@ -77,7 +77,7 @@ def _listen(
     clips: int,
     device: str,
 ) -> "tuple[AttentionMap, ...]":
-    """Draw what a model does; the means over vowels and plosives, where phones are known."""
+    """Draw the attention; return the means over vowels and plosives if phones are given."""
     from deitalk.audio.load import load_audio
     from deitalk.data.clips import read_phones
     from deitalk.evaluation.attention import attention_of, corpus_attention, load_attention_model

@@ -9,7 +9,7 @@ from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Json, Model, Threads
 
 MAX_SECONDS = 3 * 3600.0
-"""Longest recording that is read."""
+"""Longest clip, seconds."""
 
 
 def benchmark(
@@ -18,7 +18,7 @@ def benchmark(
         float, typer.Option(min=0.1, max=MAX_SECONDS, help="Length of the clip.")
     ] = 30.0,
     threads: Threads = 1,
-    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Runs; the best counts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Runs; the best is reported.")] = 3,
     memory: Annotated[
         bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
     ] = False,
@@ -53,7 +53,7 @@ def benchmark(
     for name in ("clip", "table_4_clip"):
         _print_clip(result[name])
     emit(
-        "SDFA Table 4 prints for its 5.1 s clip, on an i7-8700K, milliseconds: "
+        "SDFA Table 4 for its 5.1 s clip, on an i7-8700K, milliseconds: "
         + ", ".join(f"{k} {v:g}" for k, v in measures.TABLE_4_MILLISECONDS.items())
     )
     for row in result["memory"]:

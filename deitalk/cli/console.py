@@ -1,4 +1,4 @@
-"""Everything a command prints: messages to stderr, data to stdout, both as plain text.
+"""Output of the commands: messages to stderr, data to stdout, both as plain text.
 
 Nothing is read as markup: a file may be called ``[red]``. Names that are no UTF-8 and control
 characters are printed escaped.
@@ -18,9 +18,9 @@ from rig.errors import UserError, as_line, decodable, decodable_values
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
 """A parameter in an error message, alone or with its value."""
 VISIBLE_SECONDS = 1.0
-"""Work that takes less shows no bar."""
+"""Least duration of work with a bar, seconds."""
 FIRST_LINE_SECONDS = 3.0
-"""Work that takes less prints no line of progress."""
+"""Least duration of work with lines of progress, seconds."""
 LINE_SECONDS = 10.0
 """Time between two lines of progress at the start of long work."""
 SLOWEST_LINE_SECONDS = 60.0
@@ -28,12 +28,12 @@ SLOWEST_LINE_SECONDS = 60.0
 
 
 class Advance(Protocol):
-    """Told how far work has come."""
+    """Callback for the share of work done."""
 
     def __call__(self, share: float, text: str = "", *, always: bool = False) -> None:
-        """Take the share done (0 to 1) and what to print beside it.
+        """Report the share done (0 to 1) and a text to print beside it.
 
-        `always` prints a line off a terminal although the last one was printed just now.
+        `always` prints a line off a terminal however recent the last one is.
         """
 
 
@@ -49,21 +49,21 @@ class Console:
 
     @property
     def is_terminal(self) -> bool:
-        """Whether somebody is looking."""
+        """Whether stderr is a terminal."""
         return self.rich.is_terminal
 
     def print(self, text: str, *, style: str = "") -> None:
-        """Print one line, its text as it is."""
+        """Print one line without markup."""
         from rich.text import Text
 
         self.rich.print(Text(as_line(text)), style=style or None)
 
     def note(self, text: str) -> None:
-        """Print what a user may want to know about the result."""
+        """Print a note about the result."""
         self.print(f"note: {text}", style="yellow")
 
     def status(self, title: str) -> AbstractContextManager[object]:
-        """Show a title for as long as the block takes; nothing off a terminal."""
+        """Show a title during the block; nothing off a terminal."""
         return self.rich.status(title)
 
 
@@ -86,7 +86,7 @@ def emit_json(value: Any, *, indent: int | None = None) -> None:
 
 
 def escape_what_cannot_be_encoded() -> None:
-    """Let no character end a command: those that stdout or stderr cannot hold are escaped."""
+    """Escape characters that the encoding of stdout or stderr cannot represent."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="backslashreplace")
@@ -94,7 +94,7 @@ def escape_what_cannot_be_encoded() -> None:
 
 @contextmanager
 def bar(title: str) -> Iterator[Advance]:
-    """Yield a function that is told the share done, 0 to 1.
+    """Yield a function to call with the share done, 0 to 1.
 
     On a terminal a bar shows up after a second. Elsewhere a line is printed at every tenth of the
     work, or every 10 seconds (every minute after an hour); work of a few seconds prints nothing.

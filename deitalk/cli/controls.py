@@ -14,7 +14,7 @@ def controls(
         str | None, typer.Option("--set", help="A set or region: lip, upper_face, jaw, left …")
     ] = None,
     sets: Annotated[bool, typer.Option("--sets", help="List the sets and their sizes.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """List the controls of the rig.
 

@@ -18,14 +18,16 @@ def convert(
     source: Annotated[
         Path | None, typer.Argument(help="Take folder, or a file of curves of any format.")
     ] = None,
-    target: Annotated[Path | None, typer.Argument(help="File to write; its suffix tells.")] = None,
+    target: Annotated[
+        Path | None, typer.Argument(help="File to write; its suffix gives the format.")
+    ] = None,
     to: Annotated[str | None, typer.Option("--format", "--to", help="Format to write.")] = None,
     from_: Annotated[str | None, typer.Option("--from", help="Format to read.")] = None,
     fps: Annotated[
         float | None, typer.Option(help="Rate to write, Hz: 24 25 29.97 30 50 60 …")
     ] = None,
     source_fps: Annotated[
-        float | None, typer.Option(help="Rate of the source, Hz, where it does not say.")
+        float | None, typer.Option(help="Rate of the source, Hz, if the file does not contain it.")
     ] = None,
     start: Annotated[float, typer.Option(help="First second to take.")] = 0.0,
     end: Annotated[float | None, typer.Option(help="Second to stop before.")] = None,
@@ -37,7 +39,7 @@ def convert(
         list[str] | None, typer.Option(help="NAME=VALUE added to a control or region. Repeatable.")
     ] = None,
     smooth: Annotated[
-        float, typer.Option(help="Smoothing, seconds (0.02 to 0.05 takes jitter away).")
+        float, typer.Option(help="Smoothing, seconds (0.02 to 0.05 removes jitter).")
     ] = 0.0,
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
     rig: Annotated[

@@ -1,4 +1,4 @@
-"""`deitalk corpus`: make a dataset of labelled speech and acted faces."""
+"""`deitalk corpus`: make a dataset of labelled speech and facial curves."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,16 +12,16 @@ from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DataError
 
 MAX_HOURS = 10_000
-"""More than any speech engine has words for."""
+"""Most hours of synthetic speech."""
 
 app = CheckedCommands(
-    help="Make a dataset of labelled speech and acted faces.", no_args_is_help=True
+    help="Make a dataset of labelled speech and facial curves.", no_args_is_help=True
 )
 
 
 @app.callback()
 def _group() -> None:
-    """Make a dataset of labelled speech and acted faces."""
+    """Make a dataset of labelled speech and facial curves."""
 
 
 @app.command()
@@ -41,11 +41,11 @@ def build(
         Path | None, typer.Option(help="Folder that keeps phone times between builds.")
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=MAX_SEED, help="Of voices, words, prosody and emotions.")
+        int, typer.Option(min=0, max=MAX_SEED, help="Seed of voices, words, prosody and emotions.")
     ] = 0,
     workers: Annotated[int, typer.Option(min=1, max=MAX_PROCESSES, help="Processes.")] = 2,
 ) -> None:
-    """Synthesise speech, align recordings, act both, and write a dataset folder.
+    """Synthesise speech, align recordings, compute their curves, and write a dataset folder.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def build(
     found = [recording for folder in recordings or () for recording in list_recordings(folder)]
     if not found and (hours <= 0 or not engines):
         raise DataError(
-            "nothing to build from: no speech engine is installed and no recordings are given; "
+            "no speech engine is installed and no recordings are given; "
             "install espeak-ng (pip install espeakng-loader) or name --recordings"
         )
     shards = building.recorded_shards(found, seed, alignments)

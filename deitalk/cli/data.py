@@ -1,4 +1,4 @@
-"""`deitalk data`: look at a dataset folder."""
+"""`deitalk data`: check a dataset folder."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,12 +9,12 @@ from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, emit, emit_json
 from rig.errors import as_line
 
-app = CheckedCommands(help="Look at a dataset folder.", no_args_is_help=True)
+app = CheckedCommands(help="Check a dataset folder.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """Look at a dataset folder."""
+    """Check a dataset folder."""
 
 
 @app.command()
@@ -22,11 +22,11 @@ def check(
     folder: Annotated[Path, typer.Argument(help="Dataset folder with clips.csv.")],
     most: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_COUNT, help="Read at most so many clips, evenly spread."),
+        typer.Option(min=1, max=MAX_COUNT, help="Most clips to read, evenly spread."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Tell whether a dataset is fit to train on; exit code 1 on errors.
+    """Check a dataset folder for training; exit code 1 on errors.
 
     Names, rates, lengths, offset of curves and sound, silence, ranges, controls that never move,
     balance of the emotions, speakers in several splits.

@@ -15,21 +15,23 @@ from deitalk.errors import DataError
 def evaluate(
     model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     data: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("corpus"),
-    split: Annotated[str, typer.Option(help="validation for choices, test once.")] = "validation",
+    split: Annotated[
+        str, typer.Option(help="validation for choices, test for final scores.")
+    ] = "validation",
     most: Most = None,
     probes: Annotated[
         int,
         typer.Option(
             min=0,
             max=MAX_COUNT,
-            help="Recordings of every source acted in all emotions and modified.",
+            help="Recordings of every source animated in all emotions and with modified prosody.",
         ),
     ] = 6,
     noise: Annotated[
         str | None, typer.Option(help="Also in noise: a folder of recordings, or pink.")
     ] = None,
     captured: Annotated[
-        Path | None, typer.Option(help="Captured curves, to set our smoothness beside theirs.")
+        Path | None, typer.Option(help="Captured curves to compare the smoothness with.")
     ] = None,
     transitions: Annotated[
         bool,
@@ -44,7 +46,7 @@ def evaluate(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Score lips, errors, emotions and silence, beside the loudness baseline.
+    """Score lips, errors, emotions and silence, with the loudness baseline.
 
     Examples
     --------

@@ -12,7 +12,7 @@ from deitalk.cli.paths import identity_of, reserve_file
 from deitalk.errors import DeitalkError
 
 app = CheckedCommands(
-    help="The embedded head: contact sheets and who it can be.", no_args_is_help=True
+    help="The embedded head: contact sheets, identities, export.", no_args_is_help=True
 )
 
 
@@ -29,7 +29,7 @@ def sheet(
         "sheet.png"
     ),
     identity: Identity = "0",
-    columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row; 0 chooses.")] = 4,
+    columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row.")] = 4,
     tile: Annotated[int, typer.Option(min=64, max=2048, help="Height of a tile, pixels.")] = 340,
     backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
     force: Force = False,
@@ -62,11 +62,11 @@ def sheet(
 @app.command()
 def identities(
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Also draw everyone into this PNG file.")
+        Path | None, typer.Option("--out", "-o", help="Also draw all heads into this PNG file.")
     ] = None,
     force: Force = False,
 ) -> None:
-    """List the heads that can be built, and draw them.
+    """List the identities of the embedded head, and draw them.
 
     Examples
     --------

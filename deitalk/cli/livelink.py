@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 app = CheckedCommands(help="Send a face live over UDP, receive one, replay a take.")
 
-Host = Annotated[str, typer.Option(help="Where to send.")]
+Host = Annotated[str, typer.Option(help="Address of the receiver.")]
 Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
 ProtocolName = Annotated[str, typer.Option(help="livelink, json or vmc.")]
-Subject = Annotated[str, typer.Option(help="Name that Unreal lists.")]
+Subject = Annotated[str, typer.Option(help="Subject name in Unreal.")]
 Fps = Annotated[float | None, typer.Option(help="Rate to send, Hz; the source's by default.")]
 Loop = Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")]
 StartSignal = Annotated[
     str | None,
-    typer.Option(help="HOST:PORT that gets the OSC message /deitalk/start with the first frame."),
+    typer.Option(help="HOST:PORT for the OSC message /deitalk/start, sent with the first frame."),
 ]
 
 
@@ -43,12 +43,12 @@ def send(
     fps: Fps = None,
     loop: Loop = False,
     rig: Annotated[
-        str, typer.Option(help="What json sends: board, raw (CTRL_expressions) or arkit.")
+        str, typer.Option(help="Controls of json: board, raw (CTRL_expressions) or arkit.")
     ] = "board",
     play: Annotated[bool, typer.Option("--play", help="Play the audio too.")] = False,
     start_signal: StartSignal = None,
 ) -> None:
-    """Send a take, a file of curves, or a recording acted on the spot.
+    """Send a take, a file of curves, or a recording that is animated first.
 
     Emotion, intensity and model are for a recording. The face rests at the end and on Ctrl-C.
 
@@ -84,7 +84,7 @@ def replay(
     fps: Fps = None,
     loop: Loop = False,
 ) -> None:
-    """Send a recorded file as if the phone did, to see that Unreal listens.
+    """Send a recorded file in the phone's protocol, to test the connection to Unreal.
 
     Examples
     --------
@@ -115,19 +115,19 @@ def receive(
         int, typer.Option(min=0, max=65535, help="UDP port; 0 takes a free one.")
     ] = 11111,
     subject: Annotated[
-        str | None, typer.Option(help="Whose packets to take; the first one's by default.")
+        str | None, typer.Option(help="Subject to record; that of the first packet by default.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(min=0, help="Longest time; else until Ctrl-C.")
+        float | None, typer.Option(min=0, help="Longest recording, seconds; else until Ctrl-C.")
     ] = None,
     idle: Annotated[
-        float | None, typer.Option(min=0, help="Stop after so many seconds without a packet.")
+        float | None, typer.Option(min=0, help="Stop after this time without a packet, seconds.")
     ] = None,
     force: Force = False,
 ) -> None:
     """Record Live Link Face packets, from a phone or from `send`, into a CSV.
 
-    Ctrl-C, SIGTERM and SIGHUP end the take; what has come is written.
+    Ctrl-C, SIGTERM and SIGHUP end the take; received frames are written.
 
     Examples
     --------
@@ -147,10 +147,10 @@ def receive(
         take = recording.to_take()
         with atomic_write(out) as beside:
             write_take(beside, take)
-        signals.clear()  # they ended the take, as they were asked to
+        signals.clear()  # handled: the take has ended
     console().print(
         f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
-        f"{recording.n_late} late, {recording.n_garbage} datagrams of garbage"
+        f"{recording.n_late} late, {recording.n_garbage} invalid datagrams"
     )
 
 
@@ -197,7 +197,7 @@ def _send(
 
 
 def _checked(host: str, port: int | None, protocol: str, subject: str, fps: float | None) -> int:
-    """The port asked for, or the protocol's own; mistakes show before anything is acted."""
+    """The given port or the protocol's own; raises before a recording is animated."""
     from rig.curves import snap_fps
     from rig.livelink import check_address, find_protocol, make_protocol
 
@@ -233,7 +233,7 @@ def _source(
     except FormatError:
         from deitalk.pipeline.curves import animate
 
-        console().print(f"acting {source.name}")
+        console().print(f"animating {source.name}")
         performance = animate(source, emotion, model=model, intensity=intensity)
         return performance.curves, source
     return read_curves(source, control_set=None), None
@@ -257,7 +257,7 @@ def _rig_id(rig: str) -> str:
 
 
 def _player(audio: Path | None) -> Callable[[], None]:
-    """Return what starts the sound without waiting for its end."""
+    """Return a function that starts the sound and returns at once."""
     if audio is None:
         raise DeitalkError("there is no audio to play: send a take folder or a recording")
     try:
@@ -274,15 +274,15 @@ def _player(audio: Path | None) -> Callable[[], None]:
 
 
 def _signal(address: str) -> Callable[[], None]:
-    """Return what tells another program that the first frame goes out."""
+    """Return a function that signals the first frame to another program."""
     from rig.livelink import osc
 
     host, colon, port = address.rpartition(":")
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
         raise DeitalkError(f"--start-signal {address!r} must be HOST:PORT, such as 127.0.0.1:8000")
 
-    def tell() -> None:
+    def send_start() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
             link.sendto(osc.message("/deitalk/start"), (host, int(port)))
 
-    return tell
+    return send_start

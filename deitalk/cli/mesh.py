@@ -1,4 +1,4 @@
-"""`deitalk mesh`: speech in, a moving mesh out."""
+"""`deitalk mesh`: a moving mesh from speech."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,7 +26,7 @@ def mesh(
     ] = "default",
     speaker: Annotated[
         str,
-        typer.Option(help="Name or number: who an SDFA model speaks as; else an embedded head."),
+        typer.Option(help="Name or number: speaker of an SDFA model, else an embedded head."),
     ] = "0",
     mesh: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ def mesh(
 ) -> None:
     """Animate a mesh from a recording, vertex by vertex.
 
-    A DEITalk model acts, with emotion, an embedded head or your own mesh. An SDFA model moves its
+    A DEITalk model moves, with emotion, an embedded head or your own mesh. An SDFA model moves its
     speakers' templates by deformation gradients, or your own mesh along with them; it has no
     emotion, unless it is a mesh head (configs/mesh_head.yaml), which decodes a DEITalk model. A GLB
     is in metres, unless the mesh is yours; the others keep the mesh's unit.
@@ -78,13 +78,13 @@ def mesh(
             summary = _write(performance, out, mesh, landmarks, force=force)
         else:
             summary = _on_own_mesh(speech, out, mesh, landmarks, fps, device, progress, acted)
-    _tell(out, summary | acted, as_json)
+    _report(out, summary | acted, as_json)
 
 
 def _check(
     emotion: str, intensity: float, fps: float | None, mesh: Path | None, landmarks: Path | None
 ) -> None:
-    """Refuse what could not be used, before a recording is animated for it."""
+    """Raise for inputs that cannot be used, before the recording is animated."""
     from deitalk.emotions import check_intensity, parse_emotion
     from rig.curves import snap_fps
 
@@ -92,7 +92,7 @@ def _check(
     parse_emotion(emotion)
     if fps is not None:
         snap_fps(fps)
-    if mesh is not None and mesh.suffix.lower() != ".glb":  # one of those may be driven unread
+    if mesh is not None and mesh.suffix.lower() != ".glb":  # a GLB may be driven without this check
         from rig.retarget.landmarks import read_landmarks
         from rig.retarget.retarget_files import read_shapes
 
@@ -140,7 +140,7 @@ def _on_own_mesh(
     progress: Any,
     acted: dict[str, Any],
 ) -> dict[str, Any]:
-    """Curves first, then as `deitalk retarget`."""
+    """Animate curves, then retarget them as `deitalk retarget`."""
     from deitalk.models.checkpoint import load_model
     from deitalk.pipeline.curves import animate
     from rig.retarget.retarget_files import retarget_curves
@@ -159,7 +159,7 @@ def _described(report: "RetargetReport", fps: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _tell(out: str, summary: dict[str, Any], as_json: bool) -> None:
+def _report(out: str, summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
         emit_json({"out": str(Path(out)), **summary})
         return

@@ -1,4 +1,4 @@
-"""`deitalk model`: what a model is, and a copy of it to give away."""
+"""`deitalk model`: description of a model, and export of a copy."""
 
 import json
 from pathlib import Path
@@ -10,22 +10,22 @@ from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.paths import reserve_folder
 
-app = CheckedCommands(help="What a model is.", no_args_is_help=True)
+app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """What a model is."""
+    """Describe or export a model."""
 
 
 @app.command()
 def export(
     model: Annotated[str, typer.Argument(help="Model folder, such as runs/mel/best.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to make.")],
-    data: Annotated[str, typer.Option(help="What trained it, in words.")] = "",
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    data: Annotated[str, typer.Option(help="Description of the training data.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
 ) -> None:
-    """Write a model at half precision and without paths of this machine, to give away.
+    """Write a model for distribution: half precision, without paths of this machine.
 
     Examples
     --------
@@ -50,7 +50,7 @@ def export(
 @app.command()
 def info(
     model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Show control set, size, hash and training of a model."""
     from deitalk.models.checkpoint import describe_model, embedded_models

@@ -1,4 +1,4 @@
-"""Options that several commands share, each said once."""
+"""Options that several commands share."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,10 +17,10 @@ Emotion = Annotated[
     ),
 ]
 Intensity = Annotated[
-    float, typer.Option(help="Factor on the intensity heard in the voice, 0 to 4.")
+    float, typer.Option(help="Factor on the intensity predicted from the voice, 0 to 4.")
 ]
 IntensityCurve = Annotated[
-    Path | None, typer.Option(help="Edited intensity.csv of a take, used instead.")
+    Path | None, typer.Option(help="Edited intensity.csv of a take, instead of the prediction.")
 ]
 Model = Annotated[str, typer.Option(help="default, compact, or a model folder.")]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
@@ -35,7 +35,7 @@ Threads = Annotated[
 ]
 Most = Annotated[
     int | None,
-    typer.Option(min=1, max=MAX_COUNT, help="At most so many recordings of every source."),
+    typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),
 ]
 Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
@@ -43,5 +43,5 @@ MeshOut = Annotated[
     str,
     typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder/ for .ply files."),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
-Json = Annotated[bool, typer.Option("--json", help="Print a summary for machines.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
+Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]

@@ -1,4 +1,4 @@
-"""What commands ask of the files they are given and of those they are to write."""
+"""Checks of the files that commands read and write."""
 
 import os
 from collections.abc import Iterable
@@ -17,12 +17,12 @@ _targets: ContextVar[ExitStack | None] = ContextVar("targets", default=None)
 
 
 def hold_targets(context: typer.Context) -> None:
-    """Let targets that are reserved stay so until the command ends."""
+    """Keep reserved targets reserved until the command ends."""
     _targets.set(context.with_resource(ExitStack()))
 
 
 def reserve_file(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
-    """Check a file to write before the work begins, and keep other processes from it.
+    """Check a file to write before the work begins, and lock it against other processes.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def reserve_file(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
 
 
 def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -> None:
-    """Check a folder to write before the work begins, and keep other processes from it.
+    """Check a folder to write before the work begins, and lock it against other processes.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def _claim(path: Path) -> None:
 
 
 def curves_of(source: Path) -> Path:
-    """Find the file of curves of a take folder; a file stands for itself."""
+    """Return the file of curves of a take folder, or the file itself."""
     from rig.files import recover
 
     if not source.is_dir():
@@ -86,7 +86,7 @@ def curves_of(source: Path) -> Path:
     for name in ("curves.json", "curves.npz", "curves.csv"):
         if (source / name).is_file():
             return source / name
-    raise DeitalkError(f"{source} holds no curves; give a take folder or a file of curves")
+    raise DeitalkError(f"{source} has no curves; give a take folder or a file of curves")
 
 
 def identity_of(text: str) -> int | str:

@@ -1,4 +1,4 @@
-"""`deitalk preview`: watch a take."""
+"""`deitalk preview`: review video and page of a take."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,15 +13,15 @@ from deitalk.cli.paths import identity_of, reserve_file
 def preview(
     source: Annotated[Path, typer.Argument(help="Take folder, or curves (.csv .json .npz …).")],
     audio: Annotated[
-        Path | None, typer.Option(help="Recording; a take folder brings its own.")
+        Path | None, typer.Option(help="Recording; by default that of the take folder.")
     ] = None,
     phones: Annotated[
         Path | None,
-        typer.Option(help="CSV start,end,phone: warns of m, b, p that stay open."),
+        typer.Option(help="CSV start,end,phone for warnings of m, b, p that stay open."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help=".mp4 or .html; both beside the source without it."),
+        typer.Option("--out", "-o", help=".mp4 or .html; by default both, beside the source."),
     ] = None,
     identity: Identity = "0",
     view: Annotated[
@@ -33,7 +33,7 @@ def preview(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Render a review video of a take, or a page to play with it.
+    """Render a review video of a take, or an interactive page.
 
     Examples
     --------
@@ -75,14 +75,14 @@ def preview(
 
 
 def _beside(source: Path) -> list[Path]:
-    """Where page and video go if nothing is said: into a take, beside a file of curves."""
+    """Default targets of page and video: in a take folder, or beside a file of curves."""
     if source.is_dir():
         return [source / "preview.html", source / "preview.mp4"]
     return [source.with_name(source.stem + suffix) for suffix in (".html", ".mp4")]
 
 
 def _record(source: Path, target: Path) -> None:
-    """List a preview of a take among the take's own files, so that a new take removes it."""
+    """Add a preview to the take's manifest, so that a new take removes it."""
     from deitalk.pipeline.take import KIND, PREVIEW_FILES
     from rig.files import kind_of, record
 

@@ -33,7 +33,7 @@ def retarget(
     ] = None,
     mapping: Annotated[
         Path | None,
-        typer.Option(help="CSV shape,control,value: what your own shape names stand for."),
+        typer.Option(help="CSV shape,control,value: controls of your own shape names."),
     ] = None,
     method: Annotated[
         str,
@@ -45,9 +45,9 @@ def retarget(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Put a take on your own face: drive its blendshapes, or make it some.
+    """Retarget a take to your own face: drive its blendshapes, or make new ones.
 
-    A mesh with shapes named as ARKit, Live Link Face, ICT-FaceKit or MetaHuman name them is driven
+    A mesh with shapes of the names of ARKit, Live Link Face, ICT-FaceKit or MetaHuman is driven
     by name. A single neutral mesh of any topology, mouth closed and eyes open, gets the shapes of
     the embedded head, laid over it by landmarks.
 
@@ -74,11 +74,11 @@ def retarget(
             method="gradients" if method == "gradients" else "displacements",
             as_neutral=as_neutral,
         )
-    _tell(report, as_json)
+    _report(report, as_json)
 
 
-def _tell(report: "RetargetReport", as_json: bool) -> None:
-    """Say what was written and what to look at."""
+def _report(report: "RetargetReport", as_json: bool) -> None:
+    """Print the result and its warnings."""
     if as_json:
         emit_json(asdict(report) | {"path": str(report.path)})
         return

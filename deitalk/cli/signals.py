@@ -1,8 +1,8 @@
-"""Signals that ask the program to stop, raised as exceptions so that ``finally`` blocks run.
+"""Termination signals raised as exceptions, so that ``finally`` blocks run.
 
 Python turns SIGINT (Ctrl-C) into `KeyboardInterrupt`, but SIGTERM (``kill``, ``timeout``, a batch
 system) and SIGHUP (the terminal was closed) end the process at once: temporary files and worker
-processes stay. `install` gives them the same way out; `held` keeps a short write whole.
+processes stay. `install` raises exceptions for them too; `held` protects a short write.
 """
 
 import signal
@@ -13,20 +13,20 @@ from time import monotonic
 from types import FrameType
 
 NAMES = ("SIGTERM", "SIGHUP", "SIGBREAK")
-"""Of these a system has some: Windows has no SIGHUP, all others no SIGBREAK."""
+"""Termination signals; Windows has no SIGHUP, other systems no SIGBREAK."""
 CTRL_C_CODE = 130
-"""Exit code of a command that Ctrl-C stopped; typer gives it for any `KeyboardInterrupt`."""
+"""Exit code of a command stopped by Ctrl-C; typer returns it for any `KeyboardInterrupt`."""
 QUIET_SECONDS = 5.0
-"""Signals so soon after the first one are dropped: they must not interrupt the cleaning up."""
+"""Time after the first signal in which others are dropped, so that clean-up is not interrupted."""
 
 
 class Terminated(KeyboardInterrupt):
-    """A signal asked the program to stop.
+    """A termination signal.
 
     Parameters
     ----------
     number : int
-        Of the signal.
+        Number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -35,17 +35,17 @@ class Terminated(KeyboardInterrupt):
 
     @property
     def name(self) -> str:
-        """Of the signal, such as ``SIGTERM``."""
+        """Name of the signal, such as ``SIGTERM``."""
         return signal.Signals(self.number).name
 
     @property
     def exit_code(self) -> int:
-        """What a shell reports of a program that a signal ended."""
+        """Exit code of a shell for a program ended by the signal."""
         return 128 + self.number
 
 
 class _Handler:
-    """Raises `Terminated`, but not again while the program cleans up."""
+    """Handler that raises `Terminated` once and is silent during clean-up."""
 
     def __init__(self) -> None:
         self._last = -float("inf")
@@ -75,13 +75,13 @@ def install() -> None:
 
 
 def received() -> Terminated | None:
-    """The signal that was raised since `install`: typer turns it into an exit code of its own."""
+    """The signal raised since `install`, if any; typer replaces it by its own exit code."""
     handlers = [signal.getsignal(number) for number in _numbers()]
     return next((h.raised for h in handlers if isinstance(h, _Handler)), None)
 
 
 def uninstall() -> None:
-    """Let SIGTERM and SIGHUP end the process at once again: there is nothing left to clean up."""
+    """Restore the default action of SIGTERM and SIGHUP after clean-up."""
     if threading.current_thread() is threading.main_thread():
         for number in _numbers():
             if isinstance(signal.getsignal(number), _Handler):
@@ -90,14 +90,14 @@ def uninstall() -> None:
 
 @contextmanager
 def held() -> Iterator[list[int]]:
-    """Delay SIGINT, SIGTERM and SIGHUP until the block has ended; then the first one acts.
+    """Delay SIGINT, SIGTERM and SIGHUP to the end of the block; then raise the first one.
 
-    For what cannot be made again. Outside of the main thread nothing is held.
+    For writes that cannot be repeated. Outside of the main thread no signal is delayed.
 
     Yields
     ------
     list of int
-        Numbers of the signals that came; a block that has answered them empties it.
+        Numbers of the received signals; a block that has handled them clears the list.
     """
     pending: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -22,7 +22,7 @@ def train(
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the run folder; begin it if it is new.")
+        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
     ] = False,
     start_from: Annotated[
         str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
@@ -64,13 +64,13 @@ def train(
             resume=resume,
             start_from=start,
             tensorboard=tensorboard,
-            progress=_told(progress),
+            progress=_shown_on(progress),
         )
     _report(out, best)
 
 
-def _told(advance: "Advance") -> "Progress":
-    """Show what training tells: step, loss, and the scores of every evaluation."""
+def _shown_on(advance: "Advance") -> "Progress":
+    """Return a callback that shows step, loss, and the scores of every evaluation."""
 
     def progress(step: int, total: int, values: dict[str, float]) -> None:
         scores = [f"{name[4:]} {v:.4g}" for name, v in values.items() if name.startswith("dev_")]
@@ -85,7 +85,7 @@ def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
     from deitalk.errors import ConfigError
 
     if start_from is not None:
-        raise ConfigError("--from: SDFA starts from nothing; leave it out, or use --resume")
+        raise ConfigError("--from: not for SDFA; leave it out, or use --resume")
     if tensorboard:
         raise ConfigError("--tensorboard: SDFA writes metrics.csv only; leave it out")
 
@@ -99,13 +99,13 @@ def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) 
             data,
             out,
             resume=resume,
-            progress=_told(progress),
+            progress=_shown_on(progress),
         )
     _report(out, best)
 
 
 def _report(out: Path, best: dict[str, Any]) -> None:
-    """Say what was kept; of several processes, the first one says it."""
+    """Print the kept step and its scores, in the first of several processes."""
     if os.environ.get("RANK", "0") != "0":
         return
     scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())

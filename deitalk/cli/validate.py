@@ -1,4 +1,4 @@
-"""`deitalk validate`: whether importers take a file, and what Unreal makes of it."""
+"""`deitalk validate`: errors and warnings of importers for a file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,13 +11,13 @@ from rig.errors import as_line
 
 def validate(
     path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
-    strict: Annotated[bool, typer.Option("--strict", help="Warnings fail too.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 on warnings too.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
-    """Check a file or a take as the programs that import it would; exit code 1 on errors.
+    """Check a file or a take by the rules of the importing programs; exit code 1 on errors.
 
-    Cell counts, time codes, ranges, NaN, dead curves, jumps, open mouths at the end, and what
-    Unreal will do with it.
+    Cell counts, time codes, ranges, NaN, constant curves, jumps, open mouths at the end, and
+    effects in Unreal.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""Forced alignment: when a recording says each phone of its transcript.
+"""Forced alignment: the times of a transcript's phones in a recording.
 
 pocketsphinx with its bundled American English model finds the times on a 10 ms grid. Words that
-its dictionary lacks (names, numbers, slips of spelling) are pronounced by espeak-ng, or letter by
+its dictionary lacks (names, numbers, misspellings) are pronounced by espeak-ng, or letter by
 letter where espeak-ng is absent, so that a recording is dropped only when its sound does not fit
-its words. The dictionary knows no stress; espeak-ng tells which of its AH and IH are reduced
+its words. The dictionary has no stress; espeak-ng gives which of its AH and IH are reduced
 (AX, IX), because a reduced vowel hardly opens the mouth.
 """
 
@@ -25,7 +25,7 @@ VERSION = 2
 """Part of the cache key: raise it when the alignment itself changes."""
 FRAME_SECONDS = 0.01
 BOUNDARY_SECONDS = 0.0078
-"""Added to every boundary: the model's frame k looks at 10k to 10k + 25.6 ms, so the middle between
+"""Added to every boundary: the model's frame k covers 10k to 10k + 25.6 ms, so the middle between
 the centres of frames k - 1 and k lies 7.8 ms after 10k. Against espeak-ng's exact times the median
 error falls from -9.6 to -1.8 ms."""
 LONGEST_RUN_OF_SHORTEST = 7
@@ -34,7 +34,7 @@ MOST_SHORTEST = 0.40
 """Share of phones at the 30 ms minimum that still passes."""
 LOWEST_SCORE = -38.0
 """Mean acoustic score per frame, against the frame's best state, that still passes. Readers with
-their own transcripts reach -26 and better, second-language children -34 (19 of 20); recordings with
+their own transcripts score -26 and better, second-language children -34 (19 of 20); recordings with
 another recording's transcript of the same length stay below -35 (19 of 20, half below -50)."""
 BEAMS: tuple[dict[str, float], ...] = (
     {},
@@ -62,7 +62,7 @@ _DICTIONARY_NAMES = {"AX": "AH", "IX": "IH", "DX": "T", "Q": "", "SIL": ""}
 
 @dataclass(frozen=True)
 class Alignment:
-    """Phones of a recording, or why there are none.
+    """Phones of a recording, or the reason that there are none.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Alignment:
     score : float
         Mean acoustic score per speech frame; 0 is the best possible.
     reason : str or None
-        Why the alignment must not be used; None if it is good.
+        Reason that the alignment must not be used; None if it is good.
     """
 
     phones: tuple[Phone, ...]
@@ -80,7 +80,7 @@ class Alignment:
 
 
 def missing() -> str | None:
-    """None if recordings can be aligned here, else the reason and the package to install."""
+    """Return None if recordings can be aligned here, else the reason and the package to install."""
     try:
         import pocketsphinx  # noqa: F401
     except ImportError:
@@ -96,13 +96,13 @@ def align(waveform: np.ndarray, text: str) -> tuple[Phone, ...] | None:
     waveform : float array [shape=(S,), 16 kHz, range -1 to 1]
         English speech.
     text : str
-        What is said: words, numbers, punctuation.
+        Transcript: words, numbers, punctuation.
 
     Returns
     -------
     phones : tuple of Phone, or None
         Contiguous, covering the waveform; None if the sound does not fit the words
-        (`align_scored` says why).
+        (`align_scored` gives the reason).
 
     Raises
     ------
@@ -126,7 +126,7 @@ def align_scored(waveform: np.ndarray, text: str) -> Alignment:
     for width in range(len(BEAMS)):
         segments = _search(_decoder(width), pcm, words)
         if segments:
-            return _judged(segments, len(waveform) / SAMPLE_RATE)
+            return _scored(segments, len(waveform) / SAMPLE_RATE)
     return Alignment((), -np.inf, "no path through the recording fits the words")
 
 
@@ -159,7 +159,7 @@ def _decoder(width: int) -> Any:
 
 
 def _search(decoder: Any, pcm: bytes, words: list[str]) -> list[tuple[float, float, str, int]]:
-    """(start, end, phone, score) of every segment; nothing if the search dies."""
+    """(start, end, phone, score) of every segment; nothing if the search fails."""
     for word in words:
         if decoder.lookup_word(word) is None:
             decoder.add_word(word, " ".join(pronunciation(word)), True)
@@ -175,8 +175,8 @@ def _search(decoder: Any, pcm: bytes, words: list[str]) -> list[tuple[float, flo
 
 
 def _decode(decoder: Any, pcm: bytes) -> None:
-    """Run the whole recording through the decoder, whatever it heard before."""
-    decoder.reinit_feat()  # forgets the noise it tracked
+    """Run the whole recording through the decoder, independent of earlier recordings."""
+    decoder.reinit_feat()  # resets the noise tracker
     decoder.start_utt()
     try:
         decoder.process_raw(pcm, full_utt=True)
@@ -196,11 +196,11 @@ def _word_segments(word: Any) -> list[tuple[float, float, str, int]]:
 
 
 def _boundary(frame: int) -> float:
-    """Seconds at which a frame takes over from the one before it."""
+    """Seconds of the boundary between a frame and the one before it."""
     return frame * FRAME_SECONDS + (BOUNDARY_SECONDS if frame else 0.0)
 
 
-def _judged(segments: list[tuple[float, float, str, int]], duration: float) -> Alignment:
+def _scored(segments: list[tuple[float, float, str, int]], duration: float) -> Alignment:
     """The alignment with its score, and the reason if it is bad."""
     speech = [(end - start, score) for start, end, name, score in segments if name != "SIL"]
     frames = sum(seconds for seconds, _ in speech) / FRAME_SECONDS
@@ -210,7 +210,7 @@ def _judged(segments: list[tuple[float, float, str, int]], duration: float) -> A
 
 
 def reason_against(phones: Sequence[Phone], score: float) -> str | None:
-    """Why an alignment must not be used; None if it is good.
+    """Reason that an alignment must not be used; None if it is good.
 
     Parameters
     ----------

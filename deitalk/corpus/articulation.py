@@ -1,9 +1,9 @@
 """Phones to articulation: dominance functions, hard contacts, thirteen channels.
 
-After Cohen and Massaro (1993), "Modeling coarticulation in synthetic visual speech": every phone
+Cohen and Massaro (1993), "Modeling coarticulation in synthetic visual speech": every phone
 pulls every channel towards its target with a dominance that falls off exponentially on both
 sides; a frame is the dominance-weighted mean. Bilabials and labiodentals then override the mean,
-because lips that only almost meet do not say /m/.
+because lips that only almost meet show no /m/.
 
 Targets are the table ``tables/articulation.csv`` (our reading of phonetics textbooks, 0 rest to
 1 full). Letters: P phones, K channels, N frames.
@@ -41,17 +41,17 @@ ONSET_RATE = np.array([14, 38, 34, 34, 11, 11, 12, 18, 16, 30, 26, 28, 26.0])
 OFFSET_RATE = np.array([15, 40, 36, 36, 13, 13, 13, 18, 17, 30, 26, 28, 26.0])
 """Fall of dominance after a phone, 1/s."""
 CONTACT_RAMP_SECONDS = 0.045
-"""Lips take this long to come together and to part."""
+"""Duration of lips closing, and of lips parting, seconds."""
 CONTACT_MINIMUM_SECONDS = 0.075
-"""A contact is held at least this long: two frames of video see it."""
+"""Shortest contact, seconds: two frames of video."""
 CONTACT_JAW = 0.2
-"""The jaw is no wider than this where lips or teeth look shut (0.9 and more)."""
+"""Widest jaw where lips or teeth are in contact (0.9 and more)."""
 RIVAL_RAMP_SECONDS = 0.015
-"""Between /m/ and /f/ the lower lip goes straight from one contact to the other."""
+"""Duration of the lower lip's move from one contact to another, as between /m/ and /f/, seconds."""
 RIVAL_SECONDS = 0.09
-"""Contacts of different kinds this near each other make room for each other."""
+"""Contacts of different kinds nearer than this are moved apart, seconds."""
 REACH_SECONDS = 0.45
-"""Dominance is neglected farther away than this."""
+"""Distance beyond which dominance is neglected, seconds."""
 
 Segment = tuple[float, float, str, float]
 """Start and end in seconds, phone, factor on its jaw."""
@@ -69,7 +69,7 @@ def targets() -> dict[str, Float64]:
 
 @cache
 def dominance(name: str) -> Float64:
-    """How strongly a phone insists on its target, per channel [shape=(K,)]."""
+    """Dominance of a phone at its centre, per channel [shape=(K,)]."""
     target = targets()[name]
     strength = np.full(len(CHANNELS), 0.35)
     if name in VOWELS:
@@ -79,7 +79,7 @@ def dominance(name: str) -> Float64:
     elif name == "SIL":
         strength[:] = 0.5
     else:
-        strength[[FUNNEL, PURSE, STRETCH]] = 0.12  # consonants borrow the vowels' lips ...
+        strength[[FUNNEL, PURSE, STRETCH]] = 0.12  # consonants take the lips of the vowels ...
     strength = np.where(target > 0.3, np.maximum(strength, 0.9), strength)  # ... unless their own
     if name in BILABIALS:
         strength[[TOGETHER, PRESS]] = 4
@@ -108,11 +108,11 @@ def articulate(
         In time order; they cover the clip, silence included (what lies 0.45 s beyond the last
         phone is at rest).
     n_frames : int
-        Frames N to give.
+        Frames N.
     fps : float
         Frame i is at i / fps seconds.
     stress : ndarray [shape=(P,)] or None
-        Factor on the jaw of every phone: how loudly it is spoken (1 is usual).
+        Factor on the jaw of every phone from its loudness; 1 is the average.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def _blend(segments: Sequence[Segment], times: Float64) -> Float64:
 
 
 def _segments(phones: Sequence[Phone], stress: Float64 | None) -> list[Segment]:
-    """Diphthongs become two targets; unknown names become a schwa."""
+    """Segments with diphthongs as two targets and unknown names as a schwa."""
     out = []
     for i, phone in enumerate(phones):
         factor = 1.0 if stress is None else float(stress[i])
@@ -168,7 +168,7 @@ def _segments(phones: Sequence[Phone], stress: Float64 | None) -> list[Segment]:
 
 
 def _plateau(start: float, end: float, name: str) -> tuple[float, float]:
-    """Where within a phone its dominance is full."""
+    """Start and end of the part of a phone with full dominance, seconds."""
     length = end - start
     if name == "SIL":
         middle = (start + end) / 2
@@ -191,7 +191,7 @@ class Contact(NamedTuple):
 
 
 def _contacts(segments: Sequence[Segment]) -> list[Contact]:
-    """Every contact, long enough to be seen; bilabials last, for they win."""
+    """Every contact with its least duration; bilabials last, because the last one is kept."""
     held = [s for s in segments if s[2] in BILABIALS or s[2] in LABIODENTALS]
     contacts = []
     for i, (start, end, name, _) in enumerate(held):
@@ -200,7 +200,7 @@ def _contacts(segments: Sequence[Segment]) -> list[Contact]:
         if name == "P":
             end -= 0.25 * (end - start)  # the burst is already open
         missing = max(CONTACT_MINIMUM_SECONDS - (end - start), 0)
-        share = 0.5 + 0.5 * (after - before)  # grow away from a rival
+        share = 0.5 + 0.5 * (after - before)  # grow away from the other contact
         begin, finish = start - share * missing, end + (1 - share) * missing
         contacts.append(Contact(begin, finish, _ramp(before), _ramp(after), name in BILABIALS))
     return sorted(contacts, key=lambda contact: contact.bilabial)
@@ -218,7 +218,7 @@ def _rivals(first: Segment, second: Segment) -> bool:
 
 
 def _hold(channels: Float64, times: Float64, contact: Contact) -> None:
-    """Write one contact over the mean; nothing works against it."""
+    """Overwrite the mean with one contact."""
     rise = (times - contact.start) / contact.ramp_in + 1
     fall = (contact.end - times) / contact.ramp_out + 1
     grip = np.clip(np.minimum(rise, fall), 0, 1)

@@ -1,9 +1,9 @@
 """Build a dataset folder from speech engines and recordings: ``deitalk corpus build``.
 
 The work is divided into shards of a few minutes; a shard depends on the seed and its number
-alone, is written by one process, and is not made again if it is there: an interrupted build goes
-on where it stopped, and two builds with one seed and the same engines are equal byte by byte.
-Workers end with the process that started them; what they left half-written the next build removes.
+alone, is written by one process, and is skipped if it exists. So an interrupted build is continued,
+and two builds with one seed and the same engines are equal byte by byte. Workers end with the
+process that started them; the next build removes their unfinished files.
 """
 
 import hashlib
@@ -53,12 +53,12 @@ COLUMNS = (
 )  # fmt: skip
 FOLDERS = ("audio", "curves", "phones", "intensity", "shards")
 KIND = "dataset"
-"""What the manifest calls the folder."""
+"""Kind of the folder in its manifest."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """A piece of work: minutes of one engine, or a slice of the recordings."""
+    """One unit of work: minutes of one engine, or a slice of the recordings."""
 
     name: str
     engine: str
@@ -69,7 +69,7 @@ class Shard:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what the shard's clips depend on, wherever the recordings lie."""
+        """Hash of the settings and files that determine the shard's clips, without their folder."""
         spoken = [(r.path.name, r.text, r.speaker) for r in self.recordings]
         parts = repr((self.engine, self.seconds, self.seed, spoken))
         return hashlib.sha256(parts.encode()).hexdigest()[:16]
@@ -82,7 +82,7 @@ def build(
     workers: int,
     progress: Callable[[float], None] = lambda seconds: None,
 ) -> pd.DataFrame:
-    """Make every shard that is not there yet, then write ``clips.csv``.
+    """Make every missing shard, then write ``clips.csv``.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def build(
     workers : int
         Processes.
     progress : callable
-        Told the seconds of speech of every finished shard; 0 for one that was there.
+        Called with the seconds of speech of every finished shard; 0 for one that existed.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def build(
         If the folder was begun with another seed, length or set of recordings, if no shard gave a
         clip, or if a worker process was ended.
     rig.errors.TargetError
-        If the folder holds what no build wrote, ``clips.csv`` was edited, or another process
+        If the folder holds files of another origin, ``clips.csv`` was edited, or another process
         writes there.
     """
     with claim(out), _held_caches(shards):
@@ -120,7 +120,7 @@ def build(
 def _build(
     out: Path, shards: Sequence[Shard], workers: int, progress: Callable[[float], None]
 ) -> pd.DataFrame:
-    """Build in a folder that is held."""
+    """Build in a locked folder."""
     missing = [shard for shard in shards if not _table(out, shard).is_file()]
     for _ in range(len(shards) - len(missing)):
         progress(0.0)
@@ -147,7 +147,7 @@ def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:
 
 
 def _begin(out: Path, shards: Sequence[Shard]) -> None:
-    """Check the folder and the plan, and make what clips are written into."""
+    """Check the folder and the plan, and make the folders of the clips."""
     plan = out / "shards" / "plan.json"
     if kind_of(out) is None and plan.is_file():
         record(out, [], kind=KIND)  # begun before datasets had a manifest
@@ -160,7 +160,7 @@ def _begin(out: Path, shards: Sequence[Shard]) -> None:
 
 @contextmanager
 def _held_caches(shards: Sequence[Shard]) -> Iterator[None]:
-    """Clean the folders of phone times, but those that another build works with."""
+    """Clean the folders of phone times, except those in use by another build."""
     with ExitStack() as held:
         for folder in {shard.alignments for shard in shards if shard.alignments is not None}:
             with suppress(TargetError):
@@ -170,18 +170,18 @@ def _held_caches(shards: Sequence[Shard]) -> Iterator[None]:
 
 
 def _clean(out: Path) -> None:
-    """Remove what a process that was ended left; no other writes here."""
+    """Remove unfinished files of an ended process; the folder is locked."""
     for folder in (out, *(out / name for name in FOLDERS)):
         remove_leftovers(folder)
 
 
 def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
-    """Join the shards' tables to ``clips.csv``; splits and ages are the speakers'."""
+    """Join the shards' tables to ``clips.csv`` with the speakers' splits and ages."""
     frame = pd.concat(
         [pd.read_csv(_table(out, shard), keep_default_na=False, dtype=str) for shard in shards]
     )
     if frame.empty:
-        raise DataError(f"{out}: not one clip was made; no recording could be aligned")
+        raise DataError(f"{out}: no clip was made; no recording could be aligned")
     frame = frame.sort_values("clip")
     frame["split"] = frame["speaker"].map(split_of)
     ages = {r.speaker: str(r.age) for s in shards for r in s.recordings if r.age is not None}
@@ -191,7 +191,7 @@ def _write_clips(out: Path, shards: Sequence[Shard]) -> pd.DataFrame:
 
 
 def _check_plan(out: Path, shards: Sequence[Shard]) -> None:
-    """Keep what every shard is made from, so that two builds are never mixed in one folder."""
+    """Write the plan or compare it, so that two builds are never mixed in one folder."""
     path = out / "shards" / "plan.json"
     known = _read_plan(path)
     plan = {shard.name: shard.fingerprint for shard in shards}
@@ -258,7 +258,7 @@ def build_shard(out: Path, shard: Shard) -> float:
 
 @contextmanager
 def _scratch(out: Path) -> Iterator[None]:
-    """Temporary files of the engines lie in the dataset folder, where the next build finds them."""
+    """Direct the engines' temporary files to the dataset folder, which the next build cleans."""
     before, folder = tempfile.tempdir, out / temporary_name("scratch")
     folder.mkdir()
     tempfile.tempdir = str(folder.absolute())
@@ -270,7 +270,7 @@ def _scratch(out: Path) -> Iterator[None]:
 
 
 def _build_shard(out: Path, shard: Shard) -> float:
-    """Write the clips, and the shard's table last: a shard with a table is whole."""
+    """Write the clips, and the shard's table last: a shard with a table is complete."""
     rng = np.random.default_rng(shard.seed)
     rows: list[dict[str, str]] = []
     total = 0.0
@@ -294,7 +294,7 @@ def _table(out: Path, shard: Shard) -> Path:
 
 
 def _write(out: Path, name: str, take: Take, rng: np.random.Generator) -> list[dict[str, str]]:
-    """One recording, acted in the voice's own emotion and in another one."""
+    """Write one recording with its curves in the voice's own emotion and in another one."""
     import soundfile
 
     audio, phones, intensity = f"audio/{name}.flac", f"phones/{name}.csv", f"intensity/{name}.csv"
@@ -342,5 +342,7 @@ def _write_table(path: Path, rows: Sequence[tuple[object, ...]], header: str) ->
 def _write_curves(path: Path, take: Take, emotion: str, controls: ControlSet) -> None:
     weights = np.eye(len(EMOTIONS))[EMOTIONS.index(emotion)]
     values = act(take.channels, weights, take.intensity, CURVE_RATE, controls)
-    coarse = (np.round(values * 1024) / 1024).astype(np.float32)  # half of the file, unseen
+    coarse = (np.round(values * 1024) / 1024).astype(
+        np.float32
+    )  # halves the file, below visibility
     write_curves(path, RigCurves(coarse, controls.names, fps=CURVE_RATE))

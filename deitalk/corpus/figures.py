@@ -1,8 +1,7 @@
-"""Pictures of the tables, to look at what we teach: ``deitalk corpus sheet``.
+"""Pictures of the articulation and emotion tables: ``deitalk corpus sheet``.
 
 `plot_channels` draws the articulation of a sentence channel by channel; `draw_faces` draws phones
-by emotions on the embedded head. A number that looks right in a table can still read wrong on a
-face.
+by emotions on the embedded head.
 """
 
 from collections.abc import Sequence
@@ -21,12 +20,12 @@ from rig import default_controls
 from rig.face.render.renderer import Backend
 
 SENTENCE = "SIL B OY Z F IY V AA M T UH N SH UW SIL DH AX W AO M P S L IY P IH NG F AE M L IY SIL"
-"""Phones of the default picture: contacts, rounding, hisses and diphthongs."""
+"""Phones of the default picture: contacts, rounding, fricatives and diphthongs."""
 SHEET_PHONES = ("SIL", "AA", "IY", "UW", "OW", "M", "F", "SH", "S", "TH", "L", "W")
 SOUND_SECONDS, SILENCE_SECONDS = 0.11, 0.35
 FPS = 120.0
 STEADY_SECONDS = 0.4
-"""How long a phone of the contact sheet is held, between two vowels."""
+"""Duration of a phone of the contact sheet between two vowels, seconds."""
 
 
 def evenly_timed(names: Sequence[str]) -> list[Phone]:
@@ -84,7 +83,7 @@ def plot_channels(phones: Sequence[Phone], path: Path) -> None:
 
 
 def phone_pose(name: str, emotion: str, intensity: float) -> np.ndarray:
-    """Control values of a phone held between two schwas, acted [shape=(C,)].
+    """Control values of a phone held between two schwas, with an emotion [shape=(C,)].
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ def draw_faces(
     view: str = "face",
     backend: Backend = "auto",
 ) -> None:
-    """Draw a contact sheet: a row a phone, a column an emotion, on the embedded head.
+    """Draw a contact sheet of the embedded head: phones in rows, emotions in columns.
 
     Parameters
     ----------
@@ -131,19 +130,19 @@ def draw_faces(
     intensity : float, range 0 to 1
         e(t) of every picture.
     identity : int or str
-        Whose head.
+        Number or name of the head.
     tile : int
         Height of a picture, pixels.
     view : str
         A view of the embedded head, such as ``face`` or ``mouth``.
     backend : {'auto', 'opengl', 'software'}
-        What draws.
+        Renderer.
     """
     from rig.face import build_head
     from rig.face.contact_sheet import Tile, draw_sheet
     from rig.face.render.picture import write_png
 
-    evenly_timed(phones)  # refuses unknown names
+    evenly_timed(phones)  # raises for unknown names
     tiles = [
         Tile(f"{phone} {emotion}", phone_pose(phone, emotion, intensity), view)
         for phone in phones

@@ -1,4 +1,4 @@
-"""An utterance performed: padded with silence, its prosody moved, its mouth articulated.
+"""Utterances with silence added, prosody modified and articulation computed.
 
 Letters: N curve frames at `CURVE_RATE`, K articulation channels.
 """
@@ -28,17 +28,16 @@ CURVE_RATE = 60
 """Curves are stored at twice the rig's rate, so that training can change the speed of a clip
 without blurring closures."""
 SHARES = (0.7, 0.2)
-"""Share of the speakers that train, and that validate; the rest test (§4.1)."""
+"""Share of speakers in the splits train and val; the rest are in test (§4.1)."""
 NATURAL_WEIGHT = 0.6
 """Weight of a recording's own prosody beside the contour that was applied to it."""
 
 
 def split_of(speaker: str) -> str:
-    """Split a speaker belongs to, for ever: 70/20/10 by a hash of the name (§4.1).
+    """Split of a speaker, fixed by a hash of the name: 70/20/10 (§4.1).
 
-    Deviation: the few voices of flite and festival all train; the espeak variants and the
-    readers, of whom there are many, are divided. A variant of espeak is one voice in whatever
-    accent or language it speaks.
+    Deviation: the few voices of flite and festival are all in train; espeak variants and readers
+    are divided. A variant of espeak is one speaker in every accent and language.
     """
     if speaker.startswith(("flite:", "festival:")):
         return "train"
@@ -52,7 +51,7 @@ def split_of(speaker: str) -> str:
 
 @dataclass(frozen=True)
 class Take:
-    """An utterance with its prosody moved, and everything the face needs to act it."""
+    """An utterance with modified prosody, its intensity and its articulation."""
 
     utterance: Utterance
     waveform: Float32
@@ -64,9 +63,9 @@ class Take:
 
 
 def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
-    """Pad with silence, move the prosody along a random contour, articulate.
+    """Add silence, modify the prosody along a random contour, and articulate.
 
-    Recordings that evaluate keep the prosody they have.
+    Recordings of the splits val and test keep their prosody.
     """
     padded = _pad(utterance, rng)
     contour = _contour(padded, rng)
@@ -85,7 +84,7 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
 
 
 def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
-    """A random contour; flat for 15 % of the clips and for recordings that evaluate."""
+    """A random contour; flat for 15 % of the clips and for recordings of val and test."""
     contour = random_contour(padded.duration_seconds, rng)
     evaluates = padded.engine == "recording" and split_of(padded.speaker) != "train"
     if evaluates or rng.random() < 0.15:
@@ -94,13 +93,13 @@ def _contour(padded: Utterance, rng: np.random.Generator) -> Contour:
 
 
 def _moved(phone: Phone, time_map: tuple[Float64, Float64]) -> Phone:
-    """A phone where `apply_contour` put its sound."""
+    """A phone at its time after `apply_contour`."""
     start, end = np.interp((phone.start, phone.end), *time_map)
     return replace(phone, start=float(start), end=float(end))
 
 
 def _liveliness(waveform: Float32, contour: Contour, times: Float64) -> Float64:
-    """What was applied and what the voice itself did, at seconds of the source."""
+    """Sum of the applied contour and the measured prosody, at seconds of the source."""
     natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
     heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
     z: Float64 = contour_at(contour, times) + NATURAL_WEIGHT * heard
@@ -108,7 +107,7 @@ def _liveliness(waveform: Float32, contour: Contour, times: Float64) -> Float64:
 
 
 def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:
-    """Silence before and after; a recording keeps its own room by fading its edges."""
+    """Add silence before and after; the edges of a recording are faded."""
     before, after = rng.uniform(0.05, 0.9), rng.uniform(0.1, 1.4)
     lead, trail = int(before * SAMPLE_RATE), int(after * SAMPLE_RATE)
     speech = utterance.waveform.copy()
@@ -127,13 +126,13 @@ def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:
 
 
 def speech_span(phones: Sequence[Phone]) -> tuple[float, float] | None:
-    """Seconds at which the first sound begins and the last one ends."""
+    """Start of the first phone and end of the last one without silence, seconds."""
     spoken = [phone for phone in phones if phone.name != "SIL"]
     return (spoken[0].start, spoken[-1].end) if spoken else None
 
 
 def loudness_stress(waveform: Float32, phones: Sequence[Phone]) -> Float64:
-    """Jaw factor of every phone: vowels louder than usual open wider, 4 % a decibel."""
+    """Factor on the jaw of every phone: 4 % per decibel of a vowel above the average."""
     hop = SAMPLE_RATE // 100
     level = level_db(waveform, np.arange(len(waveform) // hop) * hop + hop // 2, hop)
     usual = np.percentile(level, 85)

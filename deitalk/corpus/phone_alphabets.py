@@ -1,6 +1,6 @@
 """Other phone alphabets to ARPABET: IPA, festival's names and Mandarin.
 
-Phones are chosen for what the *face* does, so the tables map a foreign sound to the English phone
+Phones are chosen by their articulation, so the tables map a foreign sound to the English phone
 with the nearest lips and jaw, then the nearest tongue: the front rounded vowels become rounded
 ones, a tapped r becomes DX (whose lips are free) and not R (whose lips protrude).
 """
@@ -67,15 +67,15 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
     """Phones of a string in the International Phonetic Alphabet.
 
     Longest symbols first. Stress, tones, length, nasality and other diacritics are ignored, and
-    so are symbols that no table names, and names in parentheses, with which espeak-ng tells that
-    it changes the language.
+    so are unknown symbols, and names in parentheses, with which espeak-ng marks a change of the
+    language.
 
     Parameters
     ----------
     ipa : str
         One phone or many, with or without word boundaries.
     language : str
-        Language code; decides what `a`, `e`, `o` and `r` mean, and the names of Mandarin.
+        Language code; determines the phones of `a`, `e`, `o` and `r`, and the names of Mandarin.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
 
 
 def festival_to_phone(name: str) -> str:
-    """The phone that festival's or flite's `name` stands for; unknown names become AX."""
+    """Phone of a festival or flite name; unknown names become AX."""
     phone = FESTIVAL_NAMES.get(name.lower(), name.upper())
     return phone if phone in PHONES else "AX"
 
@@ -108,7 +108,7 @@ def _table(is_english: bool) -> dict[str, str]:
 
 
 def _plain(ipa: str) -> str:
-    """`ipa` without diacritics and marks; length stays, ç and ᵻ stay whole."""
+    """`ipa` without diacritics and marks; length, ç and ᵻ stay."""
     composed = unicodedata.normalize("NFC", ipa).replace("ɡ", "g").replace("ç", "\0")
     composed = composed.replace(":", "ː")
     bare = "".join(

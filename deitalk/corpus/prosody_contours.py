@@ -1,4 +1,4 @@
-"""Prosody as intensity: measured on a voice, and changed on purpose.
+"""Modification of a voice's prosody along a known contour.
 
 `deitalk.audio.prosody` measures level, pitch and spectral tilt; `apply_contour` moves all three
 along a known contour, so that the contour is an exact label.
@@ -20,7 +20,7 @@ Contour = tuple[Float64, Float64]
 """Knots: seconds, and standard deviations of liveliness."""
 
 GAIN_DB_PER_Z, SHELF_DB_PER_Z, SPEED_PER_Z = 4.5, 2.5, 0.05
-"""What one standard deviation of an applied contour does to gain, treble and speed with pitch."""
+"""Change of gain, treble and speed (with pitch) per standard deviation of an applied contour."""
 
 
 def prosody_index(waveform: Float32, n_frames: int) -> Float64:
@@ -46,24 +46,24 @@ def contour_at(contour: Contour, times: Float64) -> Float64:
 
 
 def apply_contour(waveform: Float32, contour: Contour) -> tuple[Float32, tuple[Float64, Float64]]:
-    """Make a voice livelier and duller along a contour.
+    """Modify gain, treble and speed of a voice along a contour.
 
     Gain, treble and speed (which carries pitch) follow the contour: one standard deviation is
-    4.5 dB, 2.5 dB more above 1.5 kHz, and 5 % of speed. What would clip is scaled down as a whole.
+    4.5 dB, 2.5 dB more above 1.5 kHz, and 5 % of speed. A waveform that would clip is scaled down.
 
     Parameters
     ----------
     waveform : ndarray [shape=(S,)]
         16 kHz.
     contour : Contour
-        At least two knots; it holds beyond the first and the last.
+        At least two knots; constant before the first and after the last.
 
     Returns
     -------
     waveform : ndarray [shape=(S',)]
         Within ±1 (0.99 where it had to be scaled).
     time_map : (ndarray, ndarray)
-        Seconds in the source, and the seconds they have moved to; linear between.
+        Seconds in the source and the corresponding seconds in the result; linear between.
     """
     grid = np.arange(0, len(waveform) / SAMPLE_RATE + 0.02, 0.01)
     z = contour_at(contour, grid)
@@ -81,7 +81,7 @@ def apply_contour(waveform: Float32, contour: Contour) -> tuple[Float32, tuple[F
 
 
 def _warp(waveform: Float64, source: Float64, moved: Float64) -> Float64:
-    """Read a waveform at warped times; four-fold oversampling keeps interpolation below -60 dB."""
+    """Waveform at warped times, with four-fold oversampling (interpolation error below -60 dB)."""
     import soxr
 
     fine = soxr.resample(waveform, SAMPLE_RATE, 4 * SAMPLE_RATE)

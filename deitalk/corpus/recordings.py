@@ -11,7 +11,7 @@ from deitalk.audio.load import load_audio
 from deitalk.errors import ConfigError, DataError
 
 LONGEST_SECONDS = 600
-"""Recordings beyond this are refused: cut them into utterances first."""
+"""Longest recording, seconds."""
 AUDIO_SUFFIXES = (".flac", ".wav", ".mp3", ".opus", ".ogg")
 
 
@@ -24,7 +24,7 @@ class Recording:
     path : Path
         The audio file.
     text : str
-        What is said.
+        Transcript.
     speaker : str
         ``<source>:<name>``; the same for all recordings of one person.
     canonical_phones : tuple of str, optional
@@ -60,7 +60,7 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
     Raises
     ------
     DataError
-        If the folder holds none, a column is missing, or a row names a file that is not there.
+        If the folder holds none, a column is missing, or a row names a missing file.
     ConfigError
         If `layout` is unknown.
     """
@@ -85,7 +85,7 @@ def read_waveform(path: Path | str) -> np.ndarray:
     Parameters
     ----------
     path : Path
-        Any format that function reads.
+        Any format of that function.
 
     Returns
     -------
@@ -112,15 +112,15 @@ def _librispeech(folder: Path) -> Iterator[Recording]:
 
 
 def _beside(folder: Path, key: str) -> Path:
-    """The audio file called `key` with any suffix known."""
+    """The audio file named `key` with any known suffix."""
     for suffix in AUDIO_SUFFIXES:
         if (audio := folder / f"{key}{suffix}").is_file():
             return audio
-    raise DataError(f"{folder / key}.flac is missing although its transcript is there")
+    raise DataError(f"{folder / key}.flac is missing, its transcript exists")
 
 
 def _tables(folder: Path) -> Iterator[Recording]:
-    """Every <source>.tsv of the folder."""
+    """Recordings of every <source>.tsv of the folder."""
     for table in sorted(folder.glob("*.tsv")):
         for row in _rows(table, ("path", "speaker", "text"), is_tsv=True):
             yield Recording(
@@ -133,7 +133,7 @@ def _tables(folder: Path) -> Iterator[Recording]:
 
 
 def _clips(folder: Path) -> Iterator[Recording]:
-    """A user's own clips.csv."""
+    """Recordings of a clips.csv."""
     table = folder / "clips.csv"
     if not table.is_file():
         return
@@ -164,15 +164,15 @@ def _rows(table: Path, needed: tuple[str, ...], *, is_tsv: bool) -> Iterator[dic
 
 
 def _age(row: dict[str, str]) -> int | None:
-    """Years, where the row gives them."""
+    """Age of a row in years, or None."""
     text = row.get("age") or ""
     return int(text) if text.isdecimal() else None
 
 
 def _existing(path: Path, table: Path) -> Path:
-    """`path`, which `table` promises to be there."""
+    """Return `path`, named in `table`, if it exists."""
     if not path.is_file():
-        raise DataError(f"{table} names {path}, which is not there")
+        raise DataError(f"{table} names {path}, which does not exist")
     return path
 
 

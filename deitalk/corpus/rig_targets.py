@@ -1,11 +1,10 @@
-"""Articulation, emotion and its intensity to the curves of a rig: the face we teach.
+"""Target curves of a rig from articulation, emotion and intensity.
 
-Three tables are the performer: ``tables/channels.csv`` maps articulation channels to controls
-(left and right differ a little, as on any face), ``tables/styles.csv`` holds the pose of every
-emotion at full intensity with its FACS source (Ekman, Friesen and Hager 2002; EMFACS), and
-`GAINS` says how an emotion moves the mouth. Gains follow what articulographs saw: strong joy and
-anger widen the range of the lips 1.2 to 1.5 times against usual neutral speech (most of it is
-liveliness, `LOUDNESS_GAIN`), quiet sadness narrows it to 0.85 to 0.95.
+``tables/channels.csv`` maps articulation channels to controls (left and right differ a little),
+``tables/styles.csv`` holds the pose of every emotion at full intensity with its FACS source (Ekman,
+Friesen and Hager 2002; EMFACS), and `GAINS` scales the mouth per emotion. Gains follow studies with
+articulographs: strong joy and anger widen the range of the lips 1.2 to 1.5 times against neutral
+speech (mostly by `LOUDNESS_GAIN`), quiet sadness narrows it to 0.85 to 0.95.
 
 Letters: N frames, K channels, C controls.
 """
@@ -42,13 +41,13 @@ GAINS = {
 """Factor on jaw, on the lips' opening and spreading, on their rounding, at full intensity."""
 
 LOUDNESS_GAIN = 0.45
-"""A livelier moment opens more in every style: (1 + this * (e - usual))."""
+"""Gain of the mouth with intensity in every style: 1 + this * (e - the average)."""
 USUAL_INTENSITY = 0.575
-"""Intensity of a speaker's average moment."""
+"""Intensity at a speaker's average prosody."""
 FAINT_INTENSITY = 0.1
-"""Below this the face is on its way to rest, not in a quiet moment."""
+"""Intensity below which the gains fade to 1: the face goes to rest."""
 FALL_MINIMUM_SECONDS = 0.08
-"""A face that speaks until the clip's end relaxes over this time."""
+"""Relaxation time at the end of a clip that ends with speech, seconds."""
 
 _OPENING = ("upperLipRaise", "lowerLipDepress", "CTRL_C_jaw.ty", "funnel")
 _CORNERS = ("cornerPull", "sharpCornerPull", "dimple")
@@ -62,13 +61,13 @@ def _rows(name: str) -> list[dict[str, str]]:
 
 
 def _sides(pattern: str) -> tuple[str, ...]:
-    """Names of a pair of controls, left first, or of one in the middle."""
+    """Names of a pair of controls, left first, or of one central control."""
     return tuple(pattern.replace("*", side) for side in "LR") if "*" in pattern else (pattern,)
 
 
 @cache
 def channel_matrix(controls: ControlSet) -> Float64:
-    """Controls from channels [shape=(K + 1, C)]; the last row is stickiness."""
+    """Matrix from channels to controls [shape=(K + 1, C)]; the last row is stickiness."""
     matrix = np.zeros((len(CHANNELS) + 1, len(controls.names)))
     order = (*CHANNELS, "sticky")
     for row in _rows("channels"):
@@ -90,9 +89,9 @@ def style_poses(controls: ControlSet) -> Float64:
 
 
 def _lean(controls: ControlSet) -> Float64:
-    """Share by which the left side does more, and the right side less [shape=(C,)].
+    """Share by which the left side exceeds and the right side falls short [shape=(C,)].
 
-    A smile is never even, nor is a frown; but both eyes look at one point.
+    Expressions are asymmetric; the eyes are not, because both point at one target.
     """
     lean = np.zeros(len(controls.names))
     for side, sign in (("CTRL_L_", 1), ("CTRL_R_", -1)):
@@ -109,7 +108,7 @@ def _columns(controls: ControlSet, words: tuple[str, ...]) -> NDArray[np.intp]:
 def act(
     channels: Float64, weights: Float64, intensity: Float64, fps: float, controls: ControlSet
 ) -> Float32:
-    """Curves of an utterance, acted.
+    """Curves of an utterance from its articulation and emotion.
 
     Parameters
     ----------
@@ -143,7 +142,7 @@ def act(
 
 
 def _gained(channels: Float64, weights: Float64, intensity: Float64) -> Float64:
-    """Range of the mouth by emotion and liveliness; contacts stay contacts."""
+    """Channels scaled by emotion and intensity; contacts are kept."""
     gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
     gains = 1 + (gains - 1) * intensity[:, None]
     present = np.clip(intensity / FAINT_INTENSITY, 0, 1)  # at 0 articulation is plain
@@ -157,7 +156,7 @@ def _gained(channels: Float64, weights: Float64, intensity: Float64) -> Float64:
 
 
 def _stickiness(together: Float64, fps: float, seconds: float = 0.06) -> Float64:
-    """How far parting lips still cling: the closure's decaying memory, while it opens."""
+    """Stickiness of parting lips: the exponentially decaying closure while it opens."""
     decay = np.exp(-1 / (fps * seconds))
     memory = np.empty_like(together)
     level = 0.0

@@ -1,8 +1,8 @@
-"""What the engines say: sentences that cover every phone and every class of diphone.
+"""Sentences for the engines, covering every phone and every class of diphone.
 
-English sentences come from templates and word lists weighted towards the sounds one sees (p b m,
-f v, rounded vowels), and from random words, so that neighbours meet that grammar keeps apart.
-Other languages have a short list each: they are there for their phones, not for their grammar.
+English sentences come from templates and word lists weighted towards visible sounds (p b m, f v,
+rounded vowels), and from random words, which give phone pairs that are rare in grammatical text.
+Other languages have a short list each, for their phones.
 """
 
 from dataclasses import dataclass
@@ -123,14 +123,14 @@ FOREIGN = {
 
 @dataclass(frozen=True)
 class Sentence:
-    """Something to say.
+    """A sentence to synthesise.
 
     Attributes
     ----------
     text : str
         Plain text with punctuation.
     held : str
-        A word at which a speaker would linger ("nooo"); empty if none.
+        A word to lengthen ("nooo"); empty if none.
     """
 
     text: str
@@ -176,7 +176,7 @@ def _ending(rng: np.random.Generator) -> str:
 
 
 def _loose_words(rng: np.random.Generator) -> Sentence:
-    """Three to seven words that have nothing to do with each other, sometimes with a pause."""
+    """Three to seven unrelated words, sometimes with a pause."""
     chosen = [_one(rng, words()) for _ in range(rng.integers(3, 8))]
     if rng.random() < 0.25:
         chosen[rng.integers(len(chosen) - 1)] += _one(rng, (",", "...", "."))

@@ -30,8 +30,8 @@ STYLE = {
     "sad": Prosody(0.82, 0.90, 0.5, 0.80),
     "surprised": Prosody(1.05, 1.30, 1.8, 1.05),
 }
-"""Prosody of the five emotions, after the usual findings: activation raises rate, pitch, range and
-loudness, sadness lowers them (Scherer 2003, table 2, gives the directions; sizes are ours)."""
+"""Prosody of the five emotions: activation raises rate, pitch, range and loudness, sadness lowers
+them (directions from Scherer 2003, table 2; sizes are ours)."""
 
 ENGLISH_ACCENTS = (
     "en-us", "en-us", "gmw/en", "en-gb-x-rp", "en-gb-scotland", "en-029", "en-gb-x-gbclan",
@@ -48,8 +48,8 @@ UNNATURAL = (
     "robosoft", "unirobot", "anikarobot", "whisper", "demonic", "croak", "fast", "grandma",
     "grandpa",
 )  # fmt: skip
-"""Beginnings of the names of variants that nobody sounds like."""
-HELD_RATE_PERCENT = 35  # speaking rate of a word that lingers
+"""Prefixes of the names of variants that do not resemble human voices."""
+HELD_RATE_PERCENT = 35  # speaking rate of a lengthened word
 FESTIVAL_BATCH = 25
 MOST_FAILURES = 50
 
@@ -60,14 +60,14 @@ def synthetic_utterances(
     """Speech of one engine until `seconds` are reached.
 
     The same generator state and engine version give the same utterances to the bit. Waveforms
-    have the engine's own level and clean silence; augmentation comes later.
+    have the engine's own level and digital silence; augmentation is done in training.
 
     Parameters
     ----------
     engine : str
         ``espeak``, ``flite`` or ``festival``.
     seconds : float
-        Speech to give, greater than 0; the last utterance may go beyond it.
+        Amount of speech, greater than 0; the last utterance may exceed it.
     rng : Generator
         Source of all choices.
 
@@ -82,7 +82,7 @@ def synthetic_utterances(
     MissingError
         If the engine is not installed.
     DataError
-        If the engine fails again and again.
+        If the engine fails repeatedly.
     """
     if engine not in ENGINES:
         raise ConfigError(f"engine={engine!r} must be one of {', '.join(ENGINES)}")
@@ -112,7 +112,7 @@ def _until(
             seconds -= utterance.duration_seconds
             yield utterance
         if failures > MOST_FAILURES:
-            raise DataError(f"{engine} failed {failures} times in a row; try it on a command line")
+            raise DataError(f"{engine} failed {failures} times in a row; run it on a command line")
 
 
 def _style(rng: np.random.Generator) -> str:
@@ -151,7 +151,7 @@ def _espeak_batch(rng: np.random.Generator) -> list[Utterance | None]:
 
 
 def held_ssml(sentence: Sentence) -> str:
-    """SSML in which the held word is spoken slowly."""
+    """SSML with a slow rate for the held word."""
     slow = f'<prosody rate="{HELD_RATE_PERCENT}%">{escape(sentence.held)}</prosody>'
     before, word, after = sentence.text.partition(sentence.held)
     return f"<speak>{escape(before)}{slow if word else ''}{escape(after)}</speak>"
@@ -172,7 +172,7 @@ def _voices(language: str) -> tuple[str, ...]:
 
 @cache
 def _variants() -> tuple[str, ...]:
-    """Variants that could be people."""
+    """Variants that resemble human voices."""
     return tuple(v for v in espeak.variants() if not v.lower().startswith(UNNATURAL))
 
 
@@ -216,7 +216,7 @@ def _festival_job(rng: np.random.Generator) -> festival.Job:
     style = _style(rng)
     prosody = STYLE[style]
     return festival.Job(
-        text=english_sentence(rng).text.replace("!", "."),  # festival reads it no differently
+        text=english_sentence(rng).text.replace("!", "."),  # festival gives both the same prosody
         voice=_choice(rng, installed + tuple(v for v in installed if v == "slt")),
         stretch=float(rng.uniform(0.8, 1.25) / prosody.rate),
         f0_mean=float(105 * rng.uniform(0.9, 1.15) * prosody.pitch),

@@ -1,4 +1,4 @@
-"""Labelled speech, which every source of the corpus yields: a waveform and its phones' times."""
+"""Labelled speech of every source of the corpus: a waveform and its phones' times."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Utterance:
     text : str
         The words spoken.
     style : str
-        The emotion whose prosody was asked of the engine; ``neutral`` for recordings.
+        The emotion of the prosody given to the engine; ``neutral`` for recordings.
     speaker : str
         ``<source>:<voice>``, such as ``espeak:en-us+f3`` or ``librispeech:1272``.
     engine : str
@@ -62,7 +62,7 @@ class Utterance:
 
 
 def contiguous(segments: Iterable[tuple[float, float, str]], duration: float) -> tuple[Phone, ...]:
-    """Sorted segments made gapless: they cover 0 to `duration` and none is empty.
+    """Segments without gaps: they cover 0 to `duration` and none is empty.
 
     Segments beyond `duration` are cut, overlaps end where the next segment starts, gaps become
     ``SIL``, and neighbouring silences are joined.
@@ -105,7 +105,7 @@ def _without_overlap(
 
 
 def _join_silences(segments: list[tuple[float, float, str]]) -> list[tuple[float, float, str]]:
-    """One silence where several touch."""
+    """Segments with neighbouring silences joined."""
     joined: list[tuple[float, float, str]] = []
     for start, end, name in segments:
         if joined and name == "SIL" == joined[-1][2]:

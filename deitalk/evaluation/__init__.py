@@ -1,1 +1,1 @@
-"""Measures on finished curves, one file a question; `deitalk.evaluation.curves` asks them all."""
+"""Scores of finished curves and meshes, one file per measure; `curves` and `mesh` collect them."""

@@ -1,4 +1,4 @@
-"""Where a model with temporal attention listens, recording by recording (SDFA §3.3, §5.2.3).
+"""Temporal attention of a model over recordings (SDFA §3.3, §5.2.3).
 
 Letters: T frames, L spectra of a window, D features.
 """
@@ -25,7 +25,7 @@ class Attention(NamedTuple):
     """Attention over one recording."""
 
     weights: Float32
-    """Of every frame on the spectra about it [shape=(T, L)]; rows sum to 1, L // 2 is its own."""
+    """Weights of every frame on its window [shape=(T, L)]; rows sum to 1, the centre is L // 2."""
     fps: float
     """Frames per second."""
     frame_rate: float
@@ -38,7 +38,7 @@ def load_attention_model(model: str | Path, *, device: str = "cpu") -> Any:
     Raises
     ------
     CheckpointError
-        If there is none.
+        If there is no such model.
     """
     if read_about(model_folder(model)).get("kind") == "sdfa":
         from deitalk.models.mesh_checkpoint import load_sdfa
@@ -68,8 +68,8 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
     frontend = network.frontend
     if not isinstance(frontend, MelFrontend):
         raise CheckpointError(
-            "this model hears by wav2vec 2.0, which has no temporal attention; choose one with a "
-            "mel frontend, such as default"
+            "this model's frontend is wav2vec 2.0, without temporal attention; choose a model with "
+            "a mel frontend, such as default"
         )
     sound = normalise_level(waveform, activity=speech_activity(waveform))
     n_frames = max(int(np.ceil(len(waveform) * RIG_RATE / 16_000 - 1e-9)), 1)
@@ -82,12 +82,12 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
 def frontend_attention(
     frontend: MelFrontend, waveform: torch.Tensor, n_frames: int
 ) -> torch.Tensor:
-    """Weights [shape=(T, L)] with which a mel frontend attends; 0 outside the recording.
+    """Attention weights of a mel frontend [shape=(T, L)]; 0 outside the recording.
 
     Parameters
     ----------
     frontend : MelFrontend
-        Its Time-BiLSTM runs along the clip here, as `recurrence: segment` has it.
+        With `recurrence: segment`: its Time-BiLSTM runs along the clip.
     waveform : Tensor [shape=(S,)]
         16 kHz, level-normalised.
     n_frames : int
@@ -96,7 +96,7 @@ def frontend_attention(
     Raises
     ------
     CheckpointError
-        If the Time-BiLSTM runs once a window.
+        If the Time-BiLSTM runs once per window.
     """
     config = frontend.config
     if config.recurrence == "window":
@@ -110,11 +110,11 @@ def frontend_attention(
     window, half = config.window_frames // config.time_stack, config.query_frames // 2
     index = centres.unsqueeze(1) + torch.arange(window) - window // 2
     about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
-    silent = torch.nn.functional.pad(memory, (0, 0, half, half))  # the query sees 0 outside
+    silent = torch.nn.functional.pad(memory, (0, 0, half, half))  # keys are 0 outside the recording
     inside = (index >= 0) & (index < length)
     rows = [
-        frontend.attention.windows(memory[part.clamp(0, length - 1)], silent[asked + half])[1]
-        for part, asked in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
+        frontend.attention.windows(memory[part.clamp(0, length - 1)], silent[queries + half])[1]
+        for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
     ]
     weights = torch.cat(rows) * inside.to(device)
     return weights / weights.sum(dim=1, keepdim=True)
@@ -134,7 +134,7 @@ def corpus_attention(
     split : str
         train, validation or test.
     n_clips : int
-        Recordings, evenly over the split's.
+        Number of recordings, evenly spread over the split.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def corpus_attention(
     Raises
     ------
     DataError
-        If the split has no clip with phones, or those hold no vowel or no plosive.
+        If the split has no clip with phones, or these have no vowel or no plosive.
     """
     clips = {clip.audio: clip for clip in read_clips(folder, split) if clip.phones is not None}
     if not clips:
@@ -158,15 +158,16 @@ def corpus_attention(
         for maps in kinds
     )
     if not vowels.phones or not plosives.phones:
-        raise DataError(f"{folder}: the phones of {len(chosen)} clips hold no vowel or no plosive")
+        raise DataError(f"{folder}: the phones of {len(chosen)} clips have no vowel or no plosive")
     return vowels, plosives
 
 
 def _maps(network: Any, clip: Clip) -> tuple[AttentionMap, AttentionMap]:
     assert clip.phones is not None
-    heard = attention_of(network, load_audio(clip.audio).waveform)
+    attention = attention_of(network, load_audio(clip.audio).waveform)
     phones = read_phones(clip.phones)
     vowels, plosives = (
-        attention_at(heard.weights, phones, heard.fps, names) for names in (VOWELS, PLOSIVES)
+        attention_at(attention.weights, phones, attention.fps, names)
+        for names in (VOWELS, PLOSIVES)
     )
     return vowels, plosives

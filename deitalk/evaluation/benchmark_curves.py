@@ -1,7 +1,7 @@
-"""How fast and how large: stages, real-time factor, memory. ``deitalk benchmark``.
+"""Time per stage, real-time factor and memory of the curve model: ``deitalk benchmark``.
 
-Every number is measured in one run on this machine; the share of the clip's duration (RTF) says
-more than milliseconds. Memory is measured in a process of its own, because a peak never falls.
+All numbers are measured in one run on this machine. RTF is the time over the clip's duration.
+Memory is measured in a separate process, because a peak never falls.
 """
 
 import json
@@ -19,13 +19,13 @@ from rig.arrays import Float32
 TABLE_4_SECONDS = 5.1
 """Length of the clip of SDFA's Table 4 (there: 5,095 ms of audio, animated at 60 fps)."""
 TABLE_4_MILLISECONDS = {"audio": 553.92, "audio feature": 4200.69, "animation feature": 545.03}
-"""Published for SDFA on an i7-8700K; other machine, other output, so no ratio is printed."""
+"""Published for SDFA on an i7-8700K with another output; no ratio is printed."""
 
 
 def speechlike(seconds: float, seed: int = 0) -> Float32:
     """Noise with the spectrum and the rhythm of speech: syllables at 4 Hz, pauses.
 
-    One minute is made and repeated, so that a long clip costs little more than itself.
+    One minute is made and repeated, so that long clips are made quickly.
     """
     rng = np.random.default_rng(seed)
     n = int(seconds * 16_000)
@@ -40,7 +40,7 @@ def speechlike(seconds: float, seed: int = 0) -> Float32:
 
 
 def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str, Any]:
-    """Stages of animating one clip, the best of several runs, after imports and loading.
+    """Time of every stage of animating one clip: the best of several runs, after loading.
 
     Returns
     -------
@@ -104,10 +104,9 @@ def peak_memory(model: str, seconds: float) -> dict[str, float]:
 
 
 def peak_megabytes() -> float:
-    """Highest resident memory of this process so far.
+    """Highest resident memory of this process so far, MB.
 
-    On Linux from the kernel's own mark: `getrusage` also counts what the process that started
-    this one held.
+    On Linux from the kernel's high-water mark: `getrusage` includes memory of the parent process.
     """
     status = Path("/proc/self/status")
     if status.is_file():
@@ -120,7 +119,7 @@ def peak_megabytes() -> float:
 
 
 def machine() -> dict[str, str]:
-    """What this was measured on."""
+    """Machine and versions of the measurement."""
     import torch
 
     return {

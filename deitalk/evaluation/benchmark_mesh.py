@@ -1,8 +1,8 @@
-"""SDFA's Table 4 on this machine: three mesh models, stage by stage. ``deitalk benchmark --mesh``.
+"""SDFA's Table 4 on this machine, three mesh models by stage: ``deitalk benchmark --mesh``.
 
-The models have the papers' sizes and random weights: what they predict is noise, what they compute
-is not. The mesh is the embedded head's skin (8,434 triangles; VOCASET's has 9,976), the clip 5.1 s
-of noise with the rhythm of speech, animated at 60 fps. All runs in one process on given threads.
+The models have the papers' sizes and random weights, which determine the time. The mesh is
+the embedded head's skin (8,434 triangles; VOCASET's has 9,976), the clip 5.1 s of noise with the
+rhythm of speech, animated at 60 fps, in one process with a given number of threads.
 
 Letters: T frames, W spectra of a window.
 """
@@ -31,9 +31,9 @@ from rig.deformation.reconstruct import mesh_solver
 FPS = 60
 SPEAKERS = 8
 COMPONENTS = {"stretch": 85, "rotation": 180}
-"""Of SDFA's bases (Table 3)."""
+"""Components of SDFA's bases (Table 3)."""
 KARRAS_COMPONENTS, VOCA_COMPONENTS = 150, 50
-"""Of the rivals' offset bases, as remembered from their papers."""
+"""Components of the offset bases of the other two models; recalled, not verified."""
 STAGES = (
     "set static mesh", "preprocess audio", "audio feature", "animation feature", "reconstruct mesh",
     "total with loading",
@@ -43,13 +43,13 @@ PUBLISHED = {
     "VOCA-style": (None, 8.94, 9253.29, 578.35, None, 11999.58),
     "SDFA": (13.15, 553.92, 4200.69, 545.03, 589.57, 6425.50),
 }
-"""SDFA Table 4, milliseconds, on an i7-8700K (threads not said)."""
+"""SDFA Table 4, milliseconds, on an i7-8700K (number of threads not given)."""
 
 
 class RecogniserSized(nn.Module):
-    """A random network of the size of DeepSpeech 0.1, whose time VOCA's audio feature is.
+    """A random network of the size of DeepSpeech 0.1, the audio feature of VOCA.
 
-    Sizes as remembered: 19 frames of 26 cepstra at 50 per second, dense layers of 2048, a
+    Sizes (not verified): 19 frames of 26 cepstra at 50 per second, dense layers of 2048, a
     bidirectional LSTM of 2048, 29 letters. Its 123 million weights are 468 MiB; SDFA §4.4 gives
     VOCA with it as 477.3 MB.
     """
@@ -77,9 +77,9 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
     Parameters
     ----------
     threads : int
-        CPU threads of torch; the reconstruction uses one always.
+        CPU threads of torch; the reconstruction always uses one.
     repeats : int
-        Runs; the best of each stage counts.
+        Runs; the best of each stage is reported.
     seconds : float
         Length of the clip.
 
@@ -87,7 +87,7 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
     -------
     dict
         ``milliseconds``: model, stage (`STAGES`; None where there is none); ``megabytes``: model,
-        what learns and what is fixed, float32; ``per_window``: see `per_window`; ``frames``.
+        trained and fixed parts, float32; ``per_window``: see `per_window`; ``frames``.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
@@ -118,28 +118,28 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
     Returns
     -------
     dict
-        `shared_ms`, as `deitalk.models.mesh_model` does it; `windows_ms`, every frame's window
-        through convolutions, both BiLSTMs and attention on its own; `ratio`; `largest_difference`
-        of the features, whose own range is `largest`.
+        `shared_ms`, as in `deitalk.models.mesh_model`; `windows_ms`, every frame's window
+        separately through convolutions, both BiLSTMs and attention; `ratio`; `largest_difference`
+        of the features, and their largest value `largest`.
     """
-    (heard,) = model.feature_chunks(sound)
+    (chunk,) = model.feature_chunks(sound)
     encoder = model.encoder
     assert isinstance(encoder, SDFAEncoder)
 
     def windows() -> Tensor:
-        index = window_index(heard.places, encoder.config.window_frames, heard.features.shape[-1])
+        index = window_index(chunk.places, encoder.config.window_frames, chunk.features.shape[-1])
         rows = []
-        for part in torch.split(index, 64):  # as many at once as are fastest here
-            window = heard.features[0][:, :, part].permute(2, 0, 1, 3)  # (T, 3, F, W)
+        for part in torch.split(index, 64):  # the fastest chunk in a measurement
+            window = chunk.features[0][:, :, part].permute(2, 0, 1, 3)  # (T, 3, F, W)
             rows.append(encoder.attend(encoder.frontend.spectral(window))[0])
         return torch.cat(rows)
 
     with torch.no_grad():
-        shared = encoder(heard.features, heard.places)[0]
+        shared = encoder(chunk.features, chunk.places)[0]
         alone = windows()
         laps = _best(
             lambda: _timed(
-                {"shared": lambda: encoder(heard.features, heard.places), "windows": windows}
+                {"shared": lambda: encoder(chunk.features, chunk.places), "windows": windows}
             ),
             repeats,
         )
@@ -155,7 +155,7 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
 
 
 def _models() -> dict[str, SDFA]:
-    """The three, with the papers' sizes and random weights."""
+    """The three models with the papers' sizes and random weights."""
     ways = {
         "Karras-style": SDFAModelConfig(
             frontend=KarrasConfig(), motion="offsets", shared_size=None, branch_sizes=()
@@ -207,10 +207,10 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
 
     laps: dict[str, Callable[[], Any]] = {
         "set static mesh": lambda: state.update(solver=mesh_solver(model.template(0))),
-        "preprocess audio": lambda: state.update(heard=list(model.feature_chunks(sound))),
+        "preprocess audio": lambda: state.update(chunks=list(model.feature_chunks(sound))),
         "audio feature": lambda: state.update(
             feature=torch.cat(
-                [model.encoder(h.features, h.places)[0, h.kept] for h in state["heard"]]
+                [model.encoder(c.features, c.places)[0, c.kept] for c in state["chunks"]]
             )
         ),
         "animation feature": motion,
@@ -236,10 +236,9 @@ def _saved(model: SDFA) -> Iterator[Path]:
 
 
 def _timed(laps: dict[str, Callable[[], Any]]) -> dict[str, float | None]:
-    """Milliseconds of CPU of each, in order.
+    """CPU milliseconds of each stage, in order.
 
-    CPU time, so that what else the machine does counts little; with two threads both are counted
-    by the wall instead.
+    CPU time is robust against other load; with several threads wall time is used instead.
     """
     out: dict[str, float | None] = {}
     for name, lap in laps.items():
@@ -272,7 +271,7 @@ def _parameters(module: nn.Module) -> int:
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """Table 4, ours beside the published one, and what else was measured."""
+    """Table 4, measured and published, and the other measurements, in Markdown."""
     names = list(report["milliseconds"])
     lines = [
         f"Milliseconds for {report['frames']} frames, {report['threads']} thread(s); published: "
@@ -294,8 +293,8 @@ def as_markdown(report: dict[str, Any]) -> str:
     windows = report["per_window"]
     lines += [
         "",
-        f"VOCA hears through DeepSpeech; a random network of its size takes "
-        f"{report['recogniser_ms']:.0f} ms more for its audio feature.",
+        f"VOCA's audio feature is DeepSpeech; a random network of its size takes "
+        f"{report['recogniser_ms']:.0f} ms more.",
         "",
         f"SDFA's audio feature, every window on its own: {windows['windows_ms']:.0f} ms, "
         f"{windows['ratio']:.1f} times {windows['shared_ms']:.0f}; largest difference "

@@ -1,4 +1,4 @@
-"""Does it move like a face? Steps and jerk, beside captured curves where there are any.
+"""Steps and jerk of curves, for comparison with captured curves.
 
 Letters: T frames, C controls.
 """
@@ -12,7 +12,7 @@ from rig import ControlSet, read_curves
 from rig.arrays import Float32
 
 MOVING = 0.02
-"""A control whose standard deviation is less than this does not move."""
+"""Least standard deviation of a moving control."""
 
 
 def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
@@ -28,9 +28,9 @@ def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
     Returns
     -------
     dict
-        ``largest_step`` (control units a frame), ``step_p99`` (99th percentile of steps), and
+        ``largest_step`` (control units per frame), ``step_p99`` (99th percentile of steps), and
         ``jerk_per_speed``: RMS of the third derivative over RMS of the first, 1/s², median of
-        the controls; how abruptly they move whatever their range.
+        the controls; independent of their range.
     """
     moving = curves[:, curves.std(axis=0) > MOVING].astype(np.float64)
     if len(moving) < 4 or not moving.shape[1]:
@@ -51,7 +51,7 @@ def captured_smoothness(path: Path, controls: ControlSet) -> dict[str, float]:
     Raises
     ------
     DataError
-        If nothing moves.
+        If no control moves.
     """
     curves = read_curves(path).resample(30.0)
     places = [i for i, name in enumerate(curves.names) if name in controls.names]

@@ -1,9 +1,9 @@
 """Score a model on a dataset folder: ``deitalk evaluate MODEL --data DIR``.
 
-Every clip is animated as a user would animate it, blinks left out; then lips, errors,
-correlations, emotions and silence are measured, and the loudness of the recording is scored
-beside the network as the baseline any model has to beat. Correlation with procedural targets
-measures phone recognition and timing, not realism.
+Every clip is animated by `deitalk.pipeline.curves.animate` without blinks; then lips, errors,
+correlations, emotions and silence are measured. The loudness of the recording is scored in the same
+way as a baseline. Correlation with procedural targets measures phone recognition and timing, not
+realism.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,7 +49,7 @@ __all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 
 PROBES = 6
 ADULT_YEARS = 16
-"""From this age on a speaker is scored among the adults; the larynx has grown by then."""
+"""Least age of the group of adults, years."""
 
 
 def loudness(waveform: Float32, n_frames: int) -> Float32:
@@ -61,7 +61,7 @@ def loudness(waveform: Float32, n_frames: int) -> Float32:
 
 
 class Tally:
-    """What is collected clip by clip, for one group of clips."""
+    """Scores collected over the clips of one group."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
@@ -119,17 +119,17 @@ def evaluate(
     data : Path
         Dataset folder.
     split : str
-        ``validation`` for choices, ``test`` once.
+        ``validation`` for choices, ``test`` for final scores.
     most : int or None
-        At most so many recordings of every source, evenly spread.
+        Most recordings of every source, evenly spread.
     probes : int
-        Of these, so many of every English source are animated in all emotions and modified.
+        Recordings of every English source that are also animated in all emotions and modified.
     noise : str or None
-        Also in noise: a folder of recordings, or ``pink``.
+        Noise for further scores: a folder of recordings, or ``pink``.
     captured : Path or None
-        Captured curves whose smoothness is shown beside ours.
+        Captured curves whose smoothness is reported for comparison.
     progress : callable
-        Told the share done.
+        Called with the share done, 0 to 1.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def _probe(model: DEITalk, probed: dict[str, list[Clip]], advance: "_Advance") -
 
 
 class _Advance:
-    """Counts pieces of work."""
+    """Counter of finished recordings."""
 
     def __init__(self, total: int, progress: Callable[[float], None]) -> None:
         self.total, self.done, self.progress = total, 0, progress
@@ -209,7 +209,7 @@ def _groups(data: Path, split: str) -> dict[str, list[Clip]]:
 
 
 def _group(clip: Clip, row: dict[Any, str]) -> str:
-    """Name of a clip's group; one with a space is not English."""
+    """Name of a clip's group; a name with a space is of another language than English."""
     name, age, language = clip.speaker.split(":")[0], row.get("age", ""), row.get("language", "")
     if age.isdecimal():
         name += "-adults" if int(age) >= ADULT_YEARS else "-children"
@@ -217,7 +217,7 @@ def _group(clip: Clip, row: dict[Any, str]) -> str:
 
 
 def _one_per_recording(clips: Sequence[Clip]) -> list[Clip]:
-    """The clip of every recording whose emotion is neutral, or else its first."""
+    """The neutral clip of every recording, or else its first."""
     by_audio: dict[Path, Clip] = {}
     for clip in clips:
         if clip.audio not in by_audio or clip.emotion == "neutral":
@@ -232,7 +232,7 @@ def _spread(clips: list[Clip], most: int | None) -> list[Clip]:
 
 
 def _score(tally: Tally, model: DEITalk, clip: Clip) -> None:
-    """Animate one clip and collect everything that is measured on it."""
+    """Animate one clip and collect its scores."""
     recording = load_audio(clip.audio)
     performance = animate(recording, clip.emotion, model=model, idle=False)
     example = load_example(clip, model.controls)

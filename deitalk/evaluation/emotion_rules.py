@@ -1,7 +1,7 @@
-"""Is the face the one asked for? A rule in action units, and how far the lips go.
+"""Emotion recognition from curves by a rule in action units, and the range of the lips.
 
-The rule reads the curves alone, as a FACS coder would (prototypes of EMFACS; Ekman, Friesen and
-Hager 2002), on means over the frames with speech:
+The rule uses the prototypes of EMFACS (Ekman, Friesen and Hager 2002) on means of the curves over
+the frames with speech:
 
 - happy: AU12 + AU6: mean of corner pull and cheek raise
 - sad: AU1 + AU15 + AU17 without AU2: mean of inner brow raise, corner depress and chin raise,
@@ -9,7 +9,9 @@ Hager 2002), on means over the frames with speech:
 - angry: AU4 + AU7 + AU23: mean of brow down, inner squint and lip tightening
 - surprised: AU1 + AU2 + AU5: mean of inner and outer brow raise and the lids' widening
 
-The highest wins; below `FAINT` the face is neutral. Letters: T frames, C controls.
+The highest score gives the emotion; below `FAINT` the face is neutral.
+
+Letters: T frames, C controls.
 """
 
 import numpy as np
@@ -18,7 +20,7 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32
 
 FAINT = 0.1
-"""A style seen less than this (control units) is no expression."""
+"""Least score of an expression, control units."""
 
 RULE: dict[str, tuple[tuple[str, float], ...]] = {
     "happy": (("mouth_cornerPull.ty", 0.5), ("eye_cheekRaise.ty", 0.5)),
@@ -38,7 +40,7 @@ RULE: dict[str, tuple[tuple[str, float], ...]] = {
 
 
 def style_scores(curves: Float32, speaking: Bool, controls: ControlSet) -> Float32:
-    """How much of happy, sad, angry and surprised a face shows [shape=(4,)]."""
+    """Scores of happy, sad, angry and surprised [shape=(4,)], control units."""
     rows = curves[speaking] if speaking.any() else curves
     face = rows.mean(axis=0) - controls.rest
     scores = [
@@ -54,16 +56,16 @@ def _sides(face: Float32, name: str, controls: ControlSet) -> float:
 
 
 def recognise(curves: Float32, speaking: Bool, controls: ControlSet) -> str:
-    """The emotion a coder would name.
+    """The emotion of curves by the rule of this module.
 
     Parameters
     ----------
     curves : ndarray [shape=(T, C)]
         Without blinks.
     speaking : ndarray of bool [shape=(T,)]
-        Frames to look at; all of them if there is none.
+        Frames to use; all if none is set.
     controls : ControlSet
-        What the columns are.
+        Controls of the columns.
     """
     scores = style_scores(curves, speaking, controls)
     best = int(scores.argmax())
@@ -76,7 +78,7 @@ def face_distance(first: Float32, second: Float32) -> float:
 
 
 def lip_range(opening: Float32, speaking: Bool) -> float:
-    """From the 5th to the 95th percentile of the mouth's opening while somebody speaks."""
+    """Range from the 5th to the 95th percentile of the mouth's opening during speech."""
     if not speaking.any():
         return float("nan")
     low, high = np.percentile(opening[speaking], (5, 95))

@@ -1,7 +1,6 @@
-"""Experiments on a few recordings: other emotions, livelier takes, noise.
+"""Experiments on a few recordings: all emotions, modified prosody, noise.
 
-Everything goes through `deitalk.pipeline.curves.animate`, as a user's recording would, without
-blinks.
+All recordings are animated by `deitalk.pipeline.curves.animate` without blinks.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,24 +35,24 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
 
 FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
-"""Intensity 1 throughout: a strong performance."""
+"""Intensity 1 throughout."""
 LIVELY_EMOTION = "happy"
 LEAST_FRAMES = 15
-"""Half a second: a half with less speech is not compared."""
+"""Least frames of speech of a compared half: half a second."""
 CONTOURS = 4
-"""Random contours a recording is moved along: a few seconds of one say little."""
+"""Random contours per recording; one contour of a few seconds has a large error."""
 
 
 def emotion_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, Any]:
-    """Every recording in every emotion: distances, recognition, range of the lips.
+    """Animate every recording in every emotion: distances, recognition, range of the lips.
 
     Returns
     -------
     dict
-        ``distances`` (pair: control units), ``named`` (asked: {named: share}), ``recognised``
-        (share), ``neutral_stays`` (share), and ``range``, ``range_strong`` and ``range_jaw``
-        (emotion: median factor on the neutral range): mouth's opening as heard, the same at
-        intensity 1 throughout, and the jaw alone at intensity 1.
+        ``distances`` (pair: control units), ``named`` (emotion: {recognised: share}),
+        ``recognised`` (share), ``neutral_stays`` (share), and ``range``, ``range_strong`` and
+        ``range_jaw`` (emotion: median factor on the neutral range): mouth's opening at predicted
+        intensity, at intensity 1 throughout, and the jaw alone at intensity 1.
     """
     controls = model.controls
     faces: dict[str, list[Float32]] = {emotion: [] for emotion in EMOTIONS}
@@ -113,21 +112,20 @@ def _factors(ranges: dict[str, list[float]], neutral: list[float]) -> dict[str, 
 
 
 def lively_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, float]:
-    """Livelier against duller takes of the same recordings.
+    """Compare recordings of raised and lowered prosody.
 
     Returns
     -------
     dict
-        ``opens`` and ``expresses``: share of pairs in which the livelier one has the wider mean
-        opening, and the stronger mean expression; ``within_``: one half of a recording livelier
-        than the other, and the same half duller (level is heard relative to the recording);
-        ``whole_``: the whole of it; both over the frames that are speech in the recording, so
-        that the same words are compared (in a dull take the faint ones are lost to a speech
-        detector, and those are the narrow ones). ``pairs_``: how many could be compared.
-        ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean Spearman with the liveliness of a
-        recording moved along random contours, within speech; ``..._contour``: with that contour
-        alone, against which the voice's own prosody is noise. ``above_level``: how far intensity
-        lies above level, and ``..._error``: the standard error of that, over recordings.
+        ``opens`` and ``expresses``: share of pairs in which the raised one has the wider mean
+        opening, and the stronger mean expression; ``within_``: one half of a recording raised
+        against the other, and the same half lowered (level is relative to the recording);
+        ``whole_``: the whole recording; both over the frames of speech of the unmodified
+        recording, so that the same words are compared. ``pairs_``: number of compared pairs.
+        ``intensity_rho``, ``saliency_rho``, ``level_rho``: mean Spearman with the prosody index of
+        recordings modified along random contours, within speech; ``..._contour``: with the
+        contour alone, without the voice's own prosody. ``above_level``: difference of intensity
+        and level, and ``..._error``: its standard error over recordings.
     """
     pairs: dict[str, list[bool]] = {}
     rhos: dict[str, list[float]] = {}
@@ -146,10 +144,10 @@ def _follow_contours(model: DEITalk, recording: Recording, seed: int) -> dict[st
     """`follow` of one recording, averaged over its contours."""
     rhos: dict[str, list[float]] = {}
     for number in range(CONTOURS):
-        take, contour, lively = wandering(recording, CONTOURS * seed + number)
+        take, contour, label = wandering(recording, CONTOURS * seed + number)
         performance = _act(take, LIVELY_EMOTION, model)
-        for end, label in (("", lively), ("_contour", contour)):
-            for name, value in follow(performance, label).items():
+        for end, target in (("", label), ("_contour", contour)):
+            for name, value in follow(performance, target).items():
                 rhos.setdefault(name + end, []).append(value)
     means = {name: _mean(values) for name, values in rhos.items()}
     for end in ("", "_contour"):
@@ -183,10 +181,10 @@ def _compare_whole(model: DEITalk, recording: Recording, pairs: dict[str, list[b
     _count(pairs, "whole_expresses", *expressed)
 
 
-def _count(pairs: dict[str, list[bool]], name: str, lively: float, dull: float) -> None:
-    """Whether the livelier take has more; nothing where one of the two cannot be measured."""
-    if np.isfinite(lively) and np.isfinite(dull):
-        pairs.setdefault(name, []).append(lively > dull)
+def _count(pairs: dict[str, list[bool]], name: str, raised: float, lowered: float) -> None:
+    """Record whether the raised take has more; nothing if one of the two is not finite."""
+    if np.isfinite(raised) and np.isfinite(lowered):
+        pairs.setdefault(name, []).append(raised > lowered)
 
 
 def _compare_halves(model: DEITalk, recording: Recording, pairs: dict[str, list[bool]]) -> None:
@@ -209,7 +207,7 @@ def _opening(performance: Performance, mask: Bool, controls: ControlSet) -> floa
 
 
 def _expression(performance: Performance, mask: Bool) -> float:
-    """How far the face is from its neutral reading: control units, mean of the frames."""
+    """Distance of the face from its neutral reading: control units, mean of the frames."""
     away = performance.curves.values - performance.neutral.values
     return _mean_within(np.sqrt(np.square(away).sum(axis=1)), mask)
 
@@ -231,11 +229,11 @@ def noise_report(
     for snr in steps:
         scores, jaws = [], []
         for i, (recording, example) in enumerate(examples):
-            heard = recording
+            mixture = recording
             if snr is not None:
                 noisy = mix(recording.waveform, noises[i % len(noises)], snr)
-                heard = replace(recording, waveform=noisy)
-            curves = _act(heard, example.emotion, model).curves.values[: len(example.curves)]
+                mixture = replace(recording, waveform=noisy)
+            curves = _act(mixture, example.emotion, model).curves.values[: len(example.curves)]
             scores.append(closure_scores(lips_together(curves, model.controls), example.phones))
             place = model.controls.index(JAW)
             jaws.append(correlation(example.curves[: len(curves), place], curves[:, place]))

@@ -1,4 +1,4 @@
-"""Do the lips meet when they must? Bilabial closures scored against vowels.
+"""Detection scores of bilabial closures against vowels.
 
 A closure's score is the highest value of the lips-together curve within the closure widened by
 two frames; a vowel's is the same within the vowel, if it stays 67 ms away from every closure and
@@ -31,14 +31,14 @@ class ClosureScores(NamedTuple):
 
 
 class Closures(NamedTuple):
-    """How well closures are found."""
+    """Detection scores of closures."""
 
     hit_rate: float
-    """Share found where 5 % of the vowels alarm."""
+    """Hit rate at 5 % false alarms over vowels."""
     window_auc: float
     frame_auc: float
     reached: float
-    """Share of found closures whose curve is at least 0.9 for two frames or more."""
+    """Share of found closures with a curve of at least 0.9 for two frames."""
     n_closures: int
     n_vowels: int
 
@@ -78,7 +78,7 @@ def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> boo
 
 
 def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = ()) -> Closures:
-    """Pool clips. `held` says of every closure whether 0.9 was kept for two frames."""
+    """Scores of several clips; `held` is true for closures of at least 0.9 for two frames."""
     closures, vowels, inside, outside = (
         np.concatenate([score[i] for score in scores]) if scores else np.zeros(0, np.float32)
         for i in range(4)
@@ -97,7 +97,7 @@ def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = (
 
 
 def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[bool]:
-    """For every bilabial, whether the curve stays at `level` for two frames of its window."""
+    """For every bilabial, whether the curve is at least `level` for two frames of its window."""
     times = np.arange(len(lips)) / RIG_RATE
     out = []
     slack = WIDEN_FRAMES / RIG_RATE + 1e-9
@@ -110,7 +110,7 @@ def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[boo
 
 
 def best_lag(target: Float32, predicted: Float32) -> int:
-    """Frames the prediction comes late: the shift with the highest correlation, within ±4."""
+    """Lag of the prediction in frames: the shift of highest correlation within ±4."""
     lags = range(-MAX_LAG_FRAMES, MAX_LAG_FRAMES + 1)
     edge = MAX_LAG_FRAMES
     if len(target) <= 3 * edge:

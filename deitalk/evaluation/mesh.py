@@ -1,7 +1,7 @@
-"""Score a mesh model on held-out speech: ``deitalk evaluate MODEL --data DIR``, MODEL one of SDFA.
+"""Score a mesh model on held-out speech: ``deitalk evaluate MODEL --data DIR``.
 
-An embedded head acts the curves of a dataset folder's recordings, which is the truth; the model
-hears the recordings alone. Errors are distances in mm on a head of known size.
+The ground truth is an embedded head posed by the curves of a dataset folder; the model's input is
+the recordings. Errors are distances in mm on a head of known size.
 
 Letters: T frames, V vertices, P facing pairs of the lips' rims.
 """
@@ -30,11 +30,11 @@ from rig.face.identity import IDENTITIES
 Phones = Sequence[tuple[float, float, str]]
 
 CLOSED_MM = 1.0
-"""Lips no further apart than this read as closed."""
+"""Largest gap of closed lips, mm."""
 WINDOW_SECONDS = WIDEN_FRAMES / 30
-"""A bilabial's gap is the smallest within the phone widened by so much."""
+"""Widening of a bilabial's window, seconds; its gap is the smallest within."""
 EMOTION = "neutral"
-"""SDFA has no input for another."""
+"""The emotion of SDFA, which has no input for emotion."""
 
 
 def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Float64:
@@ -52,7 +52,7 @@ def lip_gap(vertices: NDArray[Any], lips: Lips, unit_mm: float) -> Float64:
     Returns
     -------
     array [shape=(T,), mm]
-        0 where the lips meet; lips pushed through one another are as far apart as open ones.
+        0 where the lips meet; lips that intersect have the gap of their distance.
     """
     quarter = len(lips.upper) // 4
     middle = slice(quarter, len(lips.upper) - quarter)
@@ -77,7 +77,7 @@ def smallest_gaps(
     Returns
     -------
     bilabials, after_s, vowels : list of float, mm
-        A vowel is clear if it keeps 67 ms from every p b m f v w.
+        A vowel is clear if it is 67 ms away from every p b m f v w.
     """
     times = np.arange(len(gap)) / fps
     plain = [(start, end, name.rstrip("012")) for start, end, name in phones]
@@ -103,7 +103,7 @@ def smallest_gaps(
 
 
 class Tally:
-    """What is collected of one source's clips, of the model or of the truth."""
+    """Scores collected over the clips of one source, of the model or of the ground truth."""
 
     def __init__(self) -> None:
         self.clips = 0
@@ -145,33 +145,33 @@ def evaluate_mesh(
     model : SDFA
         In evaluation mode.
     data : Path
-        Dataset folder; the heads take turns. Its neutral clips are used, or those of all emotions
-        where the model has them.
+        Dataset folder; clip i is scored on head i modulo their number. Only neutral clips are used
+        if the model has no emotions.
     split : str
-        ``validation`` for choices, ``test`` once.
+        ``validation`` for choices, ``test`` for final scores.
     most : int or None
-        At most so many clips, evenly spread.
+        Most clips, evenly spread.
     transitions : bool
-        Only clips in which an /s/ goes over into /m/, /b/ or /p/ (SDFA Fig. 3).
+        Only clips with an /s/ before /m/, /b/ or /p/ (SDFA Fig. 3).
     progress : callable
-        Told the share done.
+        Called with the share done, 0 to 1.
 
     Returns
     -------
     dict
         ``groups``: per source of speech, or per emotion, and over ``all``: `mesh_mm`, `lips_mm`,
-        mean distance over all vertices and over the lips' rims; `still_mm`, what lips that never
-        move would score; `bilabial_closed`, share of /p b m/ whose gap falls to `CLOSED_MM`;
+        mean distance over all vertices and over the lips' rims; `still_mm`, the error of lips at
+        rest; `bilabial_closed`, share of /p b m/ with a gap of at most `CLOSED_MM`;
         `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of
-        vowels, which should stay open; `unsealed_...`, the same without the model's seal
-        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the truth; `curves_...`,
-        where the model is a mesh head, of the rig acting the curves of the same DEITalk model.
+        clear vowels; `unsealed_...`, the same without the model's seal
+        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the ground truth;
+        `curves_...`, for a mesh head, of the rig posed by the curves of the same DEITalk model.
         ``expression``, of a mesh head: `deitalk.evaluation.mesh_emotion.expression_probe`.
 
     Raises
     ------
     CheckpointError
-        If the model moves other faces.
+        If the model was trained on other faces.
     DataError
         If the split has no such clips.
     """
@@ -208,8 +208,8 @@ def _check_heads(model: SDFA) -> None:
     for speaker, template in model.templates.items():
         if speaker not in known or not np.array_equal(template.faces, faces):
             raise CheckpointError(
-                f"speaker {speaker!r} is no embedded head; only models trained on those are scored "
-                "against a dataset folder"
+                f"speaker {speaker!r} is no embedded head; only models trained on those can be "
+                "scored against a dataset folder"
             )
 
 
@@ -246,7 +246,7 @@ def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips
 
 
 def _seen(model: SDFA, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
-    """Vertices (T, V, 3): the model's, those before its seal, those of the curves it decodes."""
+    """Vertices (T, V, 3) of the model, of the model before its seal, and of its curves."""
     direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
     seal, model.seal = model.seal, None
     try:
@@ -260,7 +260,7 @@ def _seen(model: SDFA, clip: Clip, waveform: Float32, speaker: str) -> dict[str,
 
 
 ROWS = {
-    "clips": "clips", "lips_mm": "lips, mean error, mm", "still_mm": "lips that never move, mm",
+    "clips": "clips", "lips_mm": "lips, mean error, mm", "still_mm": "lips at rest, mm",
     "curves_lips_mm": "lips, mean error, the rig with the same network's curves, mm",
     "mesh_mm": "all vertices, mean error, mm",
     "curves_mesh_mm": "all vertices, the rig with the curves, mm", "bilabials": "p b m",
@@ -282,7 +282,7 @@ ROWS = {
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """Scores down, sources across."""
+    """Table of scores in rows and sources in columns, in Markdown."""
     groups = report["groups"]
     lines = [
         f"Split: {report['split']}; encoder {report['encoder']}, {report['motion']}.",

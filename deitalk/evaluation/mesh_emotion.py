@@ -1,4 +1,4 @@
-"""Does emotion reach a mesh? A mesh head beside the rig acting the same network's curves.
+"""Emotion on a mesh: a mesh head compared with the rig posed by the same network's curves.
 
 Letters: T frames, V vertices.
 """
@@ -22,9 +22,9 @@ Act = Callable[[str, float], Float32]
 
 INTENSITIES = (0.5, 1.0, 1.5)
 MOST = 3
-"""Recordings that are acted in everything."""
+"""Recordings that are animated in every emotion."""
 PLACES = {"corners": "mouth_corner", "brows": "brow"}
-"""Landmarks, left and right, that expressions raise and lower."""
+"""Landmarks, left and right, whose rise is measured."""
 ACTORS = ("model", "curves")
 
 
@@ -35,7 +35,7 @@ def acted_by_curves(
     emotion: str,
     intensity: float = 1.0,
 ) -> Float32:
-    """Skin (T, V, 3) of an embedded head acting the curves of the network that a model decodes."""
+    """Skin (T, V, 3) of an embedded head posed by the curves of the mesh head's DEITalk model."""
     performance = animate(
         audio, emotion, model=model.encoder.network, intensity=intensity, idle=False
     )
@@ -46,20 +46,20 @@ def acted_by_curves(
 def acted_by_model(
     model: MeshHead, audio: Recording, speaker: str, emotion: str, intensity: float = 1.0
 ) -> Float32:
-    """Skin (T, V, 3) as a mesh head moves it."""
+    """Skin (T, V, 3) of a mesh head."""
     direction = Direction.of(emotion, intensity)
     return model.predict_mesh(audio.waveform, speaker, direction=direction)
 
 
 def expression_probe(model: MeshHead, recordings: Sequence[Path]) -> dict[str, Any]:
-    """How far each emotion raises the corners of the mouth and the brows, at three intensities.
+    """Rise of the corners of the mouth and of the brows by emotion, at three intensities.
 
     Parameters
     ----------
     model : MeshHead
         In evaluation mode; it moves the embedded heads.
     recordings : sequence of Path
-        `MOST` of them, evenly spread, are acted in every emotion.
+        `MOST` of them, evenly spread, are animated in every emotion.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def _rises(
 
 
 def expression_table(expression: Mapping[str, Any]) -> list[str]:
-    """Lines of a table: what rises how far, by emotion and intensity."""
+    """Lines of a Markdown table: rise by landmark, emotion and intensity."""
     amounts = " / ".join(f"{amount:g}" for amount in INTENSITIES)
     lines = [
         f"Mean rise over the neutral reading at intensity {amounts}, mm.",

@@ -1,4 +1,4 @@
-"""How far the mouth is open, in curves and at rest."""
+"""Opening of the mouth from curves, in speech and in silence."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from rig.arrays import Float32
 JAW = "CTRL_C_jaw.ty"
 OPENING = (JAW, "CTRL_L_mouth_upperLipRaise.ty", "CTRL_R_mouth_upperLipRaise.ty",
            "CTRL_L_mouth_lowerLipDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty")  # fmt: skip
-"""Mean of these is the mouth's opening."""
+"""Controls whose mean is the mouth's opening."""
 
 
 def mouth_opening(curves: Float32, controls: ControlSet) -> Float32:

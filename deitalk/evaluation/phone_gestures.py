@@ -1,4 +1,4 @@
-"""Does the mouth do what each phone needs? Contacts, bite and rounding, phone by phone.
+"""Detection scores of lip contacts, bite and rounding, by phone.
 
 The protocol is that of `deitalk.evaluation.lip_closures`: the highest value of a curve within a
 phone widened by two frames, against the same in phones that stay 67 ms away from all that share
@@ -22,14 +22,14 @@ MAX_LAG_FRAMES = 4
 
 @dataclass(frozen=True)
 class Gesture:
-    """A gesture of the lips, the phones that need it and those that share some of it."""
+    """A gesture of the lips, the phones that require it and its counter-examples."""
 
     controls: tuple[str, ...]
-    """Parts of control names; the gesture's curve is their mean."""
+    """Parts of control names; the gesture's curve is the mean of these controls."""
     phones: tuple[str, ...]
     against: frozenset[str]
     near: frozenset[str]
-    """Phones whose neighbourhood is no fair counter-example."""
+    """Phones whose neighbourhood is excluded from the counter-examples."""
     widen: int = WIDEN_FRAMES
 
 
@@ -63,7 +63,7 @@ def gesture_peaks(curve: Float32, phones: Phones, gesture: Gesture) -> Peaks:
     phones : sequence of (start, end, name)
         Seconds.
     gesture : Gesture
-        What is looked for.
+        Gesture to find.
     """
     times = np.arange(len(curve)) / RIG_RATE
     busy = [(start, end) for start, end, name in phones if name in gesture.near]
@@ -86,7 +86,7 @@ def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> boo
 
 
 def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[str, float]]:
-    """Per phone: number, share found where 5 % of the counter-examples alarm, and AUC."""
+    """Per phone: number, hit rate at 5 % false alarms over the counter-examples, and AUC."""
     pooled: Peaks = defaultdict(list)
     for peaks in collected:
         for name, values in peaks.items():
@@ -103,13 +103,13 @@ def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[
 
 
 def jaw_in_contact(lips: Float32, jaw: Float32, level: float = 0.9) -> float:
-    """Mean opening of the jaw while the lips are together; NaN where they never are."""
+    """Mean opening of the jaw while the lips are together; NaN if they never are."""
     held = lips >= level
     return float(jaw[held].mean()) if held.any() else float("nan")
 
 
 def lag_scores(target: Float32, predicted: Float32) -> Float64:
-    """Correlation with the prediction read 4 frames early ... 4 frames late [shape=(9,)]."""
+    """Correlation with the prediction shifted by -4 to 4 frames [shape=(9,)]."""
     edge = MAX_LAG_FRAMES
     if len(target) <= 3 * edge:
         return np.full(2 * edge + 1, np.nan)
@@ -121,9 +121,9 @@ def lag_scores(target: Float32, predicted: Float32) -> Float64:
 
 
 def global_lag_ms(scores: Sequence[Float64]) -> float:
-    """One lag for all clips: the peak of their mean `lag_scores`, between frames by a parabola.
+    """Common lag of all clips: the peak of their mean `lag_scores`, interpolated by a parabola.
 
-    Positive where the prediction comes late.
+    Positive if the prediction is late.
     """
     known = [row for row in scores if np.isfinite(row).all()]
     if not known:

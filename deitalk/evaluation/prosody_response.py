@@ -1,11 +1,11 @@
-"""Does the face follow how strongly the voice speaks? Voices made livelier, on purpose.
+"""Response of the face to the prosody of modified recordings.
 
 `deitalk.corpus.prosody_contours.apply_contour` changes level, treble, pitch and speed along a known
-contour. Two questions: does the intensity heard follow the contour (Spearman, within speech), and
-does the livelier of two takes of one recording open and express more? The baseline for the first
-is the level of the recording at a fixed gain, smoothed over the speech as the label is. A voice
-has liveliness of its own, so the label is the contour and that, weighted as the corpus weights
-them. Letters: T frames.
+contour. Two scores: the rank correlation of predicted intensity with the contour (Spearman, within
+speech), and the share of pairs in which the take of raised prosody opens and expresses more. The
+baseline of the first is the level of the recording at a fixed gain, smoothed over speech as the
+label is. The label is the sum of the contour and the voice's own prosody, weighted as in the
+corpus. Letters: T frames.
 """
 
 from dataclasses import replace
@@ -31,13 +31,13 @@ from deitalk.corpus.prosody_contours import (
 from rig.arrays import Bool, Float32
 
 STEP_Z = 1.2
-"""Standard deviations by which a take is made livelier, or duller."""
+"""Standard deviations by which the prosody of a take is raised or lowered."""
 RAMP_SECONDS = 0.3
 
 
-def spearman(label: Float32, heard: Float32, within: Bool) -> float:
-    """Rank correlation over some frames; NaN if one does not move or there are under 10."""
-    a, b = label[within], heard[within]
+def spearman(label: Float32, predicted: Float32, within: Bool) -> float:
+    """Rank correlation over some frames; NaN if one is constant or there are under 10."""
+    a, b = label[within], predicted[within]
     if len(a) < 10 or np.ptp(a) < 1e-6 or np.ptp(b) < 1e-6:
         return float("nan")
     return float(spearmanr(a, b).statistic)
@@ -46,7 +46,7 @@ def spearman(label: Float32, heard: Float32, within: Bool) -> float:
 def level_curve(waveform: Float32, n_frames: int) -> Float32:
     """Level in dB at a fixed gain, smoothed over half a second of speech [shape=(T,)].
 
-    Pauses do not count, as in the prosody index: the strongest baseline that only hears level.
+    Pauses are left out, as in the prosody index: the strongest baseline of level alone.
 
     Parameters
     ----------
@@ -66,17 +66,17 @@ def level_curve(waveform: Float32, n_frames: int) -> Float32:
 
 
 class Modified(NamedTuple):
-    """A recording made livelier or duller."""
+    """A recording with modified prosody."""
 
     take: Recording
     z: Float32
     """The contour at every frame of the take [shape=(T,)]."""
     frames: NDArray[np.intp]
-    """The frame of the recording that every frame of the take was [shape=(T,)]."""
+    """Frame of the recording for every frame of the take [shape=(T,)]."""
 
 
 def modified(recording: Recording, contour: Contour) -> Modified:
-    """A recording along a contour."""
+    """Recording modified along a contour."""
     waveform, (source, moved) = apply_contour(recording.waveform, contour)
     take = replace(recording, waveform=waveform)
     times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
@@ -85,21 +85,21 @@ def modified(recording: Recording, contour: Contour) -> Modified:
 
 
 def constant(z: float, seconds: float) -> Contour:
-    """One liveliness throughout."""
+    """Constant contour."""
     return np.array([0.0, max(seconds, 0.1)]), np.array([z, z])
 
 
 def halves(z: float, seconds: float) -> Contour:
-    """`z` in the first half and -`z` in the second."""
+    """Contour of `z` in the first half and -`z` in the second."""
     middle = seconds / 2
     knots = np.array([0.0, middle - RAMP_SECONDS / 2, middle + RAMP_SECONDS / 2, seconds])
     return knots, np.array([z, z, -z, -z])
 
 
 def wandering(recording: Recording, seed: int) -> tuple[Recording, Float32, Float32]:
-    """A recording along a random contour; the contour, and the liveliness it gives [shape=(T,)].
+    """Recording along a random contour, the contour and the resulting label [shape=(T,)].
 
-    The liveliness is the contour plus `NATURAL_WEIGHT` times the voice's own, as in the corpus.
+    The label is the contour plus `NATURAL_WEIGHT` times the voice's own prosody, as in the corpus.
     """
     contour = random_contour(recording.duration, np.random.default_rng(seed))
     waveform, (source, moved) = apply_contour(recording.waveform, contour)
@@ -108,5 +108,5 @@ def wandering(recording: Recording, seed: int) -> tuple[Recording, Float32, Floa
     applied = contour_at(contour, times)
     own = prosody_index(recording.waveform, recording.n_frames)
     natural = np.interp(times, np.arange(recording.n_frames) / FRAME_RATE, own)
-    lively = applied + NATURAL_WEIGHT * natural
-    return take, applied.astype(np.float32), lively.astype(np.float32)
+    label = applied + NATURAL_WEIGHT * natural
+    return take, applied.astype(np.float32), label.astype(np.float32)

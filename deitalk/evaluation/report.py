@@ -1,4 +1,4 @@
-"""A report of the evaluation in words: Markdown tables, and JSON without NaN."""
+"""Reports of the evaluation: Markdown tables, and JSON without NaN."""
 
 import json
 import math
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def as_json(report: dict[str, Any]) -> str:
-    """JSON; what could not be measured is null."""
+    """JSON; values that are not finite are null."""
     return json.dumps(_known(report), indent=1) + "\n"
 
 
@@ -18,7 +18,7 @@ def _known(value: Any) -> Any:
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """Tables of scores per group, phones, emotions, livelier takes and noise."""
+    """Markdown tables of scores per group, phones, emotions, modified prosody and noise."""
     parts = [
         f"Split: {report['split']}. LPE over {report['lpe_set']}; EPE over {report['epe_set']}; "
         "both in squared control units.",
@@ -28,18 +28,18 @@ def as_markdown(report: dict[str, Any]) -> str:
         *_emotions(report.get("emotions", {})),
     ]
     if "lively" in report:
-        parts += ["", "Livelier against duller takes of one recording:", ""]
+        parts += ["", "Takes of raised against lowered prosody of one recording:", ""]
         parts += _table("", report["lively"])
     if "noise" in report:
         parts += ["", "In noise:", "", *_table("", report["noise"])]
     if "captured" in report:
-        parts += ["", "Captured curves move so:", ""]
+        parts += ["", "Smoothness of the captured curves:", ""]
         parts += [f"- {name}: {_cell(value)}" for name, value in report["captured"].items()]
     return "\n".join(parts) + "\n"
 
 
 def _table(corner: str, columns: dict[str, dict[str, Any]]) -> list[str]:
-    """One column a key; one row a name of any column's."""
+    """Table with a column per key and a row per name of any column."""
     names = list(dict.fromkeys(name for column in columns.values() for name in column))
     rows = [[name, *(column.get(name) for column in columns.values())] for name in names]
     return _rows([corner, *columns], rows)
@@ -66,7 +66,7 @@ def _phones(groups: dict[str, Any]) -> list[str]:
         for phone, score in phones.items()
         if score["n"]
     ]
-    title = "Phone by phone; found where 5 % of the counter-examples alarm:"
+    title = "By phone; hit rate at 5 % false alarms over the counter-examples:"
     return ["", title, "", *_rows(["", "gesture", "phone", "n", "found", "AUC"], rows)]
 
 
@@ -76,8 +76,8 @@ def _emotions(groups: dict[str, Any]) -> list[str]:
         lines += [
             "",
             f"Emotions on {scores['recordings']} recordings of {name}: "
-            f"{scores['recognised']:.0%} named as asked, neutral stays in "
-            f"{scores['neutral_stays']:.0%}. Rows asked, columns named:",
+            f"{scores['recognised']:.0%} recognised, neutral stays in "
+            f"{scores['neutral_stays']:.0%}. Given emotion in rows, recognised in columns:",
             "",
             *_rows(["", *scores["named"]], [[k, *v.values()] for k, v in scores["named"].items()]),
             "",
@@ -86,7 +86,7 @@ def _emotions(groups: dict[str, Any]) -> list[str]:
             *_table(
                 "",
                 {
-                    "as heard": scores["range"],
+                    "predicted intensity": scores["range"],
                     "intensity 1": scores["range_strong"],
                     "intensity 1, jaw alone": scores["range_jaw"],
                 },

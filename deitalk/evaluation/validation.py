@@ -1,7 +1,7 @@
-"""A small fixed set of validation clips that training is steered by.
+"""A small fixed set of validation clips that selects weights in training.
 
-Real speech where the data has any: the score that chooses weights is measured on voices and
-microphones that the loss never sees.
+Recordings of people come first, where the data has any: the score is measured on voices and
+microphones that are not in the loss.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ def lips_together(curves: Float32, controls: ControlSet) -> Float32:
 
 @dataclass(frozen=True)
 class ValidationSet:
-    """Clips and the control set they are of."""
+    """Clips and their control set."""
 
     examples: tuple[Example, ...]
     controls: ControlSet
@@ -72,11 +72,11 @@ class ValidationSet:
 
     @torch.no_grad()
     def score(self, model: DEITalk) -> dict[str, float]:
-        """Errors, correlations and closures; ``score`` is what weights are chosen by.
+        """Errors, correlations and closures; ``score`` selects the weights.
 
         ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
-        over `ARTICULATION`, and the r of the intensity within speech: what a viewer notices,
-        equally weighted. Data without phones or intensity is scored by the rest; an empty set by 0.
+        over `ARTICULATION`, and the r of the intensity within speech, equally weighted. Data
+        without phones or intensity is scored by the rest; an empty set by 0.
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ def load_example(clip: Clip, controls: ControlSet) -> Example:
 
 @torch.no_grad()
 def predict(model: DEITalk, example: Example) -> tuple[Float32, Float32 | None]:
-    """The network's own curves [shape=(T, C)] and intensity [shape=(T,)], nothing added."""
+    """The network's curves [shape=(T, C)] and intensity [shape=(T,)] before any rule."""
     n_frames = len(example.curves)
     device = next(model.parameters()).device
     analysis = model.analyse(torch.from_numpy(example.waveform).to(device), n_frames)

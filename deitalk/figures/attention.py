@@ -1,7 +1,7 @@
-"""Where a model listens: attention over vowels and over plosives (SDFA §5.2.3, Fig. 9).
+"""Figures of temporal attention over vowels and over plosives (SDFA §5.2.3, Fig. 9).
 
-The paper shows one vowel with even weights and one /b/ with all weight on its centre. Here every
-vowel and plosive of a recording is averaged, with a number for how even the weights are.
+The paper shows one vowel with even weights and one /b/ with all weight on its centre. Here the
+average of every vowel and plosive of a recording is shown, with the evenness of the weights.
 
 Letters: T frames, L spectra of a window.
 """
@@ -25,9 +25,9 @@ class AttentionMap:
     Parameters
     ----------
     rows : array [shape=(K, L)]
-        A row a phone; each sums to 1.
+        One row per phone; each sums to 1.
     phones : tuple of str
-        Their names.
+        Names of the phones.
     """
 
     rows: Float32
@@ -72,17 +72,17 @@ def attention_maps(
     Raises
     ------
     DataError
-        If the recording holds none of either.
+        If the recording has no vowel or no plosive.
     """
     vowels, plosives = (attention_at(weights, phones, fps, names) for names in (VOWELS, PLOSIVES))
     for kind, found in (("vowel", vowels), ("plosive", plosives)):
         if not found.phones:
-            raise DataError(f"the phones hold no {kind}; choose a longer recording")
+            raise DataError(f"the phones have no {kind}; choose a longer recording")
     return vowels, plosives
 
 
 def attention_at(weights: Float32, phones: Phones, fps: float, names: Set[str]) -> AttentionMap:
-    """Rows at the middle of every phone of some names; there may be none."""
+    """Rows at the middle of every phone of the given names; may be empty."""
     found = [(s, e, p.rstrip("012")) for s, e, p in phones if p.rstrip("012") in names]
     places = [min(round((s + e) / 2 * fps), len(weights) - 1) for s, e, _ in found]
     return AttentionMap(weights[places], tuple(phone for *_, phone in found))
@@ -91,7 +91,7 @@ def attention_at(weights: Float32, phones: Phones, fps: float, names: Set[str]) 
 def plot_attention(
     vowels: AttentionMap, plosives: AttentionMap, frame_rate: float, path: Path
 ) -> None:
-    """Draw both kinds: a row of colour a phone, and the means below.
+    """Draw both kinds: one row of colour per phone, and the means below.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def plot_clip(weights: Float32, fps: float, frame_rate: float, phones: Phones, p
     fps, frame_rate : float
         Frames and spectra per second.
     phones : sequence of (start, end, phone)
-        Written along the top where they are known; may be empty.
+        Written along the top; may be empty.
     path : Path
         .png, .svg or .pdf.
 

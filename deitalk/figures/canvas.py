@@ -1,4 +1,4 @@
-"""One way to draw: a matplotlib figure that is written whole, or not at all."""
+"""Matplotlib figures that are written atomically."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +13,7 @@ from rig.arrays import Float32
 from rig.files import atomic_write
 
 MOST_COLUMNS = 2000
-"""A waveform is drawn in at most so many columns."""
+"""Most columns of a drawn waveform."""
 
 
 def can_draw() -> bool:

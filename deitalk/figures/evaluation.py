@@ -1,4 +1,4 @@
-"""A picture of the evaluation: closures, channels, emotions, noise."""
+"""Figure of the evaluation: closures, channels, emotions, noise."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
     Parameters
     ----------
     report : dict
-        Groups, phones, emotions and noise; what is missing leaves its panel empty.
+        Groups, phones, emotions and noise; the panel of a missing part is empty.
     path : Path
         .png, .svg or .pdf.
 
@@ -33,7 +33,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
 
 
 def _bars(axis: Any, series: dict[str, dict[str, float]]) -> None:
-    """Grouped bars: one colour a series, one place a name."""
+    """Draw grouped bars: one colour per series, one group per name."""
     names = list(dict.fromkeys(name for values in series.values() for name in values))
     width = 0.8 / max(len(series), 1)
     for i, (label, values) in enumerate(series.items()):
@@ -52,7 +52,7 @@ def _phones(axis: Any, groups: dict[str, Any]) -> None:
         if " " not in name
     }
     _bars(axis, series)
-    axis.set_title("found where 5 % of the counter-examples alarm", loc="left")
+    axis.set_title("hit rate at 5 % false alarms over the counter-examples", loc="left")
 
 
 def _channels(axis: Any, groups: dict[str, dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""Curves against the waveform, to see what a take does: ``deitalk plot``."""
+"""Figure of curves against the waveform: ``deitalk plot``."""
 
 from pathlib import Path
 from typing import Any

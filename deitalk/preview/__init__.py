@@ -1,1 +1,1 @@
-"""Ways to watch a take: a review video and an interactive page."""
+"""Previews of a take: a review video and an interactive page."""

@@ -1,4 +1,4 @@
-"""Pictures and sound into an MP4 that plays everywhere, by FFmpeg's libraries (PyAV)."""
+"""Encoding of pictures and sound to MP4 by FFmpeg's libraries (PyAV)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
     ("h264_videotoolbox", {}),
     ("mpeg4", {}),
 )
-"""Video encoders, the best first, and their options; builds of FFmpeg differ in what they have."""
-BIT_RATES = {"libx264": 0, "mpeg4": 6_000_000}  # bit/s; 0 is decided by the quality
+"""Video encoders, the best first, and their options; builds of FFmpeg have different encoders."""
+BIT_RATES = {"libx264": 0, "mpeg4": 6_000_000}  # bit/s; 0 is set by the quality
 USUAL_BIT_RATE = 4_000_000
 SOUND_BIT_RATE = 160_000
 SOUND_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000)  # Hz, of AAC
@@ -39,7 +39,7 @@ class Encoder:
 
     @property
     def note(self) -> str | None:
-        """What a user is told: nothing of H.264, which every player knows."""
+        """Note for the user on the codec; None for H.264, which every player supports."""
         if self.name != "mpeg4":
             return None
         return "this build of PyAV has no H.264 encoder: the video is MPEG-4 Part 2"
@@ -87,7 +87,7 @@ def write_mp4(
 ) -> None:
     """Encode pictures and sound.
 
-    Picture i is shown at i/fps exactly, and the first sample is heard with picture 0: the silence
+    Picture i is shown at i/fps exactly, and the first sample is played with picture 0: the silence
     that the sound's encoder puts before it is marked as not to be played.
 
     Parameters
@@ -97,7 +97,7 @@ def write_mp4(
     pictures : iterator of uint8 array [shape=(height, width, 3)]
         RGB, of even width and height.
     fps : float
-        29.97 is 30000/1001 if it is meant so (`rig.curves.snap_fps`).
+        29.97 stands for 30000/1001 (`rig.curves.snap_fps`).
     size : (int, int)
         Width and height.
     samples : array (N,) float32
@@ -150,7 +150,7 @@ def _video_track(
 
 
 class _Sound:
-    """The sound track, written in step with the pictures so that little is held in memory."""
+    """The sound track, written together with the pictures in bounded memory."""
 
     def __init__(self, container: "OutputContainer", samples: Float32, sample_rate: int) -> None:
         self.container = container
@@ -166,7 +166,7 @@ class _Sound:
             self._write(SOUND_FRAME)
 
     def finish(self) -> None:
-        """Encode what is left."""
+        """Encode the remaining samples."""
         while self.written < len(self.samples):
             self._write(min(SOUND_FRAME, len(self.samples) - self.written))
         self.container.mux(self.track.encode(None))
@@ -185,7 +185,7 @@ class _Sound:
 
 
 def _at_aac_rate(samples: Float32, sample_rate: int) -> tuple[Float32, int]:
-    """The samples at a rate that AAC in MP4 has: as they are, or at 48 kHz."""
+    """The samples at a rate of AAC in MP4: unchanged, or resampled to 48 kHz."""
     if sample_rate in SOUND_RATES:
         return samples, sample_rate
     import soxr

@@ -1,4 +1,4 @@
-"""What a preview needs of this machine, asked before the work begins."""
+"""Requirements of a preview, checked before the work begins."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,14 +17,14 @@ def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str
     Parameters
     ----------
     targets : paths
-        ``.html`` and ``.mp4`` files to be.
+        ``.html`` and ``.mp4`` files to write.
     backend : {'auto', 'opengl', 'software'}
-        What is to draw a video.
+        Renderer of a video.
 
     Returns
     -------
     tuple of str
-        What a user may want to know of the files to come.
+        Notes for the user on the files to write.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str
     MissingError
         Without the built page, or without a video encoder.
     RigError
-        For an unknown backend, or where ``opengl`` is asked for and is not there.
+        If the backend is unknown, or is ``opengl`` and OpenGL is missing.
     """
     notes = []
     for target in targets:

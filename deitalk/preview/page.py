@@ -1,7 +1,7 @@
 """The preview page: one HTML file with the player, the head, the curves and the recording.
 
 The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``app/index.html``
-beside this file; here the data are put into it.
+beside this file; this module inserts the data.
 """
 
 import base64
@@ -47,7 +47,7 @@ def render_page(
     audio : Path or str, optional
         Recording, where the source brings none.
     identity : int, str or Identity, optional
-        Whose head.
+        Head of the preview.
     force : bool, optional
         Replace an existing file.
 
@@ -85,7 +85,7 @@ def check_player() -> None:
     Raises
     ------
     MissingError
-        If it was built without.
+        If the package was built without it.
     """
     if not BUNDLE.is_file():
         raise MissingError(

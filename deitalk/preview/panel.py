@@ -18,7 +18,7 @@ KEY_CURVES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("brow down", tuple(f"CTRL_{s}_brow_down.ty" for s in "LR")),
     ("blink", tuple(f"CTRL_{s}_eye_blink.ty" for s in "LR")),
 )  # fmt: skip
-"""Six lanes; each shows the largest of its controls."""
+"""Six lanes; each shows the maximum of its controls."""
 
 EMOTION_COLORS = {
     "neutral": (150, 158, 170),
@@ -40,7 +40,7 @@ _MARGIN = 108
 
 
 class Panel:
-    """Draws the strip once and the playhead for every frame.
+    """Strip of lanes, drawn once, with a playhead drawn per frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a preview shows: curves, the recording they belong to, and the neutral reading if known."""
+"""Input of a preview: curves, their recording, and the neutral reading if it is known."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +14,18 @@ from rig.arrays import Float32
 MAX_SECONDS = 1800.0
 MAX_AUDIO_BYTES = 500_000_000
 TOLERANCE_SECONDS = 0.1
-"""Curves and recording may differ in length by this much (a frame or two of rounding)."""
+"""Largest difference in length of curves and recording: a frame or two of rounding."""
 
 Phones = tuple[tuple[float, float, str], ...]
 
 
 class PreviewError(DeitalkError):
-    """Something that cannot be shown as asked."""
+    """A preview that cannot be made."""
 
 
 @dataclass(frozen=True)
 class PreviewSource:
-    """One performance, ready to be drawn.
+    """One performance for a preview.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ def load_source(
     source : Path or str
         Folder written by ``deitalk animate``, or a curve file of any known format.
     audio : Path or str, optional
-        The recording; a take folder brings its own.
+        The recording; by default that of the take folder.
     phones : Path or str, optional
-        Table ``start,end,phone`` in seconds; a take folder may bring a ``phones.csv``.
+        Table ``start,end,phone`` in seconds; by default ``phones.csv`` of the take folder, if any.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def load_source(
     """
     source = Path(source)
     if not source.exists():
-        raise PreviewError(f"{source} is not there; name a take folder or a file of curves")
+        raise PreviewError(f"{source} does not exist; name a take folder or a file of curves")
     if source.is_dir():
         return _load_take(source, audio, phones)
     curves = _on_the_board(read_curves(source))
@@ -115,7 +115,7 @@ def _read_phones(path: Path | str | None) -> Phones:
     if path is None:
         return ()
     if not Path(path).is_file():
-        raise PreviewError(f"phones {path} are not there; name a CSV with start, end and phone")
+        raise PreviewError(f"phones {path} do not exist; name a CSV with start, end and phone")
     return tuple(read_phones(Path(path)))
 
 
@@ -128,7 +128,7 @@ def _on_the_board(curves: RigCurves) -> RigCurves:
 def _read_audio(path: Path) -> tuple[Float32, int]:
     """Mono samples at the recording's own rate."""
     if not path.is_file():
-        raise PreviewError(f"recording {path} is not there; give `audio`", parameter="audio")
+        raise PreviewError(f"recording {path} does not exist; give `audio`", parameter="audio")
     if path.stat().st_size > MAX_AUDIO_BYTES:
         raise PreviewError(f"recording {path} is over {MAX_AUDIO_BYTES / 1e6:.0f} MB; cut it first")
     blocks = [np.zeros(0, np.float32)]
@@ -145,7 +145,7 @@ def _read_audio(path: Path) -> tuple[Float32, int]:
 def _checked(source: PreviewSource) -> PreviewSource:
     seconds = source.curves.duration
     if len(source.curves) == 0:
-        raise PreviewError(f"{source.title} has no frames; there is nothing to show")
+        raise PreviewError(f"{source.title} has no frames; a preview needs at least one")
     if max(seconds, source.audio_seconds) > MAX_SECONDS:
         raise PreviewError(
             f"{source.title} lasts {max(seconds, source.audio_seconds):.0f} s; "
@@ -154,6 +154,6 @@ def _checked(source: PreviewSource) -> PreviewSource:
     if source.audio_seconds > seconds + TOLERANCE_SECONDS:
         raise PreviewError(
             f"recording lasts {source.audio_seconds:.2f} s but the curves end at {seconds:.2f} s; "
-            "cut the recording, or animate all of it"
+            "cut the recording, or animate the whole of it"
         )
     return source

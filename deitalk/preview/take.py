@@ -11,7 +11,7 @@ from deitalk.preview.video import render_video
 
 
 def check_preview(folder: Path) -> tuple[str, ...]:
-    """Check that `add_preview` will find what it needs; notes on what it will write.
+    """Check the requirements of `add_preview`; return notes on the files it will write.
 
     Raises
     ------
@@ -29,12 +29,12 @@ def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
     folder : Path
         Must exist.
     performance : Performance
-        Whose curves, neutral reading and recording are shown.
+        Its curves, neutral reading and recording are shown.
 
     Returns
     -------
     dict
-        File names and a line on each, for ``take.json``.
+        File names and their descriptions, for ``take.json``.
     """
     source = PreviewSource(
         title=Path(performance.recording.source).stem,
@@ -46,6 +46,6 @@ def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
     render_page(source, folder / "preview.html")
     render_video(source, folder / "preview.mp4")
     return {
-        "preview.html": "the face, the sound and every curve in one page; drag the intensity",
+        "preview.html": "face, sound and every curve in one page; the intensity can be dragged",
         "preview.mp4": "review video",
     }

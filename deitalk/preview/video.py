@@ -37,7 +37,7 @@ def render_video(
     """Render a take as an MP4 with its recording.
 
     Frame i of the video shows the curves at i/fps and the sound starts with frame 0, so that
-    picture and sound agree exactly. Curves that last longer than the recording go on in silence.
+    picture and sound agree exactly. Curves longer than the recording continue in silence.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ def render_video(
     out : Path or str
         The ``.mp4`` to write.
     audio : Path or str, optional
-        Recording, where the source brings none. Without one the video is silent.
+        Recording, if the source has none. Without one the video is silent.
     identity : int, str or Identity, optional
-        Whose head.
+        Head of the video.
     second_view : str, optional
         Name of the right-hand camera, one of `rig.face.render.VIEWS`.
     backend : {'auto', 'opengl', 'software'}, optional
-        What draws.
+        Renderer.
     force : bool, optional
         Replace an existing file.
     progress : callable, optional
@@ -141,7 +141,7 @@ def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int
 
 
 def _counted(frames: Iterator[Picture], total: int, progress: Progress | None) -> Iterator[Picture]:
-    """The frames; `progress` is told the share that was taken."""
+    """The frames; `progress` is called with the share done."""
     for done, frame in enumerate(frames, 1):
         yield frame
         if progress is not None:

@@ -1,6 +1,6 @@
-"""What a reviewer should look at, of things that the sound or its phones tell.
+"""Warnings of a preview from the sound and its phones.
 
-Values at their limits, jitter and lengths are found by the page itself (``web/src/take.ts``).
+Values at their limits, jitter and lengths are checked by the page (``web/src/take.ts``).
 Letters: T frames, V vertices.
 """
 
@@ -16,12 +16,12 @@ from rig.arrays import AnyFloat, Float32, Float64
 from rig.face import Head, build_head
 
 OPEN_CM = 0.1
-"""A bilabial whose lips stay further apart than this anywhere along the rims reads as open."""
+"""Largest gap along the rims of the lips in a closed bilabial, cm."""
 MOST_LAG_FRAMES = 2.0
 
 
 class Finding(NamedTuple):
-    """One warning: when, and what."""
+    """A warning and its time."""
 
     time: float
     """Seconds."""
@@ -34,10 +34,10 @@ def find_warnings(source: PreviewSource) -> list[Finding]:
 
 
 def offset_warnings(source: PreviewSource) -> list[Finding]:
-    """Say so if the jaw follows the loudness best more than two frames early or late.
+    """Warn if the jaw's best lag to the loudness is more than two frames.
 
     The measure is that of ``deitalk data check`` without its model: the better lag must gain
-    enough correlation (`deitalk.data.offset.is_clear`). Recordings under 2 s are not judged.
+    enough correlation (`deitalk.data.offset.is_clear`). Recordings under 2 s are not checked.
     """
     if not source.sample_rate:
         return []
@@ -50,12 +50,12 @@ def offset_warnings(source: PreviewSource) -> list[Finding]:
     if abs(seconds) * source.curves.fps <= MOST_LAG_FRAMES:
         return []
     early_or_late = "late" if seconds > 0 else "early"
-    text = f"curves come {abs(seconds) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
+    text = f"curves are {abs(seconds) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
     return [Finding(0.0, text)]
 
 
 def bilabial_warnings(source: PreviewSource) -> list[Finding]:
-    """Every m, b or p during which the embedded head's lips never meet; needs phones."""
+    """Warnings for every m, b or p without contact of the embedded head's lips; needs phones."""
     if not source.phones:
         return []
     from deitalk.phones import BILABIALS, WIDEN_FRAMES

@@ -1,4 +1,4 @@
-"""Speech synthesisers that tell when each phone is said: espeak-ng, flite and festival."""
+"""Speech synthesisers with phone times: espeak-ng, flite and festival."""
 
 from deitalk.corpus.engines import espeak, festival, flite
 
@@ -6,12 +6,12 @@ ENGINES = ("espeak", "flite", "festival")
 
 
 def available_engines() -> dict[str, str | None]:
-    """Which engines work on this machine.
+    """Availability of the engines on this machine.
 
     Returns
     -------
     reasons : dict
-        Engine name -> None if it works, else why not and what to install.
+        Engine name -> None if it works, else the reason and the package to install.
     """
     return {
         "espeak": espeak.missing(),

@@ -29,7 +29,7 @@ def _server(process_id: int) -> Server:
 
 
 def missing() -> str | None:
-    """None if espeak-ng works here, else the reason and what to install."""
+    """Return None if espeak-ng works here, else the reason and the package to install."""
     try:
         library()
     except MissingError as error:
@@ -46,12 +46,12 @@ def variants() -> tuple[str, ...]:
 
 @cache
 def has_voice(name: str) -> bool:
-    """Whether espeak-ng knows the voice `name` here."""
+    """Whether espeak-ng has the voice `name`."""
     return library().has_voice(name)
 
 
 def pronounce(text: str, *, voice: str = "en-us") -> str:
-    """How espeak-ng would say `text`, in the International Phonetic Alphabet.
+    """Pronunciation of `text` by espeak-ng in the International Phonetic Alphabet.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def synthesise(
     style: str = "neutral",
     ssml: bool = False,
 ) -> Utterance:
-    """Say `text`.
+    """Synthesise `text` with phone times.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def synthesise(
     voice, variant : str
         A voice (``en-us``, ``gmw/en``, ``es``) and one of `variants`.
     language : str
-        Code kept in the utterance; it also decides what the symbols `a` and `r` mean.
+        Code kept in the utterance; it also determines the phones of the symbols `a` and `r`.
     rate : float
         Words per minute, 80 to 450.
     pitch, pitch_range : float
@@ -108,7 +108,7 @@ def synthesise(
     ConfigError
         For an unknown voice or a number out of its range.
     DataError
-        If there is nothing to say.
+        If the text gives no speech.
     MissingError
         If espeak-ng is not installed.
     """
@@ -117,7 +117,7 @@ def synthesise(
     library()
     if variant is not None and variant not in variants():
         plain = ", ".join(name for name in variants() if len(name) == 2)
-        raise ConfigError(f"variant={variant!r} is not installed; these are, among others: {plain}")
+        raise ConfigError(f"variant={variant!r} is not installed; installed are {plain} and others")
     name = known_voice(voice if variant is None else f"{voice}+{variant}")
     numbers = {"rate": rate, "volume": volume, "pitch": pitch, "pitch_range": pitch_range}
     parameters = {key: round(value) for key, value in numbers.items()}
@@ -144,19 +144,19 @@ def event_segments(
 ) -> list[tuple[float, float, str]]:
     """Timed phones of phone events.
 
-    Each event lasts until the next. A nameless event is silence where nothing is heard and
+    Each event lasts until the next. An unnamed event is silence where the waveform is silent and
     lengthens the phone before it elsewhere; an event of several phones is divided.
 
     Parameters
     ----------
     waveform : float array [shape=(S,)]
-        What the engine said.
+        Synthesised speech.
     sample_rate : int
         Hz.
     events : list of (sample, IPA)
-        When each phone begins.
+        Start of each phone.
     language : str
-        Code that decides what the symbols `a` and `r` mean.
+        Code that determines the phones of the symbols `a` and `r`.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def _divide(start: float, end: float, names: tuple[str, ...]) -> list[tuple[floa
 
 
 def _join_repeats(segments: list[tuple[float, float, str]]) -> list[tuple[float, float, str]]:
-    """One phone where the same name touches itself without a pause."""
+    """Segments with neighbours of the same name joined."""
     joined: list[tuple[float, float, str]] = []
     for start, end, name in segments:
         if joined and joined[-1][2] == name and start - joined[-1][1] < 1e-9:
@@ -215,7 +215,7 @@ def with_closures(
     Parameters
     ----------
     waveform : float array [shape=(S,), range -1 to 1]
-        What the engine said.
+        Synthesised speech.
     sample_rate : int
         Hz.
     segments : list of (start, end, name)
@@ -223,9 +223,9 @@ def with_closures(
     quiet : float
         Largest absolute sample of a silent run.
     longest_seconds : float
-        A closure is not made longer than this; 20 ms of the phone before it stay.
+        Longest closure; 20 ms of the phone before it stay.
     longest_after_pause_seconds : float
-        The same after a pause, where silence does not tell when the lips meet.
+        The same after a pause, where silence does not mark the closing of the lips.
 
     Returns
     -------
@@ -251,7 +251,7 @@ def with_closures(
 
 
 def _silence_start(is_quiet: np.ndarray, hop: int, hop_seconds: float) -> float:
-    """Time at which the silent run ending at `hop` begins; two loud hops at its end are allowed."""
+    """Start of the silent run that ends at `hop`; two loud hops at its end are allowed."""
     first = k = min(hop, len(is_quiet))
     while k > 0 and (is_quiet[k - 1] or first - k < 2):
         k -= 1

@@ -1,9 +1,9 @@
 """libespeak-ng through ctypes, and a server that gives every utterance a fresh process.
 
 The library keeps noise, phase and pitch from one utterance to the next, even through its own
-termination, so that one text has as many waveforms as histories. `Server` starts a small process
-that loads the library once and forks for each utterance: every one begins from the same state, and
-a voice that crashes or hangs takes only its own utterance with it.
+termination, so that the waveform of a text depends on the utterances before it. `Server` starts a
+small process that loads the library once and forks for each utterance: every one begins from the
+same state, and a crash or a hang affects one utterance only.
 
 Protocol on the pipes: one JSON line in; one JSON line with the sample count and the events out,
 then the samples as 16-bit integers.
@@ -29,9 +29,9 @@ MISSING = (
     "machine; pip install espeakng-loader"
 )
 LONGEST_PATH = 150
-"""Bytes of a data path; from 160 on the library cannot find its data."""
+"""Longest data path in bytes; the library fails from 160 on."""
 TIMEOUT_SECONDS = 20
-"""An utterance takes some milliseconds; one that takes this long hangs."""
+"""Time limit of an utterance; usual are some milliseconds."""
 
 # speak_lib.h of espeak-ng 1.51 and 1.52
 _SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
@@ -66,10 +66,10 @@ _Callback = ctypes.CFUNCTYPE(
 
 
 def _loaded() -> tuple[ctypes.CDLL, int]:
-    """The library, ready to speak, and its sample rate.
+    """The initialised library and its sample rate.
 
-    The one of the Python package comes first, so that a seed gives the same corpus on every
-    machine whatever its system has; the system's serves where there is no package.
+    The library of the Python package comes first, so that a seed gives the same corpus on every
+    machine; the system's library is used without the package.
     """
     options = _PHONEME_EVENTS | _IPA_EVENTS | _DO_NOT_EXIT
     for path, data in (*_packaged(), (SYSTEM_LIBRARY, None)):
@@ -95,7 +95,7 @@ def _packaged() -> list[tuple[str, str]]:
 
 
 def _short(folder: str) -> str:
-    """A path of `folder` that the library can hold: itself, or a link that lasts till the end."""
+    """A path of `folder` that is short enough: itself, or a link removed at exit."""
     if len(os.fsencode(folder)) <= LONGEST_PATH:
         return folder
     links = tempfile.TemporaryDirectory(prefix="deitalk-")
@@ -130,11 +130,11 @@ class Library:
         return 0
 
     def has_voice(self, name: str) -> bool:
-        """Choose the voice `name`; False if there is none."""
+        """Select the voice `name`; False if there is none."""
         return bool(self._library.espeak_SetVoiceByName(name.encode()) == 0)
 
     def data_folder(self) -> str:
-        """Where the voices and their variants lie."""
+        """Folder of the voices and their variants."""
         path = ctypes.c_char_p()
         self._library.espeak_Info(ctypes.byref(path))
         return (path.value or b"").decode()
@@ -154,7 +154,7 @@ class Library:
         return bytes(self._samples), self._events
 
     def pronounce(self, text: str, voice: str) -> str:
-        """`text` in the International Phonetic Alphabet, as `voice` would say it."""
+        """Pronunciation of `text` by `voice` in the International Phonetic Alphabet."""
         self.has_voice(voice)
         left, parts = ctypes.c_char_p(text.encode()), []
         while left.value is not None:
@@ -170,7 +170,7 @@ def library() -> Library:
 
 
 class Server:
-    """A process that says texts, each from the same initial state."""
+    """A process that synthesises texts, each from the same initial state."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -212,7 +212,7 @@ class Server:
 
 
 def serve() -> None:
-    """Answer the jobs on standard input until it ends."""
+    """Process the jobs on standard input until it ends."""
     library()
     for line in sys.stdin.buffer:
         answer = _in_fork(json.loads(line))
@@ -221,7 +221,7 @@ def serve() -> None:
 
 
 def _in_fork(job: dict[str, Any]) -> bytes:
-    """The answer to one job, made by a child; empty if the child dies."""
+    """Result of one job from a child process; empty if the child fails."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -239,7 +239,7 @@ def _in_fork(job: dict[str, Any]) -> bytes:
 
 
 def known_voice(name: str) -> str:
-    """`name` if it is a voice here.
+    """Return `name` if espeak-ng has this voice.
 
     Raises
     ------

@@ -27,7 +27,7 @@ TIMEOUT_SECONDS = 300
 
 @dataclass(frozen=True)
 class Job:
-    """One utterance to say.
+    """One utterance to synthesise.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Job:
 
 @cache
 def voices() -> tuple[str, ...]:
-    """Which of `VOICES` are installed."""
+    """Names of `VOICES` that are installed."""
     if not shutil.which("festival"):
         return ()
     done = subprocess.run(
@@ -65,14 +65,14 @@ def voices() -> tuple[str, ...]:
 
 
 def missing() -> str | None:
-    """None if festival works here, else the reason and the packages to install."""
+    """Return None if festival works here, else the reason and the packages to install."""
     if not shutil.which("festival"):
         return MISSING
     return None if voices() else f"festival: no voice is installed; apt-get install {PACKAGES}"
 
 
 def synthesise_batch(jobs: Sequence[Job]) -> list[Utterance | None]:
-    """Say many texts in one process.
+    """Synthesise many texts in one process.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def synthesise_batch(jobs: Sequence[Job]) -> list[Utterance | None]:
     Returns
     -------
     utterances : list of Utterance or None
-        One per job; None where festival could not say the text.
+        One per job; None where festival failed on the text.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def synthesise_batch(jobs: Sequence[Job]) -> list[Utterance | None]:
 
 
 def _commands(job: Job, stem: Path) -> str:
-    """Scheme that says one job; an error in it does not end the batch."""
+    """Scheme code of one job; an error in it does not end the batch."""
     text = job.text.replace("\\", " ").replace('"', " ").replace("\n", " ")
     return f"""(unwind-protect
  (begin
@@ -128,7 +128,7 @@ def _commands(job: Job, stem: Path) -> str:
 
 
 def _utterance(job: Job, stem: Path) -> Utterance | None:
-    """What festival wrote for one job; None if it wrote nothing or only silence."""
+    """Utterance of the files of one job; None if there are none or only silence."""
     try:
         waveform = read_waveform(stem.with_suffix(".wav"))
         segments = parse_labels(stem.with_suffix(".lab").read_text(encoding="latin-1"))

@@ -19,7 +19,7 @@ TIMEOUT_SECONDS = 60
 
 
 def missing() -> str | None:
-    """None if flite works here, else the reason and the package to install."""
+    """Return None if flite works here, else the reason and the package to install."""
     return None if shutil.which("flite") else MISSING
 
 
@@ -32,7 +32,7 @@ def synthesise(
     f0_stddev: float | None = None,
     style: str = "neutral",
 ) -> Utterance:
-    """Say `text`.
+    """Synthesise `text` with phone times.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def synthesise(
     ConfigError
         For an unknown voice or a number out of its range.
     DataError
-        If there is nothing to say.
+        If the text gives no speech.
     MissingError
         If flite is not installed.
     """
@@ -96,12 +96,12 @@ def synthesise(
 def parse_durations(listing: str) -> list[tuple[float, float, str]]:
     """Timed phones of flite's ``-psdur`` listing: ``pau:0.164 hh:0.255 ...`` (phone:end).
 
-    A listing of several utterances starts again at 0; the times here go on.
+    A listing of several utterances starts again at 0; the returned times increase throughout.
 
     Parameters
     ----------
     listing : str
-        What flite printed.
+        Output of flite.
 
     Returns
     -------
@@ -126,5 +126,5 @@ def _run(command: list[str], text: str) -> str:
             command, capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=True
         )
     except (subprocess.SubprocessError, OSError, ValueError) as error:
-        raise DataError(f"text={text!r} cannot be said by flite: {error}") from error
+        raise DataError(f"text={text!r} cannot be synthesised by flite: {error}") from error
     return done.stdout

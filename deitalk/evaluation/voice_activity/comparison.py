@@ -30,8 +30,8 @@ SNRS_DB = (20, 15, 10, 5, 0)
 CHOICE_SNRS_DB = (10, 0)
 """Levels at which operating points are chosen."""
 CLEAN_SNR_DB = 50
-"""Pink noise under clean speech: the padding of a dataset and the pauses of speech engines are
-digital silence, which no microphone gives."""
+"""Level of pink noise under clean speech: the padding of a dataset and the pauses of speech engines
+are digital silence, which does not occur in recordings."""
 
 Condition = tuple[str, int]
 """Name of the noise and speech-to-noise ratio in dB."""
@@ -45,10 +45,10 @@ class Example:
     waveform: Float32
     labels: Labels
     group: str
-    """Where the speech is from: ``espeak``, ``librispeech``, ..."""
+    """Source of the speech: ``espeak``, ``librispeech``, ..."""
 
-    def heard(self, condition: Condition, noises: dict[str, Float32], seed: int) -> Float32:
-        """The speech in noise that begins anywhere in its recording [shape=(S,)]."""
+    def mixed(self, condition: Condition, noises: dict[str, Float32], seed: int) -> Float32:
+        """The speech in noise from a random position of the noise's recording [shape=(S,)]."""
         name, snr_db = condition
         noise = noises[name]
         start = np.random.default_rng(seed).integers(len(noise))
@@ -102,7 +102,7 @@ def choose_setting(
     if len(detector.settings) == 1:
         return detector.settings[0]
     counts: dict[tuple[Setting, Condition], Counts] = defaultdict(Counts)
-    for waveform, condition, example in _heard(examples, conditions, noises):
+    for waveform, condition, example in _mixture(examples, conditions, noises):
         modes = {setting.mode for setting in detector.settings}
         evidence = {mode: detector.evidence(waveform, mode) for mode in modes}
         for setting in detector.settings:
@@ -121,9 +121,9 @@ def compare(
     conditions: Sequence[Condition],
     noises: dict[str, Float32],
 ) -> Results:
-    """Score detectors at their operating points; all hear the same mixtures."""
+    """Score detectors at their operating points on the same mixtures."""
     results: Results = defaultdict(Counts)
-    for waveform, condition, example in _heard(examples, conditions, noises):
+    for waveform, condition, example in _mixture(examples, conditions, noises):
         for detector, setting in detectors.items():
             begun = process_time()
             active = decide(detector.evidence(waveform, setting.mode), setting)
@@ -135,12 +135,12 @@ def compare(
     return dict(results)
 
 
-def _heard(
+def _mixture(
     examples: Sequence[Example], conditions: Sequence[Condition], noises: dict[str, Float32]
 ) -> Iterator[tuple[Float32, Condition, Example]]:
     for seed, example in enumerate(examples):
         for condition in conditions:
-            yield example.heard(condition, noises, seed), condition, example
+            yield example.mixed(condition, noises, seed), condition, example
 
 
 COLUMNS: tuple[tuple[str, Callable[[Counts], str]], ...] = (
@@ -200,9 +200,9 @@ def run(
     folder : Path
         Dataset folder whose clips have phones.
     noise, music : str
-        As `named_noises` reads them.
+        As for `deitalk.audio.noise.named_noises`.
     names : sequence of str
-        Of detectors.
+        Names of detectors.
     per_group : int
         Most clips of each source of speech, for choosing and for scoring.
 

@@ -1,4 +1,4 @@
-"""Detectors to compare: ours, silero-vad's ONNX model and WebRTC's; the last two are optional.
+"""Detectors to compare: deitalk's, silero-vad's ONNX model and WebRTC's; the last two are optional.
 
 Letters: S samples at 16 kHz, T rig frames at 30 Hz.
 """
@@ -17,7 +17,7 @@ from rig.arrays import AnyFloat, Bool, Float32
 LONGEST_GAP = 6
 """Frames (0.2 s) without speech that are bridged in the output of other packages' detectors."""
 WIDENINGS = (0, 1, 2, 3)
-"""Frames added before and after speech: the choices."""
+"""Candidates of frames added before and after speech."""
 SILERO_CHUNK, SILERO_CONTEXT = 512, 64  # samples
 WEBRTC_CHUNK = 160  # samples, 10 ms
 
@@ -35,7 +35,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Detector:
-    """A source of evidence for speech, and the operating points to choose from."""
+    """A function that gives evidence for speech, and its candidate operating points."""
 
     name: str
     evidence: Callable[[Float32, int], Float32]

@@ -16,9 +16,9 @@ from deitalk.postprocess.gates import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
 from rig.arrays import Bool
 
 SHORTEST_PAUSE_SECONDS = 0.2
-"""Silences up to this are closures of stop consonants: speech."""
+"""Longest silence within speech, seconds: closures of stop consonants."""
 COLLAR_SECONDS = 0.05
-"""Frames this close to the edge of a pause are not scored."""
+"""Distance from the edge of a pause within which frames are not scored, seconds."""
 ONSET_SECONDS = 0.1
 SHUT = 0.1
 """Mouth gate below which the mouth counts as shut."""
@@ -26,14 +26,14 @@ SHUT = 0.1
 
 @dataclass(frozen=True)
 class Labels:
-    """What every frame of a clip is; a frame that is neither speech nor pause is not scored."""
+    """Labels of every frame of a clip; a frame that is neither speech nor pause is not scored."""
 
     speech: Bool
     """[shape=(T,)]."""
     pause: Bool
     """[shape=(T,)]."""
     settled: Bool
-    """Pause frames that the mouth gate's fades beside speech do not reach [shape=(T,)]."""
+    """Pause frames outside the mouth gate's fades beside speech [shape=(T,)]."""
     onsets: tuple[float, ...]
     """Seconds at which speech begins after a pause [length N]."""
 
@@ -82,13 +82,13 @@ def _silences(phones: Sequence[tuple[float, float, str]]) -> list[tuple[float, f
 
 @dataclass(frozen=True)
 class Counts:
-    """What a detector did on some clips; sums of clips are sums of counts."""
+    """Counts of a detector over clips; they add up over clips."""
 
     speech: int = 0
     hits: int = 0
     """Speech frames found."""
     shut: int = 0
-    """Speech frames at which the mouth gate holds the mouth shut."""
+    """Speech frames at which the mouth gate shuts the mouth."""
     pause: int = 0
     alarms: int = 0
     """Pause frames taken for speech."""

@@ -11,10 +11,10 @@ PAGE = Path("deitalk/preview/app/index.html")
 
 
 class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
-    """Run ``npm install && npm run build`` beside this file unless the page is there already."""
+    """Run ``npm install && npm run build`` beside this file unless the page exists."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Make the page if that is possible, and put it into the wheel."""
+        """Build the page if npm is installed, and add it to the wheel."""
         root = Path(self.root)
         web = root / "deitalk/preview/web"
         if version == "standard" and not (root / PAGE).is_file():
@@ -27,7 +27,7 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
         if npm is None or not (web / "package.json").is_file():
             self.app.display_warning(
                 "no npm: the package is built without its preview page; "
-                "`deitalk preview -o page.html` will say how to get it"
+                "`deitalk preview -o page.html` gives the steps to build it"
             )
             return
         for command in (["install", "--no-audit", "--no-fund"], ["run", "build"]):

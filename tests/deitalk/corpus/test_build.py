@@ -97,7 +97,7 @@ def test_a_folder_begun_with_another_seed_is_refused(tmp_path):
 
 def test_shards_without_a_clip_are_an_error_not_a_crash(tmp_path):
     shard = Shard("recording-000", "recording", 0.0, 1)
-    with pytest.raises(DataError, match="not one clip was made"):
+    with pytest.raises(DataError, match="no clip was made"):
         build(tmp_path, [shard], workers=1)
     assert tuple(pd.read_csv(tmp_path / "shards" / "recording-000.csv").columns) == COLUMNS
 

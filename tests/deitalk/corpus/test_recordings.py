@@ -90,5 +90,5 @@ def test_tables_that_promise_too_much(tmp_path):
     with pytest.raises(DataError, match=r"clips\.csv lacks the column\(s\) audio, transcript"):
         recordings(tmp_path)
     table.write_text("audio,transcript\nb.wav,Hello\n")
-    with pytest.raises(DataError, match=r"names .*b\.wav, which is not there"):
+    with pytest.raises(DataError, match=r"names .*b\.wav, which does not exist"):
         recordings(tmp_path)

@@ -86,7 +86,7 @@ def test_models_without_such_attention_say_so():
     class Other:
         frontend = torch.nn.Linear(1, 1)
 
-    with pytest.raises(CheckpointError, match=r"wav2vec 2\.0, which has no temporal attention"):
+    with pytest.raises(CheckpointError, match=r"wav2vec 2\.0, without temporal attention"):
         attention_of(Other(), speech())
 
 

@@ -173,7 +173,7 @@ def test_command_refuses_what_it_cannot_do(tmp_path, shapes):
     missing = run(tmp_path / "none.csv", *common)
     assert "does not exist" in str(missing.exception)
     (tmp_path / "empty").mkdir()
-    assert "holds no curves" in str(run(tmp_path / "empty", *common).exception)
+    assert "has no curves" in str(run(tmp_path / "empty", *common).exception)
     odd = run(tmp_path / "none.csv", *common, "--method", "magic")
     assert "'magic' is unknown" in str(odd.exception)
 
