@@ -1,4 +1,4 @@
-# Self-describing: `make help`.
+# `make help` lists the targets.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -24,7 +24,7 @@ $(BIN)/.installed-dev: $(BIN)/.installed
 
 setup: $(BIN)/.installed  ## Make .venv with the package in it
 
-setup-dev: $(BIN)/.installed-dev  ## The same with everything tests and checks need
+setup-dev: $(BIN)/.installed-dev  ## The same with the packages of tests and checks
 
 demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folder
 	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
@@ -38,13 +38,13 @@ deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/pr
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)
 
-test: setup-dev  ## Run the tests, a file to a core
+test: setup-dev  ## Run the tests, one file per core
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: setup-dev  ## Run the slow tests too
 	$(BIN)/python -m pytest -m "slow or not slow"
 
-check: lint type test  ## Everything a change must pass
+check: lint type test  ## All checks of a change
 
 lint: setup-dev
 	$(BIN)/ruff check .
@@ -57,7 +57,7 @@ format: setup-dev  ## Format the code
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-train-tiny: setup  ## Corpus of two minutes and a training of six steps, end to end
+train-tiny: setup  ## Build a corpus of two minutes and train six steps
 	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
 	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
 
@@ -79,5 +79,5 @@ sample:  ## Synthesise the bundled sample (needs flite)
 	$(PYTHON) -c "import soundfile as s; p='docs/samples/promise'; s.write(p+'.flac', *s.read(p+'.wav'))"
 	rm docs/samples/promise.wav
 
-clean:  ## Remove what the other targets made
+clean:  ## Remove the results of the other targets
 	rm -rf $(VENV) take runs corpus .pytest_cache .mypy_cache .ruff_cache

@@ -1,4 +1,4 @@
-"""A dataset folder of a few seconds, written by hand: clicks that the jaw answers."""
+"""A synthetic dataset folder of a few seconds: bursts of sound with the jaw open."""
 
 from pathlib import Path
 

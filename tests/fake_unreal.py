@@ -1,9 +1,9 @@
-"""A stand-in for Unreal's Python module that is strict where Unreal is.
+"""A substitute for Unreal's Python module with the checks of Unreal.
 
 Signatures and types follow Unreal's generated API pages: AnimationDataController's bracket, frame
 rate and number of frames; AnimationLibrary's curves; ControlRigSequencerLibrary's plural setters;
-AssetImportTask. It keeps what was written, for tests to look at. It is no proof that the script
-runs in Unreal: it is proof that the script calls what the pages describe.
+AssetImportTask. It keeps the written values for tests. It shows that the script calls the documented
+interfaces, not that the script runs in Unreal.
 """
 
 from types import ModuleType
@@ -196,7 +196,7 @@ class ScopedSlowTask:
 
 
 def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeUnit"):
-    """Return a module with one level sequence open and some assets there."""
+    """Return a module with one open level sequence and some assets."""
     module = ModuleType("unreal")
     unit = type(time_unit, (), {"DISPLAY_RATE": f"{time_unit}.DISPLAY_RATE"})
     module.assets = {path: object() for path in skeletons}

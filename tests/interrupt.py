@@ -1,7 +1,7 @@
-"""Stops a piece of code at one of its writes, as ``kill -9`` would: nothing is cleaned up after it.
+"""Interruption of code at one of its writes, as by ``kill -9``: nothing is cleaned up.
 
-Python reports every open, rename and removal to audit hooks. After the chosen one each further
-write fails too, so that the folder stays as the killed process would leave it.
+Python reports every open, rename and removal to audit hooks. From the chosen write on every write
+fails, so that the folder stays in the state of a killed process.
 """
 
 import os
@@ -13,11 +13,11 @@ _ONE_PATH = ("os.remove", "os.mkdir", "os.rmdir", "os.truncate")
 
 
 class Killed(BaseException):
-    """Nobody handles it, as nobody handles signal 9."""
+    """Exception that no handler catches, like signal 9."""
 
 
 class _Watch:
-    """What the one hook of this process counts; a hook can never be removed."""
+    """Counter of the one audit hook of this process; hooks cannot be removed."""
 
     root: str | None = None
     left = 0
@@ -44,7 +44,7 @@ class _Watch:
             path = os.fsdecode(path)
         if not isinstance(path, str | os.PathLike):
             return False
-        # A bare name is one that a removal of a whole folder works through.
+        # A bare name belongs to the removal of a whole folder.
         return os.fspath(path).startswith(str(self.root)) or os.sep not in os.fspath(path)
 
 
@@ -53,9 +53,9 @@ _is_installed = False
 
 
 def kill_at_write(number: int, root: Path, run: Callable[[], object]) -> int:
-    """Run until write `number` (from 1) below `root`, which does not happen; return the writes.
+    """Run up to write `number` (from 1) below `root`, which is prevented; return the writes.
 
-    A run with fewer writes ends as usual.
+    A run with fewer writes ends normally.
     """
     global _is_installed
     if not _is_installed:

@@ -21,7 +21,7 @@ def write_sound(
     picture: bool = False,
     title: str | None = None,
 ) -> Path:
-    """Encode samples (N, C) in the usual way of the suffix, beside a picture if asked."""
+    """Encode samples (N, C) with the usual codec of the suffix, optionally with a picture."""
     options = {"movflags": "+faststart"} if faststart and path.suffix[1:] in ("m4a", "mp4") else {}
     formats = {"m4a": "mp4", "mka": "matroska", "mkv": "matroska", "aac": "adts", "wma": "asf"}
     kind = formats.get(path.suffix[1:], path.suffix[1:])

@@ -1,4 +1,4 @@
-"""Outputs of the embedded models on the bundled sample, to hold a restructuring to.
+"""Outputs of the embedded models on the bundled sample, for comparison after a restructuring.
 
 ::
 
@@ -51,7 +51,7 @@ def difference(name: str, before: np.ndarray, after: np.ndarray) -> float:
 
 
 def main(verb: str, path: str) -> int:
-    """Write or compare; the exit code says whether outputs are equal."""
+    """Write or compare; the exit code is 1 if outputs differ."""
     now = outputs()
     if verb == "write":
         np.savez_compressed(path, **now)  # type: ignore[arg-type]

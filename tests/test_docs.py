@@ -1,4 +1,4 @@
-"""What the pages on formats say is what the code does."""
+"""Agreement of the pages on formats with the code."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_list_of_formats_is_what_the_command_prints():
+def test_list_of_formats_equals_the_output_of_the_command():
     from deitalk.cli import convert as module
 
     app = typer.Typer()
@@ -36,7 +36,7 @@ def test_functions_of_the_script_exist(page):
         assert f"def {function}(" in script
 
 
-def test_counts_the_pages_name():
+def test_counts_of_the_pages_equal_those_of_the_code():
     from rig import default_controls
     from rig.conversion.arkit import arkit_controls
     from rig.conversion.raw import raw_controls

@@ -1,4 +1,4 @@
-"""docs/api.md says what the docstrings say, and callers get the types the signatures promise."""
+"""Agreement of docs/api.md with the docstrings, and the exported types."""
 
 import importlib
 import importlib.util
@@ -74,7 +74,7 @@ deitalk.animate("a.wav", intensity="loud")
 
 
 @pytest.mark.slow
-def test_type_hints_reach_a_user_s_own_code(tmp_path):
+def test_type_hints_are_exported(tmp_path):
     pytest.importorskip("mypy")
     for package in ("deitalk", "rig"):
         assert (ROOT / package / "py.typed").is_file()

@@ -21,7 +21,7 @@ PAGE = (ROOT / "docs/dataset.md").read_text(encoding="utf-8")
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    """The folder that the page's Python makes."""
+    """The folder made by the Python code of the page."""
     folder = tmp_path_factory.mktemp("page")
     (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     with pytest.MonkeyPatch.context() as patch:
@@ -31,7 +31,7 @@ def example(tmp_path_factory):
 
 
 def columns():
-    """Column -> whether the page says it is needed."""
+    """Column -> whether it is required according to the page."""
     rows = re.findall(r"^\| `(\w+)` \| (yes|no) \|", PAGE, re.M)
     return {name: needed == "yes" for name, needed in rows}
 
@@ -39,8 +39,8 @@ def columns():
 def test_page_names_every_column():
     named = columns()
     assert [name for name, needed in named.items() if needed] == list(REQUIRED)
-    said = reader.__doc__.split("clips.csv             ")[1].split("\n    audio/")[0]
-    assert set(named) == set(re.findall(r"\w+", said))
+    listing = reader.__doc__.split("clips.csv             ")[1].split("\n    audio/")[0]
+    assert set(named) == set(re.findall(r"\w+", listing))
     assert set(COLUMNS) <= set(named)
 
 
@@ -51,7 +51,7 @@ def test_page_states_the_numbers_of_the_code():
         assert option in DataConfig.model_fields
 
 
-def test_example_is_read_as_the_page_says(example):
+def test_example_is_read_as_described(example):
     anna, ben = read_clips(example)
     assert (anna.name, anna.emotion, anna.speaker, anna.split) == (
         "anna_01", "happy", "anna", "train",
@@ -68,7 +68,7 @@ def test_example_has_no_errors(example):
         assert checks[name].level == "ok", checks[name]
 
 
-def test_example_gives_windows_to_train_on(example):
+def test_example_gives_training_windows(example):
     config = load_config(ROOT / "configs/tiny.yaml")
     batches = Batches(read_clips(example, "train"), default_controls(), config.data, 0, 2)
     window = next(iter(batches))

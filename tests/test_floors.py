@@ -33,12 +33,12 @@ FLOORS = {
         limits arrays
     """,
 }
-"""Names of folders and modules, the highest floor first; `deitalk` stands on all of `rig`."""
+"""Names of folders and modules, the highest floor first; `deitalk` may import all of `rig`."""
 PUBLIC = ("__init__", "__main__")
-"""Hand names to the outside; `deitalk.__version__` is taken from there."""
+"""Modules that export names; `deitalk.__version__` is imported from there."""
 MOST_FILES, MOST_LINES = 16, 400
 ONE_A_THING = ("rig/formats", "deitalk/cli")
-"""Folders with a file a format, or a file a verb."""
+"""Folders with one file per format or per command."""
 
 
 def floors(package: str) -> dict[str, int]:
@@ -56,7 +56,7 @@ def module_of(path: Path) -> str:
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Modules that a tree imports, wherever in it, with their lines."""
+    """Modules imported anywhere in a tree, with their lines."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
@@ -76,9 +76,11 @@ def room(module: str) -> str:
 
 
 @pytest.mark.parametrize("package", FLOORS)
-def test_every_room_has_a_floor(package):
+def test_every_folder_has_a_floor(package):
     rooms = {room(module_of(path)) for path in files(package)} - set(PUBLIC)
-    assert rooms - {"unreal"} == set(floors(package))  # the script in Unreal stands alone
+    assert rooms - {"unreal"} == set(
+        floors(package)
+    )  # the script in Unreal imports nothing of the package
 
 
 @pytest.mark.parametrize("package", FLOORS)
@@ -98,7 +100,7 @@ def test_files_import_from_lower_floors_only(package):
 
 @pytest.mark.parametrize("package", FLOORS)
 def test_modules_form_no_circle(package):
-    """Of what is imported when a module is loaded."""
+    """Circles of imports at the load of a module."""
     graph: dict[str, set[str]] = {}
     for path in files(package):
         tree = ast.parse(path.read_text(encoding="utf-8"))

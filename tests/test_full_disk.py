@@ -1,6 +1,6 @@
-"""A disk that fills up at any point of a command: one line, old files intact, nothing left over.
+"""A full disk at any point of a command: one line, old files intact, no other file left.
 
-Each command writes to a tmpfs with room for a share of what it needs.
+Each command writes to a tmpfs with space for a share of its files.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from rig.curves import RigCurves
 from rig.mesh import TriMesh, write_obj
 from tests.deitalk.pipeline.test_curves import SMALL
 
-PAGE = 4096  # bytes; what a tmpfs rounds files up to
+PAGE = 4096  # bytes; the block of a tmpfs
 SHARES = (0.0, 0.04, 0.3, 0.6, 0.9, 0.99)
 
 
@@ -101,7 +101,7 @@ def state(folder):
 
 
 def leave_free(disk, n_bytes):
-    """Fill the disk but for some bytes; return the file that fills it."""
+    """Fill the disk except for some bytes; return the file that fills it."""
     ballast = disk / "ballast"
     n_fill = shutil.disk_usage(disk).free - max(n_bytes // PAGE * PAGE, 0)
     with ballast.open("wb") as file:
@@ -123,7 +123,7 @@ def test_full_disk_leaves_old_files_and_no_others(
     assert code == 0, lines
     needed = free - shutil.disk_usage(disk).free
     written = state(out)
-    for force in (True, False):  # first over what is there, then anew
+    for force in (True, False):  # first over existing files, then without them
         if not force:
             shutil.rmtree(out)
             out.mkdir()
@@ -134,14 +134,14 @@ def test_full_disk_leaves_old_files_and_no_others(
             code, lines = run(arguments + ["--force"] * force, monkeypatch, capfd)
             ballast.unlink()
             after = state(out)
-            if code == 0:  # it needed less than the first time: sparse or equal pages
+            if code == 0:  # fewer pages than the first time: sparse or equal pages
                 assert share >= 0.9
                 break
-            told = [line for line in lines if line.startswith("deitalk: ")]
-            assert len(told) == 1 and "space" in told[0].lower(), lines
+            messages = [line for line in lines if line.startswith("deitalk: ")]
+            assert len(messages) == 1 and "space" in messages[0].lower(), lines
             assert not any("Traceback" in line for line in lines)
             assert after == before, (share, set(after) ^ set(before))
-    if name != "take":  # whose take.json says when it was written
+    if name != "take":  # its take.json has the time of writing
         code, lines = run([*arguments, "--force"], monkeypatch, capfd)
         assert code == 0 and state(out) == written
     shutil.rmtree(out)

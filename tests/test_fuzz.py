@@ -1,4 +1,4 @@
-"""A thousand fuzzed inputs of every reader: read, or refused in one line, and never slowly.
+"""A thousand fuzzed inputs of every reader: read, or refused in one line, within the time limit.
 
 ``python -m tests.fuzz --count 100000`` is the nightly size, in workers of bounded memory.
 """
@@ -34,7 +34,7 @@ def test_every_seed_is_read(name, tmp_path):
             assert attempt(READERS[name], tmp_path / seed.name) == "", seed.name
 
 
-def test_a_reader_that_fails_is_found(tmp_path):
+def test_failing_reader_is_reported(tmp_path):
     def read(path):
         return int(path.read_bytes())
 
@@ -43,7 +43,7 @@ def test_a_reader_that_fails_is_found(tmp_path):
     assert outcome.failures and outcome.failures[0][1].startswith("ValueError")
 
 
-def test_a_worker_that_hangs_or_takes_memory_is_ended(tmp_path, monkeypatch):
+def test_worker_that_hangs_or_exceeds_memory_is_ended(tmp_path, monkeypatch):
     pytest.importorskip("resource", reason="limits of memory need Unix")
     monkeypatch.setattr(run, "SECONDS", 0.3)
     monkeypatch.setattr(run, "PATIENCE", 2)
@@ -61,5 +61,5 @@ def test_a_worker_that_hangs_or_takes_memory_is_ended(tmp_path, monkeypatch):
         seed = Seed("n.txt", data, lambda rng, same, corpus: same)
         hungry = Reader(lambda folder, seed=seed: [seed], read)
         *_, outcome = run.in_workers(hungry, "n", 0, 2, 0, tmp_path / reason)
-        assert [said.startswith(reason) for _, said in outcome.failures] == [True, True]
+        assert [reply.startswith(reason) for _, reply in outcome.failures] == [True, True]
         assert reason in (tmp_path / reason / "failures.txt").read_text()

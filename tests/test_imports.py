@@ -1,4 +1,4 @@
-"""The structure as tests: who may import whom, what a command line loads, one version."""
+"""Structure of the packages: allowed imports, modules loaded by a command line, one version."""
 
 import ast
 import importlib
@@ -46,7 +46,7 @@ def test_imports_point_down_only(path):
         assert not imported(path) & HEAVY
 
 
-def test_the_walk_sees_imports_inside_functions(tmp_path):
+def test_walk_finds_imports_inside_functions(tmp_path):
     path = tmp_path / "x.py"
     path.write_text(
         "def f():\n    import torch.nn\n    from deitalk.training.curves import train\n"
@@ -55,7 +55,7 @@ def test_the_walk_sees_imports_inside_functions(tmp_path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_every_module_imports_and_keeps_what_it_promises(path):
+def test_every_module_imports_and_has_its_exported_names(path):
     if imported(path) & {"unreal", "bpy"} or path.name == "__main__.py":
         compile(path.read_text(encoding="utf-8"), str(path), "exec")
         return

@@ -22,7 +22,7 @@ def kill(command: str, rounds: int) -> None:
     assert f"{rounds} equal" in done.stdout and " 0 failures" in done.stdout
 
 
-def test_a_killed_conversion_leaves_whole_files_and_succeeds_again():
+def test_killed_conversion_leaves_complete_files_and_succeeds_again():
     kill("convert", 4)
 
 
@@ -30,7 +30,7 @@ def test_a_killed_conversion_leaves_whole_files_and_succeeds_again():
 @pytest.mark.parametrize(
     "command", ["animate-new", "animate-replace", "train", "corpus", "preview", "receive"]
 )
-def test_a_killed_command_leaves_whole_files_and_succeeds_again(command):
+def test_killed_command_leaves_complete_files_and_succeeds_again(command):
     kill(command, 3)
 
 

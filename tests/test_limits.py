@@ -1,4 +1,4 @@
-"""Limits: one place, one page, and what is read at and refused above each."""
+"""Limits: one module, one page, accepted values at each limit and refused ones above it."""
 
 import ast
 import re
@@ -31,7 +31,7 @@ def test_page_states_every_limit_with_its_value():
     }
 
 
-def test_every_limit_gives_its_reason():
+def test_every_limit_has_a_reason():
     body = ast.parse((ROOT / "rig" / "limits.py").read_text(encoding="utf-8")).body
     for node, following in zip(body, [*body[1:], None], strict=True):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
@@ -62,7 +62,7 @@ def one_curve(n_frames):
     return RigCurves(np.zeros((n_frames, 1), np.float32), ("jaw",), 120, control_set="own")
 
 
-def test_clip_of_most_frames_is_held_and_one_more_is_not():
+def test_clip_of_most_frames_is_accepted_and_a_longer_one_is_not():
     assert len(one_curve(limits.FRAMES)) == 1_296_000
     with pytest.raises(CurveError, match="1296001 frames; at most 1296000"):
         one_curve(limits.FRAMES + 1)
@@ -74,7 +74,7 @@ def test_most_values_bound_frames_times_curves():
         check_clip(2**16 + 1, 2**12)
 
 
-def test_frames_are_counted_before_they_are_made():
+def test_frames_are_counted_before_memory_is_taken():
     with pytest.raises(CurveError, match="at most 1296000"):
         rest_curves(10**12)
     with pytest.raises(CurveError, match="at most 1296000"):
@@ -82,11 +82,11 @@ def test_frames_are_counted_before_they_are_made():
 
 
 @pytest.mark.parametrize("fps", [limits.FPS_LOWEST, limits.FPS_HIGHEST])
-def test_rates_at_the_limits_are_held(fps):
+def test_rates_at_the_limits_are_accepted(fps):
     assert one_curve(1).resample(fps).fps == fps
 
 
 @pytest.mark.parametrize("fps", [0.0099, 1000.1, 1e-300, 1e308])
-def test_rate_rejects_what_is_beyond_the_limits(fps):
+def test_rates_beyond_the_limits_are_refused(fps):
     with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
         one_curve(1).resample(fps)

@@ -18,7 +18,7 @@ PARSES_OPTIONS = ("cli", "unreal", "web")
 
 
 def texts(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Texts within `raise` statements, and where they stand."""
+    """Texts within `raise` statements, and their places."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise):
             for part in ast.walk(node):
@@ -27,7 +27,7 @@ def texts(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 def options(source: str) -> list[str]:
-    """Options that messages name, but for those of a pip command."""
+    """Options in messages, except those of a pip command."""
     return [
         f"{line}: {text}"
         for line, text in texts(ast.parse(source))

@@ -1,4 +1,4 @@
-"""The README and the other pages say what is so: their code, commands and files exist."""
+"""Code, commands, files, tests and make targets of the README and the other pages exist."""
 
 import re
 from pathlib import Path
@@ -29,13 +29,13 @@ def test_python_of_the_readme_runs(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
-def test_files_the_pages_link_to_exist(page):
+def test_linked_files_of_the_pages_exist(page):
     for target in re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text()):
         assert (ROOT / page).parent.joinpath(target).exists(), target
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
-def test_commands_the_pages_type_exist_with_their_options(page):
+def test_commands_of_the_pages_exist_with_their_options(page):
     commands = get_command(app).commands
     text = (ROOT / page).read_text()
     for line in re.findall(r"(?:^|`|time )deitalk ([a-z][^\n#`]*)", text, re.M):
@@ -50,14 +50,14 @@ def test_commands_the_pages_type_exist_with_their_options(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
-def test_tests_the_pages_name_exist(page):
+def test_tests_of_the_pages_exist(page):
     text = (ROOT / page).read_text()
     for file, _, word in re.findall(r"pytest (tests/\w+\.py)( -k (\w+))?", text):
         assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
-def test_make_targets_the_pages_name_exist(page):
+def test_make_targets_of_the_pages_exist(page):
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / page).read_text(), re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target

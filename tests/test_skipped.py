@@ -1,4 +1,4 @@
-"""The option that lists skipped tests, so that they can be run where nothing is missing."""
+"""The option that lists skipped tests for a later run."""
 
 import subprocess
 import sys

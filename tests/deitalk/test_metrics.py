@@ -21,11 +21,11 @@ SCORES = st.lists(st.integers(0, 6), min_size=1, max_size=30)  # small integers:
 def test_parameter_error_by_hand():
     target = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     predicted = np.array([[0.1, 0.9, -0.3], [0.8, 1.0, 1.0]])
-    # the largest square in columns 0 and 2: 0.09 then 0.04; column 1 is no member
+    # the largest square in columns 0 and 2: 0.09 then 0.04; column 1 is not in the set
     assert parameter_error(target, predicted, np.array([0, 2])) == pytest.approx((0.09 + 0.04) / 2)
 
 
-def test_each_error_looks_at_its_own_controls():
+def test_each_error_uses_its_own_controls():
     controls = default_controls()
     target = np.zeros((4, len(controls.names)))
     lips, brows = target.copy(), target.copy()
@@ -50,7 +50,7 @@ def test_area_against_all_pairs(positive, negative):
     assert area == pytest.approx(np.mean(wins))
 
 
-def test_area_without_events_is_unknown():
+def test_area_without_events_is_nan():
     none, some = np.zeros(0), np.ones(3)
     assert np.isnan(area_under_curve(none, some))
     assert np.isnan(area_under_curve(some, none))
@@ -64,7 +64,7 @@ def test_hit_rate_by_hand():
     assert hit_rate(np.array([95.0, 95.5, 96.0, 3.0]), negative, false_alarms=0.5) == 0.75
 
 
-def test_correlation():
+def test_correlation_by_hand():
     a = np.array([1.0, 2.0, 3.0, 4.0])
     assert correlation(a, 5 - 2 * a) == pytest.approx(-1)
     # means 2.5 and 2: products -1.5*-2 + -.5*1 + .5*2 + 1.5*-1 = 2, norms 5 and 10

@@ -114,7 +114,7 @@ _CHANGES: tuple[Mutation, ...] = (
 
 
 def mutated_json(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> bytes:
-    """Change values of a JSON tree, or now and then its text."""
+    """Change values of a JSON tree, or sometimes its text."""
     if rng.random() < 0.3:
         return mutated(rng, data, corpus)
     try:
@@ -145,7 +145,7 @@ def _changed(rng: random.Random, tree: object) -> object:
 
 
 def mutated_npz(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> bytes:
-    """Change an array's header or numbers inside an archive that stays whole, or the archive."""
+    """Change an array's header or numbers inside a valid archive, or the archive."""
     if rng.random() < 0.25:
         return mutated(rng, data, corpus)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -167,14 +167,14 @@ def mutated_npz(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> byt
     stream = io.BytesIO()
     kind = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
     with zipfile.ZipFile(stream, "w", kind) as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of names that come twice
+        warnings.simplefilter("ignore")  # of duplicate names
         for name, content in members:
             archive.writestr(name, content)
     return stream.getvalue()
 
 
 def _npy_header(rng: random.Random, content: bytes) -> bytes:
-    """Another shape or type in the header of an array, its length kept true."""
+    """Another shape or type in the header of an array, with a correct header length."""
     end = content.find(b"\n") + 1
     header = content[10:end]
     shape = ",".join(str(rng.choice((0, 1, 2, 3, 1000, 10**6, 10**9, 10**18, -1))) for _ in range(rng.randrange(4)))  # fmt: skip
@@ -190,7 +190,7 @@ def _npy_header(rng: random.Random, content: bytes) -> bytes:
 
 
 def mutated_glb(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> bytes:
-    """Change the JSON of a GLB whose chunks stay whole, or its bytes."""
+    """Change the JSON of a GLB with valid chunks, or its bytes."""
     if rng.random() < 0.3 or len(data) < 20:
         return mutated(rng, data, corpus)
     (length,) = struct.unpack_from("<I", data, 12)
@@ -202,7 +202,7 @@ def mutated_glb(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> byt
 
 
 def mutated_safetensors(rng: random.Random, data: bytes, corpus: Sequence[bytes]) -> bytes:
-    """Change the header of a weight file, its length kept true, or its bytes."""
+    """Change the header of a weight file, with a correct header length, or its bytes."""
     if rng.random() < 0.3 or len(data) < 8:
         return mutated(rng, data, corpus)
     length = int.from_bytes(data[:8], "little")

@@ -1,4 +1,4 @@
-"""Every reader with its seeds: small files that our own writers made, and how they are mutated."""
+"""Every reader with its seeds: small files of our own writers, and their mutations."""
 
 import io
 import json
@@ -25,7 +25,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 @dataclass(frozen=True)
 class Seed:
-    """A good file: its name in the folder, its bytes and how it is mutated."""
+    """A valid file: its name in the folder, its bytes and its mutation."""
 
     name: str
     data: bytes
@@ -34,7 +34,7 @@ class Seed:
 
 @dataclass(frozen=True)
 class Reader:
-    """What is fuzzed.
+    """A reader to fuzz.
 
     Parameters
     ----------
@@ -274,14 +274,14 @@ def _read_model_file(path: Path) -> object:
         return read_weights(path)
     try:
         return read_templates(path.parent, ["a", "b"])
-    except (ValueError, LookupError, TypeError) as error:  # as `load_sdfa` turns them
+    except (ValueError, LookupError, TypeError) as error:  # as in `load_sdfa`
         from deitalk.errors import CheckpointError
 
         raise CheckpointError(error) from None
 
 
 def _read_whole_model(path: Path) -> object:
-    """Load the model folder whose one file this is; the others are good."""
+    """Load a model folder with this file and otherwise valid files."""
     import shutil
     import tempfile
 
@@ -371,4 +371,4 @@ def readers() -> dict[str, Reader]:
 
 
 SLOW = ("model-load", "audio")
-"""Too slow for a thousand inputs in the tests of every change."""
+"""Readers that are too slow for a thousand inputs in the tests of every change."""

@@ -1,4 +1,4 @@
-"""Run a reader on fuzzed inputs in workers with bounded memory and time, and keep what fails.
+"""Run a reader on fuzzed inputs in workers with bounded memory and time, and keep failing inputs.
 
 An input is one of: read; refused in one line (UserError); or a failure: any other
 exception or warning, a message that is too long or of several lines, more than the time, or a
@@ -30,7 +30,7 @@ _BATCH = 2000
 
 @dataclass
 class Outcome:
-    """What became of the inputs of one reader."""
+    """Results of the inputs of one reader."""
 
     read: int = 0
     refused: int = 0
@@ -39,7 +39,7 @@ class Outcome:
 
 
 def attempt(reader: Reader, path: Path) -> str:
-    """Read one file: "" if read, "refused", or what went wrong."""
+    """Read one file: "" if read, "refused", or the failure."""
     try:
         reader.read(path)
     except UserError as error:
@@ -94,7 +94,7 @@ def _batch(
     reader: Reader, name: str, seeds: list[Seed], first: int, stop: int, seed: int, folder: Path,
     outcome: Outcome, keep: Path,
 ) -> int:  # fmt: skip
-    """One worker's inputs; returns the first that it did not reach."""
+    """Inputs of one worker; returns the first that was not reached."""
     pipe, write = os.pipe()
     child = os.fork()
     if child == 0:
@@ -113,10 +113,10 @@ def _batch(
             break
         *lines, buffer = (buffer + data).split(b"\n")
         for line in lines:
-            said = line.decode("utf-8", "replace")
-            _count(outcome, now, said)
-            if said not in ("", "refused"):
-                _keep(keep, name, seeds, now, seed, said)
+            reply = line.decode("utf-8", "replace")
+            _count(outcome, now, reply)
+            if reply not in ("", "refused"):
+                _keep(keep, name, seeds, now, seed, reply)
             now += 1
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
@@ -129,7 +129,7 @@ def _batch(
 
 
 def _waited(pipe: int, child: int) -> str:
-    """Wait until a worker says something: "", or that it takes too long."""
+    """Wait for output of a worker: "", or the message of a timeout."""
     begun, used = time.monotonic(), _processor_seconds(child)
     while not select.select([pipe], [], [], SECONDS / 10)[0]:
         spent = _processor_seconds(child) - used
@@ -147,7 +147,7 @@ def _work(
     reader: Reader, name: str, seeds: list[Seed], first: int, stop: int, seed: int, folder: Path,
     write: int,
 ) -> None:  # fmt: skip
-    """In the child: bounded memory, one line of text for every input."""
+    """Work of the child: bounded memory, one line of text per input."""
     import resource
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
@@ -156,8 +156,8 @@ def _work(
     warnings.simplefilter("error")
     for index in range(first, stop):
         path = _written(folder, seeds, f"{name}:{seed}:{index}")
-        said = attempt(reader, path).replace("\n", "\\n")
-        os.write(write, said.encode("utf-8", "replace") + b"\n")
+        reply = attempt(reader, path).replace("\n", "\\n")
+        os.write(write, reply.encode("utf-8", "replace") + b"\n")
     signal.pause()
 
 
@@ -167,25 +167,25 @@ def _written(folder: Path, seeds: list[Seed], key: str) -> Path:
     return folder / file
 
 
-def _count(outcome: Outcome, index: int, said: str) -> None:
-    if said == "":
+def _count(outcome: Outcome, index: int, reply: str) -> None:
+    if reply == "":
         outcome.read += 1
-    elif said == "refused":
+    elif reply == "refused":
         outcome.refused += 1
     else:
-        outcome.failures.append((index, said))
+        outcome.failures.append((index, reply))
 
 
-def _keep(folder: Path, name: str, seeds: list[Seed], index: int, seed: int, said: str) -> None:
+def _keep(folder: Path, name: str, seeds: list[Seed], index: int, seed: int, reply: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     file, data = input_of(seeds, f"{name}:{seed}:{index}")
     (folder / f"{name}-{seed}-{index}-{file}").write_bytes(data)
     with (folder / "failures.txt").open("a") as log:
-        log.write(f"{name} {seed} {index} {file}: {said}\n")
+        log.write(f"{name} {seed} {index} {file}: {reply}\n")
 
 
 def fuzz_reader(task: tuple[str, int, int, int, Path]) -> int:
-    """Fuzz one reader and print what came out; returns the number of failures."""
+    """Fuzz one reader and print the results; returns the number of failures."""
     name, start, count, seed, keep = task
     begun = time.monotonic()
     *_, outcome = in_workers(readers()[name], name, start, start + count, seed, keep)
@@ -194,7 +194,7 @@ def fuzz_reader(task: tuple[str, int, int, int, Path]) -> int:
         f"{name}: {count} inputs in {seconds:.0f} s ({count / seconds:.0f}/s), {outcome.read} read, "
         f"{outcome.refused} refused, {len(outcome.failures)} failed\n"
     )
-    for index, said in outcome.failures[:20]:
-        sys.stdout.write(f"  {index}: {said}\n")
+    for index, reply in outcome.failures[:20]:
+        sys.stdout.write(f"  {index}: {reply}\n")
     sys.stdout.flush()
     return len(outcome.failures)

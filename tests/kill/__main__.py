@@ -15,28 +15,28 @@ from .rounds import Rounds
 
 
 def main() -> int:
-    """Run the rounds of every command asked for; return 1 if one failed."""
+    """Run the rounds of every given command; return 1 if one failed."""
     commands = all_commands()
     parser = argparse.ArgumentParser(prog="python -m tests.kill", description=__doc__)
     parser.add_argument("--command", action="append", choices=[*commands, "all"], required=True)
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, help="keep failed rounds here")
-    asked = parser.parse_args()
-    names = list(commands) if "all" in asked.command else asked.command
+    given = parser.parse_args()
+    names = list(commands) if "all" in given.command else given.command
     # Not a TemporaryDirectory: a forked command would remove it as it ends.
-    work = asked.work or Path(tempfile.mkdtemp(prefix="kill-"))
+    work = given.work or Path(tempfile.mkdtemp(prefix="kill-"))
     os.environ["DEITALK_CACHE"] = str(work / "cache")
     failed = 0
     for name in names:
-        failed += _run(name, Rounds(commands[name], work / name, asked.seed), asked.rounds)
-    if not failed and asked.work is None:
+        failed += _run(name, Rounds(commands[name], work / name, given.seed), given.rounds)
+    if not failed and given.work is None:
         shutil.rmtree(work)
     return int(failed > 0)
 
 
 def _run(name: str, rounds: Rounds, count: int) -> int:
-    """Run and report; return how many rounds failed."""
+    """Run and report; return the number of failed rounds."""
     began, failed = time.monotonic(), 0
     for number in range(count):
         try:

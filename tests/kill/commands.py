@@ -22,7 +22,7 @@ NOTES = "the user's own\n"
 
 @dataclass(frozen=True)
 class Command:
-    """A command line and what it needs."""
+    """A command line, its inputs and expectations."""
 
     arguments: tuple[str, ...]
     prepare: Callable[[Path], None]
@@ -30,11 +30,11 @@ class Command:
     target: str
     """File or folder that is written, below that folder."""
     user_files: tuple[str, ...]
-    """Files that are the user's, written before the command runs."""
+    """Files of the user, written before the command runs."""
     refusals: tuple[str, ...] = ()
-    """Words of errors that are right: the target is complete already, or nothing was received."""
+    """Words of accepted errors: the target is complete already, or nothing was received."""
     feed: Callable[[Process], None] = lambda process: None
-    """Gives the running command what it waits for."""
+    """Sends input to the running command."""
 
 
 def all_commands() -> dict[str, Command]:
@@ -88,7 +88,7 @@ def _old_take(folder: Path, seconds: float = 0.8) -> None:
     """A take of another emotion, with files of the user in it."""
     _speech(folder, seconds)
     process = Process(("animate", "speech.wav", "-e", "sad", "-o", "take"), folder)
-    assert process.wait() == 0, process.said
+    assert process.wait() == 0, process.printed
     process.close()
     (folder / "take" / "sub").mkdir()
     for name in ("take/mine.txt", "take/sub/mine.txt"):
@@ -118,7 +118,7 @@ def _packets(process: Process) -> None:
     from rig.livelink import Packet, encode
 
     process.wait(partial(_listens, process), seconds=20)
-    found = re.search(r"listening on 127\.0\.0\.1:(\d+)", process.said)
+    found = re.search(r"listening on 127\.0\.0\.1:(\d+)", process.printed)
     if not found:
         return
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
@@ -130,4 +130,4 @@ def _packets(process: Process) -> None:
 
 
 def _listens(process: Process) -> bool:
-    return "listening on" in process.said
+    return "listening on" in process.printed

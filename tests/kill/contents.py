@@ -1,4 +1,4 @@
-"""What lies in a folder: whole files, comparable with those of another run."""
+"""Contents of a folder: complete files, comparable with those of another run."""
 
 import hashlib
 import io
@@ -43,13 +43,13 @@ def check_whole(folder: Path) -> None:
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """Values of all files: equal for two runs that did the same."""
+    """Values of all files; equal for two equal runs."""
     found: dict[str, object] = {}
     for name in files(folder):
         data = (folder / name).read_bytes()
         if name.suffix == ".json":
             found[str(name)] = _lasting(json.loads(data))
-        elif name.suffix in (".pt", ".mp4", ".html"):  # which hold times or random names
+        elif name.suffix in (".pt", ".mp4", ".html"):  # with times or random names
             found[str(name)] = READERS[name.suffix](data)
         else:
             found[str(name)] = hashlib.sha256(data).hexdigest()

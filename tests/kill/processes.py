@@ -1,4 +1,4 @@
-"""One command line in a forked process: the imports, which take seconds, are done once."""
+"""One command line in a forked process, with imports done once."""
 
 import importlib
 import os
@@ -16,9 +16,9 @@ STUCK_SECONDS = 120.0
 
 
 def prepare(modules: Path) -> None:
-    """Import what a run wrote to `modules`; one thread, for a fork copies no others."""
+    """Import the modules listed in `modules`; one thread, because a fork copies no others."""
     for name in modules.read_text().split():
-        with suppress(Exception):  # some are made by others, or are for other systems
+        with suppress(Exception):  # some are created by others, or for other systems
             importlib.import_module(name)
     import torch
 
@@ -31,24 +31,24 @@ class Process:
     Parameters
     ----------
     arguments : sequence of str
-        After ``deitalk``.
+        Arguments after ``deitalk``.
     folder : Path
-        Where it runs.
+        Working folder.
     """
 
     def __init__(self, arguments: Sequence[str], folder: Path) -> None:
         self._reading, writing = os.pipe()
         self.began = time.monotonic()
-        self.said = ""
+        self.printed = ""
         self.pid = os.fork()
         if self.pid == 0:
             _run(arguments, folder, writing)
         os.close(writing)
 
     def wait(self, until: Callable[[], bool] = lambda: False, seconds: float = 1e9) -> int | None:
-        """Wait for the end; return the exit code, minus the signal, or None if `until` came first.
+        """Wait for the end; return the exit code, minus the signal, or None if `until` is true first.
 
-        `until` is asked about every millisecond.
+        `until` is called about every millisecond.
         """
         end = min(time.monotonic() + seconds, self.began + STUCK_SECONDS)
         while time.monotonic() < end:
@@ -61,7 +61,7 @@ class Process:
             time.sleep(0.0005)
         if time.monotonic() >= self.began + STUCK_SECONDS:
             os.kill(self.pid, signal.SIGKILL)
-            raise AssertionError(f"did not end within {STUCK_SECONDS:g} s: {self.said}")
+            raise AssertionError(f"did not end within {STUCK_SECONDS:g} s: {self.printed}")
         return None
 
     def signal(self, number: int) -> int:
@@ -72,12 +72,12 @@ class Process:
         return code
 
     def read(self) -> None:
-        """Take what was printed so far."""
+        """Read the output so far."""
         while select.select([self._reading], [], [], 0)[0]:
             data = os.read(self._reading, 65536)
             if not data:
                 break
-            self.said += data.decode(errors="replace")
+            self.printed += data.decode(errors="replace")
 
     def close(self, seconds: float = 10.0) -> None:
         """Wait until all processes that share the command's output have ended.
@@ -94,13 +94,13 @@ class Process:
                 if not data:
                     os.close(self._reading)
                     return
-                self.said += data.decode(errors="replace")
+                self.printed += data.decode(errors="replace")
         os.close(self._reading)
         raise AssertionError(f"a process of the command is left after {seconds:g} s")
 
 
 def _run(arguments: Sequence[str], folder: Path, output: int) -> None:
-    """Become the command; never returns."""
+    """Run the command in this process; does not return."""
     code = 1
     try:
         os.setpgid(0, 0)
@@ -124,11 +124,11 @@ def _run(arguments: Sequence[str], folder: Path, output: int) -> None:
 
 
 def _finish(code: int) -> int:
-    """Do what the interpreter does at its end, which `os._exit` leaves out."""
+    """Run the interpreter's clean-up, which `os._exit` leaves out."""
     import atexit
     import gc
 
-    gc.collect()  # what an exception's frames hold is finished, as when an interpreter ends
+    gc.collect()  # finalises objects held by an exception's frames
     if MODULES in os.environ:
         Path(os.environ[MODULES]).write_text("\n".join(list(sys.modules)))
     atexit._run_exitfuncs()

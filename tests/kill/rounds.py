@@ -1,4 +1,4 @@
-"""One round: start, kill, look, start again, compare. Many rounds: their counts."""
+"""Rounds of start, kill, check, restart and comparison, and their counts."""
 
 import os
 import shutil
@@ -27,7 +27,7 @@ class Reference:
     contents: dict[str, object]
     seconds: float
     changes: list[float]
-    """Seconds at which something at the target was seen to change."""
+    """Seconds at which the target changed."""
 
 
 class Rounds:
@@ -36,11 +36,11 @@ class Rounds:
     Parameters
     ----------
     command : Command
-        What to start.
+        Command to start.
     work : Path
-        An empty folder for all that is made.
+        An empty folder for all files.
     seed : int
-        Of the moments.
+        Seed of the moments.
     """
 
     def __init__(self, command: Command, work: Path, seed: int) -> None:
@@ -57,7 +57,7 @@ class Rounds:
         assert again.contents == self.reference.contents, "two uninterrupted runs differ"
 
     def _import(self) -> None:
-        """Run once and import here what that imported: later processes are forked with it."""
+        """Run once and import its modules here, so that later processes are forked with them."""
         modules = self.work / "modules"
         os.environ[MODULES] = str(modules)
         self._measure("first")
@@ -70,7 +70,7 @@ class Rounds:
         Raises
         ------
         AssertionError
-            If something is not as it must be; the folder stays for a look.
+            If a check fails; the folder is kept.
         """
         folder = self.work / f"round-{number}"
         shutil.copytree(self.template, folder)
@@ -94,14 +94,14 @@ class Rounds:
         while (code := process.wait(changed)) is None:
             changes.append(time.monotonic() - process.began)
         seconds = time.monotonic() - process.began
-        assert code == 0, process.said
+        assert code == 0, process.printed
         process.close()
         check_whole(folder)
         assert not hidden(folder), hidden(folder)
         return Reference(contents(folder), seconds, changes)
 
     def _kill(self, folder: Path, number: int) -> None:
-        """Start the command, end it at a random moment, and look."""
+        """Start the command, end it at a random moment, and check the files."""
         reference, rng = self.reference, self.rng
         changed = _changes(folder / self.command.target)
         process = Process(self.command.arguments, folder)
@@ -122,18 +122,18 @@ class Rounds:
         if code is None:
             code = process.signal(number)
         process.close()
-        self._look(folder, number, code, process.said)
+        self._look(folder, number, code, process.printed)
 
     def _feed_unless(self, process: Process, moment: float) -> None:
-        """Feed the command unless it dies before it could be fed."""
+        """Send input to the command unless it ends first."""
         if moment > self.reference.seconds / 2:
             self.command.feed(process)
 
-    def _look(self, folder: Path, number: int, code: int, said: str) -> None:
+    def _look(self, folder: Path, number: int, code: int, output: str) -> None:
         self.counts["killed" if code == -number else "stopped" if code > 128 else "ended"] += 1
         stopped = 128 + signal.SIGTERM
-        is_known = code in (0, -number, stopped) or (code == 1 and self._refuses(said))
-        assert is_known, f"exit code {code}: {said}"
+        is_known = code in (0, -number, stopped) or (code == 1 and self._refuses(output))
+        assert is_known, f"exit code {code}: {output}"
         check_whole(folder)
         for name in self.command.user_files:
             same = (folder / name).read_bytes() == (self.template / name).read_bytes()
@@ -142,28 +142,28 @@ class Rounds:
             assert not hidden(folder), f"left after SIGTERM: {hidden(folder)}"
 
     def _finish(self, folder: Path) -> None:
-        """The same command again: it succeeds, and its outcome is the uninterrupted one's."""
+        """Run the command again: it succeeds with the result of the uninterrupted run."""
         process = Process(self.command.arguments, folder)
         self.command.feed(process)
         code = process.wait()
         process.close()
-        assert code == 0 or (code == 1 and self._refuses(process.said)), (
-            f"the same command again: exit code {code}: {process.said}"
+        assert code == 0 or (code == 1 and self._refuses(process.printed)), (
+            f"the same command again: exit code {code}: {process.printed}"
         )
-        self._look(folder, signal.SIGKILL, code, process.said)
+        self._look(folder, signal.SIGKILL, code, process.printed)
         assert not hidden(folder), f"left at the end: {hidden(folder)}"
         found, expected = contents(folder), self.reference.contents
         different = [n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n)]
         assert not different, f"other than uninterrupted: {', '.join(sorted(different))}"
         self.counts["equal"] += 1
 
-    def _refuses(self, said: str) -> bool:
-        """Whether the command says why it has nothing to write."""
-        return any(words in said for words in self.command.refusals)
+    def _refuses(self, output: str) -> bool:
+        """Whether the output has an accepted error."""
+        return any(words in output for words in self.command.refusals)
 
 
 def _changes(target: Path) -> Callable[[], bool]:
-    """A function that tells whether something at or beside the target changed since it was asked."""
+    """A function that returns whether the target or its folder changed since the last call."""
     last = _state(target)
 
     def changed() -> bool:
@@ -181,7 +181,7 @@ def _state(target: Path) -> list[tuple[str, int, int]]:
         try:
             with os.scandir(folder) as entries:
                 stats = [(entry.path, entry.stat()) for entry in entries]
-        except OSError:  # not there, or renamed while it was looked at
+        except OSError:  # missing, or renamed in the meantime
             continue
         found += [(path, stat.st_size, stat.st_mtime_ns) for path, stat in stats]
     return sorted(found)

@@ -1,4 +1,4 @@
-"""Every option of every command with values that make no sense: one line, before any work."""
+"""Every option of every command with invalid values: one line, before any work."""
 
 import inspect
 import sys
@@ -19,7 +19,7 @@ HUGE = str(10**30)
 
 
 def functions(group, *path):
-    """Every command as (words to type, function)."""
+    """Every command as (words of the command line, function)."""
     for command in group.registered_commands:
         yield (*path, command.name or command.callback.__name__), command.callback
     for below in group.registered_groups:
@@ -27,7 +27,7 @@ def functions(group, *path):
 
 
 def command_of(path):
-    """What typer makes of a command."""
+    """The command object of typer."""
     found = get_command(app)
     for word in path:
         found = found.commands[word]
@@ -35,7 +35,7 @@ def command_of(path):
 
 
 def rows():
-    """Every parameter that takes a value: (words to type, name, option or None, types)."""
+    """Every parameter with a value: (words of the command line, name, option or None, types)."""
     for path, function in functions(app):
         made = {parameter.name: parameter for parameter in command_of(path).params}
         for name, parameter in inspect.signature(function).parameters.items():
@@ -72,14 +72,14 @@ def refused(monkeypatch, capsys, tmp_path):
 
 
 def typed(command, option, value):
-    """A command line with the option, and a file that is not there for every argument."""
+    """A command line with the option, and a missing file for every argument."""
     arguments = [
         "no-such-file" for p in command_of(command.split()).params if not p.opts[0].startswith("-")
     ]
     return [*command.split(), *arguments, f"{option}={value}"]
 
 
-def test_the_table_knows_the_options():
+def test_table_has_all_options():
     named = {(command, option) for command, _, option, _ in ROWS}
     assert {("animate", "--fps"), ("convert", "--gain"), ("livelink receive", "--port")} <= named
     assert len(FLOATS) >= 15 and len(INTEGERS) >= 15 and len(PATHS) >= 30
@@ -87,14 +87,14 @@ def test_the_table_knows_the_options():
 
 @pytest.mark.parametrize("value", NUMBERS)
 @pytest.mark.parametrize(("command", "name", "option"), FLOATS)
-def test_fractions_reject_what_is_no_finite_number(refused, command, name, option, value):
+def test_fractions_reject_numbers_that_are_not_finite(refused, command, name, option, value):
     code, line = refused(*typed(command, option, value))
     assert code == 2 and option in line
 
 
 @pytest.mark.parametrize("value", [*NUMBERS, "1.5", HUGE, f"-{HUGE}"])
 @pytest.mark.parametrize(("command", "name", "option"), INTEGERS)
-def test_whole_numbers_reject_what_is_out_of_range(refused, command, name, option, value):
+def test_whole_numbers_reject_values_out_of_range(refused, command, name, option, value):
     code, line = refused(*typed(command, option, value))
     if command in ("livelink send", "livelink replay") and option == "--port" and "30" in value:
         assert code == 1 and "1 to 65535" in line
@@ -106,7 +106,7 @@ def test_whole_numbers_reject_what_is_out_of_range(refused, command, name, optio
     ("command", "option"), [(c, o) for c, n, o in INTEGERS if n in ("seed", "threads", "workers")]
 )
 @pytest.mark.parametrize("value", ["-1", "100000000000"])
-def test_seeds_and_threads_reject_what_no_machine_takes(refused, command, option, value):
+def test_seeds_and_threads_reject_values_out_of_range(refused, command, option, value):
     code, line = refused(*typed(command, option, value))
     assert code == 2 and option in line
 
@@ -129,12 +129,12 @@ def test_paths_reject_the_empty_name(refused, command, name, option):
     "device", ["meta", "mps:7", "cuda:", "cuda:-1", "gpu", "", "[red]", "CPU "]
 )
 @pytest.mark.parametrize("command", [c for c, n, _, _ in ROWS if n == "device"])
-def test_devices_reject_what_torch_has_no_name_for(refused, command, device):
+def test_devices_reject_unknown_names(refused, command, device):
     code, line = refused(*typed(command, "--device", device))
     assert code == 2 and repr(device) in line and "cuda:N" in line
 
 
-def test_devices_that_are_not_there_are_refused():
+def test_missing_devices_are_refused():
     import torch
 
     assert require_device("cpu") == check_device("cpu") == "cpu"
@@ -205,12 +205,12 @@ def test_livelink_receive_rejects_hostile_addresses(refused, host):
 @pytest.mark.parametrize(
     "options", [["--emotion", "furious"], ["--intensity", "-1"], ["--rig", "face"]]
 )
-def test_livelink_send_checks_what_only_a_recording_needs(refused, options):
+def test_livelink_send_checks_the_options_of_recordings(refused, options):
     assert refused("livelink", "send", "no-such-file", *options)[0] == 1
 
 
 @pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
-def test_preview_keeps_all_of_a_name_but_its_suffix(tmp_path, name):
+def test_preview_keeps_the_name_without_its_suffix(tmp_path, name):
     (tmp_path / "take.v2").mkdir()
     page, video = _beside(tmp_path / name)
     base = "preview" if name == "take.v2" else name.rpartition(".")[0]

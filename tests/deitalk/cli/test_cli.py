@@ -1,4 +1,4 @@
-"""The commands, through their entry point, as a stranger types them."""
+"""The commands through their entry point."""
 
 import json
 import re
@@ -37,7 +37,7 @@ def speech(tmp_path):
 
 
 def deitalk(*arguments, stdin=None):
-    """Run the installed command in a process of its own."""
+    """Run the installed command in a separate process."""
     return subprocess.run(
         [sys.executable, "-m", "deitalk", *map(str, arguments)],
         input=stdin,
@@ -67,7 +67,7 @@ def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
     assert curves.values.shape == (45, 185)
 
 
-def test_animate_writes_one_file_by_its_suffix_and_tells_machines(tmp_path, model, speech):
+def test_animate_writes_one_file_by_its_suffix_and_prints_json(tmp_path, model, speech):
     out = tmp_path / "curves.json"
     done = deitalk("animate", speech, "--model", model, "-o", out, "--fps", 24, "--json")
     summary = json.loads(done.stdout)
@@ -87,21 +87,21 @@ def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech
 @pytest.mark.parametrize(
     ("options", "printed", "share"),
     [
-        (["-e", "happy"], "applied intensity 0.{heard} on average (0.{heard} heard", 1.0),
-        (["-e", "happy", "--intensity", "0"], "applied intensity 0.00 on average (0.{heard}", 0.0),
+        (["-e", "happy"], "applied intensity 0.{mean} on average (0.{mean} predicted", 1.0),
+        (["-e", "happy", "--intensity", "0"], "applied intensity 0.00 on average (0.{mean}", 0.0),
         (["-e", "happy", "--intensity-curve", "{still}"], "applied intensity 0.00 on", 0.0),
         ([], "emotion neutral: the neutral reading", 0.0),
     ],
 )
-def test_animate_says_which_intensity_was_applied(tmp_path, model, speech, options, printed, share):
+def test_animate_prints_the_applied_intensity(tmp_path, model, speech, options, printed, share):
     (tmp_path / "still.csv").write_text("time,intensity\n0,0\n")
     given = [option.format(still=tmp_path / "still.csv") for option in options]
     arguments = ["animate", speech, "--model", model, *given, "--force", "-o", f"{tmp_path}/c.npz"]
     summary = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     assert summary["mean_intensity"] > 0.1
     assert summary["mean_applied_intensity"] == pytest.approx(share * summary["mean_intensity"])
-    heard = f"{100 * summary['mean_intensity']:02.0f}"
-    assert printed.format(heard=heard) in CliRunner().invoke(app, arguments).stderr
+    mean = f"{100 * summary['mean_intensity']:02.0f}"
+    assert printed.format(mean=mean) in CliRunner().invoke(app, arguments).stderr
 
 
 def test_animate_reads_stdin(tmp_path, model, speech):
@@ -140,7 +140,7 @@ def test_animate_does_not_overwrite(tmp_path, model, speech):
     assert (tmp_path / "curves.csv").read_text() == "mine"
 
 
-def test_animate_replaces_a_file_when_told_to(tmp_path, model, speech):
+def test_animate_replaces_a_file_with_force(tmp_path, model, speech):
     out = tmp_path / "curves.csv"
     out.write_text("mine")
     done = deitalk("animate", speech, "--model", model, "-o", out, "--force")
@@ -148,8 +148,8 @@ def test_animate_replaces_a_file_when_told_to(tmp_path, model, speech):
     assert len(read_curves(out)) == 45
 
 
-def test_a_mistake_is_told_before_the_network_is_loaded(tmp_path):
-    """No time is lost on torch, whose import takes seconds, nor on a model that is not there."""
+def test_errors_are_reported_before_the_network_is_loaded(tmp_path):
+    """Errors are reported before torch is imported and before a missing model is."""
     script = (
         "import sys; from deitalk.cli import main; "
         f"sys.argv = ['deitalk', 'animate', 'no.wav', '-o', {str(tmp_path / 'take')!r}]\n"
@@ -175,7 +175,7 @@ def test_bad_audio_is_refused_in_one_line(tmp_path, model, name, data, expected)
     assert expected in line
 
 
-def test_all_silence_is_a_rest_face_not_an_error(tmp_path, model):
+def test_silence_gives_a_face_at_rest(tmp_path, model):
     soundfile.write(tmp_path / "quiet.wav", np.zeros(16_000), 16_000)
     out = tmp_path / "c.npz"
     done = deitalk("animate", tmp_path / "quiet.wav", "-e", "angry", "--model", model, "-o", out)
@@ -218,7 +218,7 @@ def test_model_info_names_hash_and_control_set(model):
     assert re.fullmatch("[0-9a-f]{64}", about["sha256"])
 
 
-def test_benchmark_prints_stages_and_the_paper(model):
+def test_benchmark_prints_stages_and_the_numbers_of_the_paper(model):
     done = CliRunner().invoke(
         app, ["benchmark", "--model", model, "--seconds", "1", "--repeats", "1", "--json"]
     )
@@ -240,7 +240,7 @@ def test_every_command_has_help_and_is_on_its_page():
             assert command.callback.__doc__, command.callback.__name__
 
 
-def test_help_is_quick_and_light():
+def test_help_is_fast_and_loads_no_heavy_package():
     script = (
         "import sys, deitalk.cli; "
         "print([m for m in ('torch', 'librosa', 'transformers', 'pandas') if m in sys.modules])"

@@ -1,4 +1,4 @@
-"""What commands print: plain text whatever files are called, and progress for logs."""
+"""Output of commands: plain text for any file name, and progress for logs."""
 
 import json
 import os
@@ -23,7 +23,7 @@ HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_names_that_look_like_markup_print_as_they_are(name, capsys):
+def test_names_that_look_like_markup_are_printed_unchanged(name, capsys):
     console().print(f"{name}: 3 frames")
     console().note(name)
     emit(name)
@@ -43,7 +43,7 @@ def test_names_that_look_like_markup_print_as_they_are(name, capsys):
         ("a\u2028b", r"a\u2028b"),
     ],
 )
-def test_one_line_escapes_what_terminals_cannot_hold(name, printed):
+def test_one_line_escapes_unprintable_characters(name, printed):
     assert as_line(name) == printed
     assert len(as_line(name).encode().splitlines()) == 1
 
@@ -60,7 +60,7 @@ def test_emit_json_writes_names_that_are_no_utf8(capsys):
 
 
 class Clock:
-    """Seconds that a test sets."""
+    """A clock whose seconds are set by a test."""
 
     now = 0.0
 
@@ -69,7 +69,7 @@ class Clock:
 
 
 def lines_of(seconds, steps):
-    """Progress of work that takes so many seconds in even steps."""
+    """Progress of work of a given duration in even steps."""
     clock, printed = Clock(), []
     advance = _Lines("working", lambda line: printed.append((clock.now, line)), clock)
     for step in range(1, steps + 1):
@@ -115,14 +115,14 @@ def test_bar_off_a_terminal_writes_lines_to_stderr(capsys, monkeypatch):
     assert capsys.readouterr().err == "[red]: 50% after 20 s, [/b]\n"
 
 
-def test_train_tells_steps_loss_and_evaluations():
-    from deitalk.cli.train import _told
+def test_train_shows_steps_loss_and_evaluations():
+    from deitalk.cli.train import _shown_on
 
-    told = []
-    progress = _told(lambda share, text, *, always: told.append((share, text, always)))
+    texts = []
+    progress = _shown_on(lambda share, text, *, always: texts.append((share, text, always)))
     progress(25, 100, {"total": 0.5, "learning_rate": 1e-3})
     progress(50, 100, {"dev_score": 0.25})
-    assert told == [
+    assert texts == [
         (0.25, "step 25 of 100, loss 0.5", False),
         (0.5, "step 50 of 100, score 0.25", True),
     ]
@@ -135,7 +135,7 @@ def test_commands_print_through_the_console_only():
             assert not re.search(r"typer\.echo|(?<![.\w])print\(|import rich|from rich", text), path
 
 
-def test_help_holds_nothing_that_reads_as_markup():
+def test_help_has_no_markup():
     for command in all_commands(get_command(app)):
         for text in [command.help, *(getattr(p, "help", "") for p in command.params)]:
             assert "[" not in (text or ""), f"{command.name}: {text}"

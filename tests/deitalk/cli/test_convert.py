@@ -78,7 +78,7 @@ def test_take_folder_gain_mirror_and_range(curves_file, tmp_path):
     assert curves["CTRL_C_jaw.ty"] == pytest.approx(source + 0.1, abs=1e-6)
 
 
-def test_live_link_becomes_board_unless_told_otherwise(curves_file, tmp_path):
+def test_live_link_becomes_board_by_default(curves_file, tmp_path):
     live_link = tmp_path / "S_1_a.csv"
     assert run("convert", curves_file, live_link, "--to", "livelink").exit_code == 0
     for rig, control_set in (
@@ -94,7 +94,7 @@ def test_live_link_becomes_board_unless_told_otherwise(curves_file, tmp_path):
     assert "use board, raw, arkit, as-is" in str(result.exception)
 
 
-def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
+def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
     (tmp_path / "out.csv").write_text("mine")
     result = run("convert", curves_file, tmp_path / "out.csv")
     assert isinstance(result.exception, ExistsError)
@@ -115,7 +115,7 @@ def test_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--start", "9"], "no frames"),
     ],
 )
-def test_mistakes_are_one_line(curves_file, tmp_path, arguments, message, monkeypatch):
+def test_errors_are_one_line(curves_file, tmp_path, arguments, message, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = run("convert", *[a.format(curves=curves_file) for a in arguments])
     assert isinstance(result.exception, (DeitalkError, RigError))
@@ -138,13 +138,13 @@ def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
 
 
 def skipped(words):
-    """Frames the sender left out to keep time, as it says itself."""
+    """Frames that the sender skipped to keep time, from its output."""
     found = re.search(r"(\d+) skipped", words)
     return int(found[1]) if found else 0
 
 
-def test_what_is_sent_is_received(curves_file, tmp_path):
-    """The commands against each other over the loopback."""
+def test_sent_frames_are_received(curves_file, tmp_path):
+    """`send` to `receive` over the loopback interface."""
     out = tmp_path / "T_1_anna.csv"
     command = [sys.executable, "-c", "from deitalk.cli.livelink import app; app()", "receive"]
     options = ["-o", str(out), "--port", "0", "--seconds", "15", "--idle", "0.5"]
@@ -155,21 +155,21 @@ def test_what_is_sent_is_received(curves_file, tmp_path):
         words = receiver.stderr.read().replace("\n", " ")
     assert sender.exit_code == 0 and receiver.returncode == 0
     lost = int(re.search(r"frames of 'anna', (\d+) lost", words)[1])
-    assert lost <= skipped(sender.stderr)  # a busy machine skips; what is sent arrives
+    assert lost <= skipped(sender.stderr)  # a busy machine skips frames; sent frames arrive
     take = read_take(out)
     jaw = take.values[:, take.names.index("JawOpen")]
     assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
 
 
 @pytest.mark.parametrize("protocol", ["json", "vmc"])
-def test_other_protocols_send(curves_file, protocol):
+def test_other_protocols_send_every_frame(curves_file, protocol):
     result = run("livelink", "replay", curves_file, "--protocol", protocol, "--port", 9)
     assert result.exit_code == 0
     sent = int(re.search(r"(\d+) frames in", result.stderr)[1])
     assert 30 <= sent + skipped(result.stderr) <= 31  # the rest frame may be counted
 
 
-def test_json_sends_the_rig_that_is_asked_for(curves_file):
+def test_json_sends_the_given_rig(curves_file):
     with Receiver(port=0) as probe:
         for rig, name in (("board", "CTRL_C_jaw.ty"), ("raw", "CTRL_expressions_jawOpen")):
             arguments = ["--protocol", "json", "--port", probe.port, "--rig", rig, "--fps", 60]
@@ -192,7 +192,7 @@ def test_start_signal_arrives_as_osc(curves_file):
         assert probe._socket.recv(100) == osc.message("/deitalk/start")
 
 
-def test_live_mistakes_are_one_line(curves_file, tmp_path, monkeypatch):
+def test_livelink_errors_are_one_line(curves_file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     (tmp_path / "audio.wav").write_bytes(b"")
     cases = [

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP: files are cleaned up, one line is said, a live recording is written."""
+"""SIGTERM and SIGHUP: files are cleaned up, one line is printed, a live recording is written."""
 
 import re
 import signal
@@ -56,9 +56,9 @@ def test_a_signal_removes_temporary_files_and_is_one_line(number, tmp_path):
         assert process.stdout.readline() == "writing\n"
         assert len(list(tmp_path.iterdir())) == 1
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=30)
     assert process.returncode == 128 + number
-    assert said.strip() == f"deitalk: stopped by {number.name}"
+    assert errors.strip() == f"deitalk: stopped by {number.name}"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -66,9 +66,9 @@ def test_ctrl_c_removes_temporary_files_and_is_one_line(tmp_path):
     with start("-c", WRITES_FOR_EVER, "write", str(tmp_path / "out.txt")) as process:
         process.stdout.readline()
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert said.strip() == "deitalk: stopped"
+    assert errors.strip() == "deitalk: stopped"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -95,9 +95,9 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
         sent = send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))
         time.sleep(0.3)
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 0, said
-    assert "frames of 'anna'" in said
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 0, errors
+    assert "frames of 'anna'" in errors
     assert len(read_take(out).ticks) >= sent.n_sent  # a busy machine skips frames
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
 
@@ -144,7 +144,7 @@ def test_held_signals_act_after_the_block(number, kind):
     assert reached == [[number]]
     with held() as signals:
         signal.raise_signal(number)
-        signals.clear()  # answered: nothing is raised
+        signals.clear()  # handled: nothing is raised
 
 
 def test_signals_that_nothing_handles_are_not_held():

@@ -42,7 +42,7 @@ def test_words_of_a_text():
 
 
 def test_known_times_are_recovered(spoken):
-    """Bilabials within 30 ms, half of the consonants within 15 ms of what flite says."""
+    """Bilabials within 30 ms, half of the consonants within 15 ms of flite's times."""
     found = align(spoken.waveform, spoken.text)
     truth = [p for p in spoken.phones if p.name != "SIL"]
     guess = [p for p in found if p.name != "SIL"]
@@ -74,7 +74,7 @@ def test_shifted_speech_shifts_its_phones(spoken):
     assert shifts == pytest.approx([0.25] * len(shifts), abs=0.021)
 
 
-def test_history_does_not_matter(spoken):
+def test_alignment_is_independent_of_earlier_recordings(spoken):
     alone = align(spoken.waveform, spoken.text)
     align(np.random.default_rng(0).normal(0, 0.1, 20_000), "some noise")
     assert align(spoken.waveform, spoken.text) == alone
@@ -89,7 +89,7 @@ def test_words_outside_the_dictionary_and_figures_are_aligned():
     assert [p.name for p in _named(found, ("P", "B", "F"))] == ["B", "P", "P", "F", "F", "B"]
 
 
-def test_letters_serve_where_espeak_is_missing(monkeypatch):
+def test_words_are_spelled_without_espeak(monkeypatch):
     monkeypatch.setattr(espeak, "missing", lambda: "espeak: not here")
     alignment.pronunciation.cache_clear()
     assert alignment.pronunciation("quizmop") == tuple("K W IH Z M AA P".split())
@@ -113,7 +113,7 @@ def test_wrong_words_are_refused(spoken):
     assert align_scored(spoken.waveform, spoken.text).reason is None
 
 
-def test_reasons_name_what_is_wrong(spoken):
+def test_reasons_name_the_fault(spoken):
     assert "holds no words" in align_scored(spoken.waveform, " ... ").reason
     assert "shorter than 0.1 s" in align_scored(np.zeros(100), "hello").reason
     short = [Phone(i * 0.03, (i + 1) * 0.03, "T") for i in range(9)]
@@ -140,14 +140,14 @@ def folder(tmp_path, spoken):
 
 
 def test_bad_recordings_are_dropped_with_reasons(folder, tmp_path):
-    told = []
+    reasons = []
     cache = tmp_path / "cache"
-    report = lambda done, total, recording, reason: told.append((done, total, reason))  # noqa: E731
+    report = lambda done, total, recording, reason: reasons.append((done, total, reason))  # noqa: E731
     (first,) = aligned_utterances(folder, workers=1, cache=cache, progress=report)
-    assert [(done, total) for done, total, _ in told] == [(1, 3), (2, 3), (3, 3)]
-    assert told[0][2] is None
-    assert "does not fit the words" in told[1][2] or "minimum" in told[1][2]
-    assert "not audio that can be read" in told[2][2]
+    assert [(done, total) for done, total, _ in reasons] == [(1, 3), (2, 3), (3, 3)]
+    assert reasons[0][2] is None
+    assert "does not fit the words" in reasons[1][2] or "minimum" in reasons[1][2]
+    assert "not audio that can be read" in reasons[2][2]
     assert (first.engine, first.style, first.language) == ("recording", "neutral", "en")
     assert first.text == TEXT
 

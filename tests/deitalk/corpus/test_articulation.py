@@ -1,4 +1,4 @@
-"""Dominance functions and contacts: what a viewer would see in the articulation of a phrase."""
+"""Dominance functions and contacts in the articulation of phrases."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from deitalk.corpus.utterance import Phone
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 
 
-def spoken(names: str, seconds: float = 0.09, silence: float = 0.5) -> list[Phone]:
+def phones_of(names: str, seconds: float = 0.09, silence: float = 0.5) -> list[Phone]:
     """Phones of equal length, with silence before and after."""
     phones, now = [Phone(0.0, silence, "SIL")], silence
     for name in names.split():
@@ -35,8 +35,10 @@ def spoken(names: str, seconds: float = 0.09, silence: float = 0.5) -> list[Phon
     return [*phones, Phone(now, now + silence, "SIL")]
 
 
-def said(names: str, seconds: float = 0.09, fps: float = 30.0) -> tuple[np.ndarray, list[Phone]]:
-    phones = spoken(names, seconds)
+def channels_of(
+    names: str, seconds: float = 0.09, fps: float = 30.0
+) -> tuple[np.ndarray, list[Phone]]:
+    phones = phones_of(names, seconds)
     return articulate(phones, int(np.ceil(phones[-1].end * fps)), fps), phones
 
 
@@ -89,7 +91,7 @@ def test_a_bilabial_is_a_contact_of_two_frames_with_a_shut_jaw(name, seconds, of
 
 @pytest.mark.parametrize("name", sorted(LABIODENTALS))
 def test_a_labiodental_bites_and_the_lips_stay_apart(name):
-    channels, _ = said(f"AA {name} AA", 0.07)
+    channels, _ = channels_of(f"AA {name} AA", 0.07)
     bitten = channels[:, BITE] >= 0.9
     assert longest_run(bitten) >= 2
     assert channels[bitten, TOGETHER].max() < 0.1 and channels[bitten, JAW].max() <= 0.3
@@ -97,26 +99,26 @@ def test_a_labiodental_bites_and_the_lips_stay_apart(name):
 
 @pytest.mark.parametrize("pair", ["M F", "V M", "P F", "F B", "V P", "M V"])
 @pytest.mark.parametrize("seconds", [0.04, 0.07])
-def test_neighbouring_contacts_of_two_kinds_are_both_seen(pair, seconds):
-    # "comfort", "of my": neither contact may swallow the other.
-    channels, _ = said(f"AH {pair} AH", seconds)
+def test_neighbouring_contacts_of_two_kinds_are_both_kept(pair, seconds):
+    # "comfort", "of my": both contacts must be present.
+    channels, _ = channels_of(f"AH {pair} AH", seconds)
     assert longest_run(channels[:, TOGETHER] >= 0.9) >= 2
     assert longest_run(channels[:, BITE] >= 0.9) >= 1
     assert not ((channels[:, TOGETHER] > 0.6) & (channels[:, BITE] > 0.6)).any()
 
 
-def test_silence_is_rest_exactly():
+def test_silence_is_exactly_rest():
     assert not articulate([Phone(0.0, 2.0, "SIL")], 60, 30.0).any()
     assert not articulate([], 10, 30.0).any()
-    channels, phones = said("B AA T", silence := 0.09)
+    channels, phones = channels_of("B AA T", silence := 0.09)
     times = np.arange(len(channels)) / 30
     assert channels[times > phones[-1].start + 0.4].max() < 0.02
     assert silence and channels[0].max() < 0.02
 
 
 def test_rounding_begins_in_the_consonants_before_a_rounded_vowel():
-    rounded, phones = said("S T UW", 0.08, fps=100)
-    spread, _ = said("S T IY", 0.08, fps=100)
+    rounded, phones = channels_of("S T UW", 0.08, fps=100)
+    spread, _ = channels_of("S T IY", 0.08, fps=100)
     vowel = phones[3].start
     early = round((vowel - 0.1) * 100)
     lips = rounded[:, [FUNNEL, PURSE]].sum(axis=1)
@@ -128,21 +130,21 @@ def test_rounding_begins_in_the_consonants_before_a_rounded_vowel():
 
 
 def test_a_closure_begins_later_than_rounding():
-    shut, phones = said("AA AA M AA", 0.1, fps=100)
+    shut, phones = channels_of("AA AA M AA", 0.1, fps=100)
     onset = np.flatnonzero(shut[:, TOGETHER] > 0.1)[0] / 100
     assert 0.0 < phones[3].start - onset < 0.12
 
 
 def test_a_diphthong_moves_from_its_first_target_to_its_second():
-    channels, phones = said("AY", 0.3, fps=100)
+    channels, phones = channels_of("AY", 0.3, fps=100)
     start, end = phones[1].start, phones[1].end
     early, late = (channels[round((start + share * (end - start)) * 100)] for share in (0.3, 0.9))
     assert early[JAW] > 0.7 and late[JAW] < 0.4
     assert late[STRETCH] > 0.5 > early[STRETCH]
 
 
-def test_stress_opens_the_jaw_and_nothing_else():
-    phones = spoken("T AA T")
+def test_stress_opens_only_the_jaw():
+    phones = phones_of("T AA T")
     plain = articulate(phones, 40, 30.0)
     loud = articulate(phones, 40, 30.0, np.array([1, 1, 1.2, 1, 1]))
     assert loud[:, JAW].max() > 1.1 * plain[:, JAW].max()
@@ -150,9 +152,9 @@ def test_stress_opens_the_jaw_and_nothing_else():
     np.testing.assert_array_equal(plain[:, others], loud[:, others])
 
 
-def test_time_is_what_the_frame_rate_says():
-    fast, _ = said("M AA F UW S", fps=120.0)
-    slow, _ = said("M AA F UW S", fps=30.0)
+def test_frame_times_follow_the_frame_rate():
+    fast, _ = channels_of("M AA F UW S", fps=120.0)
+    slow, _ = channels_of("M AA F UW S", fps=30.0)
     np.testing.assert_allclose(fast[::4][: len(slow)], slow, atol=1e-12)
 
 
@@ -179,7 +181,7 @@ def test_any_string_of_phones_stays_in_range_and_keeps_its_bilabials(drawn):
 
 
 def test_vowels_open_more_than_the_stops_between_them():
-    channels, phones = said("T AA T AA T", 0.12, fps=100)
+    channels, phones = channels_of("T AA T AA T", 0.12, fps=100)
     jaw = [channels[round((p.start + p.end) * 50), JAW] for p in phones[1:-1]]
     assert min(jaw[1], jaw[3]) > 1.3 * max(jaw[0], jaw[2], jaw[4])
     assert VOWELS.isdisjoint(BILABIALS | LABIODENTALS)

@@ -39,7 +39,7 @@ espeak = pytest.mark.skipif(
 
 
 def utterance(speaker: str = "test:anna", engine: str = "espeak") -> Utterance:
-    """A tone for every phone but the closures, which are silent."""
+    """A tone for every phone except the closures, which are silent."""
     names = "HH AA M AA T UW P IY".split()
     t = np.arange(RATE // 5) / RATE
     loud = (0.1 * np.sin(2 * np.pi * 150 * t) + 0.05 * np.sin(2 * np.pi * 1800 * t)).astype(
@@ -63,7 +63,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 @espeak
-def test_two_builds_are_equal_to_the_byte_and_a_lost_shard_alone_is_made_again(tmp_path):
+def test_builds_are_equal_to_the_byte_and_only_a_lost_shard_is_remade(tmp_path):
     shards = [Shard("espeak-000", "espeak", 3.0, 1), Shard("espeak-001", "espeak", 3.0, 2)]
     first, second = tmp_path / "first", tmp_path / "second"
     seconds: list[float] = []
@@ -95,14 +95,14 @@ def test_a_folder_begun_with_another_seed_is_refused(tmp_path):
         build(tmp_path, [replace(shards[0], seed=2)], workers=1)
 
 
-def test_shards_without_a_clip_are_an_error_not_a_crash(tmp_path):
+def test_shards_without_a_clip_are_refused(tmp_path):
     shard = Shard("recording-000", "recording", 0.0, 1)
     with pytest.raises(DataError, match="no clip was made"):
         build(tmp_path, [shard], workers=1)
     assert tuple(pd.read_csv(tmp_path / "shards" / "recording-000.csv").columns) == COLUMNS
 
 
-def test_speakers_stay_in_one_split_for_ever():
+def test_speaker_splits_are_fixed():
     known = {"librispeech:1272": "", "espeak:en-us+f3": "", "speechocean:0001": ""}
     for speaker in known:
         assert split_of(speaker) == split_of(speaker)
@@ -112,7 +112,7 @@ def test_speakers_stay_in_one_split_for_ever():
     assert {split_of(f"flite:{voice}") for voice in ("slt", "rms", "awb")} == {"train"}
 
 
-def test_hours_are_shared_among_the_engines_that_are_there():
+def test_hours_are_shared_among_available_engines():
     shards = synthetic_shards(2.0, 7, ("espeak", "flite"))
     total = {e: sum(s.seconds for s in shards if s.engine == e) for e in ("espeak", "flite")}
     assert sum(total.values()) == pytest.approx(7200)
@@ -122,7 +122,7 @@ def test_hours_are_shared_among_the_engines_that_are_there():
     assert synthetic_shards(2.0, 8, ("espeak",))[0].seed != shards[0].seed
 
 
-def test_ages_come_with_the_recordings_into_a_folder_that_is_built_already(tmp_path):
+def test_ages_are_added_to_a_built_folder(tmp_path):
     found = [Recording(Path("1.wav"), "hello", "a:1"), Recording(Path("2.wav"), "hello", "a:2")]
     shard = Shard("recording-000", "recording", 0.0, 1, tuple(found))
     (tmp_path / "shards").mkdir()
@@ -150,7 +150,7 @@ def test_every_recording_is_in_one_shard():
     assert [s.fingerprint for s in moved] == [s.fingerprint for s in shards]
 
 
-def test_padding_moves_the_phones_with_the_sound(rng):
+def test_padding_shifts_phones_and_sound_equally(rng):
     plain = utterance()
     padded = _pad(plain, rng)
     lead = padded.phones[0].end
@@ -169,7 +169,7 @@ def quietest(waveform: np.ndarray, phone: Phone) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_performance_keeps_phones_curves_and_sound_together(seed):
+def test_phones_curves_and_sound_of_a_performance_agree_in_time(seed):
     take = perform(utterance(), np.random.default_rng(seed))
     assert len(take.channels) == len(take.intensity)
     assert len(take.channels) == int(np.ceil(len(take.waveform) * CURVE_RATE / RATE - 1e-9))
@@ -190,7 +190,7 @@ def test_a_performance_keeps_phones_curves_and_sound_together(seed):
             assert take.channels[round((phone.start + phone.end) / 2 * CURVE_RATE), 1] > 0.9
 
 
-def test_recordings_that_evaluate_keep_their_prosody():
+def test_recordings_of_evaluation_splits_keep_their_prosody():
     for split, kept in (("validation", True), ("test", True), ("train", False)):
         plain = utterance(speaker_of(split), "recording")
         ratios, levels = [], []
@@ -218,7 +218,7 @@ def test_stress_follows_the_level_of_the_vowels():
     assert stress[1] < stress[3] and stress[2] == 1, "consonants are not stressed"
 
 
-def test_the_speech_span_leaves_silence_out():
+def test_speech_span_excludes_silence():
     padded = _pad(utterance(), np.random.default_rng(0))
     assert speech_span(padded.phones) == (padded.phones[0].end, padded.phones[-1].start)
     assert speech_span((Phone(0, 1, "SIL"),)) is None

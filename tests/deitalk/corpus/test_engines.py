@@ -52,22 +52,22 @@ def test_espeak_of_the_package_is_preferred_to_the_system():
     assert has_voice == "True"
 
 
-def test_espeak_of_the_system_serves_without_the_package():
-    said = espeak_in_a_new_process("import sys; sys.modules['espeakng_loader'] = None\n")
-    if "MissingError" in said:
-        assert said.strip().endswith("pip install espeakng-loader")
+def test_espeak_of_the_system_is_used_without_the_package():
+    output = espeak_in_a_new_process("import sys; sys.modules['espeakng_loader'] = None\n")
+    if "MissingError" in output:
+        assert output.strip().endswith("pip install espeakng-loader")
     else:
-        assert said.startswith("libespeak-ng.so.1")
+        assert output.startswith("libespeak-ng.so.1")
 
 
-def test_espeak_finds_its_data_under_a_long_path(tmp_path):
+def test_espeak_works_with_a_long_data_path(tmp_path):
     package = package_of("espeakng_loader")
     folder = tmp_path.joinpath(*["long" * 20] * 3)
     folder.mkdir(parents=True)
     (folder / "espeak-ng-data").symlink_to(package / "espeak-ng-data")
     elsewhere = f"import espeakng_loader; espeakng_loader.get_data_path = lambda: {str(folder)!r}"
-    said = espeak_in_a_new_process(f"{elsewhere} + '/espeak-ng-data'\n")
-    assert said.endswith("True\n"), said
+    output = espeak_in_a_new_process(f"{elsewhere} + '/espeak-ng-data'\n")
+    assert output.endswith("True\n"), output
 
 
 def package_of(name: str) -> Path:
@@ -106,7 +106,7 @@ def test_utterances_are_labelled_from_end_to_end(engine):
 
 
 def test_silences_are_quiet_and_vowels_are_not(engine):
-    """The labels belong to this sound: a shift of 100 ms would break the gap."""
+    """The labels are in time: a shift of 100 ms would reduce the difference."""
     loud, quiet = [], []
     for u in _some(engine, 30):
         for p in u.phones:
@@ -127,19 +127,19 @@ def test_same_seed_gives_the_same_bytes(engine):
     assert [u.text for u in first] != [u.text for u in _some(engine, 12, seed=2)]
 
 
-def test_utterance_does_not_depend_on_what_was_said_before(needs_espeak):
+def test_utterance_does_not_depend_on_earlier_ones(needs_espeak):
     alone = espeak.synthesise("My papa bought a map.", voice="en-us", variant="f2")
     espeak.synthesise("Something else!", voice="en-us", variant="whisper", pitch=90)
     again = espeak.synthesise("My papa bought a map.", voice="en-us", variant="f2")
     assert alone.waveform.tobytes() == again.waveform.tobytes()
 
 
-def test_styles_are_the_five_emotions_and_neutral_changes_nothing():
+def test_styles_are_the_five_emotions_and_neutral_has_unit_factors():
     assert tuple(STYLE) == EMOTIONS
     assert vars(STYLE["neutral"]) == {"rate": 1, "pitch": 1, "pitch_range": 1, "volume": 1}
 
 
-def test_slower_and_faster_speech(needs_espeak, needs_flite):
+def test_rate_changes_the_duration(needs_espeak, needs_flite):
     text = "My brother moved the piano."
     slow, fast = (espeak.synthesise(text, rate=rate).duration_seconds for rate in (100, 200))
     assert slow > 1.5 * fast
@@ -147,7 +147,7 @@ def test_slower_and_faster_speech(needs_espeak, needs_flite):
     assert slow == pytest.approx(2 * fast, rel=0.05)
 
 
-def test_ssml_is_obeyed(needs_espeak):
+def test_ssml_rate_is_applied(needs_espeak):
     plain = espeak.synthesise("Oh no.")
     held = espeak.synthesise('<speak>Oh <prosody rate="35%">no.</prosody></speak>', ssml=True)
     assert held.duration_seconds > plain.duration_seconds + 0.1
@@ -155,7 +155,7 @@ def test_ssml_is_obeyed(needs_espeak):
 
 
 def test_voiceless_closures_are_silent(needs_espeak):
-    """The event comes at the burst; after the fix the first half of each P, T, K is closed."""
+    """The engine's event is at the burst; with closures the first half of each P, T, K is silent."""
     spoken = espeak.synthesise("A puppy took a packet to papa at the top of a cup.")
     levels = []
     for before, p in itertools.pairwise(spoken.phones):
@@ -180,7 +180,7 @@ def test_closure_moves_back_over_the_silent_run():
     assert fixed == [(0.0, pytest.approx(0.100), "AA"), (pytest.approx(0.100), 0.2, "P")]
 
 
-def test_closure_leaves_other_phones_and_pauses():
+def test_closure_keeps_other_phones_and_pauses():
     waveform, rate = _vowel_gap_burst()
     fricative = [(0.0, 0.160, "AA"), (0.160, 0.2, "F")]
     assert espeak.with_closures(waveform, rate, fricative) == fricative
@@ -196,11 +196,11 @@ def test_fused_events_are_divided():
     assert segments == [
         (0.0, 0.1, "P"),
         (0.1, pytest.approx(0.36), "EH"),
-        (pytest.approx(0.36), 1.0, "R"),  # a nameless event that sounds lengthens the phone before
+        (pytest.approx(0.36), 1.0, "R"),  # an unnamed event with sound lengthens the phone before
     ]
 
 
-def test_flite_listing_of_two_utterances_goes_on():
+def test_flite_listing_of_two_utterances_is_continuous():
     listing = "pau:0.2 hh:0.3 ax:0.4 \npau:0.1 b:0.25\n"
     assert flite.parse_durations(listing) == [
         (0.0, 0.2, "SIL"),
@@ -211,14 +211,14 @@ def test_flite_listing_of_two_utterances_goes_on():
     ]
 
 
-def test_festival_labels():
+def test_festival_labels_are_parsed():
     assert festival.parse_labels("#\n0.165 100 pau\n0.255 100 hh\n") == [
         (0.0, 0.165, "SIL"),
         (0.165, 0.255, "HH"),
     ]
 
 
-def test_festival_batch_survives_quotes_and_nothing_to_say():
+def test_festival_batch_accepts_quotes_and_empty_texts():
     if "slt" not in festival.voices():
         pytest.skip("needs the festival voice slt; apt-get install festival festvox-us-slt-hts")
     jobs = [festival.Job('He said "bob \\ up" (twice).'), festival.Job("..."), festival.Job("Bob.")]
@@ -228,13 +228,13 @@ def test_festival_batch_survives_quotes_and_nothing_to_say():
     assert [p.name for p in third.phones if p.name != "SIL"] == ["B", "AA", "B"]
 
 
-def test_every_foreign_voice_closes_its_lips(needs_espeak):
-    said = {}
+def test_every_foreign_voice_has_bilabials(needs_espeak):
+    output = {}
     for u in _some("espeak", 240):
         names = {p.name for p in u.phones}
-        said.setdefault(u.language, set()).update(names)
-    assert len(said) >= 6
-    assert all(names & BILABIALS for names in said.values())
+        output.setdefault(u.language, set()).update(names)
+    assert len(output) >= 6
+    assert all(names & BILABIALS for names in output.values())
 
 
 @pytest.mark.parametrize(
@@ -246,22 +246,22 @@ def test_every_foreign_voice_closes_its_lips(needs_espeak):
         ({"pitch": 130}, "pitch=130 must lie between 0 and 100"),
     ],
 )
-def test_espeak_says_what_is_wrong(needs_espeak, arguments, message):
+def test_espeak_errors_name_the_fault(needs_espeak, arguments, message):
     with pytest.raises(ConfigError, match=message):
         espeak.synthesise("Hello.", **arguments)
 
 
-def test_espeak_refuses_nothing_to_say(needs_espeak):
+def test_espeak_refuses_text_without_speech(needs_espeak):
     with pytest.raises(DataError, match=r"text=' \. ' gives no speech in the espeak-ng voice"):
         espeak.synthesise(" . ")
 
 
-def test_flite_refuses_nothing_to_say(needs_flite):
+def test_flite_refuses_text_without_speech(needs_flite):
     with pytest.raises(DataError, match="text='' "):
         flite.synthesise("")
 
 
-def test_flite_and_festival_say_what_is_wrong(needs_flite):
+def test_flite_and_festival_errors_name_the_fault(needs_flite):
     with pytest.raises(ConfigError, match="voice='bob' is not a flite voice; known: slt"):
         flite.synthesise("Hello.", voice="bob")
     with pytest.raises(ConfigError, match="stretch=9 must lie between"):

@@ -1,4 +1,4 @@
-"""Pictures of the articulation and acting tables."""
+"""Pictures of the articulation and emotion tables."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from rig import default_controls
 CONTROLS = default_controls()
 
 
-def test_phones_follow_each_other():
+def test_evenly_timed_phones_are_contiguous():
     phones = evenly_timed(["SIL", "M", "AA"])
     assert [(p.start, p.name) for p in phones] == [
         (0, "SIL"), (pytest.approx(0.35), "M"), (pytest.approx(0.46), "AA")
@@ -24,7 +24,7 @@ def test_a_name_that_is_no_phone_is_refused(names, message):
         evenly_timed(names)
 
 
-def test_a_held_phone_reaches_its_gesture():
+def test_held_phone_reaches_its_gesture():
     pose = phone_pose("M", "angry", 0.8)
     assert pose[CONTROLS.index("CTRL_L_mouth_lipsTogetherU.ty")] == 1
     assert phone_pose("AA", "neutral", 0.5)[CONTROLS.index("CTRL_C_jaw.ty")] > 0.3

@@ -1,4 +1,4 @@
-"""A build that is killed or stopped: no process and no temporary file stays, the next one ends it."""
+"""Killed and stopped builds: no process and no temporary file stays, the next build completes them."""
 
 import hashlib
 import signal
@@ -67,9 +67,9 @@ def test_sigterm_ends_a_build_at_once_and_leaves_no_temporary_file(tmp_path):
     with start(tmp_path / "corpus") as process:
         began = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=10)
+        _, output = process.communicate(timeout=10)
     assert time.monotonic() - began < 5
-    assert b"Terminated" in said and b"BrokenProcessPool" not in said
+    assert b"Terminated" in output and b"BrokenProcessPool" not in output
     hidden = [path.name for path in (tmp_path / "corpus").rglob(".*")]
     assert hidden == [".deitalk-manifest.json"]
     assert not (tmp_path / "corpus" / "clips.csv").exists()
@@ -95,14 +95,14 @@ def test_a_build_killed_at_any_write_is_equal_after_the_next(tmp_path, built):
     check_kills(tmp_path, built, lambda total: range(1, total + 1))
 
 
-def test_a_folder_that_no_build_began_is_refused_and_stays(tmp_path):
+def test_folder_of_another_origin_is_refused_and_kept(tmp_path):
     (tmp_path / "clips.csv").write_text("mine")
     with pytest.raises(TargetError, match=r"holds files that deitalk did not write \(clips\.csv\)"):
         build(tmp_path, SHARDS, workers=1)
     assert [path.name for path in tmp_path.iterdir()] == ["clips.csv"]
 
 
-def test_an_edited_table_of_clips_is_refused_before_any_work_and_stays(tmp_path):
+def test_edited_table_of_clips_is_refused_before_any_work_and_kept(tmp_path):
     out = tmp_path / "corpus"
     build(out, SHARDS[:1], workers=1)
     (out / "clips.csv").write_text("mine")
@@ -112,7 +112,7 @@ def test_an_edited_table_of_clips_is_refused_before_any_work_and_stays(tmp_path)
     assert not (out / "shards" / "espeak-001.csv").exists()
 
 
-def test_a_dataset_of_an_earlier_version_is_gone_on_with(tmp_path, built):
+def test_dataset_of_an_earlier_version_is_continued(tmp_path, built):
     out = tmp_path / "corpus"
     build(out, SHARDS, workers=1)
     (out / ".deitalk-manifest.json").unlink()
@@ -124,7 +124,7 @@ def test_a_dataset_of_an_earlier_version_is_gone_on_with(tmp_path, built):
         build(out, SHARDS, workers=1)
 
 
-def test_a_damaged_plan_is_one_line(tmp_path):
+def test_damaged_plan_is_an_error_of_one_line(tmp_path):
     build(tmp_path, SHARDS[:1], workers=1)
     (tmp_path / "shards" / "plan.json").write_text("[1")
     with pytest.raises(DataError, match=r"plan\.json: damaged; build in another folder"):

@@ -46,7 +46,7 @@ def test_ipa_vowel_symbols_give_vowels_and_consonants_do_not():
         ("", ""),
     ],
 )
-def test_english_words(ipa, expected):
+def test_english_words_give_their_phones(ipa, expected):
     assert ipa_to_phones(ipa) == tuple(expected.split())
 
 
@@ -75,7 +75,7 @@ def test_decomposed_and_composed_spellings_agree():
         assert ipa_to_phones(ipa) == ipa_to_phones(decomposed) != ()
 
 
-def test_festival_names():
+def test_festival_names_give_phones():
     assert [festival_to_phone(n) for n in ("pau", "ax", "axr", "el", "hh")] == [
         "SIL", "AX", "ER", "L", "HH",
     ]  # fmt: skip

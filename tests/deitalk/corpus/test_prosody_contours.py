@@ -1,4 +1,4 @@
-"""Prosody: what is applied is what is measured, and every phone moves with its sound."""
+"""Prosody contours: the applied change is measured, and phones stay in time with the sound."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_treble_rises_by_2_5_db_more():
     assert high - low == pytest.approx(2.5, abs=0.4)
 
 
-def test_the_identity_leaves_the_waveform_alone():
+def test_identity_contour_keeps_the_waveform():
     rng = np.random.default_rng(0)
     spectrum = np.fft.rfft(rng.standard_normal(2 * RATE))
     spectrum[np.fft.rfftfreq(2 * RATE, 1 / RATE) > 6500] = 0
@@ -66,7 +66,7 @@ def test_full_scale_is_not_scaled_by_the_identity_and_nothing_clips():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.4, 4.0))
-def test_the_time_map_is_monotone_and_a_click_arrives_where_it_says(seed, seconds):
+def test_time_map_is_monotone_and_gives_the_time_of_a_click(seed, seconds):
     rng = np.random.default_rng(seed)
     contour = random_contour(seconds, rng)
     at = rng.uniform(0.2, 0.9) * seconds
@@ -118,6 +118,6 @@ def test_the_index_does_not_depend_on_the_recording_level(rng):
     np.testing.assert_allclose(prosody_index(waveform, 120), quiet, atol=0.02)
 
 
-def test_silence_and_scraps_have_no_prosody():
+def test_silence_and_short_pieces_have_no_prosody():
     assert not prosody_index(np.zeros(RATE, np.float32), 30).any()
     assert not prosody_index(np.zeros(100, np.float32), 1).any()

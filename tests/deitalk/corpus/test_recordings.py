@@ -14,14 +14,14 @@ def _sound(path, rate=16_000, seconds=0.5, channels=1, hz=440):
     return path
 
 
-def test_librispeech_layout(tmp_path):
+def test_librispeech_layout_is_read(tmp_path):
     chapter = tmp_path / "1272" / "128104"
     audio = _sound(chapter / "1272-128104-0000.flac")
     (chapter / "1272-128104.trans.txt").write_text("1272-128104-0000 MISTER QUILTER IS\n")
     assert recordings(tmp_path) == [Recording(audio, "MISTER QUILTER IS", "librispeech:1272")]
 
 
-def test_tsv_layout_with_age_and_phones(tmp_path):
+def test_tsv_layout_with_age_and_phones_is_read(tmp_path):
     audio = _sound(tmp_path / "speechocean" / "1.wav")
     (tmp_path / "speechocean.tsv").write_text(
         "path\tspeaker\tgender\tage\ttext\tphones\n"
@@ -43,7 +43,7 @@ def test_clips_layout_skips_rows_without_transcript(tmp_path):
     ]
 
 
-def test_development_data(shared):
+def test_development_data_is_read(shared):
     found = recordings(shared / "data" / "speech")
     assert len(found) == 1313 + 2500
     assert len({r.speaker for r in found}) == 20 + 250
@@ -73,7 +73,7 @@ def test_recordings_longer_than_ten_minutes_are_refused(tmp_path):
         read_waveform(path)
 
 
-def test_bad_folders_say_what_is_missing(tmp_path):
+def test_bad_folders_are_refused_with_the_missing_part(tmp_path):
     with pytest.raises(DataError, match="is not a folder"):
         recordings(tmp_path / "absent")
     with pytest.raises(
@@ -84,7 +84,7 @@ def test_bad_folders_say_what_is_missing(tmp_path):
         recordings(tmp_path, layout="kaldi")
 
 
-def test_tables_that_promise_too_much(tmp_path):
+def test_tables_with_missing_columns_or_files_are_refused(tmp_path):
     table = tmp_path / "clips.csv"
     table.write_text("clip,file\nc1,a.wav\n")
     with pytest.raises(DataError, match=r"clips\.csv lacks the column\(s\) audio, transcript"):

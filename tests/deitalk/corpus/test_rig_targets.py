@@ -1,4 +1,4 @@
-"""Acting: tables name real controls, ranges hold, closures survive every emotion."""
+"""Rig targets: names in the tables, ranges, closures in every emotion."""
 
 import csv
 from importlib import resources
@@ -59,7 +59,7 @@ def test_every_pose_fits_the_ranges_before_anything_is_clipped():
     assert (full <= np.maximum(CONTROLS.maximum, -CONTROLS.minimum) + 1e-6).all()
 
 
-def test_poses_mean_what_facs_says():
+def test_poses_follow_facs():
     poses = dict(zip(EMOTIONS, style_poses(CONTROLS), strict=True))
 
     def of(emotion: str, control: str) -> float:
@@ -76,7 +76,7 @@ def test_poses_mean_what_facs_says():
     assert of("surprised", "CTRL_C_jaw.ty") > 0
 
 
-def test_every_two_emotions_differ_by_more_than_a_twitch():
+def test_emotions_differ_pairwise():
     poses = style_poses(CONTROLS)
     for i in range(5):
         for j in range(i):
@@ -103,7 +103,7 @@ def test_the_face_moves_continuously_with_the_intensity():
         assert np.abs(np.diff(face, axis=0)).max() < 0.01, "no jump where the act begins"
 
 
-def test_livelier_is_wider_and_sadness_is_quieter_than_joy():
+def test_mouth_widens_with_intensity_and_more_in_joy_than_in_sadness():
     channels = phrase("SIL AA T AA SIL", 0.2)
     jaw = CONTROLS.index("CTRL_C_jaw.ty")
 
@@ -121,7 +121,7 @@ def test_livelier_is_wider_and_sadness_is_quieter_than_joy():
 
 @pytest.mark.parametrize("emotion", EMOTIONS)
 @pytest.mark.parametrize("intensity", [0.0, 0.5, 1.0])
-def test_closures_survive_every_emotion(emotion, intensity):
+def test_closures_are_kept_in_every_emotion(emotion, intensity):
     channels = phrase()
     face = act(channels, weights(emotion), np.full(len(channels), intensity), 60, CONTROLS)
     lips = [i for i, n in enumerate(CONTROLS.names) if "lipsTogether" in n]
@@ -135,7 +135,7 @@ def test_closures_survive_every_emotion(emotion, intensity):
     assert face[bitten, CONTROLS.index("CTRL_L_mouth_lipBiteD.ty")].min() > 0.7
 
 
-def test_left_and_right_are_never_copies_but_for_the_contact_and_the_gaze():
+def test_left_and_right_differ_except_contact_and_gaze():
     channels = phrase("SIL M AA P IY F UW SH B AO TH SIL")
     for emotion in EMOTIONS:
         face = act(channels, weights(emotion), np.full(len(channels), 0.8), 60, CONTROLS)
@@ -166,7 +166,7 @@ def test_stickiness_follows_a_closure_and_never_precedes_it():
     st.floats(0, 1),
     st.floats(0.03, 0.3),
 )
-def test_no_curve_leaves_its_range_nor_loses_its_finiteness(names, emotion, intensity, seconds):
+def test_curves_are_finite_and_in_range(names, emotion, intensity, seconds):
     channels = phrase(" ".join(names), seconds)
     face = act(channels, weights(emotion), np.full(len(channels), intensity), 60, CONTROLS)
     assert face.dtype == np.float32 and face.shape == (len(channels), 185)

@@ -15,7 +15,7 @@ def _texts(count):
     return [english_sentence(rng) for _ in range(count)]
 
 
-def test_same_seed_same_sentences():
+def test_same_seed_gives_the_same_sentences():
     assert _texts(50) == _texts(50)
 
 
@@ -50,7 +50,7 @@ def test_foreign_sentences_belong_to_their_language():
 
 
 def test_phones_and_diphone_classes_are_covered():
-    """Every phone the dictionary knows, and every neighbour a lip closure can have."""
+    """Every phone of the dictionary, and every possible neighbour of a lip closure."""
     pytest.importorskip("pocketsphinx", reason="the dictionary comes with pocketsphinx")
     decoder = alignment._decoder(0)
     pronunciations = {}

@@ -1,4 +1,4 @@
-"""Attention of real networks: the weights are those the network uses; the command."""
+"""Attention of networks equals the weights in their computation; the command."""
 
 import json
 
@@ -51,8 +51,8 @@ def speech(seconds=1.4):
 
 
 @pytest.mark.parametrize("stack", [1, 2])
-def test_weights_are_those_the_frontend_attends_with(stack):
-    """What they make of the memory is what `along` makes of it, to the first and last frame."""
+def test_weights_equal_those_of_the_frontend(stack):
+    """Applied to the memory they give the result of `along`, including the first and last frame."""
     frontend = network(time_stack=stack, spectral_size=8).frontend
     waveform, n_frames = torch.from_numpy(speech()), 42
     weights = frontend_attention(frontend, waveform, n_frames)
@@ -65,21 +65,21 @@ def test_weights_are_those_the_frontend_attends_with(stack):
     index = centres.unsqueeze(1) + torch.arange(window) - window // 2
     attended = torch.einsum("tl,tld->td", weights, memory[0][index.clamp(0, length - 1)])
     torch.testing.assert_close(attended, wanted, atol=1e-5, rtol=1e-4)
-    assert weights.max() > 3 / window  # not even: the agreement means something
+    assert weights.max() > 3 / window  # not even, so that the comparison is meaningful
     assert (weights[0, : window // 2] == 0).all()  # nothing before the recording
 
 
-def test_rows_lie_on_the_rig_s_frames():
-    heard = attention_of(network(), speech(1.4))
-    assert heard.weights.shape == (42, 16)
-    assert (heard.fps, heard.frame_rate) == (30, 60)
-    np.testing.assert_allclose(heard.weights.sum(axis=1), 1, rtol=1e-5)
+def test_rows_are_at_rig_frames():
+    result = attention_of(network(), speech(1.4))
+    assert result.weights.shape == (42, 16)
+    assert (result.fps, result.frame_rate) == (30, 60)
+    np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
     sound = normalise_level(speech(), activity=speech_activity(speech()))
     again = frontend_attention(network().frontend, torch.from_numpy(sound), 42)
-    np.testing.assert_allclose(heard.weights, again, atol=1e-6)
+    np.testing.assert_allclose(result.weights, again, atol=1e-6)
 
 
-def test_models_without_such_attention_say_so():
+def test_models_without_temporal_attention_are_refused():
     with pytest.raises(CheckpointError, match="recurrence: segment"):
         attention_of(network(recurrence="window"), speech())
 
@@ -92,7 +92,7 @@ def test_models_without_such_attention_say_so():
 
 @pytest.fixture
 def dataset(tmp_path):
-    """Two recordings; the first stands in two clips, as two emotions do."""
+    """Two recordings; the first is in two clips, as with two emotions."""
     from rig import RigCurves, default_controls, write_curves
 
     folder = tmp_path / "data"
@@ -116,7 +116,7 @@ def dataset(tmp_path):
     return folder
 
 
-def test_a_recording_counts_once_however_many_clips_act_it(dataset):
+def test_recording_of_several_clips_counts_once(dataset):
     vowels, plosives = corpus_attention(network(), dataset)
     assert (vowels.phones, plosives.phones) == (("AA", "AA"), ("P", "P"))
     row = attention_of(network(), speech()).weights[round(0.66 * 30)]
@@ -145,19 +145,19 @@ def test_command_draws_a_clip_and_a_corpus(dataset, tmp_path):
     sound, phones = dataset / "audio" / "a.wav", dataset / "phones" / "a.csv"
     plain = run(sound, "-o", tmp_path / "clip.png", *model, "--json")
     assert json.loads(plain.stdout) == {"out": str(tmp_path / "clip.png")}
-    told = json.loads(
+    report = json.loads(
         run(sound, "--phones", phones, "-o", tmp_path / "b.png", *model, "--json").stdout
     )
     pooled = json.loads(run(dataset, "-o", tmp_path / "c.png", *model, "--json").stdout)
-    assert (told["vowels"]["phones"], pooled["vowels"]["phones"]) == (1, 2)
-    assert 0 < told["plosives"]["evenness"] < 1
-    assert told["plosives"]["evenness"] == pytest.approx(pooled["plosives"]["evenness"])
+    assert (report["vowels"]["phones"], pooled["vowels"]["phones"]) == (1, 2)
+    assert 0 < report["plosives"]["evenness"] < 1
+    assert report["plosives"]["evenness"] == pytest.approx(pooled["plosives"]["evenness"])
     for name in ("clip.png", "b.png", "c.png"):
         assert imread(tmp_path / name)[..., :3].std() > 0.05
-    for arguments, said in (
+    for arguments, message in (
         ((sound, "-o", tmp_path / "clip.png"), "exists"),
         ((sound, "-o", tmp_path / "clip.gif"), r"a picture is .png, .svg or .pdf"),
         ((dataset, "--phones", phones, "-o", tmp_path / "d.png"), "goes with one recording"),
     ):
         error = run(*arguments, *model).exception
-        assert isinstance(error, DeitalkError | RigError) and said in str(error)
+        assert isinstance(error, DeitalkError | RigError) and message in str(error)

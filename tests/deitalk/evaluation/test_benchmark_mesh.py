@@ -43,11 +43,11 @@ def test_command_prints_the_table(monkeypatch):
         "per_window": {"shared_ms": 10.0, "windows_ms": 50.0, "ratio": 5.0,
                        "largest_difference": 1e-7, "largest": 1.0},
     }  # fmt: skip
-    asked = []
-    monkeypatch.setattr(mesh_timing, "table_4", lambda *given: asked.append(given) or report)
+    calls = []
+    monkeypatch.setattr(mesh_timing, "table_4", lambda *given: calls.append(given) or report)
     result = CliRunner().invoke(app, ["benchmark", "--mesh", "--threads", "2"])
     assert result.exit_code == 0, result.output
-    assert asked == [(2, 3)]
+    assert calls == [(2, 3)]
     assert "| audio feature | 1.5 | 376 | 1.5 | 9253 | 1.5 | 4201 |" in result.output
     assert "5.0 times 10" in result.output
     result = CliRunner().invoke(app, ["benchmark", "--mesh", "--json"])

@@ -1,4 +1,4 @@
-"""Evaluation: hand-made cases, and the weights we ship on human voices no training heard."""
+"""Evaluation: cases by hand, and the embedded weights on voices outside their training."""
 
 import json
 from pathlib import Path
@@ -50,7 +50,7 @@ def report(tmp_path_factory):
     return scores
 
 
-def test_every_question_is_answered(report):
+def test_report_has_every_score(report):
     scores = report["groups"]["test"]
     assert scores["clips"] == 2
     assert scores["bilabials"] == 2
@@ -62,7 +62,7 @@ def test_every_question_is_answered(report):
     assert list(report["noise"]) == ["clean", "20 dB", "10 dB", "5 dB", "0 dB"]
 
 
-def test_report_reads_as_tables(report):
+def test_report_is_written_as_tables(report):
     text = as_markdown(report)
     assert "| clips | 2 |" in text
     assert "lip (86" in text
@@ -79,7 +79,7 @@ def test_report_is_drawn(report, tmp_path):
     assert (tmp_path / "report.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_model_that_gives_the_target_scores_full_marks(tmp_path, monkeypatch):
+def test_model_that_gives_the_target_has_perfect_scores(tmp_path, monkeypatch):
     folder = write_dataset(tmp_path, 0, 2)
     clips = iter(read_clips(folder, "validation"))
     controls = default_controls()

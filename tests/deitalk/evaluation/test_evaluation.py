@@ -83,14 +83,14 @@ def test_gestures_average_their_controls(gesture, name, n):
     np.testing.assert_allclose(gesture_curve(curves, CONTROLS, gesture), [0, 1 / n, 0])
 
 
-def test_jaw_in_contact_looks_at_held_lips_only():
+def test_jaw_in_contact_uses_held_lips_only():
     lips, jaw = np.array([0, 0.95, 1.0]), np.array([1, 0.2, 0.4])
     assert jaw_in_contact(lips, jaw) == pytest.approx(0.3)
     assert np.isnan(jaw_in_contact(lips * 0.5, jaw))
 
 
 @pytest.mark.parametrize("late_ms", [-50.0, 0.0, 17.0, 100.0])
-def test_lag_between_frames(late_ms):
+def test_lag_is_interpolated_between_frames(late_ms):
     times = np.arange(300) / 30
     target = np.sin(2 * np.pi * 1.3 * times)
     predicted = np.sin(2 * np.pi * 1.3 * (times - late_ms / 1000))
@@ -116,7 +116,7 @@ def test_a_trace_of_a_smile_is_neutral_and_a_grin_is_not():
         assert recognise(curves, np.zeros(2, bool), CONTROLS) == name
 
 
-def test_distance_and_range():
+def test_distance_and_range_by_hand():
     a, b = np.zeros((2, 4), np.float32), np.zeros((2, 4), np.float32)
     b[0, :2] = 3, 4
     assert face_distance(a, b) == 2.5
@@ -127,13 +127,13 @@ def test_distance_and_range():
     assert np.isnan(lip_range(opening, ~speaking))
 
 
-def test_spearman_looks_within_speech():
+def test_spearman_uses_frames_of_speech_only():
     label = np.arange(40.0)
-    heard = np.concatenate((np.arange(20.0) ** 3, np.zeros(20)))
+    predicted = np.concatenate((np.arange(20.0) ** 3, np.zeros(20)))
     within = np.arange(40) < 20
-    assert spearman(label, heard, within) == pytest.approx(1)
-    assert spearman(label, -heard, within) == pytest.approx(-1)
-    assert np.isnan(spearman(label, heard, np.arange(40) >= 20))
+    assert spearman(label, predicted, within) == pytest.approx(1)
+    assert spearman(label, -predicted, within) == pytest.approx(-1)
+    assert np.isnan(spearman(label, predicted, np.arange(40) >= 20))
 
 
 def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
@@ -146,17 +146,17 @@ def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
     assert level[55] == pytest.approx(level[20], abs=0.5)  # beside the pause
 
 
-def test_modified_halves_say_where_they_are():
+def test_modified_halves_give_their_frames():
     take, z, frames = modified(recording(), halves(1.0, 3.0))
     assert len(z) == len(frames) == take.n_frames
     assert z[5] == pytest.approx(1)
     assert z[-5] == pytest.approx(-1)
     assert frames[0] == 0 and frames[-1] == pytest.approx(recording().n_frames - 1, abs=1)
-    assert frames[len(z) // 4] > len(z) // 4  # a lively half hurries
+    assert frames[len(z) // 4] > len(z) // 4  # the half of raised prosody is faster
     livelier = modified(recording(), constant(1.0, 3.0)).take
     duller = modified(recording(), constant(-1.0, 3.0)).take
     louder = 20 * np.log10(livelier.waveform.std() / duller.waveform.std())
-    assert 8 < louder < 15  # 4.5 dB a unit, and more in the treble
+    assert 8 < louder < 15  # 4.5 dB per unit, and more in the treble
     assert livelier.duration < duller.duration
 
 
@@ -168,7 +168,7 @@ def test_wandering_is_the_same_for_one_seed():
     assert np.ptp(z) > 0.1
 
 
-def spoken(seconds: float, until: float) -> Recording:
+def syllables(seconds: float, until: float) -> Recording:
     """Syllables of 0.2 s every 0.3 s, up to a moment."""
     t = np.arange(int(seconds * 16_000)) / 16_000
     tone = np.sin(2 * np.pi * 200 * t) + 0.5 * np.sin(2 * np.pi * 700 * t)
@@ -178,7 +178,7 @@ def spoken(seconds: float, until: float) -> Recording:
 
 
 @pytest.mark.parametrize(("sign", "share"), [(1, 1.0), (-1, 0.0)])
-def test_takes_are_compared_where_both_speak(monkeypatch, sign, share):
+def test_takes_are_compared_over_common_speech(monkeypatch, sign, share):
     """A face that opens with the level, or against it; the second voice is silent in its half."""
 
     def follows_level(take, emotion, **_):
@@ -191,17 +191,17 @@ def test_takes_are_compared_where_both_speak(monkeypatch, sign, share):
 
     monkeypatch.setattr("deitalk.evaluation.experiments.animate", follows_level)
     model = SimpleNamespace(controls=CONTROLS)
-    report = lively_report(model, [spoken(5, 5), spoken(6, 2.6)])  # type: ignore[arg-type]
+    report = lively_report(model, [syllables(5, 5), syllables(6, 2.6)])  # type: ignore[arg-type]
     assert report["pairs_whole"] == 2 and report["pairs_within"] == 2 + 1
     for name in ("whole_opens", "whole_expresses", "within_opens", "within_expresses"):
         assert report[name] == share, name
 
 
-def test_the_same_words_are_compared(monkeypatch):
-    """Every second syllable is 30 dB fainter, and a dull voice's faint ones go undetected.
+def test_whole_takes_are_compared_over_the_same_words(monkeypatch):
+    """Every second syllable is 30 dB fainter, and undetected in the take of lowered prosody.
 
-    The mouth opens by .01 a decibel, so the livelier take opens more wherever both say the same;
-    over what is heard of each, the dull one would open more, for its faint syllables are lost.
+    The mouth opens by .01 per decibel, so the raised take opens more over the same words; over the
+    detected speech of each take, the lowered one would open more.
     """
 
     def decibels(waveform):
@@ -221,37 +221,37 @@ def test_the_same_words_are_compared(monkeypatch):
     def detect(waveform):
         return (decibels(waveform) > faint_db - 2).astype(np.float32)
 
-    said = spoken(6, 6)
-    faint = np.mod(np.arange(len(said.waveform)) / 16_000, 0.6) < 0.3
-    said = replace(said, waveform=np.where(faint, said.waveform / 31.6, said.waveform))
-    loud_db = np.percentile(decibels(said.waveform), 95)
+    sound = syllables(6, 6)
+    faint = np.mod(np.arange(len(sound.waveform)) / 16_000, 0.6) < 0.3
+    sound = replace(sound, waveform=np.where(faint, sound.waveform / 31.6, sound.waveform))
+    loud_db = np.percentile(decibels(sound.waveform), 95)
     faint_db = loud_db - 30
-    dull = modified(said, constant(-STEP_Z, said.duration)).take
-    assert detect(said.waveform).mean() > 1.4 * detect(dull.waveform).mean()
+    dull = modified(sound, constant(-STEP_Z, sound.duration)).take
+    assert detect(sound.waveform).mean() > 1.4 * detect(dull.waveform).mean()
     monkeypatch.setattr("deitalk.evaluation.experiments.animate", opens_by_level)
     monkeypatch.setattr("deitalk.evaluation.experiments.speech_activity", detect)
-    report = lively_report(SimpleNamespace(controls=CONTROLS), [said])  # type: ignore[arg-type]
+    report = lively_report(SimpleNamespace(controls=CONTROLS), [sound])  # type: ignore[arg-type]
     assert report["pairs_whole"] == 1 and report["pairs_within"] == 2
     assert report["whole_opens"] == 1 and report["within_opens"] == 1
 
 
-def test_intensity_is_held_against_level_with_its_error(monkeypatch):
-    """Level itself lies 0 above level; upside down, twice level's correlation below it.
+def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
+    """Level itself is 0 above level; negated, it is twice level's correlation below it.
 
     Of the two, the mean is -r and its standard error r, where r is level's in the second.
     """
-    flipped = replace(spoken(6, 6), source="upside down")
+    flipped = replace(syllables(6, 6), source="upside down")
 
-    def hears_level(take, emotion, **_):
+    def follows_the_level(take, emotion, **_):
         sign = -1 if take.source == "upside down" else 1
         curves = RigCurves(np.zeros((take.n_frames, 185)), CONTROLS.names, fps=30)
         level = sign * level_curve(take.waveform, take.n_frames)
         return Performance(curves, curves, level, level, take, 0)
 
-    monkeypatch.setattr("deitalk.evaluation.experiments.animate", hears_level)
+    monkeypatch.setattr("deitalk.evaluation.experiments.animate", follows_the_level)
     model = SimpleNamespace(controls=CONTROLS)
     alone = lively_report(model, [flipped])  # type: ignore[arg-type]
-    both = lively_report(model, [spoken(5, 5), flipped])  # type: ignore[arg-type]
+    both = lively_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]
     assert alone["above_level"] == pytest.approx(-2 * alone["level_rho"])
     assert np.isnan(alone["above_level_error"])
     for end in ("", "_contour"):
@@ -259,7 +259,7 @@ def test_intensity_is_held_against_level_with_its_error(monkeypatch):
         assert both[f"above_level{end}_error"] == pytest.approx(-both[f"above_level{end}"])
 
 
-def test_the_label_is_the_corpus_s():
+def test_label_equals_that_of_the_corpus():
     take, z, lively = wandering(recording(), 3)
     contour = random_contour(recording().duration, np.random.default_rng(3))
     moved = apply_contour(recording().waveform, contour)[1]
@@ -269,7 +269,7 @@ def test_the_label_is_the_corpus_s():
     assert np.abs(z - lively).max() > 0.02
 
 
-def test_smoothness_of_a_ramp_and_of_a_tremble():
+def test_smoothness_of_a_ramp_and_of_a_sine():
     times = np.arange(90) / 30
     sine = np.sin(2 * np.pi * times)[:, None].astype(np.float32)
     still = np.zeros((90, 1), np.float32)
@@ -294,7 +294,7 @@ def test_captured_curves_are_measured_or_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 0.0])
-def test_noise_is_as_far_below_the_speech_as_asked(snr_db):
+def test_noise_has_the_given_ratio(snr_db):
     speech = waveform(0)
     noise = mix(speech, pink_noise(16_000), snr_db) - speech
     level = 10 * np.log10(np.square(noise, dtype=np.float64).mean())

@@ -1,4 +1,4 @@
-"""Closures: hand-made phones and curves with scores worked out by eye. Frame i is at i / 30 s."""
+"""Closures: phones and curves with scores by hand. Frame i is at i / 30 s."""
 
 import numpy as np
 import pytest
@@ -41,12 +41,12 @@ def test_frames_inside_are_not_widened():
         ((0.47, 0.7, "S"), False),  # no vowel
     ],
 )
-def test_vowels_keep_away_from_closures(vowel, clear):
+def test_vowels_near_closures_are_excluded(vowel, clear):
     assert len(closure_scores(curve({}), [B, vowel]).vowels) == clear
 
 
 @pytest.mark.parametrize("name", ["F", "V", "W"])
-def test_vowels_keep_away_from_other_lip_sounds(name):
+def test_vowels_near_other_lip_sounds_are_excluded(name):
     near = closure_scores(curve({}), [(0.3, 0.4, name), (0.4, 0.6, "AA")])
     assert len(near.vowels) == 0
     assert len(near.closures) == 0
@@ -63,7 +63,7 @@ def test_events_beyond_the_curve_do_not_count():
     assert [len(x) for x in scores] == [0, 0, 0, 0]
 
 
-def test_held_means_two_frames_in_a_row():
+def test_closure_is_held_from_two_frames_in_a_row():
     assert held_closures(curve({9: 0.9, 10: 0.95}), [B]) == [True]
     assert held_closures(curve({9: 0.95, 11: 0.95}), [B]) == [False]
     assert held_closures(curve({9: 0.89, 10: 1.0}), [B]) == [False]
@@ -74,20 +74,22 @@ def test_summary_of_two_clips():
     # closures 1 and 0.2; vowel 0.5: one of two is found, and one of two pairs is in order
     one = closure_scores(curve({9: 1.0, 10: 1.0, 20: 0.5}), [B, (0.6, 0.8, "AA")])
     other = closure_scores(curve({9: 0.2}), [B])
-    said = summarise_closures([one, other], [True, False])
-    assert (said.n_closures, said.n_vowels) == (2, 1)
-    assert said.hit_rate == 0.5
-    assert said.window_auc == 0.5
-    assert said.reached == 1  # of those found
+    summary = summarise_closures([one, other], [True, False])
+    assert (summary.n_closures, summary.n_vowels) == (2, 1)
+    assert summary.hit_rate == 0.5
+    assert summary.window_auc == 0.5
+    assert summary.reached == 1  # of those found
     # inside 1 1 0 | 0.2 0 0, outside 0.5 and five zeros
     wins = [(p > n) + (p == n) / 2 for p in (1, 1, 0, 0.2, 0, 0) for n in (0.5, 0, 0, 0, 0, 0)]
-    assert said.frame_auc == pytest.approx(np.mean(wins))
+    assert summary.frame_auc == pytest.approx(np.mean(wins))
 
 
-def test_summary_of_nothing_is_unknown():
-    said = summarise_closures([])
-    assert np.isnan([said.hit_rate, said.window_auc, said.frame_auc, said.reached]).all()
-    assert (said.n_closures, said.n_vowels) == (0, 0)
+def test_summary_of_no_clips_is_nan():
+    summary = summarise_closures([])
+    assert np.isnan(
+        [summary.hit_rate, summary.window_auc, summary.frame_auc, summary.reached]
+    ).all()
+    assert (summary.n_closures, summary.n_vowels) == (0, 0)
 
 
 @pytest.mark.parametrize("lag", [-4, -1, 0, 2, 4])
@@ -96,6 +98,6 @@ def test_lag_is_positive_when_the_prediction_is_late(rng, lag):
     assert best_lag(target, np.roll(target, lag)) == lag
 
 
-def test_lag_of_what_does_not_move_is_zero():
+def test_lag_of_a_constant_is_zero():
     assert best_lag(np.zeros(100, np.float32), np.ones(100, np.float32)) == 0
     assert best_lag(np.arange(5, dtype=np.float32), np.arange(5, dtype=np.float32)) == 0

@@ -1,4 +1,4 @@
-"""Scores of mesh models: gaps by hand, a model that is the truth, what is refused."""
+"""Scores of mesh models: gaps by hand, a model at rest, refused models and folders."""
 
 import json
 
@@ -22,7 +22,7 @@ VOCA = {"kind": "voca", "n_mels": 16, "n_mfcc": 10, "channels": [8, 8, 12, 12]}
 
 
 def still(templates=None):
-    """A model of vertex offsets whose lips never move."""
+    """A model of vertex offsets with lips at rest."""
     templates = templates or head_templates((0,))
     config = SDFAModelConfig(frontend=VOCA, motion="offsets", shared_size=None, branch_sizes=())
     count = len(next(iter(templates.values())).vertices)
@@ -30,13 +30,13 @@ def still(templates=None):
     return SDFA(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
 
 
-def test_gap_by_hand():
-    """Eight pairs; the middle four are 2, 2, 2 and 6 mm apart, the outer ones never count."""
+def test_lip_gap_by_hand():
+    """Eight pairs; the middle four are 2, 2, 2 and 6 mm apart, the outer ones are not used."""
     lips = Lips(np.arange(8), np.arange(8, 16))
     vertices = np.zeros((2, 16, 3))
     vertices[0, :8, 1] = [9, 9, 0.2, 0.2, 0.2, 0.6, 9, 9]
     np.testing.assert_allclose(lip_gap(vertices, lips, 10), [3, 0])
-    np.testing.assert_allclose(lip_gap(-vertices, lips, 10), [3, 0])  # crossed is not closed
+    np.testing.assert_allclose(lip_gap(-vertices, lips, 10), [3, 0])  # crossed lips are not closed
 
 
 def test_smallest_gaps_by_hand():
@@ -59,7 +59,7 @@ def test_smallest_gaps_by_hand():
     assert vowels == [5.0]
 
 
-def test_the_truth_of_a_head_at_rest(tmp_path):
+def test_scores_of_a_head_at_rest(tmp_path):
     data = write_dataset(tmp_path / "d", 1, 5)
     model = still()
     report = evaluate_mesh(model, data, split="validation")
@@ -80,7 +80,7 @@ def test_the_truth_of_a_head_at_rest(tmp_path):
     assert "closed to 1 mm" in as_markdown(report)
 
 
-def test_what_is_refused(tmp_path):
+def test_unsuitable_models_and_folders_are_refused(tmp_path):
     data = write_dataset(tmp_path / "d", 1, 1)
     ((name, template),) = head_templates((0,)).items()
     with pytest.raises(CheckpointError, match="'ann' is no embedded head"):
@@ -90,7 +90,7 @@ def test_what_is_refused(tmp_path):
         evaluate_mesh(still({name: small}), data)
     with pytest.raises(DataError, match="no neutral clips"):
         evaluate_mesh(still(), data, split="test")
-    with pytest.raises(DataError, match="no neutral clips"):  # none says s and then m
+    with pytest.raises(DataError, match="no neutral clips"):  # none has s before m
         evaluate_mesh(still(), data, split="train", transitions=True)
 
 

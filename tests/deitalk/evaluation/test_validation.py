@@ -1,4 +1,4 @@
-"""The development score: perfect is near 1, silence is not, and real speech comes first."""
+"""The development score: near 1 for the target, low at rest; recordings are chosen first."""
 
 from pathlib import Path
 from typing import Any
@@ -27,24 +27,24 @@ def folder(tmp_path_factory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"))
 
 
-class Told(torch.nn.Module):
-    """A model that is told the answers, in order, and repeats them, scaled and late."""
+class Playback(torch.nn.Module):
+    """A model that returns given curves in order, optionally late."""
 
-    def __init__(self, answers: list[np.ndarray], strengths: list[np.ndarray] | None, lag: int = 0):
+    def __init__(self, targets: list[np.ndarray], strengths: list[np.ndarray] | None, lag: int = 0):
         super().__init__()
         self.register_parameter("p", torch.nn.Parameter(torch.zeros(1)))
-        self.answers, self.strengths, self.lag, self.i = answers, strengths, lag, -1
+        self.targets, self.strengths, self.lag, self.i = targets, strengths, lag, -1
         self.emotions: list[int] = []
 
     def analyse(self, waveform: torch.Tensor, n_frames: int, **_: Any) -> Analysis:
         self.i += 1
-        said = None if self.strengths is None else torch.from_numpy(self.strengths[self.i])
-        return Analysis(torch.zeros(n_frames, 1), None, None, said)
+        strength = None if self.strengths is None else torch.from_numpy(self.strengths[self.i])
+        return Analysis(torch.zeros(n_frames, 1), None, None, strength)
 
     def decode(self, analysis: Analysis, emotion: torch.Tensor) -> torch.Tensor:
         assert len(emotion) == len(analysis.speech)
         self.emotions.append(int(emotion[0].argmax()))
-        return torch.from_numpy(np.roll(self.answers[self.i], self.lag, axis=0))
+        return torch.from_numpy(np.roll(self.targets[self.i], self.lag, axis=0))
 
 
 def test_an_example_is_a_clip_at_30_frames_per_second(folder):
@@ -57,26 +57,26 @@ def test_an_example_is_a_clip_at_30_frames_per_second(folder):
     assert example.intensity[30] == pytest.approx(0.8, abs=1e-3)
 
 
-def test_the_right_answer_scores_1_and_a_late_one_less(folder):
+def test_target_scores_1_and_a_late_copy_less(folder):
     chosen = ValidationSet.of(read_clips(folder), CONTROLS)
-    answers = [example.curves for example in chosen.examples]
+    targets = [example.curves for example in chosen.examples]
     strengths = [example.intensity for example in chosen.examples]
-    right = chosen.score(Told(answers, strengths))  # type: ignore[arg-type]
+    right = chosen.score(Playback(targets, strengths))  # type: ignore[arg-type]
     assert right["lpe"] == right["epe"] == 0
     assert right["jaw_r"] == pytest.approx(1) and right["intensity_r"] == pytest.approx(1)
     assert right["auc"] == 1 and right["hits"] == 1
     assert right["score"] == pytest.approx(1)
-    late = chosen.score(Told(answers, strengths, lag=4))  # type: ignore[arg-type]
+    late = chosen.score(Playback(targets, strengths, lag=4))  # type: ignore[arg-type]
     assert late["score"] < 0.8 and late["lpe"] > 0
-    still = [np.tile(CONTROLS.rest, (len(a), 1)) for a in answers]
-    assert chosen.score(Told(still, None))["score"] <= 0.5  # type: ignore[arg-type]
+    still = [np.tile(CONTROLS.rest, (len(a), 1)) for a in targets]
+    assert chosen.score(Playback(still, None))["score"] <= 0.5  # type: ignore[arg-type]
 
 
-def test_the_clips_emotion_is_what_the_model_is_asked_for(folder):
+def test_model_gets_the_emotion_of_the_clip(folder):
     chosen = ValidationSet.of(read_clips(folder), CONTROLS)
-    told = Told([e.curves for e in chosen.examples], None)
-    scores = chosen.score(told)  # type: ignore[arg-type]
-    assert told.emotions == [1, 3, 0], "clips 1, 3 and 5 are recordings: angry, sad, neutral"
+    playback = Playback([e.curves for e in chosen.examples], None)
+    scores = chosen.score(playback)  # type: ignore[arg-type]
+    assert playback.emotions == [1, 3, 0], "clips 1, 3 and 5 are recordings: angry, sad, neutral"
     assert np.isnan(scores["intensity_r"]) and np.isfinite(scores["score"])
 
 
@@ -89,9 +89,9 @@ def test_recordings_are_chosen_before_synthetic_speech_and_at_most_60(folder):
     assert len(ValidationSet.of(synthetic * 40, CONTROLS).examples) == MAX_CLIPS
 
 
-def test_nothing_to_score_scores_0():
+def test_empty_set_scores_0():
     empty = ValidationSet.of([], CONTROLS)
-    assert empty.score(Told([], None))["score"] == 0  # type: ignore[arg-type]
+    assert empty.score(Playback([], None))["score"] == 0  # type: ignore[arg-type]
 
 
 def test_every_articulation_channel_has_a_control():

@@ -1,4 +1,4 @@
-"""Scores of voice activity by hand-made activity; detectors by signals whose answer is known."""
+"""Scores of voice activity by hand; detectors on signals of known activity."""
 
 import builtins
 import subprocess
@@ -54,7 +54,7 @@ def test_labels_count_a_short_closure_as_speech_and_a_long_one_as_pause():
     labels = label_frames(long, 90)
     assert labels.pause[47:55].all()  # 1.567 s to 1.8 s
     assert labels.onsets == (1, 1.9)
-    short = [(0, 0.1, "SIL"), (0.1, 1, "AA")]  # of no use: neither pause nor speech
+    short = [(0, 0.1, "SIL"), (0.1, 1, "AA")]  # too short: neither pause nor speech
     assert label_frames(short, 30).onsets == ()
     assert not label_frames(short, 30).speech[:4].any()
 
@@ -125,7 +125,7 @@ def test_decide_bridges_nothing_at_the_ends_of_a_clip():
     assert decide(activity((3, 10), n_frames=12), Setting()).sum() == 7
 
 
-def test_our_activity_is_left_as_it_is(rng):
+def test_activity_of_deitalk_is_unchanged(rng):
     t = np.arange(3 * RATE) / RATE
     tone = np.sin(2 * np.pi * 300 * t) * (np.sin(2 * np.pi * 0.8 * t) > 0) * 0.1
     waveform = (tone + rng.normal(0, 1e-4, len(t))).astype(np.float32)
@@ -171,7 +171,7 @@ def test_other_detectors_give_one_value_a_frame(name, package, n_samples, rng):
 
 @pytest.mark.parametrize("name", ["ours", "silero", "webrtc"])
 def test_detectors_find_recorded_speech_where_it_is(name):
-    """A recording between two seconds of near silence: evidence lies on it, and in time."""
+    """A recording between two seconds of near silence: the evidence coincides with it."""
     if name != "ours":
         pytest.importorskip("onnxruntime" if name == "silero" else "webrtcvad")
     if name == "silero":
@@ -187,7 +187,7 @@ def test_detectors_find_recorded_speech_where_it_is(name):
 
 
 def loud(waveform, mode):
-    """A detector for tests: frames in which a sample passes 0.05."""
+    """A detector for tests: frames with a sample above 0.05."""
     n_frames = -(-30 * len(waveform) // RATE)
     edges = np.arange(n_frames) * RATE // 30
     return (np.maximum.reduceat(np.abs(waveform), edges) > 0.05).astype(np.float32)
@@ -200,10 +200,10 @@ def example(labels, rng):
     return Example(waveform, labels, "test")
 
 
-def test_mixture_has_the_ratio_asked_for_over_labelled_speech(example, rng):
+def test_mixture_has_the_given_ratio_over_labelled_speech(example, rng):
     hiss = rng.standard_normal(5 * RATE).astype(np.float32)
     for snr_db in (20, 0):
-        noise = example.heard(("hiss", snr_db), {"hiss": hiss}, 1) - example.waveform
+        noise = example.mixed(("hiss", snr_db), {"hiss": hiss}, 1) - example.waveform
         ratio = 10 * np.log10(0.04 / np.square(noise).mean())
         assert ratio == pytest.approx(snr_db, abs=0.01)
 
@@ -239,7 +239,7 @@ def test_comparison_pools_by_condition_and_prints_tables(example):
 
 
 def write_dataset(folder, splits):
-    """One recording a split, each with two rows as `corpus build` writes them."""
+    """One recording per split, each with two rows as written by `corpus build`."""
     rows = ["clip,audio,curves,emotion,speaker,split,phones"]
     (folder / "curves.npz").write_bytes(b"")
     for i, split in enumerate(splits):

@@ -1,4 +1,4 @@
-"""Attention over vowels and plosives: which rows, how even, and a picture of them."""
+"""Attention over vowels and plosives: chosen rows, evenness, and the picture."""
 
 import math
 
@@ -12,7 +12,7 @@ PHONES = [(0.0, 0.2, "SIL"), (0.2, 0.4, "AA1"), (0.4, 0.6, "B"), (0.6, 0.8, "IY"
 
 
 def weights():
-    """Even, but for one spectrum at the middle of the /b/."""
+    """Even weights, except for one spectrum at the middle of the /b/."""
     rows = np.full((30, 16), 1 / 16, np.float32)
     rows[15] = np.eye(16)[8]
     return rows
@@ -39,7 +39,7 @@ def test_a_phone_beyond_the_end_takes_the_last_frame():
     assert len(vowels.rows) == 3
 
 
-def test_without_either_kind_there_is_no_map():
+def test_missing_kind_of_phone_is_refused():
     with pytest.raises(DataError, match="no plosive"):
         attention_maps(weights(), PHONES[:2], 30)
 

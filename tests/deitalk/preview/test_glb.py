@@ -1,4 +1,4 @@
-"""A GLB in the preview page: animation on the page's clock, shapes by hand, clear refusals."""
+"""A GLB in the preview page: animation on the page's clock, sliders of shapes, refused files."""
 
 import base64
 import json
@@ -69,7 +69,7 @@ def open_glb(page, path) -> None:
 
 
 def vertices(page) -> np.ndarray:
-    """What is shown, as the page says it, (V, 3) in metres."""
+    """Shown vertices from the page's state, (V, 3) in metres."""
     flat = page.evaluate("Array.from(deitalk.page.state().model.vertices)")
     return np.array(flat).reshape(-1, 3)
 
@@ -84,7 +84,7 @@ def seek(page, seconds: float) -> None:
 )
 def test_animation_follows_the_pages_clock(page, folder, seconds, jaw, smile):
     open_glb(page, folder / "moving.glb")
-    seek(page, 1.2)  # from elsewhere: the order of seeks must not matter
+    seek(page, 1.2)  # the result must not depend on earlier seeks
     seek(page, seconds)
     assert np.abs(vertices(page) - (CORNERS + jaw * OPEN + smile * SMILE)).max() < 1e-6
     assert page.evaluate("deitalk.page.state().shown") == pytest.approx(seconds)
@@ -92,7 +92,7 @@ def test_animation_follows_the_pages_clock(page, folder, seconds, jaw, smile):
     assert page.complaints == []
 
 
-def test_playing_moves_it_with_the_frame_that_is_shown(page, folder):
+def test_animation_plays_with_the_shown_frame(page, folder):
     open_glb(page, folder / "moving.glb")
     seek(page, 0)
     page.click("#play")
@@ -112,10 +112,10 @@ def test_without_animation_every_shape_has_a_slider(page, folder):
     page.locator(".sliders input").nth(1).fill("0.4")
     assert np.abs(vertices(page) - (CORNERS + 0.4 * SMILE)).max() < 1e-6
     seek(page, 1.0)
-    assert np.abs(vertices(page) - (CORNERS + 0.4 * SMILE)).max() < 1e-6  # time leaves it alone
+    assert np.abs(vertices(page) - (CORNERS + 0.4 * SMILE)).max() < 1e-6  # independent of time
 
 
-def test_another_file_replaces_the_first_and_close_takes_it_away(page, folder):
+def test_another_file_replaces_the_first_and_close_removes_it(page, folder):
     open_glb(page, folder / "moving.glb")
     page.set_input_files("#file", folder / "still.glb")
     page.wait_for_selector(".sliders")
@@ -140,7 +140,7 @@ def test_a_dropped_file_opens(page, folder):
 
 
 def test_shape_of_several_meshes_is_one_slider(page, tmp_path):
-    """Face and teeth of a user's head carry shapes of the same names; the node is moved too."""
+    """Face and teeth have shapes of the same names; the node is moved too."""
     builder = GlbBuilder()
     position = builder.dense(CORNERS, "VEC3", 34962)
     primitive = {
@@ -193,7 +193,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("data", "message"), BAD.values(), ids=BAD)
-def test_bad_files_are_refused_in_a_line(page, tmp_path, data, message):
+def test_bad_files_are_refused_in_one_line(page, tmp_path, data, message):
     path = tmp_path / "bad.glb"
     path.write_bytes(data)
     page.set_input_files("#file", path)
@@ -202,8 +202,8 @@ def test_bad_files_are_refused_in_a_line(page, tmp_path, data, message):
         arg=message,
         timeout=20_000,
     )
-    said = page.inner_text("#notice")
-    assert said.startswith("bad.glb") and "\n" not in said
+    notice = page.inner_text("#notice")
+    assert notice.startswith("bad.glb") and "\n" not in notice
     assert page.locator("figure.model").count() == 0
     assert page.complaints == []
 
@@ -220,7 +220,7 @@ def test_file_cut_short_is_refused(page, folder, tmp_path):
         )
 
 
-def test_too_large_a_file_is_not_read(page):
+def test_file_above_the_limit_is_not_read(page):
     page.evaluate(
         "deitalk.page.opener.open({ name: 'big.glb', size: 3e9 })"
     )  # nothing else to read
@@ -232,7 +232,7 @@ def test_player_without_a_take_shows_a_glb(browser, folder):
         assert not tab.is_visible("#workbench")
         assert "drop a GLB" in tab.inner_text("#notice")
         open_glb(tab, folder / "moving.glb")
-        seek(tab, 9)  # the file's own length counts
+        seek(tab, 9)  # the duration is that of the file
         assert tab.evaluate("deitalk.page.state().shown") == pytest.approx(1.5, abs=1e-3)
         assert np.abs(vertices(tab) - (CORNERS + 0.5 * OPEN + 0.5 * SMILE)).max() < 1e-6
         tab.click("#play")
@@ -241,8 +241,8 @@ def test_player_without_a_take_shows_a_glb(browser, folder):
 
 
 @pytest.mark.slow
-def test_take_and_head_of_our_own_writers_show_in_the_page(page, tmp_path):
-    """`deitalk convert` and `deitalk face export`, as a user has them."""
+def test_take_and_head_of_our_own_writers_are_shown(page, tmp_path):
+    """Files of `deitalk convert` and `deitalk face export` in the page."""
     controls, run = default_controls(), CliRunner()
     values = np.tile(controls.rest, (61, 1))
     for name, speed in (("CTRL_C_jaw.ty", 3.0), ("CTRL_L_eye_blink.ty", 5.0)):

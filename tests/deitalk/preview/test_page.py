@@ -29,7 +29,7 @@ RATE = 16000
 
 
 def unpack(text: str) -> tuple[dict, dict]:
-    """What data.ts does, in Python."""
+    """The decoding of data.ts in Python."""
     data = gzip.decompress(base64.b64decode(text))
     (length,) = struct.unpack("<I", data[:4])
     header = json.loads(data[4 : 4 + length])
@@ -52,8 +52,8 @@ def make_source(title: str = "take", frames: int = 90) -> PreviewSource:
     emotion[:, 2] = 1
     curves = RigCurves(values, CONTROLS.names, 30.0, emotion, intensity)
     sound = (0.2 * rng.standard_normal(frames * RATE // 30)).astype(np.float32)
-    said = ((0.0, 0.06, "B"),)  # over an open vowel
-    return PreviewSource(title, curves, sound, RATE, neutral.astype(np.float32), said)
+    phones = ((0.0, 0.06, "B"),)  # over an open vowel
+    return PreviewSource(title, curves, sound, RATE, neutral.astype(np.float32), phones)
 
 
 def test_pack_keeps_arrays_and_facts():
@@ -102,14 +102,14 @@ def test_page_holds_the_take_and_the_recording(tiny_player, tmp_path):
     assert np.allclose(arrays["vertices"].reshape(-1, 3), build_head(0).mesh.vertices, atol=1e-5)
 
 
-def test_page_without_recording_says_so_with_nothing(tiny_player, tmp_path):
+def test_page_without_recording_has_no_audio(tiny_player, tmp_path):
     source = make_source()
     silent = PreviewSource("s", source.curves, np.zeros(0, np.float32), 0)
     page = render_page(silent, tmp_path / "p.html").read_text()
     assert block(page, "audio-0") == ""
 
 
-def test_missing_player_says_how_to_get_it(tmp_path, monkeypatch):
+def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "BUNDLE", tmp_path / "none.html")
     with pytest.raises(MissingError, match="npm install && npm run build"):
         render_page(make_source(), tmp_path / "p.html")
@@ -131,7 +131,7 @@ def test_existing_page_is_kept_without_force(tiny_player, tmp_path):
     assert (tmp_path / "p.html").read_text() == "mine"
 
 
-def test_three_takes_are_too_many(tiny_player, tmp_path):
+def test_three_takes_are_refused(tiny_player, tmp_path):
     with pytest.raises(PreviewError, match="3 takes"):
         render_page([make_source()] * 3, tmp_path / "p.html")
 
@@ -165,13 +165,13 @@ def shown_vertices(page) -> np.ndarray:
     return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
 
 
-def test_page_opens_offline_without_a_complaint(page):
+def test_page_opens_offline_without_console_errors(page):
     page.wait_for_timeout(300)
     assert page.complaints == []
     assert page.inner_text("#title") == "first"
 
 
-def test_the_pages_rig_is_pythons_rig(page):
+def test_rig_of_the_page_equals_that_of_python(page):
     head, rng = build_head(0), np.random.default_rng(11)
     full = CONTROLS.minimum + (CONTROLS.maximum - CONTROLS.minimum) * rng.random((6, 185))
     values = np.where(rng.random((6, 185)) < 0.5, full, CONTROLS.rest)
@@ -194,7 +194,7 @@ def test_shown_frame_agrees_with_the_audio_clock(page):
                          const s = deitalk.page.state(); done(s.time - s.shown); }, 0)))"""
                 )
             )
-        assert page.evaluate("deitalk.page.state().time") > 1.0  # it does play
+        assert page.evaluate("deitalk.page.state().time") > 1.0  # it plays
         page.click("#play")
         medians.append(float(np.median(np.abs(late))))
         if medians[-1] <= 0.017:
@@ -254,7 +254,7 @@ def test_muting_a_region_rests_it(page):
     assert np.abs(shown_vertices(page) - build_head(0).pose(values)).max() < 0.02
 
 
-def test_warnings_of_python_stand_in_the_lane_and_lead_there(page):
+def test_warnings_of_python_are_listed_and_seek(page):
     (found,) = bilabial_warnings(make_source())
     assert found.text in page.inner_text("#warnings")
     page.evaluate("deitalk.page.seek(2)")
@@ -284,7 +284,7 @@ def test_narrow_page_does_not_scroll_sideways(browser, page_file, scheme):
         assert tab.locator("#faces canvas").count() == 2
 
 
-def test_page_is_small(page_file):
+def test_page_is_below_its_size_limit(page_file):
     text = (page_file / "one.html").read_text()
     assert (len(text) - len(block(text, "audio-0"))) / 1e6 <= 4
 
@@ -300,7 +300,7 @@ def test_page_is_fast_enough_without_a_gpu(page, capsys):
         )
         for _ in range(3)
     ]
-    said = ", ".join(f"{speed:.0f}" for speed in speeds)
+    listed = ", ".join(f"{speed:.0f}" for speed in speeds)
     with capsys.disabled():
-        sys.stdout.write(f"\npage without a GPU: {said} frames a second\n")
+        sys.stdout.write(f"\npage without a GPU: {listed} frames a second\n")
     assert max(speeds) >= 8  # frames a second without a GPU, once the page has adapted

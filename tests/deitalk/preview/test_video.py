@@ -1,4 +1,4 @@
-"""The review video: reading what is shown, the panel, exact sync, and clear refusals."""
+"""The review video: its input, the panel, synchronisation, refused inputs."""
 
 import sys
 from fractions import Fraction
@@ -47,7 +47,7 @@ def write_wav(path, seconds: float) -> None:
     soundfile.write(path, np.zeros(round(seconds * RATE), np.float32), RATE)
 
 
-def test_take_folder_brings_curves_audio_and_neutral(tmp_path):
+def test_take_folder_gives_curves_audio_and_neutral(tmp_path):
     curves = make_curves(30)
     write_curves(tmp_path / "curves.json", curves)
     write_curves(tmp_path / "neutral.npz", make_curves(30))
@@ -65,7 +65,7 @@ def test_curves_without_recording_are_silent(tmp_path):
     assert source.sample_rate == 0 and source.audio_seconds == 0
 
 
-def test_missing_source_is_named(tmp_path):
+def test_missing_source_is_refused_by_name(tmp_path):
     with pytest.raises(PreviewError, match="nothing_here"):
         load_source(tmp_path / "nothing_here")
 
@@ -75,7 +75,7 @@ def test_folder_that_is_no_take_is_refused(tmp_path):
         load_source(tmp_path)
 
 
-def test_missing_recording_is_named(tmp_path):
+def test_missing_recording_is_refused_by_name(tmp_path):
     write_curves(tmp_path / "c.csv", make_curves(4))
     with pytest.raises(PreviewError, match=r"gone\.wav"):
         load_source(tmp_path / "c.csv", tmp_path / "gone.wav")
@@ -142,7 +142,7 @@ def test_jaw_frames_differ_in_the_mouth(monkeypatch):
 
 
 def flat_frames(source, **_):
-    """Frames whose brightness is their number, to look at time only."""
+    """Frames whose brightness encodes their number, for tests of time."""
     for k in range(len(source.curves)):
         yield np.full((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), 20 + 10 * k, np.uint8)
 
@@ -168,18 +168,18 @@ def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, mo
     shown = brightness(out)
     assert [time for time, _ in shown] == [k / rate for k in range(15)]
     assert np.abs([level - 20 - 10 * k for k, (_, level) in enumerate(shown)]).max() < 4
-    heard = load_audio(out).waveform
-    assert np.abs(heard[3000:5000]).argmax() + 3000 == pytest.approx(4000, abs=1)
-    assert np.abs(heard[:200]).argmax() <= 1
+    played = load_audio(out).waveform
+    assert np.abs(played[3000:5000]).argmax() + 3000 == pytest.approx(4000, abs=1)
+    assert np.abs(played[:200]).argmax() <= 1
     with av.open(str(out)) as container:
         assert {stream.codec_context.name for stream in container.streams} == {"h264", "aac"}
         assert [stream.start_time for stream in container.streams] == [0, 0]
         assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
     content = out.read_bytes()
-    assert content.index(b"moov") < content.index(b"mdat")  # plays before it is loaded
+    assert content.index(b"moov") < content.index(b"mdat")  # playable before it is fully loaded
 
 
-def test_curves_may_outlast_the_sound(tmp_path, monkeypatch):
+def test_curves_may_be_longer_than_the_sound(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "draw_frames", flat_frames)
     out = render_video(make_source(15, seconds=0.2), tmp_path / "v.mp4")
     assert len(brightness(out)) == 15
@@ -198,9 +198,9 @@ def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
     click = np.zeros(5000, np.float32)
     click[4000] = 0.9
     odd = PreviewSource("t", make_curves(15), click, 10007)
-    heard = load_audio(render_video(odd, tmp_path / "v.mp4"))
-    assert heard.source_rate == 48000
-    assert np.abs(heard.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
+    played = load_audio(render_video(odd, tmp_path / "v.mp4"))
+    assert played.source_rate == 48000
+    assert np.abs(played.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
 
 
 HERE = [name for name, _ in encoding.ENCODERS if name in av.codecs_available]
@@ -219,7 +219,7 @@ def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path,
     assert np.abs(np.array(levels) - 20 - 10 * np.arange(15)).max() < 6
 
 
-def test_without_h264_the_encoder_is_mpeg4_and_says_so(monkeypatch):
+def test_without_h264_the_encoder_is_mpeg4_with_a_note(monkeypatch):
     monkeypatch.setattr(av, "codecs_available", {"mpeg4", "aac"})
     found = encoding.find_encoder()
     assert found.name == "mpeg4"
@@ -260,13 +260,15 @@ def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeyp
         ("p.mp4", "paint", RigError, "backend 'paint' is unknown"),
     ],
 )
-def test_needs_of_a_preview_are_told(tmp_path, monkeypatch, name, backend, error, message):
+def test_requirements_of_a_preview_are_reported(
+    tmp_path, monkeypatch, name, backend, error, message
+):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
     with pytest.raises(error, match=message):
         check_needs([tmp_path / "fine.mp4", tmp_path / name], backend)
 
 
-def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
+def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)  # nothing is read
     monkeypatch.setattr("deitalk.preview.source.load_source", None)
@@ -278,7 +280,7 @@ def test_commands_ask_for_the_page_before_any_work(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["plot", "attention"])
-def test_commands_ask_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
+def test_commands_check_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)
     speech = "docs/samples/promise.flac"
@@ -287,7 +289,7 @@ def test_commands_ask_for_matplotlib_before_any_work(tmp_path, monkeypatch, comm
     assert "pip install matplotlib" in str(done.exception)
 
 
-def test_failing_encoder_leaves_nothing_behind(tmp_path, monkeypatch):
+def test_failing_encoder_leaves_no_file(tmp_path, monkeypatch):
     def too_small(source, **_):
         yield np.zeros((3, 3, 3), np.uint8)
         raise OSError(28, "No space left on device")

@@ -25,7 +25,7 @@ def bursts(times: np.ndarray) -> np.ndarray:
 
 
 def speaking(late_frames: float, fps: float = 30.0, rate: int = 16000) -> PreviewSource:
-    """A jaw that follows the loudness, `late_frames` behind it."""
+    """A jaw that follows the loudness with a delay of `late_frames`."""
     times = np.arange(SECONDS * rate) / rate
     noise = np.random.default_rng(5).standard_normal(len(times))
     sound = (0.3 * bursts(times) * noise).clip(-1, 1).astype(np.float32)
@@ -39,7 +39,7 @@ def speaking(late_frames: float, fps: float = 30.0, rate: int = 16000) -> Previe
     ("late", "word", "fps", "rate"),
     [(6, "late", 30, 16000), (-6, "early", 30, 16000), (12, "late", 60, 44100)],
 )
-def test_shifted_curves_are_named_with_their_shift(late, word, fps, rate):
+def test_shifted_curves_are_reported_with_their_shift(late, word, fps, rate):
     (found,) = offset_warnings(speaking(late, fps, rate))
     milliseconds = float(found.text.split()[2])
     assert word in found.text
@@ -47,11 +47,11 @@ def test_shifted_curves_are_named_with_their_shift(late, word, fps, rate):
 
 
 @pytest.mark.parametrize("late", [0, 1, -1])
-def test_curves_in_time_are_not_named(late):
+def test_curves_in_time_are_not_reported(late):
     assert offset_warnings(speaking(late)) == []
 
 
-def test_offset_of_a_still_jaw_or_of_no_sound_is_not_guessed():
+def test_offset_of_a_still_jaw_or_of_silence_is_not_reported():
     source = speaking(6)
     still = RigCurves(np.tile(CONTROLS.rest, (180, 1)), CONTROLS.names, 30.0)
     assert offset_warnings(dataclasses.replace(source, curves=still)) == []
@@ -60,20 +60,20 @@ def test_offset_of_a_still_jaw_or_of_no_sound_is_not_guessed():
 
 
 def mouth(open_frames: slice) -> PreviewSource:
-    """Lips pressed for /m/, except where an open vowel stands."""
+    """Lips pressed for /m/, except during an open vowel."""
     values = np.tile(pose_values(MOUTH_POSES["M B P"]), (60, 1))
     values[open_frames] = pose_values(MOUTH_POSES["AA (father)"])
     curves = RigCurves(values.astype(np.float32), CONTROLS.names, 30.0)
     return PreviewSource("m", curves, np.zeros(0, np.float32), 0)
 
 
-def test_lip_gaps_are_nought_when_sealed_and_wide_when_open():
+def test_lip_gaps_are_zero_when_sealed_and_wide_when_open():
     gaps = lip_gaps(build_head(0), mouth(slice(30, 60)).curves.values)
     assert gaps[:30].max() < 0.02  # the seal's 0.2 mm
     assert gaps[30:].min() > 0.5
 
 
-def test_open_bilabial_is_named_and_a_closed_one_is_not():
+def test_open_bilabial_is_reported_and_a_closed_one_is_not():
     phones = ((0.2, 0.3, "M"), (1.5, 1.6, "b"), (1.6, 1.8, "AA1"))
     source = dataclasses.replace(mouth(slice(30, 60)), phones=phones)
     (found,) = bilabial_warnings(source)
@@ -85,7 +85,7 @@ def test_other_phones_may_stay_open():
     assert find_warnings(source) == []
 
 
-def test_bilabial_beyond_the_curves_is_not_judged():
+def test_bilabial_beyond_the_curves_is_not_checked():
     source = dataclasses.replace(mouth(slice(0, 60)), phones=((9.0, 9.1, "P"),))
     assert find_warnings(source) == []
 
@@ -98,19 +98,19 @@ def take(tmp_path):
     return tmp_path
 
 
-def test_take_brings_its_phones(take):
+def test_phones_of_a_take_are_read(take):
     (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
     assert load_source(take).phones == ((0.2, 0.3, "M"),)
 
 
-def test_named_phones_go_before_the_takes(take, tmp_path):
+def test_given_phones_replace_those_of_the_take(take, tmp_path):
     (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
     (take / "mine.csv").write_text("start,end,phone\n1.5,1.6,P\n")
     assert load_source(take, phones=take / "mine.csv").phones == ((1.5, 1.6, "P"),)
 
 
-def test_missing_or_broken_phones_are_refused_in_a_line(take):
-    with pytest.raises(PreviewError, match="not there"):
+def test_missing_or_broken_phones_are_refused_in_one_line(take):
+    with pytest.raises(PreviewError, match="do not exist"):
         load_source(take, phones=take / "none.csv")
     (take / "bad.csv").write_text("start,end,phone\n0.4,0.3,M\n")
     with pytest.raises(DataError, match="ends before it starts"):

@@ -1,4 +1,4 @@
-/** Time: the recording's own clock where there is one, else the computer's. */
+/** Playback time: the recording's clock if there is a recording, else the computer's. */
 
 export class Clock {
   readonly audio?: HTMLAudioElement;

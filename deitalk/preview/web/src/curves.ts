@@ -51,7 +51,7 @@ export class CurveLanes {
         height: HEIGHT,
         padding: [8, 0, 0, 0],
         scales: { x: { time: false, range: [0, this.take.seconds] }, y: { range: [lowest - 0.03, 1.03] } },
-        // the first label would be cut off: the lane is as wide as the others
+        // keeps the lane as wide as the others; the first label would be cut off
         axes: [{ ...axis, size: 26, values: (_u, times) => times.map((t) => (t ? String(t) : "")) }, { ...axis, size: 0, ticks: { show: false }, values: () => [] }],
         series: [
           { label: "s" },

@@ -1,4 +1,4 @@
-/** Draws the embedded head with three.js, with the light that Python draws it with. */
+/** Draws the embedded head with three.js and the lights of `rig.face.render`. */
 
 import * as THREE from "three";
 

@@ -17,7 +17,7 @@ const VIEWS: [string, string, string][] = [
 ];
 const FPS_WITHOUT_TAKE = 30;
 
-/** What Python put into the page. */
+/** Data of the page, from `deitalk.preview.page`. */
 interface Contents {
   head: Packed;
   takes: Take[];
@@ -60,7 +60,7 @@ class Page {
     Object.assign(window, { deitalk: { page: this, ready: true } });
   }
 
-  /** For tests and for the curious: time, frame and vertices as shown. */
+  /** State for tests: time, frame and vertices as shown. */
   state() {
     const { shown, time } = this.transport, { model } = this.opener;
     return { time, shown, frame: Math.round(shown * (this.takes[0]?.fps ?? FPS_WITHOUT_TAKE)),
@@ -92,7 +92,7 @@ class Page {
     this.faces.push(face);
   }
 
-  /** A GLB came or went: without a take it brings its own length of time. */
+  /** Update after a GLB is opened or closed; without a take the GLB gives the duration. */
   private opened(): void {
     const { model } = this.opener;
     if (!this.takes.length) this.clock.seconds = model?.seconds ?? 0;

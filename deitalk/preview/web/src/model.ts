@@ -1,4 +1,4 @@
-/** A GLB from anywhere beside the head: its animation on the page's clock, or its shapes by hand. */
+/** An opened GLB beside the head: its animation on the page's clock, or a slider per shape. */
 
 import * as THREE from "three";
 import type { GLTF } from "three/addons/loaders/GLTFLoader.js";
@@ -8,11 +8,11 @@ import { Viewport } from "./viewport";
 const FOV_DEGREES = 20;
 /** The middle of the gradient behind the embedded head. */
 const BACKGROUND = 0x393f47;
-/** Uniform vectors of a shader that weights of shapes must leave to matrices and lights. */
+/** Uniform vectors of a shader reserved for matrices and lights, not available to shape weights. */
 const UNIFORMS_KEPT = 48;
 /** Share of the farthest move beyond which a vertex belongs to the face. */
 const CLEARLY = 0.08;
-/** Where the camera stands, from the face: +x is the character's left, +z the front. */
+/** Position of the camera relative to the face: +x is the character's left, +z the front. */
 const VIEWS: Record<string, THREE.Vector3> = {
   face: new THREE.Vector3(0, 0, 1),
   three_quarter: new THREE.Vector3(0.58, 0.05, 0.81),
@@ -69,7 +69,7 @@ export class Model extends Viewport {
     this.redraw();
   }
 
-  /** Weight that the file itself gives a shape. */
+  /** Weight of a shape in the file. */
   weight(name: string): number {
     const mesh = this.morphing.find((m) => m.morphTargetDictionary?.[name] !== undefined);
     return mesh?.morphTargetInfluences![mesh.morphTargetDictionary![name]] ?? 0;
@@ -119,7 +119,7 @@ export class Model extends Viewport {
     throw new Error(`it has ${count} shapes on one mesh; this browser draws at most ${most}`);
   }
 
-  /** Box around what shapes clearly move (the face of a whole body, too); all of it without shapes. */
+  /** Box around the vertices clearly moved by shapes; around all vertices without shapes. */
   private movingBox(): THREE.Box3 {
     const box = new THREE.Box3(), point = new THREE.Vector3();
     const moves = this.morphing.map((mesh) => farthest(mesh.geometry));
@@ -133,7 +133,7 @@ export class Model extends Viewport {
   }
 }
 
-/** How far any one shape moves every vertex. */
+/** Largest displacement of every vertex over all shapes. */
 function farthest(geometry: THREE.BufferGeometry): Float32Array {
   const most = new Float32Array(geometry.attributes.position.count);
   for (const delta of geometry.morphAttributes.position ?? []) {

@@ -1,4 +1,4 @@
-/** Opening a GLB by button, key or drop, and its place among the faces. */
+/** Opens a GLB by button, key or drop, and adds it to the faces. */
 
 import { readGlb } from "./glb";
 import { Model } from "./model";

@@ -1,4 +1,4 @@
-/** What every part of the page needs of the document. */
+/** Helpers for elements of the document. */
 
 export const $ = <T extends Element = HTMLElement>(id: string) => document.getElementById(id) as unknown as T;
 
@@ -7,14 +7,14 @@ export function timeCode(seconds: number): string {
   return `${String(minutes).padStart(2, "0")}:${(seconds - 60 * minutes).toFixed(3).padStart(6, "0")}`;
 }
 
-/** A button that does one thing. */
+/** A button with a click handler. */
 export function button(label: string, action: () => void): HTMLButtonElement {
   const made = Object.assign(document.createElement("button"), { type: "button", textContent: label });
   made.addEventListener("click", action);
   return made;
 }
 
-/** One line of news or trouble; read aloud. */
+/** Shows one line of status or error, announced by screen readers. */
 export function notice(line: string): void {
   $("notice").textContent = line;
 }

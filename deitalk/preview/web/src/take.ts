@@ -28,7 +28,7 @@ export class Take {
   readonly muted = new Set<string>();
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
-  /** Found by Python, which knows phones and loudness. */
+  /** Warnings from `deitalk.preview.warnings`, which has phones and loudness. */
   private readonly known: Warning[];
 
   constructor(packed: Packed, private readonly board: Record<string, any>) {
@@ -67,7 +67,7 @@ export class Take {
 
   isEdited = false;
 
-  /** Applied intensity at a frame: as heard, or through the edited points. */
+  /** Applied intensity at a frame: of the take, or through the edited points. */
   intensityAt(frame: number): number {
     const heard = this.intensity ? this.intensity[frame] : 0;
     if (!this.isEdited) return heard;
@@ -118,7 +118,7 @@ export class Take {
     return `time,intensity\n${rows.join("\n")}\n`;
   }
 
-  /** What a reviewer should look at: values at their limit for long, jitter, lengths that differ. */
+  /** Warnings: values at their limit for long, jitter, different lengths. */
   warnings(audioSeconds: number): Warning[] {
     const found: Warning[] = [...this.known];
     const n = this.board.controls.length;

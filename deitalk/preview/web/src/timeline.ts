@@ -12,7 +12,7 @@ export function samplesOf(wav: Uint8Array): Int16Array {
   return new Int16Array(wav.buffer.slice(wav.byteOffset + 44, wav.byteOffset + 44 + ((wav.length - 44) & ~1)));
 }
 
-/** The waveform, drawn once for a width, and the playhead over it. */
+/** The waveform, drawn once per width, with the playhead over it. */
 export class SoundView {
   private readonly picture = document.createElement("canvas");
   private key = "";

@@ -1,4 +1,4 @@
-/** Playback: buttons, keys and scrubbing move one clock; the loop asks for the frame that is due. */
+/** Playback: buttons, keys and scrubbing set one clock; the loop draws the frame that is due. */
 
 import type { Clock } from "./clock";
 import { $, timeCode } from "./page";
@@ -10,9 +10,9 @@ const KEYS: [string, string][] = [
 ];
 
 export class Transport {
-  /** Seconds of the frame that is shown. */
+  /** Time of the shown frame, seconds. */
   shown = 0;
-  /** Seconds that drawing a frame takes; the frame shown is the one due when it is drawn. */
+  /** Drawing time of a frame, seconds; the frame drawn is the one due at the end of drawing. */
   private lead = 0;
 
   constructor(

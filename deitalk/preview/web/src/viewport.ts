@@ -1,4 +1,4 @@
-/** A canvas with a camera that orbits: what the embedded head and an opened GLB share. */
+/** A canvas with an orbiting camera, shared by the embedded head and an opened GLB. */
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -53,7 +53,7 @@ export abstract class Viewport {
     this.draw();
   }
 
-  /** Draw after a change of shape: with fewer pixels where that is slow, with all of them when still. */
+  /** Draw after a change of shape: with fewer pixels if drawing is slow, with all when at rest. */
   protected redraw(): void {
     this.adapt();
     if (this.isSharp) this.sharpen(false);

@@ -1,4 +1,4 @@
-/** What a take can be asked: intensity to drag, curves, muted regions, warnings. */
+/** Tools for a take: draggable intensity, curves, muted regions, warnings. */
 
 import { CurveLanes } from "./curves";
 import type { Packed } from "./data";
@@ -11,7 +11,7 @@ export class Workbench {
   private readonly lanes: CurveLanes;
   private stale = 0;
 
-  /** The timeline is that of the first take; muted regions are muted in all. */
+  /** The timeline shows the first take; muted regions apply to all takes. */
   constructor(
     head: Packed,
     private readonly takes: Take[],
@@ -85,7 +85,7 @@ export class Workbench {
       for (const take of takes) if (!take.muted.delete(region)) take.muted.add(region);
       this.showMuted();
     });
-    made.title = "Click mutes; double click leaves this region alone";
+    made.title = "Click mutes; double click mutes all other regions";
     made.setAttribute("aria-pressed", "true");
     made.addEventListener("dblclick", () => {
       const others = this.regions.map((b) => b.textContent!).filter((name) => name !== region);
