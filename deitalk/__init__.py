@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from deitalk.errors import DeitalkError
     from deitalk.models.checkpoint import load_model
     from deitalk.pipeline.curves import animate
-    from deitalk.pipeline.mesh import MeshPerformance, animate_mesh
-    from deitalk.pipeline.performance import Performance
+    from deitalk.pipeline.mesh import animate_mesh
+    from deitalk.pipeline.performance import MeshPerformance, Performance
 
 _HOMES = {
     "audio.load": ("Recording", "load_audio"),
     "models.checkpoint": ("load_model",),
     "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
-    "pipeline.mesh": ("MeshPerformance", "animate_mesh"),
-    "pipeline.performance": ("Performance",),
+    "pipeline.mesh": ("animate_mesh",),
+    "pipeline.performance": ("MeshPerformance", "Performance"),
     "pipeline.curves": ("animate",),
     "audio.arrays": ("recording_from_array",),
 }

@@ -7,7 +7,7 @@ import pytest
 from typer.main import get_command
 
 from deitalk.cli import app
-from deitalk.models.checkpoint import embedded_models
+from deitalk.models.folder import embedded_models
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

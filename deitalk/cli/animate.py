@@ -148,11 +148,12 @@ def _perform(
     with console().status("loading the network"):
         import torch
 
-        from deitalk.models.checkpoint import load_model
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
         from deitalk.pipeline.curves import animate as perform
 
         torch.set_num_threads(min(threads, os.cpu_count() or 1))
-        network = load_model(model, device=device)
+        network = require_model(model, DEITalk, device=device)
     with bar("animating") as progress:
         performance = perform(sound, model=network, progress=progress, **given)
     performance.timings["audio"] += reading_seconds
@@ -181,7 +182,7 @@ def _write_take(
     preview: bool,
     force: bool,
 ) -> None:
-    from deitalk.models.checkpoint import describe_model
+    from deitalk.models.folder import describe_model
     from deitalk.pipeline.take import write_take
 
     about = describe_model(model)

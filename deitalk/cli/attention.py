@@ -80,14 +80,18 @@ def _measure(
     """Draw the attention; return the means over vowels and plosives if phones are given."""
     from deitalk.audio.load import load_audio
     from deitalk.data.clips import read_phones
-    from deitalk.evaluation.attention import attention_of, corpus_attention, load_attention_model
+    from deitalk.evaluation.attention import (
+        attention_of,
+        corpus_attention,
+        spectra_per_second,
+    )
     from deitalk.figures.attention import attention_maps, plot_attention, plot_clip
+    from deitalk.models.checkpoint import load_model
 
-    network = load_attention_model(model, device=device)
+    network = load_model(model, device=device)
     if source.is_dir():
         pooled = corpus_attention(network, source, split=split, n_clips=clips)
-        config = network.config.frontend
-        plot_attention(*pooled, config.frame_rate / getattr(config, "time_stack", 1), out)
+        plot_attention(*pooled, spectra_per_second(network), out)
         return pooled
     recording = load_audio(source)
     heard = attention_of(network, recording.waveform)

@@ -62,62 +62,54 @@ def evaluate(
         reserve_file(out, force=force)
     if picture is not None:
         reserve_picture(picture, force=force)
-    from deitalk.pipeline.mesh import is_sdfa
+    from deitalk.models.folder import product_of
 
-    if is_sdfa(model):
-        _refuse_for_meshes(noise=noise, captured=captured, picture=picture)
-        _score_mesh(model, data, split, most, out, transitions=transitions, as_json=as_json)
-        return
-    if transitions:
-        raise DataError("--transitions: for mesh models; leave it out")
-    report = _score(
-        model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
-    )
-    from deitalk.evaluation.report import as_markdown
-
-    _write(report, as_markdown(report), out, as_json=as_json)
+    if product_of(model) == "mesh":
+        _refuse("not for mesh models", noise=noise, captured=captured, picture=picture)
+        report, markdown = _score_mesh(model, data, split=split, most=most, transitions=transitions)
+    else:
+        _refuse("for mesh models", transitions=transitions or None)
+        report, markdown = _score_curves(
+            model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
+        )
+    _write(report, markdown, out, as_json=as_json)
     if picture is not None:
         from deitalk.figures.evaluation import draw
 
         draw(report, picture)
 
 
-def _score(model: str, data: Path, **options: Any) -> dict[str, Any]:
+def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:
+    """Report on a curve model, and its Markdown."""
     with console().status("loading"):
-        from deitalk.evaluation.curves import evaluate as score
-        from deitalk.models.checkpoint import load_model
+        from deitalk.evaluation.curves import evaluate
+        from deitalk.evaluation.report import as_markdown
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
 
-        network = load_model(model)
+        network = require_model(model, DEITalk)
     with bar("evaluating") as progress:
-        return score(network, data, **options, progress=progress)
+        report = evaluate(network, data, **options, progress=progress)
+    return report, as_markdown(report)
 
 
-def _score_mesh(
-    model: str,
-    data: Path,
-    split: str,
-    most: int | None,
-    out: Path | None,
-    *,
-    transitions: bool,
-    as_json: bool,
-) -> None:
+def _score_mesh(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:
+    """Report on a mesh model, and its Markdown."""
     with console().status("loading"):
         from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
-        from deitalk.models.mesh_checkpoint import load_sdfa
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.mesh_model import MeshModel
 
-        network = load_sdfa(model)
+        network = require_model(model, MeshModel)
     with bar("evaluating") as progress:
-        report = evaluate_mesh(
-            network, data, split=split, most=most, transitions=transitions, progress=progress
-        )
-    _write(report, as_markdown(report), out, as_json=as_json)
+        report = evaluate_mesh(network, data, **options, progress=progress)
+    return report, as_markdown(report)
 
 
-def _refuse_for_meshes(**options: object) -> None:
+def _refuse(reason: str, **options: object) -> None:
     for name, value in options.items():
         if value is not None:
-            raise DataError(f"--{name}: not for mesh models; leave it out")
+            raise DataError(f"--{name}: {reason}; leave it out")
 
 
 def _write(report: dict[str, Any], markdown: str, out: Path | None, *, as_json: bool) -> None:

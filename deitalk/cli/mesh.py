@@ -11,8 +11,7 @@ from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
-    from deitalk.pipeline.mesh import MeshPerformance
-    from rig.retarget.retarget_files import RetargetReport
+    from deitalk.pipeline.performance import MeshPerformance
 
 
 def mesh(
@@ -64,21 +63,24 @@ def mesh(
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     _check(emotion, intensity, fps, mesh, landmarks)
     curve = None if intensity_curve is None else str(intensity_curve)
-    acted: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "emotion": emotion, "intensity": intensity, "intensity_curve": curve, "model": model
     }  # fmt: skip
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
-        from deitalk.pipeline.mesh import animate_mesh, is_sdfa
+        from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
-        if mesh is None or is_sdfa(model):
-            performance = animate_mesh(
-                speech, speaker=who, fps=fps, device=device, progress=progress, **acted
-            )
-            summary = _write(performance, out, mesh, landmarks, force=force)
+        options = settings | {"speaker": who, "fps": fps, "device": device, "progress": progress}
+        if mesh is None:
+            performance = animate_mesh(speech, **options)
+            performance.save(out, force=force)
+            summary = _described(performance)
         else:
-            summary = _on_own_mesh(speech, out, mesh, landmarks, fps, device, progress, acted)
-    _report(out, summary | acted, as_json)
+            report, rate, notes = retarget_speech(speech, mesh, out, landmarks=landmarks, **options)
+            summary = {
+                "frames": report.frames, "fps": rate, "shapes": report.shapes, "notes": list(notes)
+            }  # fmt: skip
+    _report(out, summary | settings, as_json)
 
 
 def _check(
@@ -101,62 +103,10 @@ def _check(
             read_landmarks(landmarks, shapes.neutral)
 
 
-def _write(
-    performance: "MeshPerformance",
-    out: str,
-    mesh: Path | None,
-    landmarks: Path | None,
-    *,
-    force: bool,
-) -> dict[str, Any]:
-    from deitalk.pipeline.mesh import GLB_TOLERANCE_MM
-    from rig.retarget.retarget_files import retarget_sequence
-
-    if mesh is not None:
-        report = retarget_sequence(
-            performance.mesh,
-            performance.vertices,
-            mesh,
-            out,
-            fps=performance.fps,
-            tolerance=GLB_TOLERANCE_MM / performance.unit_mm,
-            source_landmarks=performance.landmarks,
-            landmarks=landmarks,
-        )
-        return _described(report, performance.fps)
-    performance.save(out, force=force)
+def _described(performance: "MeshPerformance") -> dict[str, Any]:
     frames, vertices, _ = performance.vertices.shape
     notes = list(performance.recording.warnings)
     return {"frames": frames, "fps": performance.fps, "vertices": vertices, "notes": notes}
-
-
-def _on_own_mesh(
-    speech: Path,
-    out: str,
-    mesh: Path,
-    landmarks: Path | None,
-    fps: float | None,
-    device: str,
-    progress: Any,
-    acted: dict[str, Any],
-) -> dict[str, Any]:
-    """Animate curves, then retarget them as `deitalk retarget`."""
-    from deitalk.models.checkpoint import load_model
-    from deitalk.pipeline.curves import animate
-    from rig.retarget.retarget_files import retarget_curves
-
-    network = load_model(acted["model"], device=device)
-    performance = animate(speech, **(acted | {"model": network}), progress=progress)
-    curves = performance.curves if fps is None else performance.curves.resample(fps)
-    report = retarget_curves(curves, mesh, out, landmarks=landmarks)
-    summary = _described(report, curves.fps)
-    return summary | {"notes": [*performance.recording.warnings, *summary["notes"]]}
-
-
-def _described(report: "RetargetReport", fps: float) -> dict[str, Any]:
-    return {
-        "frames": report.frames, "fps": fps, "shapes": report.shapes, "notes": list(report.notes)
-    }  # fmt: skip
 
 
 def _report(out: str, summary: dict[str, Any], as_json: bool) -> None:

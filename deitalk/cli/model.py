@@ -31,19 +31,19 @@ def export(
     --------
     deitalk model export runs/mel/best -o my_model --data "my captures"
     """
-    from deitalk.config import Config, load_config
-    from deitalk.errors import CheckpointError
-    from deitalk.models.checkpoint import describe_model, load_model, model_folder, save_model
+    from deitalk.config import load_config
+    from deitalk.models.checkpoint import require_model, save_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import describe_model, model_folder
 
     source = model_folder(model)
     reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
+    network = require_model(model, DEITalk)
     config = load_config(
         source / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
     )
-    if not isinstance(config, Config):
-        raise CheckpointError(f"{model}: a mesh model (sdfa); only curve models are exported")
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
-    save_model(out, load_model(model), config, summary, half=True)
+    save_model(out, network, config, summary, half=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 
@@ -53,7 +53,7 @@ def info(
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Show control set, size, hash and training of a model."""
-    from deitalk.models.checkpoint import describe_model, embedded_models
+    from deitalk.models.folder import describe_model, embedded_models
 
     about = describe_model(model)
     if as_json:

@@ -50,7 +50,7 @@ def train(
         return
     with console().status("loading"):
         from deitalk.figures.canvas import can_draw
-        from deitalk.models.checkpoint import model_folder
+        from deitalk.models.folder import model_folder
         from deitalk.training.curves import train as fit
 
         if not can_draw():

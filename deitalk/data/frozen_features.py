@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
-from deitalk.models.checkpoint import load_model
+from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
 
@@ -35,7 +35,7 @@ class FrozenFeatures:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._owner = load_model(name)
+        self._owner = require_model(name, DEITalk)
         self._heard: dict[Clip, NDArray[np.float16]] = {}
 
     def copy_into(self, model: DEITalk) -> None:

@@ -79,5 +79,6 @@ def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
     n_frames = len(clip.motion()["stretch"])
     sound = torch.from_numpy(normalise_level(clip.waveform()))
     emotion = torch.from_numpy(parse_emotion(clip.emotion).at(frame_times(n_frames)))
-    rows = encoder.read(encoder.analyse(sound, n_frames), emotion)
+    network = encoder.network
+    rows = network.describe(network.analyse(sound, n_frames), emotion)
     return np.asarray(rows.half().numpy())

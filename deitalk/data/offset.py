@@ -141,6 +141,7 @@ def _predicted_jaw(key: _Key) -> Float64 | None:
 
 @lru_cache(maxsize=1)
 def _network() -> Any:
-    from deitalk.models.checkpoint import embedded_models, load_model
+    from deitalk.models.checkpoint import load_model
+    from deitalk.models.folder import embedded_models
 
     return load_model("default") if "default" in embedded_models() else None

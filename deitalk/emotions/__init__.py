@@ -1,5 +1,6 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
+from deitalk.emotions.direction import Direction
 from deitalk.emotions.tracks import (
     EMOTIONS,
     EmotionTrack,
@@ -13,6 +14,7 @@ from deitalk.emotions.tracks import (
 
 __all__ = [
     "EMOTIONS",
+    "Direction",
     "EmotionTrack",
     "IntensityCurve",
     "check_intensity",

@@ -9,15 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
-from deitalk.audio.mel import RIG_RATE, nearest_spectra
-from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.audio.mel import nearest_spectra
+from deitalk.config import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.figures.attention import AttentionMap, attention_at
 from deitalk.frontends.mel_bilstm import MelFrontend
-from deitalk.models.checkpoint import load_model, model_folder, read_about
+from deitalk.models.mesh_model import SDFA
 from deitalk.phones import PLOSIVES, VOWELS
+from deitalk.pipeline.speech import Speech
 from rig.arrays import Float32
 
 
@@ -32,28 +34,13 @@ class Attention(NamedTuple):
     """Spectra per second."""
 
 
-def load_attention_model(model: str | Path, *, device: str = "cpu") -> Any:
-    """Read a model of either kind, DEITalk or SDFA.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model.
-    """
-    if read_about(model_folder(model)).get("kind") == "sdfa":
-        from deitalk.models.mesh_checkpoint import load_sdfa
-
-        return load_sdfa(model, device=device)
-    return load_model(model, device=device)
-
-
 def attention_of(network: Any, waveform: Float32) -> Attention:
     """Attention of a model over a recording.
 
     Parameters
     ----------
     network : DEITalk or SDFA
-        With SDFA's encoder.
+        From `deitalk.models.checkpoint.load_model`, with SDFA's encoder.
     waveform : array [shape=(S,)]
         16 kHz, any level.
 
@@ -62,20 +49,27 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
     CheckpointError
         If the model has no temporal attention.
     """
-    if hasattr(network, "attention_weights"):
-        rate = network.config.frontend.frame_rate
-        return Attention(network.attention_weights(waveform), network.fps, rate)
-    frontend = network.frontend
-    if not isinstance(frontend, MelFrontend):
+    rate, speech = spectra_per_second(network), Speech.of(waveform)
+    if isinstance(network, SDFA):
+        return Attention(network.attention_weights(speech.sound), network.fps, rate)
+    weights = frontend_attention(network.frontend, speech.sound, speech.n_frames)
+    return Attention(weights.cpu().numpy(), FRAME_RATE, rate)
+
+
+def spectra_per_second(network: Any) -> float:
+    """Rate of the spectra over which a model's attention runs.
+
+    Raises
+    ------
+    CheckpointError
+        If the model has no temporal attention.
+    """
+    config = network.config.frontend
+    if not isinstance(config, MelConfig):
         raise CheckpointError(
-            "this model's frontend is wav2vec 2.0, without temporal attention; choose a model with "
-            "a mel frontend, such as default"
+            "this model has no temporal attention; choose one with a mel frontend, such as default"
         )
-    sound = normalise_level(waveform, activity=speech_activity(waveform))
-    n_frames = max(int(np.ceil(len(waveform) * RIG_RATE / 16_000 - 1e-9)), 1)
-    weights = frontend_attention(frontend, torch.from_numpy(sound), n_frames)
-    config = frontend.config
-    return Attention(weights.cpu().numpy(), RIG_RATE, config.frame_rate / config.time_stack)
+    return config.frame_rate / config.time_stack
 
 
 @torch.no_grad()
@@ -128,7 +122,7 @@ def corpus_attention(
     Parameters
     ----------
     network : DEITalk or SDFA
-        From `load_attention_model`.
+        From `deitalk.models.checkpoint.load_model`.
     folder : Path
         A dataset folder whose clips have phones.
     split : str

@@ -50,11 +50,12 @@ def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str,
     import torch
 
     from deitalk.audio.load import Recording
-    from deitalk.models.checkpoint import load_model
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
     from deitalk.pipeline.curves import animate
 
     torch.set_num_threads(threads)
-    network = load_model(model)
+    network = require_model(model, DEITalk)
     recording = Recording(speechlike(seconds), "speechlike noise", 16_000, 1, 0.0, ())
     animate(recording, "happy", model=network)
     runs: list[dict[str, Any]] = []

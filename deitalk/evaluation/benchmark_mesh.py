@@ -23,9 +23,11 @@ from deitalk.data.mesh_sources import HEAD_UNIT_MM, head_templates
 from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.frontends.windows import window_index
+from deitalk.models.checkpoint import new_mesh_model, require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_checkpoint import load_sdfa, save_sdfa
 from deitalk.models.mesh_model import SDFA
+from deitalk.pipeline.mesh import predict_mesh
+from deitalk.pipeline.speech import Speech
 from rig.deformation.reconstruct import mesh_solver
 
 FPS = 60
@@ -122,7 +124,7 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
         separately through convolutions, both BiLSTMs and attention; `ratio`; `largest_difference`
         of the features, and their largest value `largest`.
     """
-    (chunk,) = model.feature_chunks(sound)
+    (chunk,) = model.feature_chunks(Speech.of(sound).sound)
     encoder = model.encoder
     assert isinstance(encoder, SDFAEncoder)
 
@@ -179,10 +181,11 @@ def _models() -> dict[str, SDFA]:
         layers = {branch: InversePCA(*size) for branch, size in sizes[key].items()}
         for layer in layers.values():
             layer.components.normal_(std=1e-3)
-        models[key] = SDFA(
-            config, layers, speakers, dict.fromkeys(speakers, template), fps=FPS,
-            unit_mm=HEAD_UNIT_MM,
-        ).eval()  # fmt: skip
+        model = new_mesh_model(
+            config, layers, dict.fromkeys(speakers, template), fps=FPS, unit_mm=HEAD_UNIT_MM
+        )
+        assert isinstance(model, SDFA)
+        models[key] = model.eval()
     return models
 
 
@@ -207,7 +210,9 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
 
     laps: dict[str, Callable[[], Any]] = {
         "set static mesh": lambda: state.update(solver=mesh_solver(model.template(0))),
-        "preprocess audio": lambda: state.update(chunks=list(model.feature_chunks(sound))),
+        "preprocess audio": lambda: state.update(
+            chunks=list(model.feature_chunks(Speech.of(sound).sound))
+        ),
         "audio feature": lambda: state.update(
             feature=torch.cat(
                 [model.encoder(c.features, c.places)[0, c.kept] for c in state["chunks"]]
@@ -222,7 +227,7 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
     out: dict[str, float | None] = dict.fromkeys(STAGES)
     out |= _timed(laps)
     with _saved(model) as folder:
-        out |= _timed({STAGES[-1]: lambda: load_sdfa(folder).predict_mesh(sound)})
+        out |= _timed({STAGES[-1]: lambda: predict_mesh(require_model(folder, SDFA), sound)})
     return out
 
 
@@ -231,7 +236,7 @@ def _saved(model: SDFA) -> Iterator[Path]:
     config = parse_config({"kind": "sdfa", "model": model.config.model_dump(mode="json")})
     assert isinstance(config, SDFAConfig)
     with tempfile.TemporaryDirectory() as folder:
-        save_sdfa(Path(folder) / "model", model, config, {}, half=False)
+        save_model(Path(folder) / "model", model, config, {}, half_bases=False)
         yield Path(folder) / "model"
 
 

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from deitalk.data.clips import Clip, read_phones
 from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import EMOTIONS, Direction
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.mesh_emotion import acted_by_curves, expression_probe, expression_table
-from deitalk.models.mesh_head import Direction, MeshHead
-from deitalk.models.mesh_model import SDFA
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import MeshModel
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
+from deitalk.pipeline.mesh import predict_mesh
+from deitalk.postprocess.lip_seal import seal_lips
 from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
@@ -130,7 +132,7 @@ class Tally:
 
 
 def evaluate_mesh(
-    model: SDFA,
+    model: MeshModel,
     data: Path,
     *,
     split: str = "test",
@@ -142,7 +144,7 @@ def evaluate_mesh(
 
     Parameters
     ----------
-    model : SDFA
+    model : SDFA or MeshHead
         In evaluation mode.
     data : Path
         Dataset folder; clip i is scored on head i modulo their number. Only neutral clips are used
@@ -202,7 +204,7 @@ def evaluate_mesh(
     return report
 
 
-def _check_heads(model: SDFA) -> None:
+def _check_heads(model: MeshModel) -> None:
     known = {identity.name for identity in IDENTITIES}
     faces = build_head(0).skin.faces
     for speaker, template in model.templates.items():
@@ -218,7 +220,9 @@ def _has_transition(clip: Clip) -> bool:
     return any(a == "S" and b in BILABIALS for a, b in pairwise(names))
 
 
-def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips: Lips) -> None:
+def _score(
+    tallies: Sequence[Tally], model: MeshModel, clip: Clip, speaker: str, lips: Lips
+) -> None:
     waveform, truth = act(clip, speaker, model.fps)
     seen = _seen(model, clip, waveform, speaker) | {"truth": truth}
     n_frames = min(map(len, seen.values()))
@@ -245,15 +249,12 @@ def _score(tallies: Sequence[Tally], model: SDFA, clip: Clip, speaker: str, lips
             tally.gaps[name] += values
 
 
-def _seen(model: SDFA, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
+def _seen(model: MeshModel, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
     """Vertices (T, V, 3) of the model, of the model before its seal, and of its curves."""
     direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
-    seal, model.seal = model.seal, None
-    try:
-        unsealed = model.predict_mesh(waveform, speaker, direction=direction)
-    finally:
-        model.seal = seal
-    seen = {"model": unsealed if seal is None else seal(unsealed), "unsealed": unsealed}
+    unsealed = predict_mesh(model, waveform, speaker, direction, sealed=False)
+    sealed = seal_lips(unsealed, model.config.seal_mm, model.unit_mm)
+    seen = {"model": sealed, "unsealed": unsealed}
     if isinstance(model, MeshHead):
         seen["curves"] = acted_by_curves(model, clip.audio, speaker, clip.emotion)
     return seen

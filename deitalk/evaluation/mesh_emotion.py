@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from deitalk.audio.load import Recording, load_audio
-from deitalk.emotions import EMOTIONS
-from deitalk.models.mesh_head import Direction, MeshHead
+from deitalk.emotions import EMOTIONS, Direction
+from deitalk.models.mesh_head import MeshHead
 from deitalk.pipeline.curves import animate
+from deitalk.pipeline.mesh import predict_mesh
 from rig.arrays import Float32
 from rig.face import build_head
 from rig.retarget.source_head import head_landmarks
@@ -48,7 +49,7 @@ def acted_by_model(
 ) -> Float32:
     """Skin (T, V, 3) of a mesh head."""
     direction = Direction.of(emotion, intensity)
-    return model.predict_mesh(audio.waveform, speaker, direction=direction)
+    return predict_mesh(model, audio.waveform, speaker, direction)
 
 
 def expression_probe(model: MeshHead, recordings: Sequence[Path]) -> dict[str, Any]:

@@ -1,15 +1,29 @@
-"""Three ways from waveform to speech features at 30 Hz, behind one interface."""
+"""Waveform to speech features: the encoder of each configuration.
+
+`Frontend` gives one row per frame at 30 Hz, for DEITalk; `deitalk.frontends.windows.Encoder` gives
+rows at any moments, for SDFA and its comparison models.
+"""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from torch import Tensor
 
-from deitalk.config import ConformerConfig, MelConfig, Wav2VecConfig
+from deitalk.config import (
+    ConformerConfig,
+    KarrasConfig,
+    MelConfig,
+    SDFAMelConfig,
+    VocaConfig,
+    Wav2VecConfig,
+)
+
+if TYPE_CHECKING:
+    from deitalk.frontends.windows import Encoder
 
 
 class Frontend(Protocol):
-    """A module that describes speech, one row per rig frame."""
+    """A speech encoder of one row per frame at 30 Hz."""
 
     output_size: int
 
@@ -21,21 +35,21 @@ class Frontend(Protocol):
     ) -> Tensor:
         """Map a whole clip (S,) to (n_frames, output_size) in bounded memory, no gradient.
 
-        `progress` is told the share that is done, 0 to 1.
+        `progress` is called with the share done, 0 to 1.
         """
 
 
 def build_frontend(
     config: MelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
 ) -> Frontend:
-    """Make the frontend a configuration names.
+    """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
     config : MelConfig, Wav2VecConfig or ConformerConfig
         Its class chooses the frontend.
     pretrained : bool
-        Read a wav2vec 2.0 checkpoint's weights; False only takes its shape (weights follow).
+        Read the weights of a wav2vec 2.0 checkpoint; False reads its sizes only.
     """
     if isinstance(config, MelConfig):
         from deitalk.frontends.mel_bilstm import MelFrontend
@@ -48,3 +62,18 @@ def build_frontend(
     from deitalk.frontends.wav2vec import Wav2VecFrontend
 
     return Wav2VecFrontend.build(config, pretrained=pretrained)
+
+
+def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> "Encoder":
+    """Build the encoder of a mesh model, by the class of its configuration."""
+    if isinstance(config, SDFAMelConfig):
+        from deitalk.frontends.sdfa import SDFAEncoder
+
+        return SDFAEncoder(config)
+    if isinstance(config, KarrasConfig):
+        from deitalk.frontends.karras import KarrasEncoder
+
+        return KarrasEncoder(config)
+    from deitalk.frontends.voca import VocaEncoder
+
+    return VocaEncoder(config)

@@ -1,45 +1,154 @@
-"""Model folders: configuration, weights and their history, without pickle.
+"""The one writer and the one reader of models of every kind, without pickle.
 
-::
-
-    config.yaml          every setting of the model
-    model.safetensors    weights (float16 in shipped models)
-    model.json           format version, control set, training summary
+What a folder holds is listed in `deitalk.models.folder`; `KINDS` is the table of kinds.
 """
 
-import hashlib
 import json
+from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
+import torch
 import yaml
+from safetensors.torch import save
 
-from deitalk.config import Config, load_config
+from deitalk.config import (
+    AnyConfig,
+    Config,
+    DEITalkFeaturesConfig,
+    KarrasConfig,
+    SDFAConfig,
+    SDFAMelConfig,
+    SDFAModelConfig,
+    VocaConfig,
+    load_config,
+)
 from deitalk.errors import CheckpointError
-from deitalk.models.weights_file import check_fit, network_shapes, read_shapes, read_weights
-from rig import ControlSet, default_controls, limits
-from rig.errors import quoted
+from deitalk.frontends import build_encoder
+from deitalk.frontends.windows import Encoder
+from deitalk.models.curve_features import DEITalkFeatures
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.deformation_decoder import InversePCA
+from deitalk.models.devices import require_device
+from deitalk.models.folder import FORMAT_VERSION, model_folder, read_about, weights_hash
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.mesh_weights import (
+    FROZEN,
+    about_mesh,
+    all_numbers,
+    empty_layers,
+    only_moving,
+    read_rates,
+    read_templates,
+    whole_shapes,
+    write_templates,
+)
+from deitalk.models.weights_file import Shapes, check_fit, network_shapes, read_weights
+from deitalk.postprocess.lip_seal import check_faces
+from rig import default_controls
+from rig.errors import quoted, shorten
 from rig.files import output_folder
-from rig.files.reading import check_file, open_file, read_json
+from rig.mesh import TriMesh
 
-if TYPE_CHECKING:
-    from deitalk.models.curve_model import DEITalk
+Model: TypeAlias = DEITalk | MeshModel
+ModelT = TypeVar("ModelT", bound=DEITalk | MeshModel)
+About: TypeAlias = dict[str, Any]
+"""Content of ``model.json``."""
+Build: TypeAlias = Callable[[], Model]
 
-FORMAT_VERSION = 1
-EMBEDDED = ("default", "compact", "sdfa", "mesh_head")
-"""Models that come with the package; `embedded_models` lists those that are there."""
+NAMES: dict[type, tuple[str, str]] = {
+    DEITalk: ("a DEITalk model (curves)", "default"),
+    MeshModel: ("a mesh model", "sdfa"),
+    SDFA: ("an SDFA model (mesh)", "sdfa"),
+    MeshHead: ("a mesh head", "mesh_head"),
+}
+"""Name of each class in messages, and an embedded example of it."""
 
 
-def embedded_models() -> list[str]:
-    """Names of the models inside the package."""
-    folder = resources.files("deitalk.models").joinpath("weights")
-    return [name for name in EMBEDDED if folder.joinpath(name, "model.safetensors").is_file()]
+def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> Model:
+    """Read a model of any kind, ready to predict.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        ``default``, ``compact``, ``sdfa``, ``mesh_head``, or a folder that `save_model` wrote.
+    device : str
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
+
+    Returns
+    -------
+    DEITalk, SDFA or MeshHead
+        In evaluation mode.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, its files are damaged, too large or do not fit one another, or
+        it belongs to another control set.
+    """
+    folder = model_folder(name_or_path)
+    require_device(device)
+    config = load_config(folder / "config.yaml")
+    about = read_about(folder)
+    path = folder / "model.safetensors"
+    shapes = whole_shapes(path)
+    build = kind_of(config).read(folder, config, about, shapes)
+    check_fit(path, shapes, network_shapes(build))
+    model = build()
+    model.load_state_dict(all_numbers(read_weights(path)))  # half precision becomes float32
+    try:
+        return model.to(torch.device(device)).eval()
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise CheckpointError(f"device {device!r}: {reason}; use the device cpu") from None
+
+
+def require_model(
+    model: str | Path | Model, wanted: type[ModelT], *, device: str = "cpu"
+) -> ModelT:
+    """Return a model of one class, loaded if a name or a folder is given.
+
+    Parameters
+    ----------
+    model : str, Path or loaded model
+        A loaded one is put into evaluation mode and stays on its device.
+    wanted : type
+        `DEITalk`, `MeshModel`, `SDFA` or `MeshHead`.
+    device : str
+        As for `load_model`.
+
+    Raises
+    ------
+    CheckpointError
+        As `load_model`; or if the model is of another class.
+    """
+    needed, example = NAMES[wanted]
+    if isinstance(model, str | Path):
+        found = kind_of(load_config(model_folder(model) / "config.yaml")).model
+        if not issubclass(found, wanted):
+            raise CheckpointError(
+                f"{model}: {NAMES[found][0]}; {needed} is needed, such as {example}"
+            )
+        model = load_model(model, device=device)
+    if not isinstance(model, wanted):
+        name, _ = NAMES.get(type(model), (f"a {type(model).__name__}", ""))
+        raise CheckpointError(
+            f"model {quoted(model)} is {name}; {needed} is needed: a name such as {example}, a "
+            "folder, or a loaded model"
+        )
+    return model.eval()
 
 
 def save_model(
-    folder: Path, model: "DEITalk", config: Config, summary: dict[str, Any], *, half: bool = False
+    folder: Path,
+    model: Model,
+    config: AnyConfig,
+    summary: Mapping[str, Any],
+    *,
+    half: bool = False,
+    half_bases: bool = True,
 ) -> None:
     """Write a model folder; the files of one that was written before are replaced.
 
@@ -47,147 +156,155 @@ def save_model(
     ----------
     folder : Path
         Its parent must exist.
-    model : DEITalk
+    model : DEITalk, SDFA or MeshHead
         On any device.
-    config : Config
+    config : Config or SDFAConfig
         What built the model.
-    summary : dict
+    summary : mapping
         What trained it: steps, data, scores.
     half : bool
-        Store float16.
+        Store all weights in float16.
+    half_bases : bool
+        Store the frozen bases of a mesh model in float16, the precision they were fitted in.
 
     Raises
     ------
     rig.errors.TargetError
         If the folder holds files that deitalk did not write, or edited ones.
     """
-    import torch
-    from safetensors.torch import save
-
+    weights = only_moving({name: w.detach().cpu() for name, w in model.state_dict().items()})
     weights = {
-        name: value.half() if half and value.dtype == torch.float32 else value
-        for name, value in model.state_dict().items()
+        name: (_half(value) if half or (half_bases and FROZEN in name) else value).contiguous()
+        for name, value in weights.items()
     }
-    weights = {name: value.detach().cpu().contiguous() for name, value in weights.items()}
+    kind = kind_of(config)
     about = {
         "format_version": FORMAT_VERSION,
-        "control_set": model.controls.id,
-        "controls": list(model.controls.names),
+        **kind.describe(model),
         "parameters": sum(p.numel() for p in model.parameters()),
-        "training": summary,
+        "training": dict(summary),
     }
     with output_folder(folder, kind="model", force=True) as beside:
         # save_file would make a file that nobody else may read.
         (beside / "model.safetensors").write_bytes(save(weights))
+        if isinstance(model, MeshModel):
+            write_templates(beside, model, half=half)
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (beside / "config.yaml").write_text(settings)
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
-def model_folder(name_or_path: str | Path) -> Path:
-    """Folder of an embedded model or of one on disk.
+def _half(value: torch.Tensor) -> torch.Tensor:
+    return value.half() if value.is_floating_point() else value
+
+
+def new_mesh_model(
+    config: SDFAModelConfig,
+    layers: Mapping[str, InversePCA],
+    templates: Mapping[str, TriMesh],
+    *,
+    fps: float,
+    unit_mm: float,
+) -> SDFA | MeshHead:
+    """Build a mesh model of new weights; parameters as for `deitalk.models.mesh_model.MeshModel`.
+
+    The DEITalk model that a mesh head decodes is loaded.
 
     Raises
     ------
     CheckpointError
-        If there is neither; it lists the embedded ones.
+        If that model cannot be loaded.
+    ConfigError
+        If `config` needs lips that the templates lack.
     """
-    if str(name_or_path) in EMBEDDED:
-        folder = Path(str(resources.files("deitalk.models").joinpath("weights", str(name_or_path))))
-    else:
-        folder = Path(name_or_path)
-    if not (folder / "model.safetensors").is_file() or not (folder / "config.yaml").is_file():
-        raise CheckpointError(
-            f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder "
-            f"or one of {', '.join(embedded_models()) or 'no embedded models'}"
-        )
-    return folder
+    check_faces(config.seal_mm, templates.values())
+    encoder = new_encoder(config.frontend)
+    if isinstance(encoder, DEITalkFeatures):
+        return MeshHead(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
+    return SDFA(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
 
 
-def describe_model(name_or_path: str | Path) -> dict[str, Any]:
-    """What ``model.json`` says, with the hash and size of the weights; imports no torch."""
-    folder = model_folder(name_or_path)
-    about = read_about(folder)
-    weights = folder / "model.safetensors"
-    about.pop("controls", None)
-    size = check_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError)
-    with open_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError) as stream:
-        digest = hashlib.sha256()
-        while part := stream.read(limits.MIB):
-            digest.update(part)
-    return {
-        "name": str(name_or_path),
-        **about,
-        "bytes": size,
-        "sha256": digest.hexdigest(),
-    }
+def new_encoder(
+    config: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig,
+) -> Encoder | DEITalkFeatures:
+    """Build the encoder of a mesh model; the DEITalk model that a mesh head decodes is loaded."""
+    if not isinstance(config, DEITalkFeaturesConfig):
+        return build_encoder(config)
+    network = require_model(config.model, DEITalk)
+    return DEITalkFeatures(network, weights_hash(model_folder(config.model)))
 
 
-def read_about(folder: Path) -> dict[str, Any]:
-    """What a folder's ``model.json`` says, if this version reads it."""
-    path = folder / "model.json"
-    try:
-        about = read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError)
-        version, _, _ = about["format_version"], about["control_set"], about["controls"]
-    except (CheckpointError, KeyError, TypeError):
-        raise CheckpointError(
-            f"{path}: missing or damaged; save the model again with `deitalk train`"
-        ) from None
-    if version != FORMAT_VERSION:
-        raise CheckpointError(
-            f"{path}: format version {quoted(version)}, this deitalk reads {FORMAT_VERSION}; "
-            "use the deitalk that wrote it, or train again"
-        )
-    return dict(about)
-
-
-def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> "DEITalk":
-    """Read a model, ready to predict.
-
-    Parameters
-    ----------
-    name_or_path : str or Path
-        ``default``, or a folder that `save_model` wrote.
-    device : str
-        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, its weights are damaged or too large, they do not fit its
-        configuration, or it belongs to another control set.
-    """
-    import torch
-
-    from deitalk.models.curve_model import DEITalk
-    from deitalk.models.devices import require_device
-
-    folder = model_folder(name_or_path)
-    require_device(device)
-    config = load_config(folder / "config.yaml")
-    if not isinstance(config, Config):
-        raise CheckpointError(
-            f"{name_or_path}: an SDFA model moves meshes, not controls; animate a mesh with it"
-        )
+def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> Build:
     controls = default_controls()
-    _check_controls(folder, controls)
-    make = partial(DEITalk, config.model, controls, pretrained=False)
-    path = folder / "model.safetensors"
-    check_fit(path, read_shapes(path), network_shapes(make))
-    with torch.device("cpu"):  # also where another network is only sized
-        model = make()
-        model.load_state_dict(read_weights(path))  # half precision becomes float32
-    try:
-        return model.to(device).eval()
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise CheckpointError(f"device {device!r}: {reason}; use the device cpu") from None
-
-
-def _check_controls(folder: Path, controls: ControlSet) -> None:
-    about = read_about(folder)
     if about["control_set"] != controls.id or about["controls"] != list(controls.names):
         raise CheckpointError(
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
+    return partial(DEITalk, config.model, controls, pretrained=False)
+
+
+def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
+    parts, frontend = _mesh_parts(folder, config, about), config.model.frontend
+    assert not isinstance(frontend, DEITalkFeaturesConfig)
+    return lambda: SDFA(config.model, build_encoder(frontend), empty_layers(shapes), **parts)
+
+
+def _read_mesh_head(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
+    parts, features = _mesh_parts(folder, config, about), new_encoder(config.model.frontend)
+    assert isinstance(features, DEITalkFeatures)
+    if features.fingerprint != about.get("decodes_sha256"):
+        name = getattr(config.model.frontend, "model", None)
+        raise CheckpointError(
+            f"{folder}: decodes the features of other weights than those of {name!r} now; train "
+            "it again"
+        )
+    return lambda: MeshHead(config.model, features, empty_layers(shapes), **parts)
+
+
+def _mesh_parts(folder: Path, config: SDFAConfig, about: About) -> dict[str, Any]:
+    """Templates, frames per second and unit of a mesh model."""
+    try:
+        templates = read_templates(folder, about["speakers"])
+        check_faces(config.model.seal_mm, templates.values())
+        return {"templates": templates, **read_rates(about)}
+    except CheckpointError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        reason = shorten(" ".join(str(error).split()), 160)
+        raise CheckpointError(f"{folder}: files do not fit one another ({reason})") from None
+
+
+def _about_curves(model: DEITalk) -> About:
+    return {"control_set": model.controls.id, "controls": list(model.controls.names)}
+
+
+def _about_mesh_head(model: MeshHead) -> About:
+    return {**about_mesh(model), "decodes_sha256": model.encoder.fingerprint}
+
+
+class Kind(NamedTuple):
+    """One kind of model."""
+
+    config: type[AnyConfig]
+    """Class of its configuration."""
+    model: type[Model]
+    read: Callable[[Path, Any, About, Shapes], Build]
+    """Folder, configuration, ``model.json`` and weight shapes to what builds the network."""
+    describe: Callable[[Any], About]
+    """The kind's own entries of ``model.json``."""
+
+
+KINDS = {
+    "curves": Kind(Config, DEITalk, _read_curves, _about_curves),
+    "sdfa": Kind(SDFAConfig, SDFA, _read_sdfa, about_mesh),
+    "mesh_head": Kind(SDFAConfig, MeshHead, _read_mesh_head, _about_mesh_head),
+}
+
+
+def kind_of(config: AnyConfig) -> Kind:
+    """Kind of the model that a configuration describes."""
+    if isinstance(config, Config):
+        return KINDS["curves"]
+    is_head = isinstance(config.model.frontend, DEITalkFeaturesConfig)
+    return KINDS["mesh_head" if is_head else "sdfa"]

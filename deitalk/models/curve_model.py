@@ -131,6 +131,11 @@ class DEITalk(nn.Module):
             speech,
         )
 
+    @property
+    def device(self) -> torch.device:
+        """Device of the weights."""
+        return next(self.parameters()).device
+
     def place(self, speech: Tensor, frames: Tensor, total: Tensor) -> Tensor:
         """Add the dynamic positional encoding (Eq. 3)."""
         if not self.config.positions:

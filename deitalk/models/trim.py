@@ -7,26 +7,30 @@
 
 import sys
 from pathlib import Path
+from typing import TypeVar
 
 from deitalk.config import SDFAConfig, load_config
 from deitalk.errors import CheckpointError
-from deitalk.models.checkpoint import model_folder, read_about
+from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_checkpoint import FROZEN, load_sdfa, save_sdfa
-from deitalk.models.mesh_model import SDFA
+from deitalk.models.folder import model_folder, read_about
+from deitalk.models.mesh_model import MeshModel
+from deitalk.models.mesh_weights import FROZEN
+
+MeshT = TypeVar("MeshT", bound=MeshModel)
 
 QUIET = 1e-4
 """Numbers of a frame whose standard deviation is below this stay at rest: most of scalp and neck,
 which ride on the little that moves. 0.006 degrees, a hundredth of a percent."""
 
 
-def trimmed(model: SDFA, sizes: dict[str, int]) -> SDFA:
+def trimmed(model: MeshT, sizes: dict[str, int]) -> MeshT:
     """A copy of a model with the first components of its bases only (SDFA §4.4 proposes it).
 
     Parameters
     ----------
-    model : SDFA
-        Stays as it is.
+    model : SDFA or MeshHead
+        Not changed; the copy shares its encoder.
     sizes : dict of str to int
         Components kept, by branch.
 
@@ -54,8 +58,9 @@ def trimmed(model: SDFA, sizes: dict[str, int]) -> SDFA:
     unknown = sorted(sizes.keys() - layers.keys())
     if unknown:
         raise CheckpointError(f"{unknown[0]!r} is no branch; there are {', '.join(layers)}")
-    small = type(model)(model.config, layers, model.speakers, model.templates, fps=model.fps,
-                        unit_mm=model.unit_mm)  # fmt: skip
+    small = type(model)(
+        model.config, model.encoder, layers, model.templates, fps=model.fps, unit_mm=model.unit_mm
+    )
     small.load_state_dict(state)
     return small.eval()
 
@@ -71,11 +76,11 @@ def trim(source: Path | str, out: Path, sizes: dict[str, int]) -> None:
     if out.exists():
         raise CheckpointError(f"{out}: exists already; name another folder")
     folder = model_folder(source)
-    model = trimmed(load_sdfa(folder), sizes)
+    model = trimmed(require_model(source, MeshModel), sizes)
     config = load_config(folder / "config.yaml")
     assert isinstance(config, SDFAConfig)
     summary = dict(read_about(folder)["training"])
-    save_sdfa(out, model, config, summary | {"components": sizes}, small=True)
+    save_model(out, model, config, summary | {"components": sizes}, half=True)
 
 
 def main(arguments: list[str]) -> None:

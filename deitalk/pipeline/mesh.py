@@ -1,4 +1,4 @@
-"""Speech to a moving mesh, by either kind of model: ``deitalk mesh``.
+"""Speech to a moving mesh, by any kind of model: ``deitalk mesh``.
 
 ::
 
@@ -6,146 +6,61 @@
     SDFA      speech, speaker -> deformation gradients -> the speaker's template   -> vertices
     mesh head speech, emotion, speaker -> DEITalk's features -> gradients -> template -> vertices
 
-Deviation: neither paper gives emotion to a mesh. With curves the mesh follows what the rig would
-do, and emotion, intensity and the seal of the lips reach it as they reach the rig; a mesh head
-(`deitalk.models.mesh_head`) learns it, and takes the way that any captured mesh could be learnt.
-
-Letters: T frames, V vertices.
+Deviation: neither paper gives emotion to a mesh. With curves the mesh moves as the rig would, and
+emotion, intensity and the closed lips reach it as they reach the rig; a mesh head
+(`deitalk.models.mesh_head`) learns emotion from any captured mesh.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import torch
 
 from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
+from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import CheckpointError, EmotionError
-from deitalk.models.checkpoint import model_folder, read_about
-from deitalk.pipeline.arguments import (
-    applied_curve,
-    check_progress,
-    emotion_track,
-    intensity_factor,
-    whole_seed,
-)
+from deitalk.models.checkpoint import Model, load_model, require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.deformation_decoder import Coefficients
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.pipeline.arguments import check_progress, whole_seed
 from deitalk.pipeline.curves import animate
-from rig.arrays import Float32, Float64
+from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
+from deitalk.pipeline.speech import Speech, measure_intensities, read_twice
+from deitalk.postprocess.lip_seal import seal_lips
+from rig.arrays import Float32
 from rig.curves import snap_fps
-from rig.errors import quoted
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
-from rig.mesh.sequence import check_out, write_sequence
 from rig.mesh.trimesh import check_length
 from rig.retarget.morph_head import srgb_to_linear
+from rig.retarget.retarget_files import RetargetReport, retarget_curves, retarget_sequence
 from rig.retarget.source_head import head_landmarks
 
-if TYPE_CHECKING:
-    from deitalk.emotions import EmotionTrack
-    from deitalk.models.curve_model import DEITalk
-    from deitalk.models.mesh_head import Direction
-    from deitalk.models.mesh_model import SDFA
+Progress: TypeAlias = Callable[[float], None]
 
-Progress = Callable[[float], None]
-
-GLB_TOLERANCE_MM = 0.02
-"""Furthest a vertex of a GLB may be from where the model put it."""
 HEAD_UNIT_MM = 10.0
 """The embedded head is in centimetres."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MeshPerformance:
-    """A mesh acted to a recording.
-
-    Parameters
-    ----------
-    mesh : TriMesh
-        The face at rest.
-    vertices : array [shape=(T, V, 3)]
-        In the mesh's unit; frame i is at i / fps seconds.
-    fps : float
-        Frames per second.
-    unit_mm : float
-        Millimetres in the mesh's unit.
-    recording : Recording
-        What it was acted to.
-    landmarks : mapping of str to int or None
-        Named vertices, where they are known: the embedded heads.
-    colours : array [shape=(V, 3), range 0 to 1] or None
-        Linear vertex colours, where there are any.
-    """
-
-    mesh: TriMesh
-    vertices: Float32
-    fps: float
-    unit_mm: float
-    recording: Recording
-    landmarks: Mapping[str, int] | None = None
-    colours: Float64 | None = None
-
-    def save(self, target: str | Path, *, force: bool = False) -> Path:
-        """Write the sequence: ``.glb``, ``.npz`` (vertices), or a folder of PLY files.
-
-        Parameters
-        ----------
-        target : str or Path
-            A folder is a name without suffix, with a slash at its end, or an existing folder (see
-            `rig.files.is_folder_name`). A GLB's vertices are within 0.02 mm of the model's.
-        force : bool
-            Replace a file, or the frames of a sequence, that are there.
-
-        Returns
-        -------
-        Path
-            What was written.
-
-        Raises
-        ------
-        RigError
-            If the target must not or cannot be written, or its suffix is unknown.
-        """
-        from rig.files import check_file, check_folder
-
-        inputs = (self.recording.source,)
-        if check_out(target) == "folder":
-            check_folder(target, kind="frames", force=force, inputs=inputs)
-        else:
-            check_file(target, force=force, inputs=inputs)
-        write_sequence(
-            target,
-            self.mesh,
-            self.vertices,
-            fps=self.fps,
-            tolerance=GLB_TOLERANCE_MM / self.unit_mm,
-            unit_metres=self.unit_mm / 1000,
-            colours=self.colours,
-        )
-        return Path(target)
-
-    def __repr__(self) -> str:
-        frames, vertices, _ = self.vertices.shape
-        return (
-            f"<MeshPerformance of {self.recording.source!r}: {frames} frames at {self.fps:g} fps, "
-            f"{frames / self.fps:.2f} s, {vertices} vertices>"
-        )
-
-
-def is_sdfa(model: str | Path) -> bool:
-    """Whether a model folder's model moves meshes rather than curves; imports no torch."""
-    return read_about(model_folder(model)).get("kind") == "sdfa"
+NO_EMOTION = (
+    "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk model such as "
+    "default"
+)
 
 
 def animate_mesh(
     audio: Audio,
-    emotion: "str | Path | Mapping[str, float] | EmotionTrack" = "neutral",
+    emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
-    model: "str | Path | DEITalk | SDFA" = "default",
+    model: str | Path | Model = "default",
     sample_rate: float | None = None,
     speaker: str | int = 0,
     intensity: float = 1.0,
@@ -162,16 +77,16 @@ def animate_mesh(
         As for `deitalk.animate`.
     emotion, intensity
         As for `deitalk.animate`. An SDFA model has no input for them, a mesh head has.
-    model : str, Path, DEITalk or SDFA
-        Name, folder or loaded model of either kind.
+    model : str, Path, DEITalk, SDFA or MeshHead
+        Name, folder or loaded model.
     speaker : str or int
-        Name or number: an embedded head for DEITalk, a style for SDFA.
+        Name or number: an embedded head for DEITalk, a style for the others.
     fps : float, optional
-        Rate of the frames: 30 for DEITalk, the model's own for SDFA, which has no other.
+        Rate of the frames: 30 by default for DEITalk; the others have one rate only.
     device : str
-        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model that is not loaded yet.
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     progress : callable
-        Told the share of the work that is done, 0 to 1.
+        Called with the share of the work that is done, 0 to 1.
     **options
         More of `deitalk.animate`'s: intensity_curve, idle, seed.
 
@@ -184,29 +99,122 @@ def animate_mesh(
     DeitalkError, RigError
         One line each: the value, the rule and the way out.
     """
-    emotion_track(emotion)
-    intensity_factor(intensity)
-    applied_curve(options.get("intensity_curve"))
+    direction = Direction.of(emotion, intensity, options.get("intensity_curve"))
     whole_seed(options.get("seed", 0))
     check_progress(progress)
     if fps is not None:
         fps = snap_fps(fps)
     recording = recording_of(audio, sample_rate)
-    network = _loaded(model, device)
-    if hasattr(network, "predict_mesh"):
-        curve = options.get("intensity_curve")
-        direction = _direction(network, emotion, intensity, curve)
-        return _by_gradients(network, recording, speaker, fps, direction, progress)
-    rate = 30.0 if fps is None else fps
+    network = load_model(model, device=device) if isinstance(model, str | Path) else model
+    if isinstance(network, MeshModel):
+        return _by_gradients(network.eval(), recording, speaker, fps, direction, progress)
+    act = partial(animate, recording, emotion, intensity=intensity, progress=progress, **options)
+    return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
+
+
+def predict_mesh(
+    model: MeshModel,
+    waveform: Any,
+    speaker: str | int = 0,
+    direction: Direction | None = None,
+    template: TriMesh | None = None,
+    *,
+    sealed: bool = True,
+) -> Float32:
+    """Vertices of a whole recording, as a mesh model moves them.
+
+    Parameters
+    ----------
+    model : SDFA or MeshHead
+        In evaluation mode.
+    waveform : array [shape=(S,)]
+        16 kHz, any level.
+    speaker : str or int
+        Style, by name or number.
+    direction : Direction, optional
+        Emotion and intensity, for a mesh head only; neutral if not given.
+    template : TriMesh, optional
+        Face to move; it must have the templates' triangles. The speaker's own if not given.
+    sealed : bool
+        Close lips that nearly meet, where the model's configuration says so (`seal_mm`).
+
+    Returns
+    -------
+    array [shape=(T, V, 3)]
+        In the template's unit; frame i is at i / fps seconds, T = ceil(fps S / 16000).
+
+    Raises
+    ------
+    DataError
+        If the waveform is not one row of finite samples.
+    EmotionError
+        If the model has no emotion and the direction is not neutral.
+    """
+    frames = mesh_frames(model, waveform, speaker, direction, template, sealed=sealed)
+    return np.concatenate(list(frames))
+
+
+def mesh_frames(
+    model: MeshModel,
+    waveform: Any,
+    speaker: str | int = 0,
+    direction: Direction | None = None,
+    template: TriMesh | None = None,
+    *,
+    sealed: bool = True,
+) -> Iterator[Float32]:
+    """As `predict_mesh`, some frames at a time [shape=(T, V, 3)]."""
+    mesh = model.template(speaker) if template is None else template
+    reach_mm = model.config.seal_mm if sealed else 0.0
+    for motion in model.expand(mesh_coefficients(model, waveform, speaker, direction)):
+        yield seal_lips(model.vertices(motion, mesh), reach_mm, model.unit_mm)
+
+
+@torch.no_grad()
+def mesh_coefficients(
+    model: MeshModel,
+    waveform: Any,
+    speaker: str | int = 0,
+    direction: Direction | None = None,
+) -> Iterator[Coefficients]:
+    """Coefficients (T, K) of a recording, some frames at a time; arguments as `predict_mesh`."""
+    direction, speech = direction or Direction.of(), Speech.of(waveform)
+    if isinstance(model, MeshHead):
+        return _head_coefficients(model, speech, speaker, direction)
+    if not direction.is_neutral:
+        raise EmotionError(NO_EMOTION)
+    assert isinstance(model, SDFA)
+    return model.coefficients(speech.sound, speaker)
+
+
+def _head_coefficients(
+    model: MeshHead, speech: Speech, speaker: str | int, direction: Direction
+) -> Iterator[Coefficients]:
+    network = model.encoder.network
+    analysis = network.analyse(speech.sound, speech.n_frames)
+    describe = partial(network.describe, analysis)
+    readings = read_twice(describe, direction.emotion.at(speech.times), network.device)
+    scale = measure_intensities(speech, analysis, direction).scale
+    return model.coefficients(
+        *readings, torch.from_numpy(scale), torch.from_numpy(speech.shown), speaker
+    )
+
+
+def _by_curves(
+    network: DEITalk,
+    act: Callable[..., Performance],
+    recording: Recording,
+    speaker: str | int,
+    fps: float | None,
+) -> MeshPerformance:
+    """An embedded head in the poses of the curves."""
+    rate = float(FRAME_RATE) if fps is None else fps
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
-    performance = animate(
-        recording, emotion, model=network, intensity=intensity, progress=progress, **options
-    )
-    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    curves = act(model=network).curves
     return MeshPerformance(
         TriMesh(head.mesh.vertices, head.mesh.faces),
-        head.pose(curves.values),
+        head.pose((curves if fps is None else curves.resample(fps)).values),
         rate,
         HEAD_UNIT_MM,
         recording,
@@ -215,43 +223,15 @@ def animate_mesh(
     )
 
 
-def _loaded(model: Any, device: str) -> Any:
-    if not isinstance(model, str | Path):
-        if not hasattr(model, "eval"):
-            raise CheckpointError(
-                f"model {quoted(model)} is a {type(model).__name__}; give a name, a folder or a "
-                "loaded model"
-            )
-        return model.eval()
-    if is_sdfa(model):
-        from deitalk.models.mesh_checkpoint import load_sdfa
-
-        return load_sdfa(model, device=device)
-    from deitalk.models.checkpoint import load_model
-
-    return load_model(model, device=device)
-
-
-def _direction(network: "SDFA", emotion: Any, intensity: float, curve: Any) -> "Direction | None":
-    """What is asked of a mesh head; None of another model, of which nothing may be asked."""
-    from deitalk.models.mesh_head import Direction, MeshHead
-    from deitalk.models.mesh_model import NO_EMOTION
-
-    if isinstance(network, MeshHead):
-        return Direction.of(emotion, intensity, curve)
-    if emotion != "neutral" or intensity != 1 or curve is not None:
-        raise EmotionError(NO_EMOTION)
-    return None
-
-
 def _by_gradients(
-    network: "SDFA",
+    network: MeshModel,
     recording: Recording,
     speaker: str | int,
     fps: float | None,
-    direction: "Direction | None",
+    direction: Direction,
     progress: Progress,
 ) -> MeshPerformance:
+    """A speaker's template, moved by a mesh model."""
     if fps is not None and fps != network.fps:
         raise CheckpointError(
             f"fps={fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
@@ -260,8 +240,8 @@ def _by_gradients(
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=PREDICTED_BYTES)
     parts: list[Float32] = []
-    for motion in network.pieces(recording.waveform, speaker, direction):
-        parts.append(network.vertices(motion, mesh))
+    for vertices in mesh_frames(network, recording.waveform, speaker, direction):
+        parts.append(vertices)
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
     name = speaker if isinstance(speaker, str) else network.speakers[speaker]
     return MeshPerformance(
@@ -275,9 +255,65 @@ def _by_gradients(
 
 
 def _known_landmarks(mesh: TriMesh, name: str) -> Mapping[str, int] | None:
-    """Landmarks of a template that is an embedded head's skin; None of another."""
+    """Landmarks of a template that is an embedded head's skin; None for any other."""
     if name not in {person.name for person in IDENTITIES}:
         return None
     head = build_head(name)
     same = np.array_equal(head.skin.faces, mesh.faces)
     return head_landmarks(head) if same else None
+
+
+def retarget_speech(
+    audio: Audio,
+    mesh: Path,
+    out: str | Path,
+    emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
+    *,
+    landmarks: Path | None = None,
+    model: str | Path = "default",
+    fps: float | None = None,
+    device: str = "cpu",
+    progress: Progress = lambda share: None,
+    **options: Any,
+) -> tuple[RetargetReport, float, tuple[str, ...]]:
+    """Animate a user's mesh from speech and write it.
+
+    Curves drive the mesh's own shapes, or shapes made for it; a mesh model's sequence is carried
+    to it vertex by vertex.
+
+    Parameters
+    ----------
+    audio, emotion, model, fps, device, progress
+        As for `animate_mesh`.
+    mesh, out, landmarks
+        As for `rig.retarget.retarget_files.retarget_curves`.
+    **options
+        More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle, seed.
+
+    Returns
+    -------
+    report : RetargetReport
+    fps : float
+        Frames per second written.
+    notes : tuple of str
+        Of the recording and of the retargeting.
+    """
+    network = load_model(model, device=device)
+    if isinstance(network, MeshModel):
+        moved = animate_mesh(audio, emotion, model=network, fps=fps, progress=progress, **options)
+        report = retarget_sequence(
+            moved.mesh,
+            moved.vertices,
+            mesh,
+            out,
+            fps=moved.fps,
+            tolerance=GLB_TOLERANCE_MM / moved.unit_mm,
+            source_landmarks=moved.landmarks,
+            landmarks=landmarks,
+        )
+        return report, moved.fps, (*moved.recording.warnings, *report.notes)
+    options.pop("speaker", None)
+    acted = animate(audio, emotion, model=network, progress=progress, **options)
+    curves = acted.curves if fps is None else acted.curves.resample(fps)
+    report = retarget_curves(curves, mesh, out, landmarks=landmarks)
+    return report, curves.fps, (*acted.recording.warnings, *report.notes)

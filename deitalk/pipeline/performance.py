@@ -1,4 +1,4 @@
-"""What `deitalk.animate` returns: curves, tracks and the recording, and how they are saved."""
+"""Results of `deitalk.animate` and `deitalk.animate_mesh`, and how they are saved."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,12 +7,17 @@ from typing import Any
 
 from deitalk.audio.load import Recording
 from rig import RigCurves
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
+from rig.mesh import TriMesh
+from rig.mesh.sequence import check_out, write_sequence
+
+GLB_TOLERANCE_MM = 0.02
+"""Furthest a vertex of a GLB may be from where the model put it."""
 
 
 @dataclass(frozen=True, repr=False)
 class Performance:
-    """A face acted to a recording.
+    """Curves of a face that speaks a recording.
 
     All tracks share one time axis: row i is time i / 30 s of the recording.
 
@@ -25,17 +30,17 @@ class Performance:
     saliency : array [shape=(T,), range -1 to 1]
         Emotional saliency e_sim (DEITalk Eq. 5).
     predicted : array [shape=(T,), range 0 to 1]
-        Intensity heard in the voice.
+        Intensity predicted from the voice.
     recording : Recording
-        What it was acted to.
+        Its speech.
     clipped : int
         Values that had to be clamped to their control's range.
     timings : dict of str to float
         Seconds spent per stage.
     settings : mapping
-        What was asked for: emotion, intensity, intensity_curve, idle, seed.
+        Arguments: emotion, intensity, intensity_curve, idle, seed.
     model : str
-        Name or folder of the model; empty for a network that was passed in.
+        Name or folder of the model; empty for a loaded model.
     """
 
     curves: RigCurves
@@ -56,12 +61,12 @@ class Performance:
 
     @property
     def mean_intensity(self) -> float:
-        """Intensity heard in the voice, on average over the frames."""
+        """Mean over the frames of the intensity predicted from the voice."""
         return float(self.predicted.mean()) if len(self.predicted) else 0.0
 
     @property
     def mean_applied_intensity(self) -> float:
-        """Intensity of the emotion in the curves, on average over the frames; 0 for neutral."""
+        """Mean over the frames of the intensity of the emotion in the curves; 0 for neutral."""
         applied = self.curves.intensity
         if applied is None or not len(applied) or not self.has_emotion:
             return 0.0
@@ -73,9 +78,8 @@ class Performance:
         Parameters
         ----------
         target : str or Path
-            A name that ends with a suffix of curves (``.csv``, ``.json``, ``.npz`` …) is a file;
-            one without suffix, with a slash at its end, or of an existing folder is a folder (see
-            `rig.files.is_folder_name`).
+            A name with a suffix of curves (``.csv``, ``.json``, ``.npz`` …) is a file, any other
+            a folder (see `rig.files.is_folder_name`).
         fps : float, optional
             Rate of the written curves, Hz; 30 by default.
         force : bool
@@ -84,7 +88,7 @@ class Performance:
         Returns
         -------
         Path
-            What was written.
+            The file or folder.
 
         Raises
         ------
@@ -104,7 +108,7 @@ class Performance:
         return Path(target)
 
     def _save_take(self, folder: Path, fps: float | None, force: bool) -> Path:
-        from deitalk.models.checkpoint import describe_model
+        from deitalk.models.folder import describe_model
         from deitalk.pipeline.take import write_take
 
         about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
@@ -120,4 +124,66 @@ class Performance:
             f"{self.curves.fps:g} fps, {self.recording.duration:.2f} s, "
             f"{len(self.curves.names)} controls, emotion {self.settings.get('emotion', '?')}"
             f"{applied if self.has_emotion else ''}>"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshPerformance:
+    """A mesh that speaks a recording.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        The face at rest.
+    vertices : array [shape=(T, V, 3)]
+        In the mesh's unit; frame i is at i / fps seconds.
+    fps : float
+        Frames per second.
+    unit_mm : float
+        Millimetres in the mesh's unit.
+    recording : Recording
+        Its speech.
+    landmarks : mapping of str to int or None
+        Named vertices, where they are known: the embedded heads.
+    colours : array [shape=(V, 3), range 0 to 1] or None
+        Linear vertex colours, where there are any.
+    """
+
+    mesh: TriMesh
+    vertices: Float32
+    fps: float
+    unit_mm: float
+    recording: Recording
+    landmarks: Mapping[str, int] | None = None
+    colours: Float64 | None = None
+
+    def save(self, target: str | Path, *, force: bool = False) -> Path:
+        """Write the sequence: ``.glb``, ``.npz`` (vertices), or a folder of PLY files.
+
+        Parameters, result and errors are those of `Performance.save`. A GLB's vertices are within
+        0.02 mm of the model's.
+        """
+        from rig.files import check_file, check_folder
+
+        inputs = (self.recording.source,)
+        if check_out(target) == "folder":
+            check_folder(target, kind="frames", force=force, inputs=inputs)
+        else:
+            check_file(target, force=force, inputs=inputs)
+        write_sequence(
+            target,
+            self.mesh,
+            self.vertices,
+            fps=self.fps,
+            tolerance=GLB_TOLERANCE_MM / self.unit_mm,
+            unit_metres=self.unit_mm / 1000,
+            colours=self.colours,
+        )
+        return Path(target)
+
+    def __repr__(self) -> str:
+        frames, vertices, _ = self.vertices.shape
+        return (
+            f"<MeshPerformance of {self.recording.source!r}: {frames} frames at {self.fps:g} fps, "
+            f"{frames / self.fps:.2f} s, {vertices} vertices>"
         )

@@ -69,7 +69,7 @@ def write_take(
     settings : dict
         What was asked for, for ``take.json``.
     model : dict
-        What `deitalk.models.checkpoint.describe_model` says of the model.
+        What `deitalk.models.folder.describe_model` says of the model.
     fps : float, optional
         Rate of the curves; 30 by default.
     force : bool

@@ -60,33 +60,41 @@ def _decided(values: Float32, middle: "Float32 | float") -> Float32:
     return np.asarray(expit(DECISION * (logit(values) - logit(middle))), np.float32)
 
 
+def expression_scale(applied: Float32, predicted: Float32) -> Float32:
+    """Factor on the difference of the emotional and the neutral reading [shape=(T,)].
+
+    Parameters
+    ----------
+    applied : array [shape=(T,), range 0 to 4]
+        Intensity to show.
+    predicted : array [shape=(T,), range 0 to 1]
+        Intensity that the emotional reading holds.
+    """
+    return np.asarray(applied / np.maximum(predicted, LEAST_PREDICTED), np.float32)
+
+
 @dataclass(frozen=True)
 class Expression:
     """The rules of expression for one control set."""
 
     controls: ControlSet
 
-    def blend(
-        self, neutral: Float32, emotional: Float32, applied: Float32, predicted: Float32
-    ) -> Float32:
-        """Scale the expression by the applied intensity and keep contacts closed.
+    def blend(self, neutral: Float32, emotional: Float32, scale: Float32) -> Float32:
+        """Scale the expression and keep contacts closed.
 
         Parameters
         ----------
-        neutral, emotional : ndarray [shape=(T, C)]
+        neutral, emotional : array [shape=(T, C)]
             Two readings of the same speech.
-        applied : ndarray [shape=(T,), range 0 to 4]
-            Intensity asked for.
-        predicted : ndarray [shape=(T,), range 0 to 1]
-            Intensity heard; `emotional` already shows this much.
+        scale : array [shape=(T,)]
+            Factor on their difference, from `expression_scale`.
 
         Returns
         -------
-        ndarray [shape=(T, C)]
+        array [shape=(T, C)]
         """
-        scale = applied / np.maximum(predicted, LEAST_PREDICTED)
         delta = emotional - neutral  # in place from here: an hour of it is 80 MB
-        delta *= scale[:, None].astype(np.float32)
+        delta *= scale[:, None]
         free = 1 - self.contact(neutral)
         delta[:, self.opening] *= free[:, None]
         delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)

@@ -29,7 +29,7 @@ EDGE_FRAMES = 3.0
 """What is measured counts in speech and fades beside it, with this sigma."""
 
 
-def heard_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> Float32:
+def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> Float32:
     """Intensity heard in a voice: the network's, smoothed and mended by measurement.
 
     Parameters
@@ -61,8 +61,8 @@ def heard_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> F
     mended = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(mended, strength, speaking)
     counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
-    heard: Float32 = (pauses + counts * (mended - pauses)).astype(np.float32)
-    return heard
+    intensity: Float32 = (pauses + counts * (mended - pauses)).astype(np.float32)
+    return intensity
 
 
 def vocal_effort_z(prosody: Prosody) -> float:

@@ -23,7 +23,8 @@ from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.curves import evaluate
 from deitalk.evaluation.report import as_json
-from deitalk.models.checkpoint import load_model
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
 from deitalk.training.curves import train
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
@@ -181,7 +182,7 @@ def _report(
     frozen_features = None if frozen is None else lend(frozen)
     _train(folder, config, data, frozen_features, lambda share: says(name, share))
     options = {key: asked[key] for key in ("split", "most", "probes")}
-    report = evaluate(load_model(folder / "best"), data, **options)
+    report = evaluate(require_model(folder / "best", DEITalk), data, **options)
     with atomic_write(path) as beside:
         beside.write_text(as_json(report | {"asked": asked}), encoding="utf-8")
     loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

@@ -21,8 +21,9 @@ from deitalk.data.windows import Batches, Window, count_windows
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import ValidationSet
 from deitalk.figures.canvas import can_draw
-from deitalk.models.checkpoint import describe_model, load_model, save_model
+from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import describe_model
 from deitalk.models.weights_file import network_shapes
 from deitalk.training.curve_loss import Loss
 from deitalk.training.distillation import Teacher, read_teacher, start_as
@@ -196,7 +197,7 @@ def _accelerator(settings: TrainConfig) -> Any:
 
 def _copy_weights(model: DEITalk, folder: Path) -> None:
     try:
-        model.load_state_dict(load_model(folder).state_dict())
+        model.load_state_dict(require_model(folder, DEITalk).state_dict())
     except RuntimeError:
         raise ConfigError(
             f"{folder}: its weights do not fit the configuration's model; begin with "

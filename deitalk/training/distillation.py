@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from deitalk.errors import ConfigError
-from deitalk.models.checkpoint import load_model
+from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 
 
@@ -33,7 +33,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
     """
     if name is None:
         return None
-    teacher = load_model(name).requires_grad_(False)
+    teacher = require_model(name, DEITalk).requires_grad_(False)
     width, wanted = student.frontend.output_size, teacher.frontend.output_size
     if width != wanted:
         way_out = {
@@ -88,7 +88,7 @@ class Teacher:
     """
 
     def __init__(self, model: DEITalk, accelerator: Any) -> None:
-        # load_model gave it in evaluation mode: no dropout while it teaches.
+        # require_model gave it in evaluation mode: no dropout while it teaches.
         self.frontend = accelerator.prepare_model(model.frontend, evaluation_mode=True)
 
     def distance(self, clean: Tensor, speech: Tensor) -> Tensor:

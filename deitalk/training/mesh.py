@@ -22,15 +22,18 @@ from deitalk.data.mesh_features import FeatureSegments
 from deitalk.data.mesh_folder import MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
 from deitalk.data.mesh_sources import knows_lips, open_meshes
+from deitalk.emotions import Direction
 from deitalk.errors import ConfigError
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder
-from deitalk.models.checkpoint import describe_model
+from deitalk.models.checkpoint import new_encoder, new_mesh_model, require_model, save_model
 from deitalk.models.curve_features import DEITalkFeatures
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_checkpoint import mesh_kind, save_sdfa
-from deitalk.models.mesh_head import Direction, MeshHead
-from deitalk.models.mesh_model import SDFA, build_encoder
+from deitalk.models.folder import describe_model
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import MeshModel
+from deitalk.pipeline.mesh import predict_mesh
 from deitalk.training.lip_regression import LipRegression
 from deitalk.training.mesh_losses import LIPS, AutomaticWeights, lip_loss, motion_terms, term_names
 from deitalk.training.run_folder import open_folder, resume_run, save_checkpoints
@@ -50,8 +53,8 @@ Progress = Callable[[int, int, dict[str, float]], None]
 class MeshRun:
     """What changes while training."""
 
-    model: SDFA
-    average: SDFA
+    model: MeshModel
+    average: MeshModel
     balance: AutomaticWeights
     optimizer: torch.optim.Optimizer
     scheduler: torch.optim.lr_scheduler.LRScheduler
@@ -149,24 +152,21 @@ def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
     return {name: InversePCA.of(getattr(bases, name)) for name in names}
 
 
-def _new_model(config: SDFAConfig, folder: MeshFolder) -> SDFA:
+def _new_model(config: SDFAConfig, folder: MeshFolder) -> MeshModel:
     speakers = folder.training_speakers
-    return mesh_kind(config.model)(
+    return new_mesh_model(
         config.model,
         frozen_layers(folder.bases, config.model.motion),
-        speakers,
         {speaker: folder.templates[speaker] for speaker in speakers},
         fps=folder.fps,
         unit_mm=folder.unit_mm,
     ).to("cuda" if torch.cuda.is_available() else "cpu")
 
 
-def _copy_encoder(model: SDFA, name: str, new: Sequence[str]) -> None:
+def _copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
     """Copy an encoder but for its `new` parts; what SDFA's lacks (`centre`, `rig`) is left out."""
-    from deitalk.models.checkpoint import load_model
-
     encoder = model.encoder
-    start = load_model(name).frontend
+    start = require_model(name, DEITalk).frontend
     try:
         assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
         left_out = {*new, "rig"}
@@ -182,14 +182,14 @@ def _copy_encoder(model: SDFA, name: str, new: Sequence[str]) -> None:
         ) from None
 
 
-def _segments(config: SDFAConfig, folder: MeshFolder, model: SDFA) -> SegmentBatches:
+def _segments(config: SDFAConfig, folder: MeshFolder, model: MeshModel) -> SegmentBatches:
     settings, clips = config.train, folder.split("train")
     drawing = {
         "n_segments": settings.batch_size // settings.segment_frames,
         "n_frames": settings.segment_frames,
         "seed": settings.seed,
     }
-    encoder = build_encoder(config.model.frontend)  # of its own: spectra are cut on the CPU
+    encoder = new_encoder(config.model.frontend)  # of its own: spectra are cut on the CPU
     if isinstance(encoder, DEITalkFeatures):
         return FeatureSegments(clips, model.speakers, encoder, **drawing)
     augment = config.data.augment
@@ -202,7 +202,7 @@ def _n_steps(settings: MeshTrainConfig, segments: SegmentBatches) -> int:
     return max(math.ceil(settings.epochs * segments.n_frames_total / settings.batch_size), 1)
 
 
-def _start(config: SDFAConfig, model: SDFA, average: SDFA, total: int) -> MeshRun:
+def _start(config: SDFAConfig, model: MeshModel, average: MeshModel, total: int) -> MeshRun:
     settings = config.train
     branches = list(model.decoder.deviations)
     names = term_names(branches, lips=settings.lip_weight > 0)
@@ -251,7 +251,7 @@ class MeshLoss(torch.nn.Module):
                 motion=config.model.motion,
             )
 
-    def forward(self, model: SDFA, batch: Segment) -> dict[str, Tensor]:
+    def forward(self, model: MeshModel, batch: Segment) -> dict[str, Tensor]:
         """Every term of one batch, not yet scaled."""
         device = batch.features.device
         with torch.autocast(device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
@@ -320,17 +320,19 @@ def _evaluate(run: MeshRun, folder: MeshFolder, config: SDFAConfig, out: Path) -
         run.step,
         scores,
         run.best_score,
-        lambda folder, summary: save_sdfa(folder, run.average, config, summary),
+        lambda folder, summary: save_model(folder, run.average, config, summary),
     )
     return named
 
 
-def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> dict[str, float]:
+def mesh_scores(
+    model: MeshModel, folder: MeshFolder, split: str = "validation"
+) -> dict[str, float]:
     """Vertex errors on a split, in mm.
 
     Parameters
     ----------
-    model : SDFA
+    model : SDFA or MeshHead
         Put to evaluation mode.
     folder : MeshFolder
         Its first `DEVELOPMENT_CLIPS` clips of the split are heard; of the training split where it
@@ -353,7 +355,7 @@ def mesh_scores(model: SDFA, folder: MeshFolder, split: str = "validation") -> d
         offsets = folder.bases.offsets.expand(clip.motion()["offsets"])
         truth = template.vertices + offsets.reshape(len(offsets), -1, 3)
         direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
-        given = model.predict_mesh(clip.waveform(), style, template, direction)
+        given = predict_mesh(model, clip.waveform(), style, direction, template)
         n = min(len(given), len(truth))
         error = np.linalg.norm(given[:n] - truth[:n], axis=-1)
         if folder.lips is not None:

@@ -261,8 +261,8 @@ def _model_seeds(folder: Path) -> list[Seed]:
 
 def _read_model_file(path: Path) -> object:
     from deitalk.config import load_config
-    from deitalk.models.checkpoint import read_about
-    from deitalk.models.mesh_checkpoint import read_templates, whole_shapes
+    from deitalk.models.folder import read_about
+    from deitalk.models.mesh_weights import read_templates, whole_shapes
     from deitalk.models.weights_file import read_weights
 
     if path.name == "config.yaml":
@@ -274,7 +274,7 @@ def _read_model_file(path: Path) -> object:
         return read_weights(path)
     try:
         return read_templates(path.parent, ["a", "b"])
-    except (ValueError, LookupError, TypeError) as error:  # as in `load_sdfa`
+    except (ValueError, LookupError, TypeError) as error:  # as in `load_model`
         from deitalk.errors import CheckpointError
 
         raise CheckpointError(error) from None

@@ -17,8 +17,9 @@ from deitalk.evaluation.curves import _groups, as_markdown, evaluate, loudness
 from deitalk.evaluation.report import as_json
 from deitalk.evaluation.validation import load_example
 from deitalk.figures.evaluation import draw
-from deitalk.models.checkpoint import embedded_models, load_model
+from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import Performance
 from rig import RigCurves, default_controls
 from tests.conftest import SHARED

@@ -12,9 +12,8 @@ from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips, head_templates
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
+from deitalk.models.checkpoint import new_mesh_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_checkpoint import save_sdfa
-from deitalk.models.mesh_model import SDFA
 from rig.mesh import TriMesh
 from tests.dataset import write_dataset
 
@@ -27,7 +26,7 @@ def still(templates=None):
     config = SDFAModelConfig(frontend=VOCA, motion="offsets", shared_size=None, branch_sizes=())
     count = len(next(iter(templates.values())).vertices)
     layers = {"offsets": InversePCA(1, 3 * count)}
-    return SDFA(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
+    return new_mesh_model(config, layers, templates, fps=30, unit_mm=10).eval()
 
 
 def test_lip_gap_by_hand():
@@ -107,7 +106,7 @@ def test_command(tmp_path):
             },
         }
     )
-    save_sdfa(tmp_path / "m", still(), config, {})
+    save_model(tmp_path / "m", still(), config, {})
     arguments = ["evaluate", str(tmp_path / "m"), "--data", str(data), "--split", "validation"]
     result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "r.json")])
     assert result.exit_code == 0, result.output

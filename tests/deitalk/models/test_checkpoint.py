@@ -11,14 +11,9 @@ from safetensors.torch import load_file, save_file
 
 from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
-from deitalk.models.checkpoint import (
-    describe_model,
-    embedded_models,
-    load_model,
-    model_folder,
-    save_model,
-)
+from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import describe_model, embedded_models, model_folder
 from rig import default_controls
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -101,7 +96,7 @@ def test_a_model_describes_itself(folder, model):
 
 def test_describing_a_model_imports_no_torch(folder):
     code = (
-        "import sys; from deitalk.models.checkpoint import describe_model; "
+        "import sys; from deitalk.models.folder import describe_model; "
         f"describe_model({str(folder)!r}); sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

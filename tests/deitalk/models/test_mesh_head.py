@@ -10,17 +10,15 @@ import torch
 from deitalk.config import Config, load_config, parse_config
 from deitalk.data.mesh_folder import MeshSequence, read_mesh_folder, write_mesh_folder
 from deitalk.data.mesh_sources import act, acted_clips, head_templates
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import EMOTIONS, Direction
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation import mesh_emotion as expression_module
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
-from deitalk.models import mesh_head as module
-from deitalk.models.checkpoint import save_model
+from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_checkpoint import load_sdfa, mesh_kind, save_sdfa
-from deitalk.models.mesh_head import Direction
-from deitalk.pipeline.mesh import animate_mesh
+from deitalk.pipeline import speech as speech_module
+from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients, predict_mesh
 from deitalk.training import mesh as train_module
 from deitalk.training.mesh import train_sdfa
 from tests.dataset import write_dataset
@@ -47,8 +45,8 @@ def network(tmp_path_factory):
 @pytest.fixture
 def open_ears(monkeypatch):
     """Tones are no speech: show everything, and hear what the network hears."""
-    monkeypatch.setattr(module, "expression_gate", lambda activity: np.ones_like(activity))
-    monkeypatch.setattr(module, "heard_intensity", lambda strength, *rest: strength)
+    monkeypatch.setattr(speech_module, "expression_gate", lambda activity: np.ones_like(activity))
+    monkeypatch.setattr(speech_module, "voice_intensity", lambda strength, *rest: strength)
 
 
 def tiny(network, **train):
@@ -76,12 +74,11 @@ def head(network, templates=None, layers=None):
             layer.mean.normal_(std=0.01)
     templates = templates or {"ann": sheet(4)}
     config = tiny(network).model
-    kind = mesh_kind(config)
-    return kind(config, layers, list(templates), templates, fps=30, unit_mm=10).eval()
+    return new_mesh_model(config, layers, templates, fps=30, unit_mm=10).eval()
 
 
 def whole(model, sound, *direction):
-    rows = list(model.coefficients(sound, 0, Direction.of(*direction)))
+    rows = list(mesh_coefficients(model, sound, 0, Direction.of(*direction)))
     return torch.cat([torch.cat((row["stretch"], row["rotation"]), dim=1) for row in rows])
 
 
@@ -122,7 +119,7 @@ def test_silence_is_the_template(network):
     for branch in model.decoder.branches.values():  # a mean that the components can undo
         layer = branch.inverse_pca
         layer.mean = 0.3 * layer.components.sum(dim=0)
-    silent = model.predict_mesh(np.zeros(RATE, np.float32), direction=Direction.of("happy"))
+    silent = predict_mesh(model, np.zeros(RATE, np.float32), direction=Direction.of("happy"))
     np.testing.assert_allclose(silent, np.tile(sheet(4).vertices, (30, 1, 1)), atol=1e-4)
 
 
@@ -148,11 +145,11 @@ def test_emotion_is_learnt_by_heart(network, tmp_path, open_ears):
         network, steps=250, learning_rate=3e-3, evaluate_every=250, lip_weight=1.0, ema=0.9
     )
     train_sdfa(config, data, tmp_path / "run")
-    model = load_sdfa(tmp_path / "run/best")
+    model = load_model(tmp_path / "run/best")
     template = model.template(0)
     for emotion, style in STYLES.items():
         waveform, truth = spoken(template, style)
-        given = model.predict_mesh(waveform, direction=Direction.of(emotion))
+        given = predict_mesh(model, waveform, direction=Direction.of(emotion))
         error, motion = (np.linalg.norm(truth - x, axis=-1) for x in (given, template.vertices))
         assert error.mean() < 0.25 * motion.mean()
 
@@ -177,19 +174,19 @@ def test_clips_of_no_emotion_are_refused(network, tmp_path):
 def test_folder_knows_whose_features_it_decodes(tmp_path):
     network = write_network(tmp_path / "network")
     model, sound = head(network), noise(0.5)
-    save_sdfa(tmp_path / "m", model, tiny(network), {}, half=False)
-    back = load_sdfa(tmp_path / "m")
+    save_model(tmp_path / "m", model, tiny(network), {}, half_bases=False)
+    back = load_model(tmp_path / "m")
     direction = Direction.of("sad")
     np.testing.assert_array_equal(
-        back.predict_mesh(sound, direction=direction),
-        model.predict_mesh(sound, direction=direction),
+        predict_mesh(back, sound, direction=direction),
+        predict_mesh(model, sound, direction=direction),
     )
     (network / "model.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model there"):
-        load_sdfa(tmp_path / "m")
+        load_model(tmp_path / "m")
     write_network(network, seed=5)
     with pytest.raises(CheckpointError, match=r"other weights than those of .*train it again"):
-        load_sdfa(tmp_path / "m")
+        load_model(tmp_path / "m")
 
 
 @pytest.mark.parametrize(
@@ -203,7 +200,7 @@ def test_bad_configuration(section):
 
 
 def test_a_performance_in_an_emotion(network, tmp_path, open_ears):
-    save_sdfa(tmp_path / "m", head(network), tiny(network), {})
+    save_model(tmp_path / "m", head(network), tiny(network), {})
     from deitalk.audio.load import write_wav
 
     write_wav(tmp_path / "a.wav", noise(1.0))

@@ -26,14 +26,16 @@ from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation.mesh import lip_gap
 from deitalk.frontends.windows import window_index
 from deitalk.models import mesh_model as sdfa_module
-from deitalk.models.checkpoint import describe_model, load_model, save_model
+from deitalk.models.checkpoint import load_model, new_mesh_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
-from deitalk.models.mesh_checkpoint import load_sdfa, save_sdfa
-from deitalk.models.mesh_model import SDFA
+from deitalk.models.folder import describe_model
+from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.trim import main as trim_main
 from deitalk.models.trim import trimmed
-from deitalk.postprocess.lip_seal import LipSeal
+from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
+from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.lip_seal import seal_lips
 from deitalk.training import mesh as train_module
 from deitalk.training.lip_regression import LipRegression
 from deitalk.training.mesh import mesh_scores, train_sdfa
@@ -146,11 +148,17 @@ def model(fps=60, frontend=FRONTEND, motion="gradients", **changes):
         frontend=frontend | changes, motion=motion, shared_size=48, branch_sizes=(48, 32)
     )
     speakers = {"ann": template, "bob": sheet(4, 12.0)}
-    sdfa = SDFA(config, layers, ("ann", "bob"), speakers, fps=fps, unit_mm=10).eval()
+    sdfa = new_mesh_model(config, layers, speakers, fps=fps, unit_mm=10).eval()
     with torch.no_grad():  # fresh weights hardly tell one moment from another
         for weight in sdfa.parameters():
             weight.mul_(3)
     return sdfa
+
+
+def motion_of(sdfa, sound, speaker=0):
+    """Gradients or offsets of a whole recording."""
+    parts = list(sdfa.expand(mesh_coefficients(sdfa, sound, speaker)))
+    return type(parts[0])(*(torch.cat(rows) for rows in zip(*parts, strict=True)))
 
 
 def noise(seconds, seed=0):
@@ -216,7 +224,7 @@ def test_forward_is_fig_1():
 def test_a_clip_is_its_windows_one_by_one():
     """Spectra are computed once; every frame must come out as from a window of its own."""
     sdfa, (sound, _) = model(fps=25, frame_rate=125), spoken(sheet(), seconds=0.8)
-    whole = sdfa.predict(sound, "bob")
+    whole = motion_of(sdfa, sound, "bob")
     mel = sdfa.encoder.features(torch.from_numpy(normalise_level(sound))[None], 140, 0)[0]
     mel = torch.cat((mel[..., :1].expand(-1, -1, 100) * 0 + silence(sdfa), mel), dim=-1)
     rows = []
@@ -247,9 +255,9 @@ def test_a_long_clip_in_pieces_is_the_clip(name, monkeypatch):
     if has_context:  # with weights as large as the others' it would never forget
         for weight in sdfa.encoder.parameters():
             weight.data.div_(3)
-    whole = sdfa.predict(sound)
+    whole = motion_of(sdfa, sound)
     monkeypatch.setattr(sdfa_module, "FRAMES_AT_ONCE", 20)
-    pieces = sdfa.predict(sound)
+    pieces = motion_of(sdfa, sound)
     tolerance = 0.02 * float(whole.s.std(dim=0).max()) if has_context else 2e-4
     torch.testing.assert_close(pieces.s, whole.s, atol=tolerance, rtol=0)
     assert whole.s.std(dim=0).max() > (1e-4 if has_context else 2e-3)
@@ -263,15 +271,15 @@ def test_encoders_hear_what_is_near_and_nothing_else(name):
     near[RATE + 200 : RATE + 1000] *= -3
     far[2 * RATE + 8000 :] = far[2 * RATE + 8000 :][::-1]  # the level stays
     frame = 30
-    before, moved, still = (sdfa.predict(x).s[frame] for x in (sound, near, far))
+    before, moved, still = (motion_of(sdfa, x).s[frame] for x in (sound, near, far))
     assert (moved - before).abs().max() > 20 * (still - before).abs().max()
 
 
 def test_offsets_are_added_to_the_template():
     sdfa = model(motion="offsets")
-    motion = sdfa.predict(noise(0.2), "bob")
-    assert isinstance(motion, Offsets) and isinstance(model().predict(noise(0.2)), Deformation)
-    vertices = sdfa.predict_mesh(noise(0.2), "bob")
+    motion = motion_of(sdfa, noise(0.2), "bob")
+    assert isinstance(motion, Offsets) and isinstance(motion_of(model(), noise(0.2)), Deformation)
+    vertices = predict_mesh(sdfa, noise(0.2), "bob")
     expected = sdfa.template("bob").vertices + motion.offsets.numpy().reshape(12, 16, 3)
     np.testing.assert_allclose(vertices, expected, atol=1e-5)
     assert np.ptp(vertices, axis=0).max() > 1e-3
@@ -286,7 +294,7 @@ def test_windows_hold_at_the_ends():
     ("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)]
 )
 def test_number_of_frames(samples, frames):
-    vertices = model().predict_mesh(noise(2)[:samples])
+    vertices = predict_mesh(model(), noise(2)[:samples])
     assert vertices.shape == (frames, 16, 3)
     assert vertices.dtype == np.float32
 
@@ -295,13 +303,13 @@ def test_rest_in_gradients_is_the_template():
     sdfa = model()
     for branch in sdfa.decoder.branches.values():
         branch.inverse_pca.components.zero_()
-    out = sdfa.predict_mesh(noise(0.1), "bob")
+    out = predict_mesh(sdfa, noise(0.1), "bob")
     np.testing.assert_allclose(out, np.tile(sdfa.template("bob").vertices, (6, 1, 1)), atol=1e-5)
 
 
 def test_another_face_of_the_same_triangles_can_be_moved():
     sdfa, face = model(), sheet(4, 20.0)
-    moved = sdfa.predict_mesh(noise(0.2), "ann", face)
+    moved = predict_mesh(sdfa, noise(0.2), "ann", template=face)
     np.testing.assert_allclose(np.ptp(moved[..., 0], axis=1), 20, atol=4)
 
 
@@ -309,7 +317,7 @@ def test_level_does_not_matter():
     sdfa = model()
     for weight in sdfa.parameters():
         weight.data.div_(3)
-    one, two = (sdfa.predict_mesh(gain * noise(0.5)) for gain in (1.0, 0.2))
+    one, two = (predict_mesh(sdfa, gain * noise(0.5)) for gain in (1.0, 0.2))
     np.testing.assert_allclose(one, two, atol=1e-3)
 
 
@@ -318,12 +326,12 @@ def test_level_does_not_matter():
 )
 def test_bad_waveform(bad):
     with pytest.raises(DataError, match="16 kHz"):
-        model().predict_mesh(bad)
+        predict_mesh(model(), bad)
 
 
 def test_unknown_speaker_is_told_the_known_ones():
     with pytest.raises(CheckpointError, match=r"'eve' is unknown.*ann, bob"):
-        model().predict_mesh(noise(0.1), "eve")
+        predict_mesh(model(), noise(0.1), "eve")
 
 
 @pytest.mark.parametrize(
@@ -342,11 +350,11 @@ def test_a_tiny_model_learns_two_speakers_by_heart(
     """The sound is the same: only the label can tell whose motion is asked for."""
     config = tiny(frontend, motion, steps=steps, learning_rate=1e-2, evaluate_every=steps, **more)
     best = train_sdfa(config, sequences, tmp_path / "run")
-    sdfa, errors_mm = load_sdfa(tmp_path / "run/best"), []
+    sdfa, errors_mm = load_model(tmp_path / "run/best"), []
     for speaker, style in STYLES.items():
         template = sdfa.template(speaker)
         waveform, truth = spoken(template, style)
-        error_mm = 10 * np.linalg.norm(sdfa.predict_mesh(waveform, speaker) - truth, axis=-1)
+        error_mm = 10 * np.linalg.norm(predict_mesh(sdfa, waveform, speaker) - truth, axis=-1)
         motion_mm = 10 * np.linalg.norm(truth - template.vertices, axis=-1)
         assert error_mm.mean() < 0.5
         assert error_mm.mean() < 0.25 * motion_mm.mean()  # standing still would cost all of it
@@ -374,43 +382,43 @@ def test_resumed_is_as_uninterrupted(sequences, tmp_path):
         with pytest.raises(KeyboardInterrupt):
             train_sdfa(config, sequences, halved)
     train_sdfa(config, sequences, halved, resume=True)
-    one, two = (load_sdfa(run / "last").state_dict() for run in (whole, halved))
+    one, two = (load_model(run / "last").state_dict() for run in (whole, halved))
     assert all(torch.equal(one[name], two[name]) for name in one)
 
 
 def test_folder_brings_back_the_model(tmp_path):
     sdfa = model()
-    save_sdfa(tmp_path / "m", sdfa, tiny(), {"step": 3}, half=False)
-    back = load_sdfa(tmp_path / "m")
+    save_model(tmp_path / "m", sdfa, tiny(), {"step": 3}, half_bases=False)
+    back = load_model(tmp_path / "m")
     assert back.speakers == ("ann", "bob")
     assert (back.fps, back.unit_mm) == (60, 10)
     sound = noise(0.3)
-    np.testing.assert_array_equal(back.predict_mesh(sound, 1), sdfa.predict_mesh(sound, 1))
+    np.testing.assert_array_equal(predict_mesh(back, sound, 1), predict_mesh(sdfa, sound, 1))
     about = describe_model(tmp_path / "m")
     assert about["training"] == {"step": 3}
     assert about["parameters"] == sum(p.numel() for p in sdfa.parameters())
-    save_sdfa(tmp_path / "h", sdfa, tiny(), {})
+    save_model(tmp_path / "h", sdfa, tiny(), {})
     small = (tmp_path / "h/model.safetensors").stat().st_size
     whole = (tmp_path / "m/model.safetensors").stat().st_size
     basis = sum(b.numel() for n, b in sdfa.named_buffers() if "inverse_pca" in n)
     assert whole - small == pytest.approx(2 * basis, abs=64)
-    save_sdfa(tmp_path / "s", sdfa, tiny(), {}, small=True)
+    save_model(tmp_path / "s", sdfa, tiny(), {}, half=True)
     smallest = (tmp_path / "s/model.safetensors").stat().st_size
     assert smallest < 0.6 * whole
-    loaded = load_sdfa(tmp_path / "s")
+    loaded = load_model(tmp_path / "s")
     assert next(loaded.parameters()).dtype == torch.float32
-    np.testing.assert_allclose(loaded.predict_mesh(sound), sdfa.predict_mesh(sound), atol=2e-2)
+    np.testing.assert_allclose(predict_mesh(loaded, sound), predict_mesh(sdfa, sound), atol=2e-2)
 
 
 def test_numbers_that_never_move_take_no_room(tmp_path):
     sdfa = model()
     layer = sdfa.decoder.branches["stretch"].inverse_pca
-    save_sdfa(tmp_path / "a", sdfa, tiny(), {}, half=False)
+    save_model(tmp_path / "a", sdfa, tiny(), {}, half_bases=False)
     layer.components[:, 10:100] = 0
-    save_sdfa(tmp_path / "b", sdfa, tiny(), {}, half=False)
+    save_model(tmp_path / "b", sdfa, tiny(), {}, half_bases=False)
     one, other = ((tmp_path / n / "model.safetensors").stat().st_size for n in "ab")
     assert one - other == pytest.approx(4 * 90 * (3 + 1), abs=64)  # components and mean
-    back = load_sdfa(tmp_path / "b").decoder.branches["stretch"].inverse_pca
+    back = load_model(tmp_path / "b").decoder.branches["stretch"].inverse_pca
     assert torch.equal(back.components, layer.components)
 
 
@@ -419,7 +427,7 @@ def test_trimmed_bases():
     sdfa = model()
     small = trimmed(sdfa, {"stretch": 2})
     assert small.decoder.branches["stretch"].inverse_pca.components.shape == (2, 108)
-    (rows,), (fewer,) = (list(m.coefficients(noise(0.3))) for m in (sdfa, small))
+    (rows,), (fewer,) = (list(mesh_coefficients(m, noise(0.3))) for m in (sdfa, small))
     torch.testing.assert_close(fewer["stretch"], rows["stretch"][:, :2])
     torch.testing.assert_close(fewer["rotation"], rows["rotation"])
     for sizes, said in (({"stretch": 4}, "4 of 3"), ({"offsets": 1}, "no branch")):
@@ -429,41 +437,49 @@ def test_trimmed_bases():
 
 def test_a_trimmed_model_is_written(tmp_path):
     sdfa = model()
-    save_sdfa(tmp_path / "m", sdfa, tiny(), {"step": 3})
+    save_model(tmp_path / "m", sdfa, tiny(), {"step": 3})
     arguments = [str(tmp_path / "m"), str(tmp_path / "t"), "stretch=2", "rotation=4"]
     trim_main(arguments)
-    back = load_sdfa(tmp_path / "t")
+    back = load_model(tmp_path / "t")
     assert len(back.decoder.deviations["stretch"]) == 2
     assert describe_model(tmp_path / "t")["training"]["components"]["stretch"] == 2
-    moved, whole = (m.predict_mesh(noise(0.3)) for m in (trimmed(sdfa, {"stretch": 2}), back))
+    moved, whole = (predict_mesh(m, noise(0.3)) for m in (trimmed(sdfa, {"stretch": 2}), back))
     np.testing.assert_allclose(moved, whole, atol=2e-2)
     with pytest.raises(CheckpointError, match="exists already"):
         trim_main(arguments)
 
 
-def test_folders_of_the_two_kinds_are_told_apart(tmp_path):
-    save_sdfa(tmp_path / "m", model(), tiny(), {})
-    with pytest.raises(CheckpointError, match="moves meshes"):
-        load_model(tmp_path / "m")
+def test_a_model_of_another_kind_is_refused(tmp_path):
+    save_model(tmp_path / "m", model(), tiny(), {})
+    assert isinstance(load_model(tmp_path / "m"), SDFA)
+    needed = r"m: an SDFA model \(mesh\); a DEITalk model \(curves\) is needed, such as default"
+    with pytest.raises(CheckpointError, match=needed):
+        require_model(tmp_path / "m", DEITalk)
+    with pytest.raises(CheckpointError, match="is an SDFA model"):
+        require_model(model(), DEITalk)
+
+
+def test_damaged_templates_are_refused(tmp_path):
+    save_model(tmp_path / "m", model(), tiny(), {})
     (tmp_path / "m/templates.npz").write_bytes(b"no")
     with pytest.raises(CheckpointError, match="no archive of numpy arrays"):
-        load_sdfa(tmp_path / "m")
+        load_model(tmp_path / "m")
     (tmp_path / "m/config.yaml").write_text("name: other\n")
-    with pytest.raises(CheckpointError, match="no SDFA model"):
-        load_sdfa(tmp_path / "m")
+    with pytest.raises(CheckpointError, match="made for control set 'none"):
+        load_model(tmp_path / "m")
     with pytest.raises(CheckpointError, match="no model there"):
-        load_sdfa(tmp_path / "nothing")
+        require_model(tmp_path / "nothing", MeshModel)
 
 
 def test_attention_rows_sum_to_one():
     for recurrence in ("window", "segment"):
-        weights = model(recurrence=recurrence).attention_weights(noise(0.5))
+        weights = model(recurrence=recurrence).attention_weights(Speech.of(noise(0.5)).sound)
         assert weights.shape == (30, 16)
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
         assert (weights >= 0).all()
     for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
         with pytest.raises(CheckpointError, match="no attention"):
-            model(frontend=other).attention_weights(noise(0.5))
+            model(frontend=other).attention_weights(Speech.of(noise(0.5)).sound)
 
 
 def test_command_trains_on_our_heads(tmp_path):
@@ -475,7 +491,7 @@ def test_command_trains_on_our_heads(tmp_path):
         app, ["train", str(settings), "--data", str(data), "-o", str(run), "--set", "train.seed=1"]
     )
     assert result.exit_code == 0, result.output
-    sdfa = load_sdfa(run / "best")
+    sdfa = load_model(run / "best")
     assert sdfa.speakers == tuple(sorted(IDENTITIES[i].name for i in (0, 3)))
     scores = mesh_scores(sdfa, read_mesh_folder(run / "meshes"))
     assert math.isfinite(scores["lively_mm"]) and scores["lively_mm"] > scores["mean_mm"] > 0
@@ -561,7 +577,7 @@ def parted(gap_mm):
 @pytest.mark.parametrize(("gap_mm", "left_mm"), [(0.9, 0), (1.0, 0), (1.5, 0.75), (2.0, 2.0)])
 def test_the_seal_by_hand(gap_mm, left_mm):
     frames, lips = parted(gap_mm)
-    sealed = LipSeal.of_heads(2.0, 10)(frames)
+    sealed = seal_lips(frames, 2.0, 10)
     gaps = lip_gap(sealed, lips, 10)
     np.testing.assert_allclose(gaps, [0, left_mm, 20], atol=1e-3)
     far = np.linalg.norm(sealed - frames, axis=-1)[1] * 10
@@ -572,10 +588,9 @@ def test_the_seal_by_hand(gap_mm, left_mm):
 
 def test_a_model_of_other_faces_has_no_seal():
     with pytest.raises(ConfigError, match=r"seal_mm=2: only the embedded heads"):
-        SDFA(
+        new_mesh_model(
             SDFAModelConfig(frontend=VOCA, motion="offsets", seal_mm=2),
             {"offsets": InversePCA(1, 48)},
-            ("ann",),
             {"ann": sheet(4)},
             fps=30,
             unit_mm=10,

@@ -10,8 +10,9 @@ from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import AudioError, EmotionError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.curves import mouth_opening
-from deitalk.models.checkpoint import embedded_models, load_model
+from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import embedded_models
 
 SMALL = ModelConfig(
     frontend=MelConfig(

@@ -10,9 +10,9 @@ from deitalk.audio.load import Recording, load_audio, write_wav
 from deitalk.cli import app
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import CheckpointError, DeitalkError, EmotionError
-from deitalk.models.checkpoint import embedded_models
-from deitalk.models.mesh_checkpoint import save_sdfa
-from deitalk.pipeline.mesh import animate_mesh, is_sdfa
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.folder import embedded_models
+from deitalk.pipeline.mesh import animate_mesh, predict_mesh
 from rig.errors import ExistsError, MeshError, RigError, TargetError
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH
@@ -38,8 +38,6 @@ WIDEN_SECONDS = 2 / 30
 def network():
     if "default" not in embedded_models():
         pytest.skip("the default weights are not in this checkout")
-    from deitalk.models.checkpoint import load_model
-
     return load_model()
 
 
@@ -145,7 +143,7 @@ def sdfa_folder(tmp_path_factory):
     from tests.deitalk.models.test_mesh_model import model, tiny
 
     folder = tmp_path_factory.mktemp("sdfa") / "model"
-    save_sdfa(folder, model(fps=30), tiny(), {})
+    save_model(folder, model(fps=30), tiny(), {})
     return folder
 
 
@@ -157,13 +155,10 @@ def speech(tmp_path):
 
 
 def test_sdfa_moves_its_speaker_s_template(sdfa_folder, speech):
-    assert is_sdfa(sdfa_folder) and not is_sdfa("default")
-    from deitalk.models.mesh_checkpoint import load_sdfa
-
-    network, told = load_sdfa(sdfa_folder), []
+    network, told = load_model(sdfa_folder), []
     performance = animate_mesh(speech, model=network, speaker="bob", progress=told.append)
     assert (performance.fps, performance.unit_mm, performance.landmarks) == (30, 10, None)
-    wanted = network.predict_mesh(load_audio(speech).waveform, "bob")
+    wanted = predict_mesh(network, load_audio(speech).waveform, "bob")
     np.testing.assert_allclose(performance.vertices, wanted, atol=1e-6)
     np.testing.assert_array_equal(performance.mesh.vertices, network.template("bob").vertices)
     assert told[-1] == 1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.curve_rules import Expression, expression_scale
 from rig import default_controls
 
 CONTROLS = default_controls()
@@ -22,6 +22,10 @@ def readings(seed=0, closed=0.0):
     return neutral, emotional
 
 
+def blend(neutral, emotional, applied, predicted):
+    return RULES.blend(neutral, emotional, expression_scale(applied, predicted))
+
+
 def constant(value):
     return np.full(T, value, np.float32)
 
@@ -29,19 +33,19 @@ def constant(value):
 @given(st.integers(0, 50), st.floats(0, 1))
 def test_intensity_zero_is_exactly_the_neutral_reading(seed, heard):
     neutral, emotional = readings(seed, closed=0.5)
-    blended = RULES.blend(neutral, emotional, constant(0), constant(heard))
+    blended = blend(neutral, emotional, constant(0), constant(heard))
     assert np.array_equal(blended, neutral)
 
 
 def test_intensity_one_is_the_emotional_reading():
     neutral, emotional = readings()
-    blended = RULES.blend(neutral, emotional, constant(0.6), constant(0.6))
+    blended = blend(neutral, emotional, constant(0.6), constant(0.6))
     np.testing.assert_allclose(blended, emotional, atol=1e-6)
 
 
 def test_intensity_two_goes_twice_as_far():
     neutral, emotional = readings()
-    blended = RULES.blend(neutral, emotional, constant(1.0), constant(0.5))
+    blended = blend(neutral, emotional, constant(1.0), constant(0.5))
     brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
     expected = neutral[:, brow] + 2 * (emotional[:, brow] - neutral[:, brow])
     np.testing.assert_allclose(blended[:, brow], expected, atol=1e-6)
@@ -53,8 +57,7 @@ def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
     neutral, emotional = readings(seed, closed)
     levels = [0.0, 0.1, 0.5, 1.0, 2.0, 4.0]
     away = [
-        np.abs(RULES.blend(neutral, emotional, constant(x), constant(heard)) - neutral)
-        for x in levels
+        np.abs(blend(neutral, emotional, constant(x), constant(heard)) - neutral) for x in levels
     ]
     assert all((b >= a - 1e-6).all() for a, b in pairwise(away))
     brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
@@ -63,14 +66,14 @@ def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
 
 def test_a_voice_that_was_not_heard_does_not_divide_by_zero():
     neutral, emotional = readings()
-    blended = RULES.blend(neutral, emotional, constant(0.15), constant(0))
+    blended = blend(neutral, emotional, constant(0.15), constant(0))
     np.testing.assert_allclose(blended, emotional, atol=1e-6)  # as if it were 0.15 strong
 
 
 @given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 4))
 def test_contacts_are_never_lowered(seed, closed, applied):
     neutral, emotional = readings(seed, closed)
-    blended = RULES.blend(neutral, emotional, constant(applied), constant(0.3))
+    blended = blend(neutral, emotional, constant(applied), constant(0.3))
     assert (blended[:, RULES.seals] >= neutral[:, RULES.seals]).all()
 
 
@@ -78,7 +81,7 @@ def test_contacts_are_never_lowered(seed, closed, applied):
 def test_closed_lips_are_not_forced_open(which):
     neutral, emotional = readings()
     neutral[:, getattr(RULES, which)] = 0.8
-    blended = RULES.blend(neutral, emotional, constant(4), constant(0.2))
+    blended = blend(neutral, emotional, constant(4), constant(0.2))
     assert np.array_equal(blended[:, RULES.opening], neutral[:, RULES.opening])
     smile = CONTROLS.index("CTRL_L_mouth_cornerPull.ty")
     assert not np.allclose(blended[:, smile], neutral[:, smile])
@@ -89,7 +92,7 @@ def test_open_lips_open_further_and_half_closed_lips_half():
     moved = {}
     for closed in (0.0, 0.25, 0.5, 0.75):
         neutral, emotional = readings(closed=closed)
-        blended = RULES.blend(neutral, emotional, constant(1), constant(1))
+        blended = blend(neutral, emotional, constant(1), constant(1))
         moved[closed] = (blended[:, jaw] - neutral[:, jaw]) / (emotional - neutral)[:, jaw]
     for closed, share in {0.0: 1, 0.25: 1, 0.5: 0.5, 0.75: 0}.items():
         np.testing.assert_allclose(moved[closed], share, atol=1e-4)

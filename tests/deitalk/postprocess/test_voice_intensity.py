@@ -5,13 +5,13 @@ import pytest
 
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.voice_intensity import MOST_EFFORT, heard_intensity, vocal_effort_z
+from deitalk.postprocess.voice_intensity import MOST_EFFORT, vocal_effort_z, voice_intensity
 from tests.deitalk.audio.test_prosody import voice
 
 
 def hear(waveform: np.ndarray, strength: np.ndarray) -> np.ndarray:
     prosody = measure_prosody(waveform, len(strength))
-    return heard_intensity(strength, prosody, speech_activity(waveform))
+    return voice_intensity(strength, prosody, speech_activity(waveform))
 
 
 def test_a_brighter_take_is_heard_livelier_everywhere():

@@ -1,0 +1,99 @@
+"""Model folders without their weights: where they are and what ``model.json`` holds; no torch.
+
+::
+
+    config.yaml          every setting; `kind: sdfa` marks a mesh model
+    model.safetensors    weights, float16 in shipped models
+    model.json           format version, control set or speakers, training summary
+    templates.npz        mesh models only: see `deitalk.models.mesh_weights`
+"""
+
+import hashlib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from deitalk.errors import CheckpointError
+from rig import limits
+from rig.errors import quoted
+from rig.files.reading import check_file, open_file, read_json
+
+FORMAT_VERSION = 1
+EMBEDDED = ("default", "compact", "sdfa", "mesh_head")
+"""Models that come with the package; `embedded_models` lists those that are there."""
+
+
+def embedded_models() -> list[str]:
+    """Names of the models inside the package."""
+    folder = resources.files("deitalk.models").joinpath("weights")
+    return [name for name in EMBEDDED if folder.joinpath(name, "model.safetensors").is_file()]
+
+
+def model_folder(name_or_path: str | Path) -> Path:
+    """Folder of an embedded model or of one on disk.
+
+    Raises
+    ------
+    CheckpointError
+        If there is neither; it lists the embedded ones.
+    """
+    if str(name_or_path) in EMBEDDED:
+        folder = Path(str(resources.files("deitalk.models").joinpath("weights", str(name_or_path))))
+    else:
+        folder = Path(name_or_path)
+    if not (folder / "model.safetensors").is_file() or not (folder / "config.yaml").is_file():
+        raise CheckpointError(
+            f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder "
+            f"or one of {', '.join(embedded_models()) or 'no embedded models'}"
+        )
+    return folder
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """Content of a folder's ``model.json``.
+
+    Raises
+    ------
+    CheckpointError
+        If it is missing, damaged or of another format version.
+    """
+    path = folder / "model.json"
+    try:
+        about = read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError)
+        version, _, _ = about["format_version"], about["control_set"], about["controls"]
+    except (CheckpointError, KeyError, TypeError):
+        raise CheckpointError(
+            f"{path}: missing or damaged; save the model again with `deitalk train`"
+        ) from None
+    if version != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{path}: format version {quoted(version)}, this deitalk reads {FORMAT_VERSION}; "
+            "use the deitalk that wrote it, or train again"
+        )
+    return dict(about)
+
+
+def product_of(name_or_path: str | Path) -> Literal["curves", "mesh"]:
+    """Whether a model's output is control curves or a moving mesh, from ``model.json``."""
+    is_mesh = read_about(model_folder(name_or_path)).get("kind") == "sdfa"
+    return "mesh" if is_mesh else "curves"
+
+
+def describe_model(name_or_path: str | Path) -> dict[str, Any]:
+    """Content of ``model.json`` but for the control names; hash and size of the weights."""
+    folder = model_folder(name_or_path)
+    about = read_about(folder)
+    weights = folder / "model.safetensors"
+    about.pop("controls", None)
+    size = check_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError)
+    return {"name": str(name_or_path), **about, "bytes": size, "sha256": weights_hash(folder)}
+
+
+def weights_hash(folder: Path) -> str:
+    """SHA-256 of a folder's weights, in hexadecimal."""
+    digest = hashlib.sha256()
+    path = folder / "model.safetensors"
+    with open_file(path, limits.WEIGHTS_BYTES, error=CheckpointError) as stream:
+        while part := stream.read(limits.MIB):
+            digest.update(part)
+    return digest.hexdigest()

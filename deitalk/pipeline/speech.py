@@ -1,0 +1,153 @@
+"""What both products compute of a recording before their own part.
+
+::
+
+    recording -> speech activity -> gates of mouth and expression
+              -> level-normalised sound -> the network's analysis -> neutral, emotional reading
+              -> prosody -> intensity of the voice -> applied intensity
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deitalk.audio.frames import frame_count, frame_times
+from deitalk.audio.prosody import Prosody, measure_prosody
+from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.emotions import EMOTIONS, Direction
+from deitalk.errors import DataError
+from deitalk.models.curve_model import Analysis
+from deitalk.postprocess.curve_rules import expression_scale
+from deitalk.postprocess.gates import expression_gate, mouth_gate
+from deitalk.postprocess.voice_intensity import vocal_effort_z, voice_intensity
+from rig.arrays import Float32, Float64
+
+Rows = TypeVar("Rows", Tensor, Float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Speech:
+    """A recording with its speech activity; frames are at 30 Hz.
+
+    Parameters
+    ----------
+    waveform : array [shape=(S,)]
+        16 kHz, any level.
+    activity : array [shape=(T,)]
+        1 in speech, else 0.
+    """
+
+    waveform: Float32
+    activity: Float32
+
+    @classmethod
+    def of(cls, waveform: Any) -> "Speech":
+        """Measure a waveform.
+
+        Raises
+        ------
+        DataError
+            If it is not one row of finite samples.
+        """
+        samples = np.asarray(waveform, dtype=np.float32)
+        if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
+            raise DataError(
+                f"a waveform of shape {samples.shape} cannot be used; give one row of finite "
+                "samples at 16 kHz"
+            )
+        return cls(samples, speech_activity(samples))
+
+    @property
+    def n_frames(self) -> int:
+        """T."""
+        return frame_count(len(self.waveform))
+
+    @property
+    def times(self) -> Float64:
+        """Time of each frame [shape=(T,), seconds]."""
+        return frame_times(self.n_frames)
+
+    @property
+    def sound(self) -> Tensor:
+        """The waveform with its speech at the level of the training [shape=(S,)]."""
+        return torch.from_numpy(normalise_level(self.waveform, activity=self.activity))
+
+    @cached_property
+    def mouth(self) -> Float32:
+        """Mouth gate [shape=(T,), range 0 to 1]."""
+        return mouth_gate(self.activity)
+
+    @cached_property
+    def shown(self) -> Float32:
+        """Expression gate [shape=(T,), range 0 to 1]."""
+        return expression_gate(self.activity)
+
+    @cached_property
+    def prosody(self) -> Prosody:
+        """Level, spectral tilt and pitch of each frame."""
+        return measure_prosody(self.waveform, self.n_frames)
+
+
+class Intensities(NamedTuple):
+    """Emotional intensity of each frame [shape=(T,)], from the network to the face."""
+
+    saliency: Float32
+    """e_sim (DEITalk Eq. 5), -1 to 1."""
+    network: Float32
+    """Predicted by the network, 0 to 1; the emotional reading holds this much."""
+    voice: Float32
+    """The same, corrected by the prosody, 0 to 1."""
+    predicted: Float32
+    """`voice` times the expression gate, 0 to 1."""
+    applied: Float32
+    """`predicted` times the direction's factor, or the direction's curve, 0 to 4."""
+    scale: Float32
+    """Factor on the difference of the emotional and the neutral reading."""
+    effort: float
+    """Vocal effort of the whole recording, standard deviations from the usual."""
+
+
+def measure_intensities(speech: Speech, analysis: Analysis, direction: Direction) -> Intensities:
+    """Intensity to apply in each frame, from the network, the voice and the direction.
+
+    A network without an intensity module counts as one that predicts 1 everywhere.
+    """
+    network = np.ones(speech.n_frames, np.float32)
+    saliency = np.zeros(speech.n_frames, np.float32)
+    if analysis.strength is not None and analysis.saliency is not None:
+        network, saliency = analysis.strength.cpu().numpy(), analysis.saliency.cpu().numpy()
+    voice = voice_intensity(network, speech.prosody, speech.activity)
+    predicted = voice * speech.shown
+    base = predicted if direction.curve is None else direction.curve.at(speech.times)
+    applied = (base * direction.intensity).astype(np.float32)
+    scale = expression_scale(applied, network * speech.shown)
+    effort = vocal_effort_z(speech.prosody)
+    return Intensities(saliency, network, voice, predicted, applied, scale, effort)
+
+
+def read_twice(
+    decode: Callable[[Tensor], Rows], weights: Float32, device: torch.device
+) -> tuple[Rows, Rows]:
+    """Neutral and emotional reading of one speech; one and the same if all weights are neutral.
+
+    Parameters
+    ----------
+    decode : callable
+        Maps emotion weights (T, 5) to rows (T, ...): curves, or features of a mesh head.
+    weights : array [shape=(T, 5)]
+        Emotion of each frame.
+    device : torch.device
+        Of the weights that `decode` is called with.
+    """
+    place = EMOTIONS.index("neutral")
+    plain = torch.zeros(weights.shape, device=device)
+    plain[:, place] = 1
+    neutral = decode(plain)
+    if not (weights[:, place] < 1).any():
+        return neutral, neutral
+    return neutral, decode(torch.from_numpy(weights).to(device))
