@@ -11,9 +11,11 @@ from safetensors.torch import load_file, save_file
 
 from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
-from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import describe_model, embedded_models, model_folder
+from deitalk.models.folder import describe_model, embedded_models, model_folder, product_of
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, MeshModel
 from rig import default_controls
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -168,3 +170,26 @@ def test_a_damaged_description_is_refused(folder, text):
 def test_a_weight_file_beyond_the_limit_is_not_read(folder, monkeypatch):
     monkeypatch.setattr("rig.limits.WEIGHTS_BYTES", 10)
     refused(folder, "at most 10 bytes are read")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("default", DEITalk), ("compact", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
+)
+def test_embedded_models_load_as_their_kind(name, kind):
+    if name not in embedded_models():
+        pytest.skip(f"the weights {name} are not in this checkout")
+    model = load_model(name)
+    assert type(model) is kind and not model.training
+    assert product_of(name) == ("curves" if kind is DEITalk else "mesh")
+
+
+def test_required_kind_rejects_another_and_names_both(folder, model):
+    with pytest.raises(CheckpointError, match=r"a DEITalk model \(curves\); a mesh head is needed"):
+        require_model(folder, MeshHead)
+    with pytest.raises(CheckpointError, match="no model there"):
+        require_model("nothing", MeshModel)
+    with pytest.raises(CheckpointError, match="is a dict; a mesh model is needed"):
+        require_model({}, MeshModel)
+    assert require_model(model, DEITalk) is model
+    assert isinstance(require_model(folder, DEITalk), DEITalk)

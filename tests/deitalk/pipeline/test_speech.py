@@ -1,0 +1,90 @@
+"""Speech before either product: gates, both readings, and intensity from voice and direction."""
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.audio.voice_activity import active_level_db
+from deitalk.emotions import Direction, IntensityCurve
+from deitalk.errors import DataError
+from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.models.curve_model import Analysis
+from deitalk.pipeline.speech import Speech, measure_intensities, read_twice
+
+
+@pytest.fixture(scope="module")
+def speech():
+    silence = np.zeros(32_000, np.float32)
+    return Speech.of(np.concatenate((silence, 0.1 * speechlike(3.0), silence)))
+
+
+def analysis(speech, strength):
+    rows = torch.full((speech.n_frames,), strength)
+    return Analysis(torch.zeros(speech.n_frames, 1), None, 2 * rows - 1, rows)
+
+
+def test_speech_has_a_row_for_each_thirtieth_of_a_second(speech):
+    assert speech.n_frames == 210 == len(speech.times)
+    assert speech.times[-1] == pytest.approx(209 / 30)
+    for track in (speech.activity, speech.mouth, speech.shown, speech.prosody.level):
+        assert track.shape == (210,)
+
+
+def test_gates_are_shut_in_silence_and_open_in_speech(speech):
+    assert speech.mouth[:30].max() == speech.shown[:30].max() == 0
+    assert speech.mouth[90:120].min() == speech.shown[90:120].min() == 1
+
+
+def test_sound_has_its_speech_at_the_level_of_the_training(speech):
+    assert active_level_db(speech.sound.numpy(), speech.activity) == pytest.approx(-23, abs=0.01)
+
+
+@pytest.mark.parametrize("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])
+def test_speech_rejects_what_is_no_row_of_finite_samples(bad):
+    with pytest.raises(DataError, match="one row of finite samples at 16 kHz"):
+        Speech.of(bad)
+
+
+def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
+    found = analysis(speech, 0.5)
+    once, twice = (measure_intensities(speech, found, Direction.of("happy", k)) for k in (1, 2))
+    np.testing.assert_array_equal(once.applied, once.predicted)
+    np.testing.assert_allclose(twice.applied, 2 * once.applied)
+    np.testing.assert_allclose(twice.scale, 2 * once.scale)
+    np.testing.assert_array_equal(once.predicted, once.voice * speech.shown)
+    assert once.predicted[:30].max() == 0 < once.predicted[100]
+
+
+def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
+    curve = IntensityCurve(np.zeros(1), np.array([0.5]))
+    found = measure_intensities(speech, analysis(speech, 0.5), Direction.of("sad", 1.0, curve))
+    np.testing.assert_array_equal(found.applied, np.float32(0.5))  # also where nobody speaks
+    open_ = speech.shown == 1
+    np.testing.assert_allclose(found.scale[open_], 1)
+    np.testing.assert_array_equal(found.saliency, 0)
+
+
+def test_network_without_intensity_predicts_one_everywhere(speech):
+    found = measure_intensities(
+        speech, Analysis(torch.zeros(210, 1), None, None, None), Direction.of("happy")
+    )
+    np.testing.assert_array_equal(found.network, 1)
+    np.testing.assert_array_equal(found.saliency, 0)
+
+
+def test_neutral_weights_are_read_once():
+    calls = []
+
+    def decode(weights):
+        calls.append(weights)
+        return 2 * weights
+
+    cpu = torch.device("cpu")
+    neutral = np.tile(np.eye(5, dtype=np.float32)[0], (4, 1))
+    plain, emotional = read_twice(decode, neutral, cpu)
+    assert emotional is plain and len(calls) == 1
+    happy = np.tile(np.eye(5, dtype=np.float32)[2], (4, 1))
+    plain, emotional = read_twice(decode, happy, cpu)
+    assert len(calls) == 3
+    np.testing.assert_array_equal(plain, 2 * neutral)
+    np.testing.assert_array_equal(emotional, 2 * happy)
