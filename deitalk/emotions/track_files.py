@@ -2,7 +2,7 @@
 
 A spreadsheet's CSV: commas, semicolons or tabs between cells; decimal points or commas; UTF-8 with
 or without mark, UTF-16 with mark; quoted cells; Excel's first line ``sep=;``; empty rows. Names of
-columns are told apart neither by case nor by the spaces around them.
+columns are compared without case and without spaces around them. K keys.
 """
 
 import csv
@@ -36,11 +36,11 @@ class Columns:
 
     Attributes
     ----------
-    numbers : dict of str to ndarray (K,) float64
+    numbers : dict of str to array [shape=(K,)]
         All finite.
-    texts : dict of str to list of str (K)
+    texts : dict of str to list of str
         Lower case, without the spaces around them.
-    rows : ndarray (K,) int64
+    rows : array [shape=(K,)]
         Number of each key in its file, from 1: empty rows are left out.
     """
 
@@ -50,7 +50,7 @@ class Columns:
 
 
 class Table(ABC):
-    """What a file holds, before it is known which columns are wanted."""
+    """Content of a file, of which columns are taken by name."""
 
     path: Path
     names: frozenset[str]
@@ -61,7 +61,7 @@ class Table(ABC):
 
 
 def read_table(path: Path) -> Table:
-    """Read a table of keys; see the module for what is understood.
+    """Read a table of keys in one of the formats of this module.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def read_table(path: Path) -> Table:
 
 
 def number(value: object, name: str, where: str) -> float:
-    """Return a value as a finite number, be its decimal a point or a comma; else EmotionError."""
+    """Return a value, with a decimal point or comma, as a finite number; else EmotionError."""
     try:
         found = _number(value)
     except (TypeError, ValueError, OverflowError):
@@ -238,10 +238,10 @@ def _sheet(path: Path, text: str) -> _Sheet:
     if lines > limits.KEYS + 2:
         raise EmotionError(f"{path} has {lines} lines; at most {limits.KEYS} keys are read")
     line, rest = _first_line(text.lstrip("\r\n"))
-    told = re.fullmatch(r'"?sep=(.)"?[,;\t]*', line.strip(" "), re.IGNORECASE)
-    if told:
+    given = re.fullmatch(r'"?sep=(.)"?[,;\t]*', line.strip(" "), re.IGNORECASE)
+    if given:
         line, rest = _first_line(rest)
-    separator = told[1] if told else max(_SEPARATORS, key=_outside_quotes(line).count)
+    separator = given[1] if given else max(_SEPARATORS, key=_outside_quotes(line).count)
     if separator not in _SEPARATORS:
         raise EmotionError(f"{path}: 'sep={separator}' is none of comma, semicolon and tab")
     try:

@@ -1,11 +1,11 @@
-"""Which emotion, and how strongly, at every moment: labels, mixtures, keyframes, edited curves.
+"""Emotion weights and intensity over time: labels, mixtures, keyframes, edited curves.
 
 DEITalk §3.1 conditions on one label per clip (ETH-3D: neutral, angry, happy, sad, surprised).
 Deviation: here the label becomes weights (T, 5) that may mix and change over time; a label is the
 special case of a constant one-hot.
 
-Weights are not negative and sum to 1: what a user leaves open goes to neutral, so ``happy=0.7``
-is 70 % happy and 30 % neutral.
+Weights are not negative and sum to 1: the rest goes to neutral, so ``happy=0.7`` is 70 % happy and
+30 % neutral. K keys.
 """
 
 import csv
@@ -24,7 +24,7 @@ from rig.files import atomic_write
 from rig.limits import SECONDS
 
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
-MAX_INTENSITY = 4.0  # 1 is as the voice says; beyond 4 no face is left
+MAX_INTENSITY = 4.0  # 1: as predicted from the voice; above 4 controls reach their limits
 ROUNDING = 1e-4  # files round their weights
 
 
@@ -34,17 +34,17 @@ class EmotionTrack:
 
     Attributes
     ----------
-    times : ndarray (K,) float64
+    times : array [shape=(K,)]
         Seconds, strictly rising.
-    weights : ndarray (K, 5) float64
-        In the order of `EMOTIONS`; each row is not negative and sums to 1.
+    weights : array [shape=(K, 5), range 0 to 1]
+        In the order of `EMOTIONS`; each row sums to 1.
     """
 
     times: Float64
     weights: Float64
 
     def at(self, times: npt.ArrayLike) -> Float32:
-        """Weights (T, 5) float32 at `times` (T,) in seconds."""
+        """Weights [shape=(T, 5)] at `times` [shape=(T,), seconds]."""
         seconds = np.asarray(times, float)
         weights = np.empty((*seconds.shape, len(EMOTIONS)), np.float32)
         for i, column in enumerate(self.weights.T):
@@ -58,17 +58,17 @@ class IntensityCurve:
 
     Attributes
     ----------
-    times : ndarray (K,) float64
+    times : array [shape=(K,)]
         Seconds, strictly rising.
-    values : ndarray (K,) float64
-        0 (neutral reading) … 4; 1 is as predicted for the average voice.
+    values : array [shape=(K,), range 0 to 4]
+        0 gives the neutral reading.
     """
 
     times: Float64
     values: Float64
 
     def at(self, times: npt.ArrayLike) -> Float32:
-        """Intensity (T,) float32 at `times` (T,): linear between keys, held outside."""
+        """Intensity [shape=(T,)] at `times` [seconds]: linear between keys, held outside."""
         values: Float32 = np.interp(np.asarray(times, float), self.times, self.values).astype(
             np.float32
         )
@@ -76,7 +76,7 @@ class IntensityCurve:
 
 
 def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") -> EmotionTrack:
-    """An emotion in any of its spellings, as a track.
+    """Parse an emotion in any of its spellings.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _distributions(path: Path, times: Float64, weights: Float64) -> Float64:
     if bad.any():
         row = int(np.argmax(bad))
         named = dict(zip(EMOTIONS, weights[row].tolist(), strict=True))
-        _weights(named, f"{path}, time {times[row]:g}")  # says what is wrong
+        _weights(named, f"{path}, time {times[row]:g}")  # raises the error
     whole = weights.copy()
     whole[:, 0] += np.maximum(0.0, 1 - total)
     whole /= whole.sum(axis=1, keepdims=True)
@@ -233,11 +233,11 @@ def read_intensity_curve(path: str | Path) -> IntensityCurve:
 
 
 def check_intensity(value: float, where: str = "intensity") -> float:
-    """`value` itself if it is a possible intensity (finite, 0 … 4), else EmotionError."""
+    """Return `value`; EmotionError if it is no intensity (finite, 0 to 4)."""
     if not 0 <= value <= MAX_INTENSITY:
         raise EmotionError(
             f"{where}: intensity {value:g} must be 0 to {MAX_INTENSITY:g}; "
-            "0 is neutral, 1 as the voice says"
+            "0 gives the neutral reading, 1 the intensity of the voice"
         )
     return value
 
@@ -257,16 +257,16 @@ def write_intensity_csv(
     ----------
     path : str or Path
         Replaced if it exists.
-    times : array (T,)
+    times : array [shape=(T,)]
         Seconds.
-    weights : array (T, 5)
+    weights : array [shape=(T, 5)]
         Emotion weights.
-    saliency : array (T,)
-        e_sim of DEITalk Eq. 5, 0 … 1.
-    predicted : array (T,)
-        Intensity from the voice alone.
-    intensity : array (T,)
-        Intensity as applied; this column is read back by `read_intensity_curve`.
+    saliency : array [shape=(T,), range -1 to 1]
+        e_sim of DEITalk Eq. 5.
+    predicted : array [shape=(T,), range 0 to 1]
+        Intensity predicted from the voice.
+    intensity : array [shape=(T,), range 0 to 4]
+        Intensity applied; `read_intensity_curve` reads this column back.
     """
     columns = np.column_stack([times, weights, saliency, predicted, intensity])
     header = ("frame", "time", *EMOTIONS, "saliency", "predicted", "intensity")

@@ -1,4 +1,4 @@
-"""A whole clip through a frontend in bounded memory."""
+"""Encoding of a whole clip in segments, in bounded memory."""
 
 from collections.abc import Callable, Sequence
 
@@ -8,9 +8,9 @@ from deitalk.audio.mel import SAMPLE_RATE
 
 
 def phase_shifts(phases: int, frame_rate: float) -> list[int]:
-    """Samples by which spectra move so that `phases` hearings divide their period evenly.
+    """Shifts in samples, one for each encoding, that divide the period of the spectra evenly.
 
-    Balanced about 0, so that the mean of all is in time; one hearing is not moved.
+    Balanced about 0, so that the mean of all encodings is in time; a single one is not shifted.
     """
     period = SAMPLE_RATE / frame_rate
     return [round((2 * i + 1 - phases) / (2 * phases) * period) for i in range(phases)]
@@ -25,10 +25,10 @@ def encode_in_segments(
     shifts: Sequence[int],
     progress: Callable[[float], None],
 ) -> Tensor:
-    """Fill `rows` segment by segment with the mean of what is heard at every shift.
+    """Fill `rows` segment by segment with the mean of the encodings at every shift.
 
-    Paper silent. In noise the mean of two hearings, half a spectrum's period apart, tells closures
-    from vowels better than one does (MODEL_CARD.md).
+    Not in the papers. In noise the mean of two encodings, half a period of the spectra apart,
+    separates closures from vowels better than one does (MODEL_CARD.md).
 
     Parameters
     ----------
@@ -38,14 +38,13 @@ def encode_in_segments(
     waveform : Tensor [shape=(S,)]
         The clip.
     rows : Tensor [shape=(T, D)]
-        Where the rows go.
+        Filled in place.
     segment, context : int
-        Rows that are kept at once, and rows on either side of them that are computed for them and
-        thrown away.
+        Rows kept at once, and rows on either side of them that are computed as context only.
     shifts : sequence of int
-        Samples, one for each hearing; from `phase_shifts`.
+        Samples, one for each encoding; from `phase_shifts`.
     progress : callable
-        Told the share that is done, 0 to 1.
+        Called with the share done, 0 to 1.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Conformer encoder over a mel spectrogram: the compact frontend (not in the papers).
 
-wav2vec 2.0 learns its own filters, from thousands of hours of raw audio. Where there are a few, a
-mel spectrogram stands in for its convolutional stem, and the blocks of its conformer variant (after
-Gulati et al. 2020) for its transformer: they are told to look near by, it has to learn to.
+A mel spectrogram takes the place of wav2vec 2.0's convolutional stem, which needs thousands of
+hours of audio to learn its filters; the blocks of its conformer variant (Gulati et al. 2020) take
+the place of its transformer: their convolutions are local by construction.
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ from deitalk.frontends.chunking import encode_in_segments, phase_shifts
 SEGMENT_FRAMES = 64
 """Rig frames of a clip that are encoded at once."""
 CONTEXT_FRAMES = 32
-"""Rig frames of context on either side of a segment, computed and thrown away. Together they are a
-training window of 128: the blocks know their place in it."""
+"""Rig frames of context on either side of a segment, computed and not kept. Segment and context are
+as long as a training window, 128 frames."""
 SPECTRA = 2
-"""Spectra a rig frame; the stem joins them."""
+"""Spectra per rig frame, joined by the stem."""
 
 
 class ConformerFrontend(nn.Module):
@@ -77,7 +77,7 @@ class ConformerFrontend(nn.Module):
     ) -> Tensor:
         """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow.
 
-        `progress` is told the share that is done, 0 to 1.
+        `progress` is called with the share done, 0 to 1.
         """
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(
@@ -87,8 +87,8 @@ class ConformerFrontend(nn.Module):
     def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
         n_spectra = SPECTRA * (last - first)
         spectra = self.mel(waveform, n_spectra, SPECTRA * first, shift)  # (B, 3, F, L)
-        heard = self.stem(spectra.flatten(1, 2)).transpose(1, 2)  # (B, T, stem_channels)
-        out: Tensor = self.encoder(self.project(heard)).last_hidden_state
+        stemmed = self.stem(spectra.flatten(1, 2)).transpose(1, 2)  # (B, T, stem_channels)
+        out: Tensor = self.encoder(self.project(stemmed)).last_hidden_state
         return out
 
 
@@ -119,6 +119,6 @@ def _blocks(config: ConformerConfig) -> nn.Module:
         attn_implementation="eager",  # type: ignore[call-arg]
     )
     encoder: Any = Wav2Vec2ConformerEncoder(settings)  # type: ignore[no-untyped-call]
-    encoder.pos_conv_embed = nn.Identity()  # made there, and used nowhere
+    encoder.pos_conv_embed = nn.Identity()  # built by transformers, not used
     blocks: nn.Module = encoder
     return blocks

@@ -1,11 +1,11 @@
-"""A convolutional encoder in the way of Karras et al. 2017, for comparison (SDFA §5.2.1, Table 4).
+"""A convolutional encoder after Karras et al. 2017, for comparison (SDFA §5.2.1, Table 4).
 
 SDFA describes it in a sentence: formant analysis convolves over the features of a spectrum,
 articulation analysis over time, on linear-predictive features of a sliding window; the authors'
 emotional state is replaced by the speaker's label. Layer sizes (72 to 256 channels, 64 spectra of
-32 autocorrelations, 16 ms each) are as remembered from the paper by Karras et al., which is not at
-hand. Approximate: the label joins once, before the decoder, not at every articulation layer;
-batch normalisation after every convolution, without which short training fails.
+32 autocorrelations, 16 ms each) are from memory of the paper by Karras et al. Approximate: the
+label joins once, before the decoder, not at every articulation layer; batch normalisation after
+every convolution, without which short training fails.
 """
 
 import torch
@@ -18,7 +18,7 @@ from deitalk.frontends.windows import Encoder, window_index
 
 
 class Autocorrelation(nn.Module):
-    """Short-time autocorrelation, its level apart.
+    """Short-time autocorrelation, with the level in place of lag 0.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class KarrasEncoder(Encoder):
 
 
 def _halving(before: int, channels: tuple[int, ...], length: int) -> tuple[nn.Sequential, int]:
-    """Convolutions of kernel 3 and stride 2 while there is a length to halve; what is left."""
+    """Convolutions of kernel 3, of stride 2 while the length is above 1; the length left."""
     layers: list[nn.Module] = []
     for after in channels:
         stride = 2 if length > 1 else 1

@@ -1,8 +1,10 @@
 """Spectral gathering and temporal attention: the mel frontend (SDFA §3.1-3.3, Tables 1-2).
 
-Two deviations in how, none in what: convolutions and Spec-BiLSTM see one spectrum at a time, so
-they run once per spectrum and windows are gathered afterwards; and with ``recurrence: segment``
+Deviation: convolutions and Spec-BiLSTM depend on one spectrum at a time, so they run once per
+spectrum and windows are gathered afterwards; the result is the same. With ``recurrence: segment``
 the Time-BiLSTM runs along the clip instead of once per window (some ten times less work).
+
+N windows.
 """
 
 from collections.abc import Callable
@@ -19,10 +21,9 @@ from deitalk.frontends.chunking import encode_in_segments, phase_shifts
 SEGMENT_FRAMES = 960
 """Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
 CONTEXT_FRAMES = 256
-"""Rig frames of context on either side of a segment, computed and thrown away (8.5 s). The default
-weights remember longer than that, so two ways to divide a clip differ by some hundredths of a range
-in places; where two segments meet a slow test holds the step from one to the other, beside the
-same frames undivided, below what curves move in a frame anyhow."""
+"""Rig frames of context on either side of a segment, computed and not kept (8.5 s). The memory of
+the default weights is longer, so two ways to divide a clip differ by some hundredths of a range in
+places; a slow test holds the step between two segments below the usual motion in a frame."""
 
 
 class FrequencyConv(nn.Conv1d):
@@ -80,7 +81,7 @@ class SpectralGathering(nn.Module):
 
 
 class TemporalAttention(nn.Module):
-    """Additive attention over a window, asked by its central frames (SDFA §3.3, Fig. 2).
+    """Additive attention over a window; its central frames are the query (SDFA §3.3, Fig. 2).
 
     Parameters
     ----------
@@ -115,14 +116,14 @@ class TemporalAttention(nn.Module):
         attended : Tensor [shape=(N, size)]
         weights : Tensor [shape=(N, L)], sum 1
         """
-        asked = self.query_project(self.query(query.transpose(1, 2)).squeeze(-1))
+        projected = self.query_project(self.query(query.transpose(1, 2)).squeeze(-1))
         keys = self.key_project(memory)
-        scores = self.score(torch.tanh(keys + asked.unsqueeze(1))).squeeze(-1)
+        scores = self.score(torch.tanh(keys + projected.unsqueeze(1))).squeeze(-1)
         weights = scores.softmax(dim=-1)
         return torch.einsum("nl,nld->nd", weights, memory), weights
 
     def along(self, memory: Tensor, centres: Tensor, window: int) -> Tensor:
-        """Attend around given places of one long memory.
+        """Attend around given places of the memory of a whole clip.
 
         Parameters
         ----------
@@ -140,12 +141,12 @@ class TemporalAttention(nn.Module):
         batch, length, _ = memory.shape
         half = self.query_frames // 2
         filtered = self.query(F.pad(memory.transpose(1, 2), (half, half))).transpose(1, 2)
-        asked = self.query_project(filtered[:, centres])  # (B, T, C_att)
+        projected = self.query_project(filtered[:, centres])  # (B, T, C_att)
         keys = self.key_project(memory)  # (B, L, C_att)
         index = centres.unsqueeze(1) + torch.arange(window, device=memory.device) - window // 2
         outside = (index < 0) | (index >= length)
         index = index.clamp(0, length - 1)
-        scores = self.score(torch.tanh(keys[:, index] + asked.unsqueeze(2))).squeeze(-1)
+        scores = self.score(torch.tanh(keys[:, index] + projected.unsqueeze(2))).squeeze(-1)
         weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
         spread = weights.new_zeros(batch, len(centres), length)
         spread.scatter_add_(2, index.expand(batch, -1, -1), weights)
@@ -154,10 +155,10 @@ class TemporalAttention(nn.Module):
 
 
 class RigBiLSTM(nn.Module):
-    """What is heard, again in the light of what comes before and after: x + W BiLSTM(x).
+    """Residual BiLSTM along rig frames: x + W BiLSTM(x).
 
-    Not in the papers; meant for noise, where a sound must be guessed from its neighbours. W begins
-    at 0, so that a model without such layers can teach one with them and start it
+    Not in the papers; meant for noise, where a sound must be inferred from its neighbours. W starts
+    at 0, so that the weights of a model without such layers can start one with them
     (`deitalk.training.distillation`).
 
     Parameters
@@ -165,7 +166,7 @@ class RigBiLSTM(nn.Module):
     size : int
         Width of a row, even.
     dropout : float
-        On what the BiLSTM says.
+        On the BiLSTM's output.
     """
 
     def __init__(self, size: int, dropout: float) -> None:
@@ -216,13 +217,13 @@ class MelFrontend(nn.Module):
         self.attention = TemporalAttention(
             self.output_size, config.attention_size, config.query_frames
         )
-        # Deviation: attention alone must first learn to be sharp before a closure of two frames
-        # survives it; with the centre added it need not. The norm puts features on the scale of
-        # the positional encoding that is added to them.
+        # Deviation: attention alone keeps a closure of two frames only once its weights are
+        # sharp; with the centre added it is kept from the start. The norm puts features on the
+        # scale of the positional encoding that is added to them.
         self.normalise = nn.LayerNorm(self.output_size) if config.centre else None
         if config.weight_norm:
             normalise_weights(self)
-        self.rig = nn.Sequential(  # after weight normalisation, which 0 does not survive
+        self.rig = nn.Sequential(  # after weight normalisation, undefined for 0
             *(RigBiLSTM(self.output_size, config.dropout) for _ in range(config.rig_layers))
         )
 
@@ -240,7 +241,7 @@ class MelFrontend(nn.Module):
     ) -> Tensor:
         """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow.
 
-        `progress` is told the share that is done, 0 to 1.
+        `progress` is called with the share done, 0 to 1.
         """
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(

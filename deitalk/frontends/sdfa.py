@@ -1,4 +1,7 @@
-"""SDFA's speech encoder at any frame rate, and the two ablations of its parts (SDFA §5.2.2)."""
+"""SDFA's speech encoder at any frame rate, and the two ablations of its parts (SDFA §5.2.2).
+
+N windows, W spectra of a window.
+"""
 
 from itertools import pairwise
 from typing import cast
@@ -18,7 +21,7 @@ from deitalk.frontends.windows import Encoder, window_index
 
 WINDOWS_AT_ONCE = 64
 CONTEXT_SECONDS = 1.0
-"""What a Time-BiLSTM along the clip hears beyond the ends of what is asked for."""
+"""Context of a Time-BiLSTM along the clip, on either side of the requested frames."""
 
 
 class SDFAEncoder(Encoder):
@@ -39,7 +42,7 @@ class SDFAEncoder(Encoder):
         self.reach = config.window_frames // 2
         if config.recurrence == "segment":
             self.context_seconds = CONTEXT_SECONDS
-        # The stand-ins are called as what they stand in for, and share no more with it.
+        # The replacements have the methods of what they replace, and no common base class.
         if config.gathering == "convolution":
             self.frontend.spectral = cast("SpectralGathering", ConvolutionGathering(config))
         if config.summary == "convolution":
@@ -85,7 +88,7 @@ class SDFAEncoder(Encoder):
 
     @torch.no_grad()
     def attention_weights(self, features: Tensor, places: Tensor) -> Tensor:
-        """Where each place looks [shape=(T, W)] in one recording's features (1, 3, F, L)."""
+        """Attention weights [shape=(T, W)] of each place in features (1, 3, F, L)."""
         spectral = self.frontend.spectral(features)[0]
         index = window_index(places, self.config.window_frames, len(spectral))
         if self.config.recurrence == "segment":
@@ -104,9 +107,10 @@ class SDFAEncoder(Encoder):
 
 
 class ConvolutionGathering(nn.Module):
-    """Ablation: convolutions along frequency stand in for the Spec-BiLSTM (§5.2.2, Fig. 6a).
+    """Ablation: convolutions along frequency in place of the Spec-BiLSTM (§5.2.2, Fig. 6a).
 
-    Paper silent: which. Two of kernel 3 as wide as the BiLSTM's output, then the same projection.
+    Paper silent: their sizes. Here two of kernel 3, as wide as the BiLSTM's output, then the same
+    projection.
 
     Parameters
     ----------
@@ -140,16 +144,16 @@ class ConvolutionGathering(nn.Module):
 
 
 class ConvolutionSummary(nn.Module):
-    """Ablation: convolutions along time stand in for the attention (§5.2.2, Fig. 6b).
+    """Ablation: convolutions along time in place of the attention (§5.2.2, Fig. 6b).
 
-    Paper silent: which. Here dilated ones of kernel 3 whose reach is the window's.
+    Paper silent: their sizes. Here dilated, of kernel 3, with the window as receptive field.
 
     Parameters
     ----------
     size : int
         Width of the memory.
     window : int
-        Spectra that are summed up.
+        Spectra of the window.
     """
 
     def __init__(self, size: int, window: int) -> None:
@@ -169,7 +173,7 @@ class ConvolutionSummary(nn.Module):
         return x.transpose(1, 2)
 
     def windows(self, memory: Tensor, query: Tensor) -> tuple[Tensor, Tensor]:
-        """As `TemporalAttention.windows`; there are no weights, so they are even."""
+        """As `TemporalAttention.windows`, with even weights: there is no attention."""
         length = memory.shape[1]
         return self._all(memory)[:, length // 2], memory.new_full(memory.shape[:2], 1 / length)
 

@@ -1,10 +1,9 @@
-"""An encoder in the way of VOCA (Cudeiro et al. 2019), for comparison (SDFA §5.1.3, Table 4).
+"""An encoder after VOCA (Cudeiro et al. 2019), for comparison (SDFA §5.1.3, Table 4).
 
 VOCA convolves over a window of DeepSpeech's outputs; its decoder gives vertex offsets in a PCA
-basis. Layer sizes are as remembered from their paper, which is not at hand. Deviation: there is no
-DeepSpeech here. Its own input, 26 mel-frequency cepstral coefficients, stands in, so this model
-works without a pretrained recogniser; DeepSpeech is timed apart
-(`deitalk.evaluation.benchmark_mesh`).
+basis. Layer sizes are from memory of their paper. Deviation: DeepSpeech's own input, 26
+mel-frequency cepstral coefficients, takes the place of its output, so that this model needs no
+pretrained recogniser; DeepSpeech is timed apart (`deitalk.evaluation.benchmark_mesh`).
 Approximate: the speaker's label joins once, before the decoder.
 """
 

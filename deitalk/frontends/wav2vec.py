@@ -1,6 +1,6 @@
 """wav2vec 2.0 speech features, 50 Hz brought to the rig's 30 Hz (DEITalk §3.2, §4.1).
 
-Legend: B batch, S samples at 16 kHz, K wav2vec features (50 Hz), T rig frames (30 Hz), D width.
+K wav2vec features at 50 Hz.
 """
 
 import json
@@ -34,15 +34,15 @@ COMPACT: Mapping[str, Any] = {
     "num_conv_pos_embedding_groups": 8,
     "do_stable_layer_norm": True,
 }
-"""A small encoder to train from scratch. Its norms see one moment at a time, unlike the group norm
-of the published base model, so that a chunk's features do not depend on where the chunk ends."""
+"""A small encoder to train from scratch. Its norms act on one moment at a time, unlike the group
+norm of the published base model, so that a chunk's features do not depend on where it ends."""
 
 COMPACT_SCALE = 10 ** (23 / 20)
-"""Brings speech at -23 dBFS to unit variance without looking at the clip."""
+"""Scales speech at -23 dBFS to unit variance, by one factor for all clips."""
 
 
 class Wav2VecFrontend(nn.Module):
-    """A wav2vec 2.0 encoder that gives one row per rig frame.
+    """A wav2vec 2.0 encoder with one row per rig frame.
 
     Row i describes the time i/30 s. Feature k of the encoder describes the samples
     320 k … 320 k + 399, so its centre is (320 k + 199.5) / 16000 s, and row i is interpolated
@@ -86,7 +86,7 @@ class Wav2VecFrontend(nn.Module):
         config : Wav2VecConfig
             With a checkpoint its weights are read; without one, `COMPACT` with the changes in
             ``config.encoder`` is made anew. Deviation: such a stem is never frozen, for a fixed
-            random stem would tell the encoder little.
+            random stem carries little information.
         pretrained : bool
             False takes the checkpoint's shape alone, because the weights follow. The shape is
             ``config.encoder`` if given; that of the published base model needs no download.
@@ -148,7 +148,7 @@ class Wav2VecFrontend(nn.Module):
         changes : mapping
             Keys of transformers' ``Wav2Vec2Config``.
         freeze_stem : bool
-            Deviation: off, for a fixed random stem would tell the encoder little.
+            Deviation: off, for a fixed random stem carries little information.
         """
         encoder = _new_encoder({**COMPACT, **changes})
         return cls(encoder, freeze_stem=freeze_stem, input_scale=COMPACT_SCALE)
@@ -160,7 +160,7 @@ class Wav2VecFrontend(nn.Module):
         return json.loads(config.to_json_string(use_diff=True))  # type: ignore[no-any-return]
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Describe a batch of speech at 30 Hz.
+        """Encode a batch of speech at 30 Hz.
 
         Parameters
         ----------
@@ -189,12 +189,12 @@ class Wav2VecFrontend(nn.Module):
         overlap_seconds: float = 2.0,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Tensor:
-        """Describe a whole clip in chunks of bounded memory; call it in eval mode.
+        """Encode a whole clip in chunks of bounded memory, in evaluation mode.
 
         Neighbouring chunks overlap and are cross-faded there, so that the frames at a chunk's
         edge, which lack context, count least. A clip of up to one chunk is encoded at once and
-        equals `forward`. On longer ones attention sees 24 s instead of everything: the difference
-        to the whole is not rounding, but it is small wherever attention is local. The clip is
+        equals `forward`. On longer ones attention spans 24 s instead of the whole clip: the
+        difference is more than rounding, but small wherever attention is local. The clip is
         normalised as a whole, and chunks start on the stem's own grid.
 
         Parameters
@@ -206,7 +206,7 @@ class Wav2VecFrontend(nn.Module):
         chunk_seconds, overlap_seconds : float
             A chunk is at least two overlaps long.
         progress : callable
-            Told the share that is done, 0 to 1.
+            Called with the share done, 0 to 1.
 
         Returns
         -------
@@ -276,7 +276,7 @@ class Wav2VecFrontend(nn.Module):
 
 
 def _receptive_field(kernels: list[int], strides: list[int]) -> tuple[int, int]:
-    """Samples one feature sees and samples between features: (400, 320) for the base model."""
+    """Samples under one feature, samples between features: (400, 320) for the base model."""
     field, jump = 1, 1
     for kernel, stride in zip(kernels, strides, strict=True):
         field += (kernel - 1) * jump
@@ -292,7 +292,7 @@ def _encoder_config(shape: Mapping[str, Any]) -> "Wav2Vec2Config":
     for key in shape:
         if key not in known:
             raise ConfigError(
-                f"encoder key {key!r} is none of transformers' Wav2Vec2Config; known are such as "
+                f"encoder key {key!r} is none of transformers' Wav2Vec2Config; it has "
                 "hidden_size, num_hidden_layers, num_attention_heads, conv_dim"
             )
     try:
@@ -330,16 +330,16 @@ def _read_config(name: str) -> tuple[dict[str, Any], float | None]:
         )
     known = Wav2Vec2Config().to_dict()
     try:
-        hearing, _ = _cached_or_fetched(Wav2Vec2FeatureExtractor.get_feature_extractor_dict, name)
+        extractor, _ = _cached_or_fetched(Wav2Vec2FeatureExtractor.get_feature_extractor_dict, name)
     except OSError:
-        hearing = {}  # a folder of weights alone: the extractor's defaults
-    if hearing.get("sampling_rate", SAMPLE_RATE) != SAMPLE_RATE:
+        extractor = {}  # a folder of weights alone: the extractor's defaults
+    if extractor.get("sampling_rate", SAMPLE_RATE) != SAMPLE_RATE:
         raise CheckpointError(
-            f"{name} hears {hearing['sampling_rate']} Hz; it must be {SAMPLE_RATE} Hz: "
+            f"{name} is for {extractor['sampling_rate']} Hz; it must be {SAMPLE_RATE} Hz: "
             f"use {PUBLISHED}"
         )
     shape = {key: value for key, value in values.items() if key in known}
-    return shape, None if hearing.get("do_normalize", True) else 1.0
+    return shape, None if extractor.get("do_normalize", True) else 1.0
 
 
 def _cached_or_fetched(read: Any, name: str, **options: Any) -> Any:

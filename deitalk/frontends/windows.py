@@ -1,10 +1,10 @@
-"""What a mesh model hears: encoders that describe any moments of a recording.
+"""Base class of the encoders of mesh models, for any moments of a recording; windows of spectra.
 
 An encoder has two halves. `features` turns sound into spectra, evenly spaced, which augmentation
 may change; calling it turns spectra into a row for each given place. What depends on one spectrum
 alone is computed once a spectrum, not once in every window that holds it.
 
-Letters: B recordings, S samples, C channels, F bins, L spectra, T places, D features, W window.
+C channels of a spectrum, T places, W spectra of a window.
 """
 
 from abc import ABC, abstractmethod
@@ -27,9 +27,9 @@ class Encoder(ABC, nn.Module):
     frame_rate : float
         Spectra per second; spectrum k is centred at k / frame_rate seconds.
     reach : int
-        Spectra on either side of a place that it is heard with.
+        Spectra on either side of a place on which its row depends.
     context_seconds : float
-        What a recurrence wants to hear beyond the first and last place; 0 without one.
+        Context of a recurrence before the first and after the last place; 0 without one.
     warps : bool
         Whether `MelWarp` may change the features: they are a mel spectrogram.
     """
@@ -48,7 +48,7 @@ class Encoder(ABC, nn.Module):
     def forward(self, features: Tensor, places: Tensor) -> Tensor:
         """Map (B, C, F, L) to rows (B, T, D) for the spectra `places` [shape=(T,)]."""
 
-    def heard(self, waveform: Tensor, first: int, last: int) -> Tensor:
+    def features_between(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """Features (B, C, F, last - first) of spectra first..last - 1; `first` may be negative."""
         hop = Fraction(SAMPLE_RATE) / Fraction(self.frame_rate).limit_denominator(1000)
         # Whole samples of silence before it, and two spectra for the derivatives.

@@ -19,7 +19,7 @@ DECODE_FRAMES = 1024
 
 
 class Output(NamedTuple):
-    """What training needs of one batch."""
+    """Output for one batch in training."""
 
     curves: Tensor
     """Predicted curves [shape=(B, T, C)]."""
@@ -33,7 +33,7 @@ class Output(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """What the network hears in a whole clip, before an emotion is chosen."""
+    """What the network computes of a whole clip, independent of the emotion."""
 
     speech: Tensor
     """Speech features [shape=(T, D)]."""
@@ -104,8 +104,8 @@ class DEITalk(nn.Module):
         Parameters
         ----------
         waveform : Tensor [shape=(B, S)]
-            16 kHz, level-normalised; begins with the first frame of the window. Or what the
-            frontend has made of it already [shape=(B, T, D)].
+            16 kHz, level-normalised; begins with the first frame of the window. Or its speech
+            features [shape=(B, T, D)].
         emotion : Tensor [shape=(B, 5)]
             Weights of the emotional styles.
         frames : Tensor [shape=(B, T)]
@@ -115,8 +115,8 @@ class DEITalk(nn.Module):
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
         """
-        heard = waveform.dim() == 3
-        speech = waveform if heard else self.frontend(waveform, frames.shape[1])  # (B, T, D)
+        is_encoded = waveform.dim() == 3
+        speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)
         intensity = self.intensity(speech) if self.config.intensity else None
         predicted = self.decoder(
             self.place(speech, frames, total), emotion, intensity.guidance if intensity else None
@@ -149,7 +149,7 @@ class DEITalk(nn.Module):
         n_frames: int,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Analysis:
-        """Describe a whole clip in bounded memory.
+        """Analyse a whole clip in bounded memory.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class DEITalk(nn.Module):
         n_frames : int
             Rig frames T of the clip.
         progress : callable
-            Told the share of the frontend's work that is done, 0 to 1.
+            Called with the share of the frontend's work that is done, 0 to 1.
         """
         speech = self.frontend.encode(waveform, n_frames, progress=progress)
         if not self.config.intensity:
@@ -173,9 +173,9 @@ class DEITalk(nn.Module):
         margin = (module.saliency_frames or 0) // 2
         parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
-            said = module(speech[first:last].unsqueeze(0), embedding)
+            output = module(speech[first:last].unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
-            rows = (said.guidance, said.saliency, said.strength)
+            rows = (output.guidance, output.saliency, output.strength)
             parts.append(tuple(row[0, inner] for row in rows))
         guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
         return Analysis(speech, guidance, saliency, strength)
@@ -199,10 +199,9 @@ class DEITalk(nn.Module):
 
     @torch.no_grad()
     def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
-        """What the decoder has made of speech, style and intensity, before the curves.
+        """Input of the decoder's last layer, from which a mesh can be decoded.
 
-        The input of its last layer, from which another face than the rig can be decoded
-        (`deitalk.models.mesh_head`); arguments as `decode`.
+        See `deitalk.models.mesh_head`; arguments as `decode`.
 
         Returns
         -------

@@ -1,7 +1,6 @@
 """Speech feature and speaker to coefficients of motion, and to motion (SDFA §3.4, Table 3).
 
-Letters: B frames, P speakers, N triangles, V vertices, K components of a basis. With the paper's
-sizes::
+B frames here. With the paper's sizes::
 
     z_att 512 + speaker 8 = 520 -> 512 = z_dec
     z_dec 512 + speaker 8 = 520 -> 512 -> 256 -> K ->  6 N  (stretch s,  K = 85)
@@ -37,7 +36,7 @@ class Deformation(NamedTuple):
 
 
 class Offsets(NamedTuple):
-    """Vertices of B frames less the template's."""
+    """Vertices of B frames minus the template's."""
 
     offsets: Tensor
     """[shape=(B, 3 V)], the templates' unit."""
@@ -47,7 +46,7 @@ Motion = Deformation | Offsets
 
 
 class InversePCA(nn.Module):
-    """The frozen last layer: coefficients of unit variance to numbers of a frame.
+    """The frozen last layer: coefficients of unit variance to gradients or offsets of a frame.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ class InversePCA(nn.Module):
 
     @classmethod
     def of(cls, basis: GradientBasis) -> "InversePCA":
-        """Take the numbers of a fitted basis."""
+        """The layer of a fitted basis."""
         layer = cls(*basis.components.shape)
         layer.mean = torch.from_numpy(basis.mean.copy())
         layer.components = torch.from_numpy(basis.components.astype("float32"))
@@ -85,7 +84,7 @@ class InversePCA(nn.Module):
         return layer
 
     def rest(self) -> Tensor:
-        """Coefficients [shape=(K,)] that come nearest to no motion at all."""
+        """Coefficients [shape=(K,)] of the smallest motion that the basis can give."""
         across = self.components @ self.components.T
         nearest: Tensor = -torch.linalg.solve(across, self.components @ self.mean)
         return nearest
@@ -133,19 +132,19 @@ class MotionDecoder(nn.Module):
     in_size : int
         Width of z_att.
     n_speakers : int
-        P.
+        Q.
     layers : mapping of str to InversePCA
         Frozen layers by branch: ``stretch`` and ``rotation``, or ``offsets``.
     shared : int or None
-        Width of z_dec; None: the branches see z_att itself.
+        Width of z_dec; None: the branches take z_att itself.
     hidden : tuple of int
         Widths within a branch.
     normalise_weights : bool
-        Weight normalisation on every layer that learns (§4.4); the frozen ones have none.
+        Weight normalisation on every trained layer (§4.4).
     """
 
     branches: Mapping[str, Branch]
-    """An `nn.ModuleDict`, whose own type forgets what its modules are."""
+    """An `nn.ModuleDict`, typed by its modules."""
 
     def __init__(
         self,
@@ -171,14 +170,14 @@ class MotionDecoder(nn.Module):
                 weight_norm(module)
 
     def forward(self, attended: Tensor, speaker: Tensor) -> Coefficients:
-        """Map z_att (..., in_size) and one-hot speakers (..., P) to coefficients (..., K)."""
+        """Map z_att (..., in_size) and one-hot speakers (..., Q) to coefficients (..., K)."""
         joined = torch.cat((attended, speaker), dim=-1)
         if self.shared is not None:
             joined = torch.cat((self.shared(joined), speaker), dim=-1)
         return {name: branch.coefficients(joined) for name, branch in self.branches.items()}
 
     def expand(self, coefficients: Coefficients) -> Motion:
-        """Numbers of B frames from coefficients (B, K): the frozen layers."""
+        """Gradients or offsets of B frames from coefficients (B, K): the frozen layers."""
         rows = {
             name: branch.inverse_pca(coefficients[name]) for name, branch in self.branches.items()
         }

@@ -17,7 +17,7 @@ from deitalk.models.temporal_conv import TemporalConv
 
 
 class Intensity(NamedTuple):
-    """What the module says of every frame."""
+    """Output of `DynamicIntensity`."""
 
     features: Tensor
     """S_emo [shape=(B, T, E)]."""
@@ -100,7 +100,7 @@ class DynamicIntensity(nn.Module):
             nn.ReLU(),
             nn.Linear(classifier_size, n_emotions),
         )
-        # Deviation: two numbers turn the cosine into an intensity of 0..1 an artist can read;
+        # Deviation: two numbers turn the cosine into an intensity of 0 to 1 that can be edited;
         # the slope is kept positive, so that intensity rises with saliency.
         self.slope = nn.Parameter(torch.tensor(1.0))
         self.offset = nn.Parameter(torch.tensor(0.0))

@@ -181,7 +181,7 @@ class SDFA(MeshModel):
             places = nearest_places(end, self.fps, self.encoder.frame_rate, begin)
             first = int(places[0]) - self.encoder.reach
             last = int(places[-1]) + self.encoder.reach + 1
-            features = self.encoder.heard(sound, first, last)
+            features = self.encoder.features_between(sound, first, last)
             kept = slice(start - begin, stop - begin)
             yield FeatureChunk(features, (places - first).to(self.device), kept)
 

@@ -1,4 +1,7 @@
-"""Dynamic positional encoding: where a frame lies in its whole clip (DEITalk §3.2, Eq. 2-3)."""
+"""Dynamic positional encoding: a frame's place in its whole clip (DEITalk §3.2, Eq. 2-3).
+
+L frames of a window, T frames of the clip, as printed.
+"""
 
 import math
 

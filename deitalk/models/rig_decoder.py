@@ -78,7 +78,7 @@ class RigDecoder(nn.Module):
         return curves
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
-        """What the last layer reads [shape=(B, T, channels)]; arguments as `forward`."""
+        """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1).expand(-1, speech.shape[1], -1)
         style = self.style(emotion)

@@ -12,8 +12,8 @@ class TemporalConv(nn.Module):
     ----------
     in_channels, out_channels : int
     kernel_size : int
-        Odd. Padding is ``dilation * (kernel_size - 1) / 2``: with kernel 3 and dilation 4, frame
-        t sees t-4, t and t+4; outside the clip there are zeros.
+        Odd. Padding is ``dilation * (kernel_size - 1) / 2``: with kernel 3 and dilation 4, the
+        output at frame t depends on t-4, t and t+4; outside the clip there are zeros.
     dilation : int
     dropout : float
     """
@@ -30,7 +30,7 @@ class TemporalConv(nn.Module):
             padding=dilation * (kernel_size - 1) // 2,
         )
         # Paper silent: initialisation. torch's own loses 60 % of the signal per layer; after
-        # eight of them speech is gone and only what joins at every layer gets through.
+        # eight of them only the inputs that join at every layer are left, not speech.
         nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
         assert self.conv.bias is not None
         nn.init.zeros_(self.conv.bias)
@@ -43,5 +43,5 @@ class TemporalConv(nn.Module):
 
 
 def receptive_margin(dilations: Sequence[int], kernel_size: int) -> int:
-    """Frames on either side that a stack of `TemporalConv` sees: 30 for 1 2 4 8 1 2 4 8, k=3."""
+    """Frames on either side that a stack of `TemporalConv` spans: 30 for 1 2 4 8 1 2 4 8, k=3."""
     return sum(dilations) * (kernel_size - 1) // 2

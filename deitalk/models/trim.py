@@ -1,4 +1,4 @@
-"""Mesh models small enough to send: fewer components, 16 bits (SDFA §4.4 proposes both).
+"""Smaller mesh models: fewer components, 16 bits (SDFA §4.4 proposes both).
 
 ::
 
@@ -20,8 +20,8 @@ from deitalk.models.mesh_weights import FROZEN
 MeshT = TypeVar("MeshT", bound=MeshModel)
 
 QUIET = 1e-4
-"""Numbers of a frame whose standard deviation is below this stay at rest: most of scalp and neck,
-which ride on the little that moves. 0.006 degrees, a hundredth of a percent."""
+"""Numbers of a frame whose standard deviation is below this are kept at rest: most of scalp and
+neck. 0.006 degrees, a hundredth of a percent."""
 
 
 def trimmed(model: MeshT, sizes: dict[str, int]) -> MeshT:

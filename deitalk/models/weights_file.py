@@ -1,4 +1,4 @@
-"""Weight files of strangers: the header is checked before a number is read or a network is built.
+"""Checks of weight files: the header before any number is read or a network is built.
 
 A safetensors file begins with the length of its header (8 bytes), then JSON: for each tensor its
 type, shape and place. A file is read only if these agree with each other, with the file's size and
@@ -132,12 +132,12 @@ def check_fit(path: Path, stored: Mapping[str, tuple[int, ...]], wanted: Shapes)
         if stored.get(name) != wanted.get(name):
             raise CheckpointError(
                 f"{path}: weights do not fit {path.parent / 'config.yaml'} "
-                f"({quoted(name)} is {_said(stored.get(name))}, not {_said(wanted.get(name))}); "
+                f"({quoted(name)} is {_text(stored.get(name))}, not {_text(wanted.get(name))}); "
                 "both must be of one model"
             )
 
 
-def _said(shape: tuple[int, ...] | None) -> str:
+def _text(shape: tuple[int, ...] | None) -> str:
     return "absent" if shape is None else quoted(shape)
 
 

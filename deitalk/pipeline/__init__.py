@@ -1,1 +1,1 @@
-"""From a recording to curves or a mesh."""
+"""A recording to curves or a mesh, and the take folder."""

@@ -136,7 +136,7 @@ def predict_mesh(
     template : TriMesh, optional
         Face to move; it must have the templates' triangles. The speaker's own if not given.
     sealed : bool
-        Close lips that nearly meet, where the model's configuration says so (`seal_mm`).
+        Close lips that nearly meet, if the model's `seal_mm` is not 0.
 
     Returns
     -------

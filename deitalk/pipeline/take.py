@@ -1,4 +1,4 @@
-"""The take folder: everything one performance leaves behind.
+"""The take folder: all files of one performance.
 
 ::
 
@@ -65,11 +65,11 @@ def write_take(
     folder : Path
         New or empty, or a take if `force` is set; missing folders above are made.
     performance : Performance
-        What `deitalk.pipeline.curves.animate` gave.
+        From `deitalk.pipeline.curves.animate`.
     settings : dict
-        What was asked for, for ``take.json``.
+        Arguments of the animation, for ``take.json``.
     model : dict
-        What `deitalk.models.folder.describe_model` says of the model.
+        From `deitalk.models.folder.describe_model`.
     fps : float, optional
         Rate of the curves; 30 by default.
     force : bool
@@ -173,7 +173,7 @@ def _fill(
 
 
 def _track(values: Float32 | None) -> Float32:
-    """A track every performance has."""
+    """A track that every performance has."""
     assert values is not None, "a performance carries its emotion and intensity"
     return values
 

@@ -1,7 +1,7 @@
-"""What no voice tells: blinks and the small motions of the gaze, from a seed.
+"""Blinks and small motions of the gaze, from a seed.
 
-A network that regresses blinks learns half-closed eyes, because their times cannot be heard; so
-they are left out of the curves it learns and added here.
+Their times do not follow from the voice: a network that regresses blinks learns half-closed eyes.
+They are left out of its training curves and added here.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ BLINK = np.array([0.0, 0.45, 0.95, 1.0, 0.75, 0.45, 0.2, 0.06, 0.0])
 INTERVAL_SECONDS, INTERVAL_SPREAD = 3.2, 0.55
 """Median interval between blinks while speaking, and sigma of its logarithm."""
 REST_SECONDS = 0.5
-"""The eyes are quiet this long before the clip ends."""
+"""No blinks and no gaze motion so long before the end of a clip."""
 
 
 def add_idle_motion(
@@ -24,14 +24,14 @@ def add_idle_motion(
 
     Parameters
     ----------
-    curves : ndarray [shape=(T, C)]
+    curves : array [shape=(T, C)]
         Changed.
     controls : ControlSet
         Names of the columns.
     fps : float
         Frames per second.
     rng : numpy.random.Generator
-        The same generator gives the same blinks whatever the emotion is.
+        Equal generators give equal blinks, whatever the emotion.
     """
     lids = blink_track(len(curves), fps, rng)
     gaze = gaze_track(len(curves), fps, rng)
@@ -59,10 +59,10 @@ def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
 def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
     """Small saccades, left-right and up-down, in control units [shape=(T, 2)]."""
     track = np.zeros((n_frames, 2), np.float32)
-    time, place = 0.4, np.zeros(2)
+    time, gaze = 0.4, np.zeros(2)
     while time * fps < n_frames:
-        place = 0.3 * place + rng.normal(0, (0.035, 0.02))
-        track[round(time * fps) :] = place
+        gaze = 0.3 * gaze + rng.normal(0, (0.035, 0.02))
+        track[round(time * fps) :] = gaze
         time += rng.uniform(0.4, 1.6)
     edge = max(int(REST_SECONDS * fps), 1)
     fade = np.clip((n_frames - edge - np.arange(n_frames)) / edge, 0, 1)

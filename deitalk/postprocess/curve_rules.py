@@ -1,9 +1,8 @@
-"""From two readings of one speech, neutral and emotional, to the face an artist asked for.
+"""Rules on the curves of two readings of one speech, neutral and emotional.
 
-The network reads the speech twice: once neutrally, once in the emotion. The difference is the
-expression; it is scaled by the intensity curve, kept from forcing closed lips open, and brought
-to rest in silence. The laws hold by construction: intensity 0 is the neutral reading, more is
-more, lips that meet still meet. Letters: T frames, C controls.
+The difference of the readings is the expression; it is scaled by the intensity, does not part
+closed lips, and goes to rest in silence. By construction, intensity 0 gives the neutral reading,
+the expression grows with the intensity, and lips that meet in the neutral reading still meet.
 """
 
 from dataclasses import dataclass
@@ -18,11 +17,11 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32
 
 LEAST_PREDICTED = 0.15
-"""Where the voice is fainter than this, an edited curve scales as if it were this strong."""
+"""Lower bound of the predicted intensity that an applied one is divided by."""
 CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
-"""Neutral lips-together (or lip-bite) value at which protection begins, and is complete."""
+"""Neutral lips-together (or lip-bite) value from which contacts are kept in part, and in full."""
 STILL = 0.01
-"""Openings below this are the network's murmur, not speech."""
+"""Openings below this are noise of the network, not speech."""
 
 DECIDED, DECISION = 0.25, 4.0
 """Height of a lips-together peak that becomes one half, and the factor on the distance from it, in
@@ -33,19 +32,19 @@ of which 87 % are reached and 95 % of those found held at 0.9 for two frames; 1.
 shut the lips."""
 SHOULDER, DOUBT, SHARPEST = 0.7, 0.4, 0.97
 """Share of a peak of 1 at which a frame beside it becomes one half, how much more as the peak goes
-to 0, and at most: what is only suspected is brief, or it would reach into the vowels around."""
+to 0, and at most: an uncertain contact is brief, or it would reach into the vowels around."""
 PEAK_FRAMES = 7
 """A frame belongs to the highest peak within three frames (0.1 s) of it."""
 
 LIVELINESS_GAIN, USUAL = 0.45, 0.575
-"""A livelier moment opens more, by this factor on the intensity above the usual one."""
+"""Increase of the opening per unit of intensity, and the intensity at which it is 0."""
 EFFORT_GAIN = 0.3
-"""A take of more vocal effort opens more by this share for a standard deviation: loud talkers lower
-the jaw far more than the network, which hears all takes at one level, could know."""
+"""Increase of the opening of a whole take per standard deviation of its vocal effort: loud talkers
+lower the jaw further, which a network with all takes at one level cannot predict."""
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
 
 FASTEST_CONTACT = 0.4
-"""Lips close and part by at most this a frame at 30 Hz, as fast as captured mouths move."""
+"""Largest step of a contact per frame at 30 Hz: the speed of captured mouths."""
 
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
@@ -102,17 +101,17 @@ class Expression:
         return delta
 
     def sharpen_contacts(self, curves: Float32) -> None:
-        """Make contacts of what the network only believes, in place.
+        """Raise likely contacts and lower unlikely ones, in place.
 
-        A network trained on squared errors answers a doubtful /b/ with 0.5: lips that almost meet
-        and say nothing. Two S-curves decide: how high a peak was meant to be, and which frames
-        beside it belong to the contact. A lone peak of 0.2 becomes 0.24, 0.25 one half, and
-        0.5 becomes 0.99; 0 and 1 stay, and between two peaks the lips part.
+        A network trained on squared errors gives an uncertain /b/ as 0.5: lips that almost meet.
+        Two S-curves decide how high a peak is, and which frames beside it belong to the contact.
+        A lone peak of 0.2 becomes 0.24, 0.25 one half, and 0.5 becomes 0.99; 0 and 1 stay, and
+        between two peaks the lips part.
 
         Parameters
         ----------
-        curves : ndarray [shape=(T, C)]
-            A reading, as the network gave it, at 30 frames per second.
+        curves : array [shape=(T, C)]
+            A reading as the network predicts it, 30 frames per second.
         """
         if not len(curves):
             return
@@ -123,39 +122,39 @@ class Expression:
         curves[:, self.seals] = _decided(peaks, DECIDED) * _decided(shares, shoulder)
 
     def scale_opening(
-        self, curves: Float32, strength: Float32, heard: Float32, effort: float = 0.0
+        self, curves: Float32, voice: Float32, network: Float32, effort: float = 0.0
     ) -> None:
-        """Open the mouth as far as the voice is lively, in place.
+        """Open the mouth for the corrected intensity of the voice, in place.
 
-        The network opens it for the intensity it heard, by the law it was taught: 45 % more for
-        one of intensity (`deitalk.corpus.rig_targets`). Where the voice is livelier than that by
-        measurement, so is the mouth; closed lips stay closed.
+        The network opens it for the intensity that it predicts, by the law of its training data:
+        45 % more per unit of intensity (`deitalk.corpus.rig_targets`). The opening is scaled by
+        the same law at the corrected intensity; closed lips stay closed.
 
         Parameters
         ----------
-        curves : ndarray [shape=(T, C)]
-            A reading, its contacts decided.
-        strength, heard : ndarray [shape=(T,), range 0 to 1]
-            Intensity of the voice, and what the network heard of it.
+        curves : array [shape=(T, C)]
+            A reading after `sharpen_contacts`.
+        voice, network : array [shape=(T,), range 0 to 1]
+            Corrected intensity, and the one that the network predicts.
         effort : float
-            Vocal effort of the whole take, standard deviations from the usual
+            Vocal effort of the whole take, standard deviations above the usual
             (`deitalk.postprocess.voice_intensity.vocal_effort_z`).
         """
         free = 1 - self.contact(curves)
-        ratio = (1 + LIVELINESS_GAIN * (strength - USUAL)) / (1 + LIVELINESS_GAIN * (heard - USUAL))
+        ratio = (1 + LIVELINESS_GAIN * (voice - USUAL)) / (1 + LIVELINESS_GAIN * (network - USUAL))
         ratio *= 1 + EFFORT_GAIN * effort
         curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
 
     def limit_contact_speed(self, curves: Float32) -> None:
-        """Let lips start closing early and part late rather than jump, in place.
+        """Limit the speed of contacts, in place: lips start closing earlier and part later.
 
         Contacts keep their height; the frames around them are raised until no step of a
         lips-together or lip-bite control is larger than `FASTEST_CONTACT`.
 
         Parameters
         ----------
-        curves : ndarray [shape=(T, C)]
-            At 30 frames per second.
+        curves : array [shape=(T, C)]
+            30 frames per second.
         """
         for place in self.seals:
             sharp = curves[:, place].copy()
@@ -176,13 +175,13 @@ class Expression:
         return smooth
 
     def rest_in_silence(self, curves: Float32, mouth: Float32, expression: Float32) -> None:
-        """Bring curves to rest where nobody speaks, in place.
+        """Bring curves to rest in silence, in place.
 
         Parameters
         ----------
-        curves : ndarray [shape=(T, C)]
+        curves : array [shape=(T, C)]
             Changed.
-        mouth, expression : ndarray [shape=(T,), range 0 to 1]
+        mouth, expression : array [shape=(T,), range 0 to 1]
             From `deitalk.postprocess.gates.mouth_gate` and `expression_gate`.
         """
         rest = self.controls.rest
@@ -196,9 +195,9 @@ class Expression:
         curves += rest
 
     def apply_dead_zone(self, curves: Float32) -> None:
-        """Remove the network's murmur from controls that part or move the lips, in place.
+        """Set small values of the controls that part the lips to 0, in place.
 
-        Values below 0.01 go to 0; above, nothing but that is lost.
+        Magnitudes below 0.01 become 0; larger ones are reduced by 0.01.
         """
         places = self.opening
         values = curves[:, places]
@@ -211,7 +210,7 @@ class Expression:
 
     @cached_property
     def lively(self) -> NDArray[np.intp]:
-        """Controls that open further in a lively voice; they rest at 0."""
+        """Controls that `scale_opening` scales; they rest at 0."""
         return self._named(*LIVELY)
 
     @cached_property
@@ -226,14 +225,14 @@ class Expression:
 
     @cached_property
     def seals(self) -> NDArray[np.intp]:
-        """Controls that close the lips; an expression may add to them, never take away."""
+        """Controls that close the lips; an expression may increase them only."""
         return np.concatenate((self.together, self.bite))
 
     @cached_property
     def follows_mouth(self) -> Bool:
-        """Controls that rest as soon as the mouth does: they speak, or part the lips.
+        """Controls that the mouth gate brings to rest: those of speech and of parted lips.
 
-        What an expression alone moves (corners, brows, lids, cheeks) stays through pauses.
+        Controls of the expression alone (corners, brows, lids, cheeks) stay through pauses.
         """
         speaks = np.zeros(len(self.controls.names), bool)
         speaks[self.opening] = True

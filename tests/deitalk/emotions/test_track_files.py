@@ -121,13 +121,13 @@ def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
 @pytest.mark.parametrize("read", [parse_emotion, read_intensity_curve])
 def test_named_pipe_never_blocks(tmp_path, suffix, read):
     os.mkfifo(tmp_path / f"pipe{suffix}")
-    said = []
+    errors = []
     reader = threading.Thread(
-        target=lambda: said.append(refused(read, tmp_path / f"pipe{suffix}")), daemon=True
+        target=lambda: errors.append(refused(read, tmp_path / f"pipe{suffix}")), daemon=True
     )
     reader.start()
     reader.join(5)
-    assert said and "is a named pipe, not a file" in said[0]
+    assert errors and "is a named pipe, not a file" in errors[0]
 
 
 def test_a_long_table_is_read_in_seconds(tmp_path):

@@ -1,4 +1,4 @@
-"""Emotions in every spelling: the same weights, and one line for every mistake."""
+"""Emotions in every spelling: equal weights, and one line for every error."""
 
 import json
 
@@ -51,13 +51,13 @@ def weights(emotion, time=0.0):
 
 
 @pytest.mark.parametrize("name", EMOTIONS)
-def test_label_is_one_hot_forever(name):
+def test_label_is_one_hot_at_all_times(name):
     track = parse_emotion(f" {name.upper()} ").at([-1, 0, 1e6])
     assert track.dtype == np.float32
     assert np.array_equal(track, np.tile(np.eye(5)[EMOTIONS.index(name)], (3, 1)))
 
 
-def test_what_is_left_open_is_neutral():
+def test_missing_weight_goes_to_neutral():
     assert weights("happy=0.7") == pytest.approx(
         {"neutral": 0.3, "angry": 0, "happy": 0.7, "sad": 0, "surprised": 0}
     )
@@ -104,7 +104,7 @@ def test_spreadsheet_csv_with_mark_and_semicolons(tmp_path):
     assert weights(path)["happy"] == 0.5
 
 
-def test_a_track_is_itself():
+def test_parse_emotion_returns_a_track_unchanged():
     track = parse_emotion("sad")
     assert parse_emotion(track) is track
     assert isinstance(track, EmotionTrack)
@@ -129,7 +129,7 @@ def test_a_track_is_itself():
         ("missing.csv", ["missing.csv does not exist"]),
     ],
 )
-def test_mistakes_are_one_line(emotion, words):
+def test_parse_emotion_rejects_in_one_line(emotion, words):
     assert_error(emotion, *words)
 
 
@@ -148,7 +148,7 @@ def test_mistakes_are_one_line(emotion, words):
         ([], ["holds no keys"]),
     ],
 )
-def test_malformed_tracks_are_one_line(tmp_path, suffix, keys, words):
+def test_read_emotion_track_rejects_in_one_line(tmp_path, suffix, keys, words):
     path = write_track(tmp_path / f"track{suffix}", keys)
     assert_error(path, *words)
 
@@ -167,20 +167,20 @@ def test_malformed_tracks_are_one_line(tmp_path, suffix, keys, words):
         ("t.txt", b"0 happy"),
     ],
 )
-def test_files_that_are_no_track(tmp_path, name, content):
+def test_read_emotion_track_rejects_other_files(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)
     assert_error(path, "t.")
 
 
-def test_yaml_runs_nothing(tmp_path):
+def test_yaml_executes_no_code(tmp_path):
     path = tmp_path / "t.yaml"
     path.write_text(f"!!python/object/apply:os.mkdir ['{tmp_path / 'made'}']")
     assert_error(path, "t.yaml", "python/object")
     assert not (tmp_path / "made").exists()
 
 
-def test_huge_file_is_refused(tmp_path):
+def test_read_emotion_track_rejects_huge_files(tmp_path):
     path = tmp_path / "t.csv"
     with path.open("wb") as file:
         file.truncate(33 * 1024**2)
@@ -229,7 +229,7 @@ def test_intensity_needs_only_time_and_intensity(tmp_path):
         ("x,1", "time is 'x'"),
     ],
 )
-def test_malformed_intensity_is_one_line(tmp_path, rows, words):
+def test_read_intensity_curve_rejects_in_one_line(tmp_path, rows, words):
     path = tmp_path / "i.csv"
     path.write_text("time,intensity\n" + rows + "\n")
     with pytest.raises(EmotionError, match=words) as error:

@@ -1,4 +1,4 @@
-"""A clip heard several times, parts of a spectrum apart: where, and that the mean is taken."""
+"""A clip encoded several times, parts of a period apart: the shifts, and the mean."""
 
 from fractions import Fraction
 
@@ -36,7 +36,7 @@ def noise(seconds):
     return 0.1 * torch.randn(round(seconds * SAMPLE_RATE), generator=generator)
 
 
-def test_phases_by_hand():
+def test_phase_shifts_by_hand():
     assert phase_shifts(1, 60) == [0]
     assert phase_shifts(2, 62.5) == [-64, 64]  # half of 256 samples apart
     assert phase_shifts(4, 62.5) == [-96, -32, 32, 96]
@@ -45,7 +45,7 @@ def test_phases_by_hand():
 
 @pytest.mark.parametrize("phases", [1, 2, 3, 5])
 @pytest.mark.parametrize("rate", [60, 100, 125])
-def test_phases_divide_a_period_evenly_about_nothing(phases, rate):
+def test_phase_shifts_divide_a_period_evenly_about_0(phases, rate):
     shifts = phase_shifts(phases, rate)
     step = Fraction(SAMPLE_RATE, rate * phases)
     assert [-shift for shift in reversed(shifts)] == shifts
@@ -65,7 +65,7 @@ def test_a_shifted_spectrum_is_that_of_the_sound_so_much_later(shift):
 
 @pytest.mark.parametrize("make", FRONTENDS.values(), ids=FRONTENDS.keys())
 @torch.no_grad()
-def test_two_phases_are_the_mean_of_two_hearings(make):
+def test_two_phases_give_the_mean_of_two_encodings(make):
     n_frames = 70  # two segments of the conformer
     sound = torch.cat([torch.zeros(SAMPLE_RATE // 2), noise(n_frames / 30 - 1)])
     torch.manual_seed(1)

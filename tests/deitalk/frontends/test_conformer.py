@@ -1,4 +1,4 @@
-"""Conformer frontend: rows in time, segments against the whole, shapes that cannot be."""
+"""Conformer frontend: rows in time, segments against the whole, impossible sizes."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def frontend(**settings):
 
 
 def local(**settings):
-    """Blocks that look around by their convolutions alone, so that their reach is known."""
+    """Blocks without attention, whose reach is that of their convolutions."""
     built = frontend(**settings)
     for layer in built.encoder.layers:
         torch.nn.init.zeros_(layer.self_attn.linear_out.weight)
@@ -60,14 +60,14 @@ def test_row_i_describes_time_i():
 @torch.no_grad()
 @pytest.mark.parametrize("n_frames", [1, 63, 64, 65, 130, 200])
 def test_segments_of_local_blocks_are_the_whole(n_frames):
-    """30 frames of reach fit the context: nothing but the bookkeeping is left, and it is exact."""
+    """30 frames of reach fit the context, so segments must equal the whole."""
     model = local(layers=3, kernel_size=17)
     speech = noise(n_frames / 30)
     assert_same(model.encode(speech[0], n_frames), model(speech, n_frames)[0])
 
 
 @torch.no_grad()
-def test_attention_hears_the_whole_window_and_no_piece_is_longer(monkeypatch):
+def test_attention_spans_the_whole_window_and_no_piece_is_longer(monkeypatch):
     model = frontend()
     quiet = noise(128 / 30)
     loud = quiet.clone()
@@ -77,12 +77,12 @@ def test_attention_hears_the_whole_window_and_no_piece_is_longer(monkeypatch):
     monkeypatch.setattr(
         model.encoder, "forward", _spy(model.encoder.forward, lengths), raising=True
     )
-    told = []
-    model.encode(noise(10)[0], 300, progress=told.append)
+    shares = []
+    model.encode(noise(10)[0], 300, progress=shares.append)
     assert max(lengths) == SEGMENT_FRAMES + 2 * CONTEXT_FRAMES == 128  # training's windows
     assert len(lengths) == 5
-    assert told[-1] == 1
-    assert told == sorted(told)
+    assert shares[-1] == 1
+    assert shares == sorted(shares)
 
 
 def _spy(forward, lengths):
@@ -102,7 +102,7 @@ def test_beyond_the_sound_there_is_silence(n_samples):
     torch.testing.assert_close(model(speech, 40), model(padded, 40))
 
 
-def test_every_weight_learns():
+def test_every_weight_gets_a_gradient():
     model = frontend().train()
     model(noise(2), 60).square().sum().backward()
     assert all(p.grad is not None and p.grad.isfinite().all() for p in model.parameters())
@@ -115,12 +115,12 @@ def test_compact_is_built_from_its_file():
     assert built.output_size == config.model.frontend.hidden_size
 
 
-def test_heads_must_share_the_width():
+def test_configuration_rejects_heads_that_do_not_divide_the_width():
     with pytest.raises(ConfigError, match="hidden_size=18") as error:
         frontend(hidden_size=18, heads=4)
     assert "\n" not in str(error.value)
 
 
-def test_a_convolution_needs_a_centre():
+def test_configuration_rejects_even_kernels():
     with pytest.raises(ConfigError, match="kernel_size"):
         parse_config({"model": {"frontend": {"kind": "conformer", "kernel_size": 4}}})

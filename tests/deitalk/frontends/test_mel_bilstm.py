@@ -30,7 +30,7 @@ SEGMENT = SMALL | {
 
 
 def frontend(gain=8.0, **settings):
-    """Random weights; torch's own lose the signal, so what brings it in is made larger."""
+    """Random weights; torch's own lose the signal, so the first layers are made larger."""
     torch.manual_seed(4)
     built = MelFrontend(MelConfig(**settings))
     brings = ("weight_ih", "convolve", "project.weight", "project.parametrizations", "score")
@@ -111,7 +111,7 @@ def test_weight_norm_leaves_weights_as_length_times_direction(paper):
     assert all("bias" in n or ".convolve." in n for n in plain)  # batch norms only
 
 
-def test_every_spectrum_is_described_alone(paper):
+def test_spectral_features_depend_on_one_spectrum_only(paper):
     mel = torch.randn(2, 3, 128, 10)
     order = torch.randperm(10)
     with torch.no_grad():
@@ -135,10 +135,10 @@ def naive(model, waveform, n_frames):
         memory = memory[0]
         middle = memory[window // 2 - taps // 2 :][:taps]
         kernel = attention.query.weight  # (out, in, tap)
-        asked = sum(kernel[:, :, k] @ middle[k] for k in range(taps)) + attention.query.bias
-        asked = attention.query_project(asked)
+        query = sum(kernel[:, :, k] @ middle[k] for k in range(taps)) + attention.query.bias
+        query = attention.query_project(query)
         scores = [
-            (attention.score.weight @ torch.tanh(attention.key_project(m) + asked)).squeeze()
+            (attention.score.weight @ torch.tanh(attention.key_project(m) + query)).squeeze()
             for m in memory
         ]
         weights = torch.stack(scores).exp()
@@ -162,7 +162,7 @@ def naive(model, waveform, n_frames):
 def test_windows_equal_a_loop_over_windows(settings):
     model = frontend(**settings).double()
     speech = noise(0.5).double()
-    quiet = torch.zeros_like(speech)  # beyond the rows asked for there is no derivative
+    quiet = torch.zeros_like(speech)  # outside the requested rows there is no derivative
     waveform = torch.cat((quiet, speech, quiet), dim=1)
     rows = model(waveform, 45)[0]
     torch.testing.assert_close(rows, naive(model, waveform, 45), atol=1e-8, rtol=0)
@@ -170,7 +170,7 @@ def test_windows_equal_a_loop_over_windows(settings):
 
 
 @torch.no_grad()
-def test_a_row_hears_its_window_and_nothing_else():
+def test_row_depends_on_its_window_only():
     model = frontend(**SMALL).double()
     waveform, frame = noise(3.0).double(), 45  # at 1.5 s: spectrum 187.5, rounded to 188
     before = model(waveform, 90)[0, frame]
@@ -200,7 +200,7 @@ def test_attention_along_a_clip_equals_attention_in_windows():
 def test_attention_gives_no_weight_beyond_the_memory():
     attention = TemporalAttention(4, 6, 3)
     for parameter in (attention.score.weight, attention.key_project.weight):
-        parameter.zero_()  # every place is asked alike: the mean of those that exist
+        parameter.zero_()  # equal scores everywhere: the mean of the places that exist
     memory = torch.randn(1, 20, 4)
     along = attention.along(memory, torch.tensor([0, 19]), window=8)
     torch.testing.assert_close(along[0, 0], memory[0, :4].mean(dim=0))
@@ -239,14 +239,14 @@ def test_windows_by_segments_equal_the_whole_clip():
 
 @torch.no_grad()
 def test_progress_ends_at_one():
-    told = []
-    frontend(**SEGMENT).encode(noise(80)[0], 2400, progress=told.append)
-    assert told == pytest.approx([0.4, 0.8, 1.0])
+    shares = []
+    frontend(**SEGMENT).encode(noise(80)[0], 2400, progress=shares.append)
+    assert shares == pytest.approx([0.4, 0.8, 1.0])
 
 
 @pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
 @torch.no_grad()
-def test_clips_of_a_batch_do_not_meet(settings):
+def test_clips_of_a_batch_are_independent(settings):
     model = frontend(**settings)
     clips = [noise(1.0, seed) for seed in (1, 2)]
     both = model(torch.cat(clips), 30)
@@ -254,22 +254,22 @@ def test_clips_of_a_batch_do_not_meet(settings):
         assert_same(row, model(clip, 30)[0])
 
 
-def test_rig_layers_begin_as_nothing_and_then_see_beyond_the_window():
+def test_rig_layers_start_as_identity_and_reach_beyond_the_window():
     short = SMALL | {"frame_rate": 60, "window_frames": 16, "query_frames": 5}
     plain, deep = frontend(**short), frontend(**short, rig_layers=2)
     deep.load_state_dict(plain.state_dict(), strict=False)
     early, late = noise(2.0), noise(2.0)
     late[:, SAMPLE_RATE:] *= 3  # louder a second after the beginning
     with torch.no_grad():
-        heard = plain(early, 60)
-        torch.testing.assert_close(deep(early, 60), heard, rtol=0, atol=0)
-        torch.testing.assert_close(plain(late, 60)[:, :15], heard[:, :15])
+        rows = plain(early, 60)
+        torch.testing.assert_close(deep(early, 60), rows, rtol=0, atol=0)
+        torch.testing.assert_close(plain(late, 60)[:, :15], rows[:, :15])
         for layer in deep.rig:
             torch.nn.init.normal_(layer.project.weight)
         assert (deep(late, 60) - deep(early, 60))[:, :15].abs().amax() > 1e-3
-        alone = deep.rig[0](heard)  # x + W BiLSTM(x) + b
-        context = deep.rig[0].recurrent(heard)[0]
-        torch.testing.assert_close(alone, heard + context @ deep.rig[0].project.weight.T)
+        alone = deep.rig[0](rows)  # x + W BiLSTM(x) + b
+        context = deep.rig[0].recurrent(rows)[0]
+        torch.testing.assert_close(alone, rows + context @ deep.rig[0].project.weight.T)
 
 
 @pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
@@ -285,7 +285,7 @@ def test_mixed_precision_trains(settings):
 
 
 @pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
-def test_every_parameter_learns(settings):
+def test_every_parameter_gets_a_gradient(settings):
     model = frontend(**settings).train()
     model(noise(1.0), 30)[:, ::3].sin().sum().backward()
     dead = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.any()]
@@ -293,5 +293,5 @@ def test_every_parameter_learns(settings):
     assert all("convolve" in n and n.endswith("bias") for n in dead)
 
 
-def test_build_takes_the_kind_of_the_configuration():
+def test_build_frontend_follows_the_configuration():
     assert isinstance(build_frontend(MelConfig(**SMALL)), MelFrontend)

@@ -66,7 +66,7 @@ def test_features_are_those_of_transformers(checkpoint, speech):
     assert_same(features, expected)
 
 
-def test_a_checkpoint_that_is_not_normalised_hears_the_samples_as_they_are(checkpoint, speech):
+def test_checkpoint_without_normalisation_takes_the_samples_unchanged(checkpoint, speech):
     Wav2Vec2FeatureExtractor(do_normalize=False).save_pretrained(checkpoint)
     frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
     with torch.no_grad():
@@ -84,16 +84,16 @@ def test_geometry_comes_from_the_configuration(checkpoint):
     assert (other.receptive_field, other.stride) == (8, 6)
 
 
-def test_one_feature_sees_exactly_its_receptive_field():
+def test_one_feature_depends_on_exactly_its_receptive_field():
     frontend = Wav2VecFrontend.from_config(TINY).eval()
     stem = frontend.encoder.feature_extractor
     with torch.no_grad():
         quiet = torch.randn(1, 4000, generator=torch.manual_seed(0)) * 0.01
-        for sample, heard in ((639, False), (640, True), (1039, True), (1040, False)):
+        for sample, is_used in ((639, False), (640, True), (1039, True), (1040, False)):
             click = quiet.clone()
             click[0, sample] += 1
             change = (stem(click) - stem(quiet))[0, :, 2]
-            assert bool(change.abs().max() > 1e-6) is heard, sample
+            assert bool(change.abs().max() > 1e-6) is is_used, sample
 
 
 def test_rows_are_exact_in_time():
@@ -127,7 +127,7 @@ def test_forward_has_the_contracts_shape(checkpoint, speech):
 
 
 @pytest.mark.parametrize("n_samples", [1, 399, 534])
-def test_very_short_clips(n_samples):
+def test_very_short_clips_are_encoded(n_samples):
     frontend = Wav2VecFrontend.from_config(TINY).eval()
     n_frames = -(-30 * n_samples // 16000)
     rows = frontend.encode(torch.zeros(n_samples), n_frames)
@@ -146,7 +146,7 @@ def test_frozen_stem_gets_no_gradient_and_the_rest_does(checkpoint, speech):
 
 
 @pytest.mark.parametrize("freeze_stem", [True, False])
-def test_freezing_is_a_choice(checkpoint, speech, freeze_stem):
+def test_freeze_stem_is_optional(checkpoint, speech, freeze_stem):
     config = Wav2VecConfig(checkpoint=str(checkpoint), freeze_stem=freeze_stem)
     frontend = Wav2VecFrontend.build(config)
     frontend(speech[None], 60).sum().backward()
@@ -154,7 +154,7 @@ def test_freezing_is_a_choice(checkpoint, speech, freeze_stem):
     assert learns == [not freeze_stem] * len(learns)
 
 
-def test_compact_encoder_learns_its_stem_and_is_small(speech):
+def test_compact_encoder_trains_its_stem_and_is_small(speech):
     frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=None)).train()
     n_parameters = sum(p.numel() for p in frontend.parameters())
     assert 6e6 < n_parameters < 7e6
@@ -176,7 +176,7 @@ def test_a_clip_of_one_chunk_is_encoded_at_once(checkpoint, speech):
 
 
 def local_frontend():
-    """A compact encoder whose layers see nearby features only, so that chunks can be exact."""
+    """A compact encoder whose layers depend on nearby features only, so that chunks are exact."""
     torch.manual_seed(0)
     frontend = Wav2VecFrontend.from_config(TINY | {"num_hidden_layers": 1}).eval()
     for layer in frontend.encoder.encoder.layers:
@@ -186,7 +186,7 @@ def local_frontend():
 
 @pytest.mark.parametrize("n_frames", [61, 90, 119, 121, 200, 301])
 def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
-    """With attention out of the way only the bookkeeping is left, and it is exact."""
+    """Without attention, chunks must equal the whole."""
     frontend = local_frontend()
     waveform = torch.tensor(rng.normal(0, 0.07, n_frames * 1600 // 3), dtype=torch.float32)
     with torch.no_grad():
@@ -202,7 +202,7 @@ def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
 
 @pytest.mark.parametrize("kind", ["group", "layer"])
 def test_chunks_with_attention_stay_close_to_the_whole(rng, kind):
-    """Random attention looks everywhere, the worst case; the tolerance is 5 % of the spread."""
+    """Random attention spans the whole chunk, the worst case; tolerance 5 % of the spread."""
     torch.manual_seed(0)
     frontend = Wav2VecFrontend.from_config(TINY | {"feat_extract_norm": kind}).eval()
     waveform = torch.tensor(rng.normal(0, 0.07, 30 * 16000), dtype=torch.float32)
@@ -236,13 +236,13 @@ def test_the_longest_piece_encoded_is_a_chunk(monkeypatch):
     assert max(lengths) <= 6 * 16000 + 2 * 400 + 320
 
 
-def test_overlap_must_fit_the_chunk():
+def test_encode_rejects_an_overlap_beyond_half_a_chunk():
     frontend = Wav2VecFrontend.from_config(TINY)
     with pytest.raises(ConfigError, match="at least twice"):
         frontend.encode(torch.zeros(16000), 30, chunk_seconds=2, overlap_seconds=1.5)
 
 
-def test_shape_alone_needs_no_weights(checkpoint):
+def test_sizes_are_read_without_weights(checkpoint):
     (checkpoint / "model.safetensors").unlink()
     frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint)), pretrained=False)
     assert frontend.output_size == 32
@@ -250,7 +250,7 @@ def test_shape_alone_needs_no_weights(checkpoint):
 
 
 def test_shape_survives_a_configuration(checkpoint):
-    """What a saved model keeps is enough to build it where there is no checkpoint."""
+    """The configuration of a saved model is enough to build it without the checkpoint."""
     first = Wav2VecFrontend.from_pretrained(str(checkpoint))
     config = Wav2VecConfig(checkpoint="someone/gone", encoder=first.encoder_config)
     again = Wav2VecFrontend.build(config, pretrained=False)
@@ -273,13 +273,13 @@ def test_missing_checkpoint_offline_names_the_way_out():
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/at/all", "not a name", "/", ""])
-def test_names_that_are_no_checkpoint(name):
+def test_from_pretrained_rejects_names_that_are_no_checkpoint(name):
     with pytest.raises(CheckpointError) as error:
         Wav2VecFrontend.from_pretrained(name)
     assert_one_line(error)
 
 
-def test_pickles_are_not_read(checkpoint):
+def test_from_pretrained_rejects_pickles(checkpoint):
     weights = Wav2Vec2Model.from_pretrained(checkpoint).state_dict()
     (checkpoint / "model.safetensors").unlink()
     torch.save(weights, checkpoint / "pytorch_model.bin")
@@ -288,7 +288,7 @@ def test_pickles_are_not_read(checkpoint):
     assert_one_line(error)
 
 
-def test_damaged_weights(checkpoint):
+def test_from_pretrained_rejects_damaged_weights(checkpoint):
     path = checkpoint / "model.safetensors"
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(CheckpointError, match="save it again") as error:
@@ -296,7 +296,7 @@ def test_damaged_weights(checkpoint):
     assert_one_line(error)
 
 
-def test_weights_of_another_shape(checkpoint):
+def test_from_pretrained_rejects_weights_of_another_shape(checkpoint):
     config = json.loads((checkpoint / "config.json").read_text())
     (checkpoint / "config.json").write_text(json.dumps(config | {"num_hidden_layers": 3}))
     with pytest.raises(CheckpointError, match="lacks 16 weights") as error:
@@ -308,16 +308,16 @@ def test_weights_of_another_shape(checkpoint):
     assert_one_line(error)
 
 
-def test_another_kind_of_model(tmp_path):
+def test_from_pretrained_rejects_another_kind_of_model(tmp_path):
     HubertConfig().save_pretrained(tmp_path)
     with pytest.raises(CheckpointError, match="'hubert' model") as error:
         Wav2VecFrontend.from_pretrained(str(tmp_path))
     assert_one_line(error, PUBLISHED)
 
 
-def test_another_sample_rate(checkpoint):
+def test_from_pretrained_rejects_another_sample_rate(checkpoint):
     Wav2Vec2FeatureExtractor(sampling_rate=8000).save_pretrained(checkpoint)
-    with pytest.raises(CheckpointError, match="hears 8000 Hz"):
+    with pytest.raises(CheckpointError, match="is for 8000 Hz"):
         Wav2VecFrontend.from_pretrained(str(checkpoint))
 
 
@@ -329,7 +329,7 @@ def test_another_sample_rate(checkpoint):
         ({"conv_dim": (32, 32)}, "impossible"),
     ],
 )
-def test_impossible_shapes(encoder, words):
+def test_from_config_rejects_impossible_shapes(encoder, words):
     with pytest.raises(ConfigError, match=words) as error:
         Wav2VecFrontend.build(Wav2VecConfig(checkpoint=None, encoder=encoder))
     assert_one_line(error)

@@ -1,4 +1,4 @@
-"""Model folders: what was saved is what is read, and every damage is one line."""
+"""Model folders: round trips, kinds of model, and damaged files refused in one line."""
 
 import json
 import subprocess
@@ -50,7 +50,7 @@ def refused(folder: Path | str, match: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_model_read_again_predicts_the_same_bit_for_bit(folder, model):
+def test_model_read_again_predicts_the_same_bit_for_bit(folder, model):
     read = load_model(folder)
     assert not read.training
     assert torch.equal(predict(read), predict(model))
@@ -62,7 +62,7 @@ def test_a_model_read_again_predicts_the_same_bit_for_bit(folder, model):
     assert load_config(folder / "config.yaml") == load_config(TINY)
 
 
-def test_whoever_may_read_the_card_may_read_the_weights(folder):
+def test_weights_have_the_permissions_of_the_description(folder):
     modes = {p.name: p.stat().st_mode & 0o777 for p in folder.iterdir()}
     assert modes["model.safetensors"] == modes["model.json"]
 
@@ -88,7 +88,7 @@ def test_saving_again_replaces_own_files_only(folder, config, model):
     assert [p.name for p in folder.parent.iterdir()] == ["model"], "nothing is left beside it"
 
 
-def test_a_model_describes_itself(folder, model):
+def test_describe_model_gives_controls_training_and_hash(folder, model):
     about = describe_model(folder)
     assert about["control_set"] == "metahuman-185@mh4" and about["training"] == {"step": 3}
     assert about["parameters"] == sum(p.numel() for p in model.parameters())
@@ -104,7 +104,7 @@ def test_describing_a_model_imports_no_torch(folder):
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 
-def test_a_folder_without_a_model_lists_what_there_is(tmp_path):
+def test_load_model_rejects_a_folder_without_a_model(tmp_path):
     refused(tmp_path, "no model there .*name a folder or one of")
     refused("no-such-model", "no-such-model: no model there")
     assert set(embedded_models()) == {"default", "compact", "sdfa", "mesh_head"}
@@ -113,18 +113,18 @@ def test_a_folder_without_a_model_lists_what_there_is(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
-def test_damaged_weights_are_refused(folder, content):
+def test_load_model_rejects_damaged_weights(folder, content):
     (folder / "model.safetensors").write_bytes(content)
     refused(folder, r"model\.safetensors(: no safetensors file| is empty|, its header, is no JSON)")
 
 
-def test_a_truncated_download_is_refused(folder):
+def test_load_model_rejects_truncated_weights(folder):
     path = folder / "model.safetensors"
     path.write_bytes(path.read_bytes()[:-100])
     refused(folder, "no safetensors file")
 
 
-def test_weights_that_are_not_finite_are_refused(folder):
+def test_load_model_rejects_weights_that_are_not_finite(folder):
     path = folder / "model.safetensors"
     weights = load_file(path)
     name = next(k for k, v in weights.items() if v.is_floating_point() and v.numel() > 1)
@@ -133,7 +133,7 @@ def test_weights_that_are_not_finite_are_refused(folder):
     refused(folder, "is not finite")
 
 
-def test_weights_of_another_configuration_are_refused(folder, config):
+def test_load_model_rejects_weights_of_another_configuration(folder, config):
     other = config.model_copy(
         update={"model": config.model.model_copy(update={"decoder_channels": 24})}
     )
@@ -149,25 +149,25 @@ def spoil(folder: Path, **changes: object) -> None:
     (folder / "model.json").write_text(json.dumps(about | changes))
 
 
-def test_another_control_set_is_refused(folder):
+def test_load_model_rejects_another_control_set(folder):
     spoil(folder, control_set="somebody-52@1")
     refused(folder, "made for control set 'somebody-52@1', this deitalk drives 'metahuman-185@mh4'")
     spoil(folder, control_set="metahuman-185@mh4", controls=list(default_controls().names[::-1]))
     refused(folder, "made for control set")
 
 
-def test_another_version_is_refused(folder):
+def test_load_model_rejects_another_format_version(folder):
     spoil(folder, format_version=99)
     refused(folder, "format version 99, this deitalk reads 1")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format_version": 1}', "nonsense"])
-def test_a_damaged_description_is_refused(folder, text):
+def test_load_model_rejects_a_damaged_description(folder, text):
     (folder / "model.json").write_text(text)
     refused(folder, r"model\.json: missing or damaged")
 
 
-def test_a_weight_file_beyond_the_limit_is_not_read(folder, monkeypatch):
+def test_load_model_rejects_weights_beyond_the_limit(folder, monkeypatch):
     monkeypatch.setattr("rig.limits.WEIGHTS_BYTES", 10)
     refused(folder, "at most 10 bytes are read")
 

@@ -58,8 +58,8 @@ def count(module):
     return sum(p.numel() for p in module.parameters())
 
 
-def test_paper_has_the_sizes_of_section_four():
-    """configs/deitalk.yaml without the download, and without numbers in its weights."""
+def test_default_sizes_are_those_of_section_four():
+    """configs/deitalk.yaml without the download, on the meta device."""
     with torch.device("meta"):
         model = DEITalk(load_config(CONFIGS / "deitalk.yaml").model, pretrained=False).eval()
         frames, total = place(15, 100, first=40)
@@ -84,7 +84,7 @@ def test_paper_has_the_sizes_of_section_four():
     assert out.motion_embedding.shape == (1, 128)
 
 
-def test_sdfa_encoder_hands_512_features_to_the_decoder():
+def test_sdfa_encoder_gives_512_features_to_the_decoder():
     model = DEITalk(load_config(CONFIGS / "sdfa_encoder.yaml").model).eval()
     assert model.decoder.layers[0].conv.in_channels == 512 + 16 + 128
     with torch.no_grad():
@@ -95,17 +95,17 @@ def test_sdfa_encoder_hands_512_features_to_the_decoder():
 
 
 @torch.no_grad()
-def test_forward_is_the_stages_in_order():
+def test_forward_equals_its_stages_in_order():
     model = build()
     waveform, curves = 0.1 * torch.randn(2, 16_000), torch.rand(2, 30, 185)
     frames = torch.stack((torch.arange(30), torch.arange(50, 80)))
     total, emotion = torch.tensor([30, 200]), styles(1, 3)
     out = model(waveform, emotion, frames, total, curves)
     speech = model.frontend(waveform, 30)
-    said = model.intensity(speech)  # S_emo hears the speech, not its place (Fig. 2)
+    output = model.intensity(speech)  # S_emo depends on the speech, not on its place (Fig. 2)
     placed = speech + dynamic_positions(frames, total, 16)
-    torch.testing.assert_close(out.curves, model.decoder(placed, emotion, said.guidance))
-    torch.testing.assert_close(out.emotion_logits, model.intensity.classify(said.features))
+    torch.testing.assert_close(out.curves, model.decoder(placed, emotion, output.guidance))
+    torch.testing.assert_close(out.emotion_logits, model.intensity.classify(output.features))
     torch.testing.assert_close(out.motion_embedding, temporal_maximum(model.motion(curves)))
     without = model(waveform, emotion, frames, total)
     assert without.motion_embedding is None
@@ -113,7 +113,7 @@ def test_forward_is_the_stages_in_order():
 
 
 @torch.no_grad()
-def test_clips_of_a_batch_do_not_meet():
+def test_clips_of_a_batch_are_independent():
     model = build()
     waveform = 0.1 * torch.randn(2, 16_000)
     frames, total = torch.stack((torch.arange(30), torch.arange(9, 39))), torch.tensor([30, 60])
@@ -161,8 +161,8 @@ def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
 
 
 @torch.no_grad()
-def test_decoding_needs_its_margin(monkeypatch):
-    """Thirty frames and not one fewer: the test above would see it."""
+def test_decoding_without_its_margin_differs(monkeypatch):
+    """Thirty frames and not one fewer: with less the test above would fail."""
     model = build()
     n = DECODE_FRAMES + 200
     analysis = Analysis(torch.randn(n, 16), torch.randn(n, 8), None, None)
@@ -175,7 +175,7 @@ def test_decoding_needs_its_margin(monkeypatch):
 
 
 @torch.no_grad()
-def test_place_in_the_clip_matters_only_with_positions():
+def test_place_in_the_clip_changes_curves_only_with_positions():
     waveform = 0.1 * torch.randn(1, 16_000)
     for positions in (True, False):
         model = build(positions=positions)
@@ -185,7 +185,7 @@ def test_place_in_the_clip_matters_only_with_positions():
 
 
 @torch.no_grad()
-def test_without_intensity():
+def test_model_without_intensity_decodes():
     model = build(intensity=False)
     out = model(0.1 * torch.randn(1, 16_000), styles(1), *place(30, 30))
     assert (out.intensity, out.emotion_logits, out.motion_embedding) == (None, None, None)
@@ -194,7 +194,7 @@ def test_without_intensity():
     assert model.decode(analysis, styles(1).expand(30, -1)).shape == (30, 185)
 
 
-def test_begins_at_the_face_at_rest():
+def test_new_model_predicts_the_face_at_rest():
     torch.manual_seed(0)
     model = DEITalk(ModelConfig(frontend=MelConfig(**MEL), **SMALL)).eval()
     with torch.no_grad():

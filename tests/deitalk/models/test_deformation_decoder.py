@@ -1,4 +1,4 @@
-"""Table 3: sizes, parameters counted by hand, and a last layer that never learns."""
+"""Table 3: sizes, parameters counted by hand, and a last layer that is not trained."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def fitted(rng):
     return Bases(fit_basis(s, areas), fit_basis(r, areas), ()), s, r
 
 
-def test_paper_sizes():
+def test_layer_sizes_are_those_of_table_3():
     with torch.device("meta"):
         model = MotionDecoder(512, 8, frozen((85, 180), PAPER_TRIANGLES), normalise_weights=False)
         out = decode(model, torch.zeros(2, 512), torch.zeros(2, 8))
@@ -68,7 +68,7 @@ def test_paper_sizes():
     assert fixed * 4 / 2**20 == pytest.approx(66.9 - 26.63, abs=0.05)  # §4.4: the part from PCA
 
 
-def test_parameters_by_hand():
+def test_number_of_parameters_by_hand():
     def layer(n_in, n_out):  # direction, length (weight normalisation), bias
         return n_out * n_in + n_out + n_out
 
@@ -77,7 +77,7 @@ def test_parameters_by_hand():
     assert sum(p.numel() for p in model.parameters()) == layer(520, 512) + branches == 1_133_330
 
 
-def test_weight_norm_is_everywhere_but_on_the_frozen_layers():
+def test_weight_norm_is_on_all_but_the_frozen_layers():
     model = decoder()
     normalised = {
         n.split(".parametrizations")[0] for n, _ in model.named_parameters() if "par" in n
@@ -118,7 +118,7 @@ def test_projected_frames_come_back_and_coefficients_have_unit_variance(fitted):
 
 
 def test_speaker_is_joined_twice():
-    """Shut out of the shared layer, it still changes both branches, and the other way round."""
+    """Without its input to the shared layer it still changes both branches, and vice versa."""
     x, speakers = torch.randn(1, 12), torch.eye(2)
     for where in ("shared", "branches"):
         model = decoder(normalise_weights=False)

@@ -26,18 +26,18 @@ def identity(saliency_frames=None):
     return plain
 
 
-def test_equations_by_hand():
+def test_equations_4_to_6_by_hand():
     # s_max = (4, 3); cosines with (4, 0), (0, 3), (-4, -3): 4/5, 3/5, -1
-    said = identity()(torch.tensor([[[4.0, 0.0], [0.0, 3.0], [-4.0, -3.0]]]))
-    assert said.embedding.tolist() == [[4, 3]]
-    torch.testing.assert_close(said.saliency, torch.tensor([[0.8, 0.6, -1.0]]))
+    output = identity()(torch.tensor([[[4.0, 0.0], [0.0, 3.0], [-4.0, -3.0]]]))
+    assert output.embedding.tolist() == [[4, 3]]
+    torch.testing.assert_close(output.saliency, torch.tensor([[0.8, 0.6, -1.0]]))
     expected = torch.tensor([[[3.2, 0.0], [0.0, 1.8], [4.0, 3.0]]])
-    torch.testing.assert_close(said.guidance, expected)
+    torch.testing.assert_close(output.guidance, expected)
 
 
 def test_the_frame_that_is_the_maximum_has_saliency_one():
-    said = identity()(torch.tensor([[[1.0, 0.0], [2.0, 5.0], [0.0, 1.0]]]))
-    assert said.saliency[0, 1].item() == pytest.approx(1)
+    output = identity()(torch.tensor([[[1.0, 0.0], [2.0, 5.0], [0.0, 1.0]]]))
+    assert output.saliency[0, 1].item() == pytest.approx(1)
 
 
 def test_zero_vector_has_saliency_zero():
@@ -51,7 +51,7 @@ def test_saliency_does_not_depend_on_scale():
     )
 
 
-def test_local_maximum_against_a_loop():
+def test_local_maximum_equals_a_loop():
     features = torch.randn(1, 20, 3)
     pooled = local_maximum(features, 7)
     for t in range(20):
@@ -67,7 +67,7 @@ def test_window_over_the_whole_clip_is_the_whole_clip():
     assert not torch.allclose(module(9)(speech).saliency, whole.saliency, atol=1e-3)
 
 
-def test_a_piece_with_the_clips_embedding_is_a_piece_of_the_clip():
+def test_piece_with_the_embedding_of_its_clip_equals_the_piece_of_the_clip():
     speech = torch.randn(1, 30, 6)
     whole = module()(speech)
     piece = module()(speech[:, 10:15], whole.embedding)
@@ -75,16 +75,16 @@ def test_a_piece_with_the_clips_embedding_is_a_piece_of_the_clip():
 
 
 @pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
-def test_strength_rises_with_saliency_whatever_was_learnt(slope):
+def test_strength_rises_with_saliency_for_any_slope(slope):
     plain = identity()
     with torch.no_grad():
         plain.slope.fill_(slope)
     turn = torch.linspace(0, 3.1, 40)
     speech = torch.stack((turn.cos(), turn.sin()), dim=-1).unsqueeze(0)
-    said = plain(speech, torch.tensor([[1.0, 0.0]]))
-    assert (said.strength.diff() < 0).all()
-    assert said.strength.min() >= 0
-    assert said.strength.max() <= 1
+    output = plain(speech, torch.tensor([[1.0, 0.0]]))
+    assert (output.strength.diff() < 0).all()
+    assert output.strength.min() >= 0
+    assert output.strength.max() <= 1
 
 
 def test_classifier_averages_the_logits_of_frames():
@@ -94,11 +94,11 @@ def test_classifier_averages_the_logits_of_frames():
     torch.testing.assert_close(plain.classify(features), each.mean(dim=0))
 
 
-def test_temporal_maximum_takes_every_feature_from_its_own_frame():
+def test_temporal_maximum_is_taken_feature_by_feature():
     assert temporal_maximum(torch.tensor([[[1.0, 9.0], [5.0, 2.0]]])).tolist() == [[5, 9]]
 
 
-def test_motion_encoder_sees_fifteen_frames_either_side():
+def test_motion_encoder_spans_fifteen_frames_on_either_side():
     torch.manual_seed(0)
     encoder = MotionEncoder(5, (8, 8, 8, 8), 3, 4)
     for layer in encoder.layers:

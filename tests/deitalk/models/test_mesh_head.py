@@ -1,4 +1,4 @@
-"""A mesh head on DEITalk's features: the seam, emotion by heart, intensity's laws, its folder."""
+"""A mesh head on DEITalk's features: features, emotion, intensity, training, its folder."""
 
 from functools import partial
 from pathlib import Path
@@ -43,8 +43,8 @@ def network(tmp_path_factory):
 
 
 @pytest.fixture
-def open_ears(monkeypatch):
-    """Tones are no speech: show everything, and hear what the network hears."""
+def no_gates(monkeypatch):
+    """Gates open and intensity as the network predicts it, for tones, which are no speech."""
     monkeypatch.setattr(speech_module, "expression_gate", lambda activity: np.ones_like(activity))
     monkeypatch.setattr(speech_module, "voice_intensity", lambda strength, *rest: strength)
 
@@ -82,8 +82,8 @@ def whole(model, sound, *direction):
     return torch.cat([torch.cat((row["stretch"], row["rotation"]), dim=1) for row in rows])
 
 
-def test_the_seam_is_the_last_layer(network):
-    """What is described, through the decoder's last layer, is what is decoded."""
+def test_described_features_are_the_input_of_the_last_layer(network):
+    """The last layer on the described features gives the decoded curves."""
     curve_model = head(network).encoder.network
     analysis = curve_model.analyse(torch.from_numpy(noise(1.0)), 30)
     emotion = torch.eye(5)[torch.arange(30) % 5]
@@ -94,7 +94,7 @@ def test_the_seam_is_the_last_layer(network):
     assert described.std(dim=0).max() > 1e-3
 
 
-def test_the_network_stays_as_it_is_and_outside(network):
+def test_network_is_frozen_and_not_part_of_the_weights(network):
     model = head(network)
     assert not any(p.requires_grad for p in model.encoder.network.parameters())
     weights = {name for name in model.state_dict() if not name.startswith("decoder.")}
@@ -103,7 +103,7 @@ def test_the_network_stays_as_it_is_and_outside(network):
     assert not model.encoder.network.training
 
 
-def test_intensity_scales_the_expression(network, open_ears):
+def test_intensity_scales_the_expression(network, no_gates):
     model, sound = head(network), noise(1.0)
     plain, once, twice = (whole(model, sound, "angry", amount) for amount in (0.0, 1.0, 2.0))
     torch.testing.assert_close(plain, whole(model, sound, "neutral"))
@@ -113,8 +113,8 @@ def test_intensity_scales_the_expression(network, open_ears):
     assert (other - once).abs().max() > 1e-3
 
 
-def test_silence_is_the_template(network):
-    """The mean shape of a basis is not at rest; where nobody speaks the face is."""
+def test_mesh_in_silence_is_the_template(network):
+    """Also where the mean shape of the basis is not at rest."""
     model = head(network)
     for branch in model.decoder.branches.values():  # a mean that the components can undo
         layer = branch.inverse_pca
@@ -124,7 +124,7 @@ def test_silence_is_the_template(network):
 
 
 def emotional_sheets(folder, emotions=STYLES):
-    """One speaker says one thing; happy goes outwards, sad inwards."""
+    """One speaker and one sound; the mesh goes outwards for happy, inwards for sad."""
     template = sheet()
     sequences = [
         MeshSequence(e, "ann", "train", partial(spoken, template, STYLES.get(e, 0)), emotion)
@@ -137,8 +137,8 @@ def emotional_sheets(folder, emotions=STYLES):
     return folder
 
 
-def test_emotion_is_learnt_by_heart(network, tmp_path, open_ears):
-    """The sound is the same: only the emotion can tell which motion is asked for."""
+def test_training_separates_emotions_of_one_sound(network, tmp_path, no_gates):
+    """The sound is the same, so the motion can follow from the emotion only."""
     data = emotional_sheets(tmp_path / "meshes")
     assert [clip.emotion for clip in read_mesh_folder(data).clips] == list(STYLES)
     config = tiny(
@@ -154,7 +154,7 @@ def test_emotion_is_learnt_by_heart(network, tmp_path, open_ears):
         assert error.mean() < 0.25 * motion.mean()
 
 
-def test_features_are_standardised(network):
+def test_fitted_features_have_mean_0_and_deviation_1(network):
     encoder = head(network).encoder
     rows = torch.randn(500, encoder.output_size) * 0.07 + 2
     rows[:, 0] = 5  # one that never varies
@@ -165,13 +165,13 @@ def test_features_are_standardised(network):
     assert given[:, 1:].std(dim=0).sub(1).abs().max() < 0.2 and given[:, 0].abs().max() < 1e-3
 
 
-def test_clips_of_no_emotion_are_refused(network, tmp_path):
+def test_training_rejects_clips_without_an_emotion(network, tmp_path):
     data = emotional_sheets(tmp_path / "meshes", emotions=["happy", ""])
     with pytest.raises(DataError, match=r"does not say which emotion sad acts; fill"):
         train_sdfa(tiny(network), data, tmp_path / "run")
 
 
-def test_folder_knows_whose_features_it_decodes(tmp_path):
+def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
     network = write_network(tmp_path / "network")
     model, sound = head(network), noise(0.5)
     save_model(tmp_path / "m", model, tiny(network), {}, half_bases=False)
@@ -192,14 +192,14 @@ def test_folder_knows_whose_features_it_decodes(tmp_path):
 @pytest.mark.parametrize(
     "section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}]
 )
-def test_bad_configuration(section):
+def test_configuration_rejects_augmentation_and_other_rates(section):
     tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
     with pytest.raises(ConfigError, match=r"data\.fps=30, data\.augment=false") as caught:
         parse_config(tree | section)
     assert "\n" not in str(caught.value)
 
 
-def test_a_performance_in_an_emotion(network, tmp_path, open_ears):
+def test_animate_mesh_applies_the_emotion_of_a_mesh_head(network, tmp_path, no_gates):
     save_model(tmp_path / "m", head(network), tiny(network), {})
     from deitalk.audio.load import write_wav
 
@@ -210,8 +210,8 @@ def test_a_performance_in_an_emotion(network, tmp_path, open_ears):
     assert np.abs(happy.vertices - plain.vertices).max() > 1e-3
 
 
-def test_every_emotion_is_scored_beside_the_curves(network, tmp_path, monkeypatch):
-    """A head that never moves, on heads: its errors are the motion itself; nothing rises."""
+def test_evaluation_scores_every_emotion_and_the_curves(network, tmp_path, monkeypatch):
+    """A model that never moves: its errors are the motion itself, and no landmark rises."""
     monkeypatch.setattr(expression_module, "MOST", 1)
     monkeypatch.setattr(expression_module, "INTENSITIES", (1.0,))
     data = write_dataset(tmp_path / "d", 1, 5)
@@ -237,7 +237,7 @@ def test_every_emotion_is_scored_beside_the_curves(network, tmp_path, monkeypatc
     assert "| corners | happy |" in as_markdown(report)
 
 
-def test_lips_are_asked_for_before_anything_is_built(tmp_path, monkeypatch):
+def test_lip_weight_rejects_data_without_lips_before_building(tmp_path, monkeypatch):
     (tmp_path / "vocaset/unposedcleaneddata").mkdir(parents=True)
     monkeypatch.setattr(train_module, "open_meshes", lambda *a: pytest.fail("built first"))
     config = load_config(CONFIGS / "sdfa_small.yaml")

@@ -1,4 +1,4 @@
-"""Mesh models from waveform to vertices: sizes, window by window, training to the end, folders."""
+"""Mesh models from waveform to vertices: sizes, windows, training, folders, the lip seal."""
 
 import math
 from functools import partial
@@ -122,7 +122,7 @@ def spoken(template, style=1.0, seconds=1.0, fps=30):
 
 @pytest.fixture(scope="module")
 def sequences(tmp_path_factory):
-    """A mesh folder of two speakers who say the same, one inwards what the other does outwards."""
+    """A mesh folder of two speakers with one sound and opposite motion."""
     out = tmp_path_factory.mktemp("meshes") / "folder"
     template = sheet()
     both = [
@@ -166,7 +166,7 @@ def noise(seconds, seed=0):
     return (0.1 * rng.standard_normal(int(seconds * RATE))).astype(np.float32)
 
 
-def test_the_paper_word_for_word():
+def test_configuration_sdfa_is_the_paper():
     config = load_config(CONFIG)
     assert isinstance(config, SDFAConfig)
     assert config.model.frontend == SDFAMelConfig()  # Tables 1-2 are tested with the frontend
@@ -210,7 +210,7 @@ def test_configurations_of_one_comparison_share_data_and_schedule(name):
     )
 
 
-def test_forward_is_fig_1():
+def test_forward_has_the_shapes_of_fig_1():
     sdfa = model()
     rows = sdfa(torch.randn(2, 3, 16, 40), torch.tensor([8, 12, 16]), torch.eye(2))
     assert {name: row.shape for name, row in rows.items()} == {
@@ -221,8 +221,8 @@ def test_forward_is_fig_1():
     assert (s.shape, r.shape) == ((3, 6 * 18), (3, 3 * 18))
 
 
-def test_a_clip_is_its_windows_one_by_one():
-    """Spectra are computed once; every frame must come out as from a window of its own."""
+def test_prediction_of_a_clip_equals_its_windows_one_by_one():
+    """Spectra are computed once; every frame must equal that of its own window."""
     sdfa, (sound, _) = model(fps=25, frame_rate=125), spoken(sheet(), seconds=0.8)
     whole = motion_of(sdfa, sound, "bob")
     mel = sdfa.encoder.features(torch.from_numpy(normalise_level(sound))[None], 140, 0)[0]
@@ -248,7 +248,7 @@ def silence(sdfa):
 
 
 @pytest.mark.parametrize("name", list(ENCODERS))
-def test_a_long_clip_in_pieces_is_the_clip(name, monkeypatch):
+def test_prediction_in_pieces_equals_the_whole_clip(name, monkeypatch):
     """Pieces of 20 frames with their context, against all at once."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
     has_context = sdfa.encoder.context_seconds > 0
@@ -264,7 +264,7 @@ def test_a_long_clip_in_pieces_is_the_clip(name, monkeypatch):
 
 
 @pytest.mark.parametrize("name", list(ENCODERS))
-def test_encoders_hear_what_is_near_and_nothing_else(name):
+def test_encoders_depend_on_nearby_sound_only(name):
     """A click 1 s away changes nothing (a recurrence along the clip: little); one near does."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
     near, far = sound.copy(), sound.copy()
@@ -285,7 +285,7 @@ def test_offsets_are_added_to_the_template():
     assert np.ptp(vertices, axis=0).max() > 1e-3
 
 
-def test_windows_hold_at_the_ends():
+def test_window_index_repeats_the_ends():
     index = window_index(torch.tensor([0, 3, 9]), 4, 10)
     assert index.tolist() == [[0, 0, 0, 1], [1, 2, 3, 4], [7, 8, 9, 9]]
 
@@ -293,13 +293,13 @@ def test_windows_hold_at_the_ends():
 @pytest.mark.parametrize(
     ("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)]
 )
-def test_number_of_frames(samples, frames):
+def test_number_of_frames_covers_the_recording(samples, frames):
     vertices = predict_mesh(model(), noise(2)[:samples])
     assert vertices.shape == (frames, 16, 3)
     assert vertices.dtype == np.float32
 
 
-def test_rest_in_gradients_is_the_template():
+def test_gradients_at_rest_give_the_template():
     sdfa = model()
     for branch in sdfa.decoder.branches.values():
         branch.inverse_pca.components.zero_()
@@ -307,13 +307,13 @@ def test_rest_in_gradients_is_the_template():
     np.testing.assert_allclose(out, np.tile(sdfa.template("bob").vertices, (6, 1, 1)), atol=1e-5)
 
 
-def test_another_face_of_the_same_triangles_can_be_moved():
+def test_another_template_of_the_same_triangles_is_moved():
     sdfa, face = model(), sheet(4, 20.0)
     moved = predict_mesh(sdfa, noise(0.2), "ann", template=face)
     np.testing.assert_allclose(np.ptp(moved[..., 0], axis=1), 20, atol=4)
 
 
-def test_level_does_not_matter():
+def test_prediction_does_not_depend_on_the_level():
     sdfa = model()
     for weight in sdfa.parameters():
         weight.data.div_(3)
@@ -324,12 +324,12 @@ def test_level_does_not_matter():
 @pytest.mark.parametrize(
     "bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)]
 )
-def test_bad_waveform(bad):
+def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
     with pytest.raises(DataError, match="16 kHz"):
         predict_mesh(model(), bad)
 
 
-def test_unknown_speaker_is_told_the_known_ones():
+def test_prediction_rejects_an_unknown_speaker():
     with pytest.raises(CheckpointError, match=r"'eve' is unknown.*ann, bob"):
         predict_mesh(model(), noise(0.1), "eve")
 
@@ -347,7 +347,7 @@ def test_unknown_speaker_is_told_the_known_ones():
 def test_a_tiny_model_learns_two_speakers_by_heart(
     sequences, tmp_path, frontend, motion, steps, more
 ):
-    """The sound is the same: only the label can tell whose motion is asked for."""
+    """The sound is the same, so the motion can follow from the label only."""
     config = tiny(frontend, motion, steps=steps, learning_rate=1e-2, evaluate_every=steps, **more)
     best = train_sdfa(config, sequences, tmp_path / "run")
     sdfa, errors_mm = load_model(tmp_path / "run/best"), []
@@ -386,7 +386,7 @@ def test_resumed_is_as_uninterrupted(sequences, tmp_path):
     assert all(torch.equal(one[name], two[name]) for name in one)
 
 
-def test_folder_brings_back_the_model(tmp_path):
+def test_saved_model_read_again_predicts_the_same(tmp_path):
     sdfa = model()
     save_model(tmp_path / "m", sdfa, tiny(), {"step": 3}, half_bases=False)
     back = load_model(tmp_path / "m")
@@ -410,7 +410,7 @@ def test_folder_brings_back_the_model(tmp_path):
     np.testing.assert_allclose(predict_mesh(loaded, sound), predict_mesh(sdfa, sound), atol=2e-2)
 
 
-def test_numbers_that_never_move_take_no_room(tmp_path):
+def test_numbers_that_never_move_are_not_stored(tmp_path):
     sdfa = model()
     layer = sdfa.decoder.branches["stretch"].inverse_pca
     save_model(tmp_path / "a", sdfa, tiny(), {}, half_bases=False)
@@ -422,8 +422,8 @@ def test_numbers_that_never_move_take_no_room(tmp_path):
     assert torch.equal(back.components, layer.components)
 
 
-def test_trimmed_bases():
-    """Components are in order: the first two of three are what two are worth."""
+def test_trimmed_bases_keep_their_first_components():
+    """Components are ordered: two of three are the first two."""
     sdfa = model()
     small = trimmed(sdfa, {"stretch": 2})
     assert small.decoder.branches["stretch"].inverse_pca.components.shape == (2, 108)
@@ -435,7 +435,7 @@ def test_trimmed_bases():
             trimmed(sdfa, sizes)
 
 
-def test_a_trimmed_model_is_written(tmp_path):
+def test_trim_command_writes_a_model_once(tmp_path):
     sdfa = model()
     save_model(tmp_path / "m", sdfa, tiny(), {"step": 3})
     arguments = [str(tmp_path / "m"), str(tmp_path / "t"), "stretch=2", "rotation=4"]
@@ -449,7 +449,7 @@ def test_a_trimmed_model_is_written(tmp_path):
         trim_main(arguments)
 
 
-def test_a_model_of_another_kind_is_refused(tmp_path):
+def test_require_model_rejects_another_kind(tmp_path):
     save_model(tmp_path / "m", model(), tiny(), {})
     assert isinstance(load_model(tmp_path / "m"), SDFA)
     needed = r"m: an SDFA model \(mesh\); a DEITalk model \(curves\) is needed, such as default"
@@ -459,7 +459,7 @@ def test_a_model_of_another_kind_is_refused(tmp_path):
         require_model(model(), DEITalk)
 
 
-def test_damaged_templates_are_refused(tmp_path):
+def test_load_model_rejects_damaged_templates(tmp_path):
     save_model(tmp_path / "m", model(), tiny(), {})
     (tmp_path / "m/templates.npz").write_bytes(b"no")
     with pytest.raises(CheckpointError, match="no archive of numpy arrays"):
@@ -575,7 +575,7 @@ def parted(gap_mm):
 
 
 @pytest.mark.parametrize(("gap_mm", "left_mm"), [(0.9, 0), (1.0, 0), (1.5, 0.75), (2.0, 2.0)])
-def test_the_seal_by_hand(gap_mm, left_mm):
+def test_seal_lips_by_hand(gap_mm, left_mm):
     frames, lips = parted(gap_mm)
     sealed = seal_lips(frames, 2.0, 10)
     gaps = lip_gap(sealed, lips, 10)
@@ -586,7 +586,7 @@ def test_the_seal_by_hand(gap_mm, left_mm):
     np.testing.assert_array_equal(sealed[2], frames[2])
 
 
-def test_a_model_of_other_faces_has_no_seal():
+def test_new_mesh_model_rejects_a_seal_of_other_faces():
     with pytest.raises(ConfigError, match=r"seal_mm=2: only the embedded heads"):
         new_mesh_model(
             SDFAModelConfig(frontend=VOCA, motion="offsets", seal_mm=2),

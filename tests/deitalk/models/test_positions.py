@@ -13,7 +13,7 @@ def encode(frames, total, size=8):
     return dynamic_positions(torch.tensor([frames]), torch.tensor([total]), size)[0]
 
 
-def test_hand_value():
+def test_encoding_by_hand():
     # 20 pi / 16 = 1.25 pi, both coordinates -sqrt(1/2); 10000^(2/4) = 100 leaves 0.0125 pi
     half = math.sqrt(0.5)
     expected = torch.tensor([-half, -half, 0.03925982, 0.99922904])
@@ -25,12 +25,12 @@ def test_first_frame_is_zero_and_one():
 
 
 @given(st.integers(1, 5000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_only_the_share_of_the_clip_matters(place):
+def test_encoding_depends_on_the_share_of_the_clip_only(place):
     t, total = place
     torch.testing.assert_close(encode([t], total), encode([2 * t], 2 * total), atol=2e-5, rtol=0)
 
 
-def test_a_window_keeps_the_encoding_of_its_clip():
+def test_encoding_of_a_window_is_that_of_its_clip():
     whole = encode(list(range(300)), 300)
     window = encode(list(range(100, 228)), 300)
     assert torch.equal(window, whole[100:228])

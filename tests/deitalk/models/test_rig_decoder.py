@@ -31,7 +31,7 @@ def inputs(frames=90, guidance_size=4):
 
 
 @pytest.mark.parametrize("residual", [False, True])
-def test_equals_equation_seven_frame_by_frame(residual):
+def test_decoder_equals_equation_7_frame_by_frame(residual):
     net = decoder(residual=residual)
     speech, emotion, guidance = inputs(25)
     style = net.style.weight[:, 2]  # a one-hot picks a column
@@ -52,7 +52,7 @@ def test_equals_equation_seven_frame_by_frame(residual):
     torch.testing.assert_close(net(speech, emotion, guidance)[0], expected, atol=1e-5, rtol=1e-5)
 
 
-def test_begins_at_rest():
+def test_new_decoder_predicts_the_face_at_rest():
     net = decoder()
     assert net.output.bias.tolist() == [0, 1, 0.5]
     with torch.no_grad():
@@ -61,7 +61,7 @@ def test_begins_at_rest():
     assert torch.equal(curves, torch.tensor([0.0, 1.0, 0.5]).expand(1, 90, 3))
 
 
-def test_margin_is_what_a_frame_of_speech_moves():
+def test_margin_is_the_reach_of_a_frame_of_speech():
     net = decoder().double().eval()
     with torch.no_grad():
         for layer in net.layers:
@@ -94,7 +94,7 @@ def test_without_intensity_there_is_no_guidance():
     assert net(speech, emotion, None).shape == (1, 90, 3)
 
 
-def test_dropout_is_off_in_eval():
+def test_dropout_is_off_in_evaluation_mode():
     net = decoder(dropout=0.5)
     net.eval()
     data = inputs()

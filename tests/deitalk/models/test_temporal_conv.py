@@ -1,4 +1,4 @@
-"""Dilated convolutions: what a frame sees, by hand and by perturbation."""
+"""Dilated convolutions: the reach of a frame, by hand and by perturbation."""
 
 import pytest
 import torch
@@ -38,7 +38,7 @@ def test_margin_of_the_paper_is_thirty_frames():
     assert receptive_margin((1, 2, 4, 8), 3) == 15
 
 
-def test_one_frame_moves_thirty_either_side_and_no_more(stack):
+def test_one_frame_changes_thirty_on_either_side_and_no_more(stack):
     x = torch.rand(1, 3, 140, dtype=torch.float64)
     changed = x.clone()
     changed[0, :, 70] += 1
@@ -55,7 +55,7 @@ def test_shifting_the_input_shifts_the_output(stack):
     )
 
 
-def test_a_signal_keeps_its_size_through_eight_layers():
+def test_signal_keeps_its_size_through_eight_layers():
     torch.manual_seed(0)
     wide = torch.nn.Sequential(*(TemporalConv(64, 64, 3, d, 0.0) for d in DILATIONS))
     x = torch.randn(1, 64, 400)

@@ -1,4 +1,4 @@
-"""The laws an artist relies on, on a small random network, on the default, and on real speech."""
+"""`animate` on a small random network, and the default weights on real speech."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def default():
 
 @pytest.fixture(scope="module")
 def voice(request):
-    """Ten seconds of a human voice that no training heard (LibriSpeech speaker 2078 or 422)."""
+    """Ten seconds of a human voice that is in no training data (LibriSpeech speaker 2078 or 422)."""
     from tests.conftest import SHARED
 
     files = sorted((SHARED / "data/speech/librispeech").glob("2078-*.mp3"))
@@ -82,7 +82,7 @@ def values(*args, **kwargs):
     return animate(*args, **kwargs).curves.values
 
 
-def test_the_public_name_is_the_function_whatever_was_imported_before():
+def test_public_name_is_the_function_after_any_import():
     import importlib
 
     import deitalk
@@ -93,7 +93,7 @@ def test_the_public_name_is_the_function_whatever_was_imported_before():
     assert all(hasattr(deitalk, name) for name in deitalk.__all__)
 
 
-def test_one_row_per_thirtieth_of_a_second(network):
+def test_animate_gives_one_row_per_thirtieth_of_a_second(network):
     performance = animate(recording(2.01), "happy", model=network)
     assert len(performance.curves) == 61  # ceil(30 * 2.01)
     assert performance.curves.fps == 30
@@ -102,7 +102,7 @@ def test_one_row_per_thirtieth_of_a_second(network):
 
 
 @pytest.mark.parametrize("emotion", EMOTIONAL)
-def test_intensity_zero_is_the_neutral_reading(network, emotion):
+def test_intensity_0_gives_the_neutral_reading(network, emotion):
     speech = recording()
     still = animate(speech, emotion, model=network, intensity=0)
     neutral = animate(speech, "neutral", model=network)
@@ -121,19 +121,19 @@ def test_weights_of_an_emotion_lie_between_neutral_and_the_label(network):
     assert 0 < away[0] < away[1]
 
 
-def test_silence_is_a_face_at_rest(network):
+def test_face_in_silence_is_at_rest(network):
     quiet = Recording(np.zeros(48_000, np.float32), "silence", 16_000, 1)
     performance = animate(quiet, "angry", model=network, intensity=2)
     rest = np.tile(network.controls.rest, (90, 1))
     np.testing.assert_array_equal(performance.curves.values, rest)
 
 
-def test_the_last_frame_after_silence_is_rest_but_for_what_idle_moves(network):
+def test_last_frame_after_silence_is_at_rest(network):
     performance = animate(recording(2, trail=1.0), "surprised", model=network, intensity=2)
     np.testing.assert_allclose(performance.curves.values[-1], network.controls.rest, atol=1e-6)
 
 
-def test_an_intensity_curve_given_back_unchanged_changes_nothing(network, tmp_path):
+def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
     from deitalk.pipeline.take import write_take
 
     speech = recording()
@@ -144,14 +144,14 @@ def test_an_intensity_curve_given_back_unchanged_changes_nothing(network, tmp_pa
 
 
 @pytest.mark.parametrize(("end", "n_notes"), [(2.9, 0), (3.4, 0), (8.7, 1)])
-def test_an_intensity_curve_longer_than_the_recording_is_noted(network, end, n_notes):
+def test_intensity_curve_longer_than_the_recording_gives_a_note(network, end, n_notes):
     curve = IntensityCurve(np.array([0.0, end]), np.array([1.0, 1.0]))
     notes = animate(recording(3.0), "sad", model=network, intensity_curve=curve).recording.warnings
     assert len(notes) == n_notes
     assert all("lasts 8.7 s, the recording 3.0 s" in note for note in notes)
 
 
-def test_an_intensity_curve_of_zero_is_neutral_where_it_is_zero(network):
+def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
     speech = recording(4)
     edited = IntensityCurve(np.array([0.0, 2.0, 2.1, 4.0]), np.array([0.0, 0.0, 1.0, 1.0]))
     acted = animate(speech, "happy", model=network, intensity_curve=edited)
@@ -160,7 +160,7 @@ def test_an_intensity_curve_of_zero_is_neutral_where_it_is_zero(network):
     assert np.abs(acted.curves.values[70:100] - neutral[70:100]).max() > 0.05
 
 
-def test_the_seed_moves_the_blinks_and_nothing_else(network):
+def test_seed_changes_eyes_only(network):
     speech = recording(8)
     a = values(speech, "happy", model=network, seed=1)
     b = values(speech, "happy", model=network, seed=2)
@@ -187,13 +187,13 @@ def test_curves_stay_within_their_ranges_at_four_times_the_intensity(network):
         ({"emotion": "happy=0.9,sad=0.4"}, "1"),
     ],
 )
-def test_what_cannot_be_meant_is_refused_in_one_line(network, arguments, message):
+def test_animate_rejects_bad_emotions_in_one_line(network, arguments, message):
     with pytest.raises(EmotionError, match=message) as caught:
         animate(recording(), model=network, **arguments)
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_refused_in_one_line(network, tmp_path):
+def test_animate_rejects_a_missing_file_in_one_line(network, tmp_path):
     with pytest.raises(AudioError, match=r"nothing\.wav"):
         animate(tmp_path / "nothing.wav", model=network)
 
@@ -218,9 +218,7 @@ def test_emotions_give_different_faces(default, voice):
         ("surprised", "CTRL_R_brow_raiseOut.ty"),
     ],
 )
-def test_an_emotion_moves_its_action_unit_more_with_more_intensity(
-    default, voice, emotion, control
-):
+def test_action_unit_of_an_emotion_grows_with_intensity(default, voice, emotion, control):
     place = default.controls.index(control)
     means = [
         values(voice, emotion, model=default, intensity=k, idle=False)[:, place].mean()
@@ -244,7 +242,7 @@ def test_closures_survive_double_intensity(default, voice, emotion):
 
 
 @pytest.mark.parametrize("emotion", EMOTIONS)
-def test_the_mouth_is_shut_in_silence(default, voice, emotion):
+def test_mouth_is_shut_in_silence(default, voice, emotion):
     acted = values(voice, emotion, model=default)
     opening = mouth_opening(acted, default.controls)
     speech = np.percentile(opening[30:-30], 95)
@@ -255,8 +253,8 @@ def test_the_mouth_is_shut_in_silence(default, voice, emotion):
 
 
 @pytest.mark.slow
-def test_segments_meet_without_a_seam(default, voice, monkeypatch):
-    """Ten minutes divided in two ways; where only one has a border, both move alike."""
+def test_segments_join_without_a_step(default, voice, monkeypatch):
+    """Ten minutes divided in two ways; at a border of one of them, both move alike."""
     import torch
 
     from deitalk.audio.voice_activity import normalise_level
@@ -279,14 +277,14 @@ def test_segments_meet_without_a_seam(default, voice, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_hour_fits_into_one_and_a_half_gigabytes(default):
+def test_an_hour_takes_under_one_and_a_half_gigabytes(default):
     from deitalk.evaluation.benchmark_curves import peak_memory
 
     assert peak_memory("default", 3600)["megabytes"] < 1500
 
 
 @pytest.mark.slow
-def test_no_frame_jumps_more_than_captured_motion_does(default, voice):
+def test_steps_between_frames_are_below_those_of_captured_motion(default, voice):
     """Largest step between frames against a hand-animated and a captured set at 30 Hz."""
     import pandas as pd
 

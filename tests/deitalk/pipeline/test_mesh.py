@@ -1,4 +1,4 @@
-"""Speech to meshes: lips that seal, emotion that arrives, both kinds of model, the command."""
+"""Speech to meshes: closed lips, emotion, every kind of model, the command."""
 
 import json
 
@@ -95,7 +95,7 @@ def test_lips_seal_and_corners_rise_with_the_other_weights(acted, name):
 
 
 def test_emotion_and_intensity_reach_the_mesh(acted, network):
-    """Happy corners rise; half the intensity raises them less, none is the neutral reading."""
+    """Corners rise when happy, less at half the intensity; intensity 0 is the neutral reading."""
     happy = acted["happy"]
 
     def rise_mm(performance):
@@ -108,7 +108,7 @@ def test_emotion_and_intensity_reach_the_mesh(acted, network):
     np.testing.assert_allclose(none.vertices, acted["neutral"].vertices, atol=1e-4)
 
 
-def test_frames_lie_on_the_recording_s_time(acted, network):
+def test_frames_cover_the_recording_at_any_rate(acted, network):
     recording = acted["neutral"].recording
     assert len(acted["neutral"].vertices) == np.ceil(30 * recording.duration)
     double = animate_mesh(recording, model=network, fps=60)
@@ -116,7 +116,7 @@ def test_frames_lie_on_the_recording_s_time(acted, network):
     np.testing.assert_allclose(double.vertices[::2], acted["neutral"].vertices, atol=1e-4)
 
 
-def test_another_head_is_another_mesh(acted, network):
+def test_speaker_chooses_the_embedded_head(acted, network):
     bruno = animate_mesh(acted["neutral"].recording, model=network, speaker="Bruno")
     head = build_head("Bruno")
     np.testing.assert_allclose(bruno.mesh.vertices, head.mesh.vertices)
@@ -126,7 +126,7 @@ def test_another_head_is_another_mesh(acted, network):
         animate_mesh(acted["neutral"].recording, model=network, speaker="Nobody")
 
 
-def test_hours_are_refused_before_any_work(network):
+def test_animate_mesh_rejects_hours_before_any_work(network):
     hour = Recording(
         np.zeros(16_000 * 3600, np.float32), source="hour.wav", source_rate=16_000, channels=1
     )
@@ -154,22 +154,22 @@ def speech(tmp_path):
     return tmp_path / "speech.wav"
 
 
-def test_sdfa_moves_its_speaker_s_template(sdfa_folder, speech):
-    network, told = load_model(sdfa_folder), []
-    performance = animate_mesh(speech, model=network, speaker="bob", progress=told.append)
+def test_sdfa_moves_the_template_of_its_speaker(sdfa_folder, speech):
+    network, shares = load_model(sdfa_folder), []
+    performance = animate_mesh(speech, model=network, speaker="bob", progress=shares.append)
     assert (performance.fps, performance.unit_mm, performance.landmarks) == (30, 10, None)
     wanted = predict_mesh(network, load_audio(speech).waveform, "bob")
     np.testing.assert_allclose(performance.vertices, wanted, atol=1e-6)
     np.testing.assert_array_equal(performance.mesh.vertices, network.template("bob").vertices)
-    assert told[-1] == 1
+    assert shares[-1] == 1
     assert np.abs(wanted - network.template("bob").vertices).max() > 0.01  # it moves
 
 
-def test_sdfa_has_no_emotion_and_one_rate(sdfa_folder, speech):
+def test_sdfa_rejects_emotion_and_other_rates(sdfa_folder, speech):
     curve = IntensityCurve(np.zeros(1), np.ones(1))
-    for asked in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": curve}):
+    for argument in ({"emotion": "happy"}, {"intensity": 0.5}, {"intensity_curve": curve}):
         with pytest.raises(EmotionError, match="no emotion and no intensity"):
-            animate_mesh(speech, model=sdfa_folder, **asked)
+            animate_mesh(speech, model=sdfa_folder, **argument)
     with pytest.raises(CheckpointError, match="fps=60: this SDFA model makes 30"):
         animate_mesh(speech, model=sdfa_folder, fps=60)
     with pytest.raises(CheckpointError, match=r"speaker 'eve' is unknown.*ann, bob"):
@@ -199,11 +199,11 @@ def test_command_writes_the_same_motion_three_ways(sdfa_folder, speech, tmp_path
     np.testing.assert_allclose(metres, 0.01 * vertices, atol=2.1e-5)  # 0.02 mm
     again = run(speech, "-o", tmp_path / "a.npz", *model)
     assert isinstance(again.exception, ExistsError)
-    said = json.loads(run(speech, "-o", tmp_path / "a.npz", *model, "--force", "--json").stdout)
-    assert (said["frames"], said["fps"], said["vertices"]) == (30, 30, 16)
+    summary = json.loads(run(speech, "-o", tmp_path / "a.npz", *model, "--force", "--json").stdout)
+    assert (summary["frames"], summary["fps"], summary["vertices"]) == (30, 30, 16)
 
 
-def test_command_refuses_in_one_line_and_writes_nothing(sdfa_folder, speech, tmp_path):
+def test_command_rejects_bad_arguments_and_writes_nothing(sdfa_folder, speech, tmp_path):
     out = ("-o", tmp_path / "out.glb")
     for arguments, error, said in (
         ((speech, "-o", tmp_path / "out.fbx"), TargetError, "files end with .glb, .npz"),
@@ -220,7 +220,7 @@ def test_command_refuses_in_one_line_and_writes_nothing(sdfa_folder, speech, tmp
 
 
 @pytest.mark.slow
-def test_speech_on_the_ict_face(shared, tmp_path, acted, request):
+def test_speech_moves_the_ict_face(shared, tmp_path, acted, request):
     """One command from speech to a foreign topology; the corners of the mouth rise with joy."""
     target, landmarks = ict(shared)
     write_obj(tmp_path / "ict.obj", target)
@@ -242,8 +242,8 @@ def test_speech_on_the_ict_face(shared, tmp_path, acted, request):
 
 
 @pytest.mark.slow
-def test_a_sequence_goes_to_another_head_by_its_principal_shapes(acted, network, tmp_path):
-    """Ada's motion on Bruno's mesh, against Bruno acting the same curves himself."""
+def test_retargeted_sequence_closes_the_lips_of_another_head(acted, network, tmp_path):
+    """Ada's motion on Bruno's mesh, against Bruno's head in the poses of the same curves."""
     from rig.mesh import TriMesh
     from rig.retarget.retarget_files import retarget_sequence
     from rig.retarget.source_head import head_landmarks

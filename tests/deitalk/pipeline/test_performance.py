@@ -1,4 +1,4 @@
-"""A performance in Python: saved by the name it is given, short to print, its means said right."""
+"""Performances: saved by the name of the target, one line when printed, means of their tracks."""
 
 import json
 from dataclasses import replace
@@ -93,7 +93,7 @@ def test_is_folder_name_rejects_the_empty_name():
         is_folder_name("", (".csv",))
 
 
-def test_means_are_of_what_was_heard_and_of_what_was_applied(network):
+def test_mean_intensities_are_of_predicted_and_applied(network):
     sound = recording(1.5)
     plain = animate(sound, "happy", model=network)
     doubled = animate(sound, "happy", model=network, intensity=2)
@@ -110,7 +110,7 @@ def still(value):
     return IntensityCurve(np.zeros(1), np.full(1, value))
 
 
-def test_what_is_returned_prints_as_one_short_line(happy, network):
+def test_performances_print_as_one_short_line(happy, network):
     assert repr(happy) == (
         "<Performance of 'test': 45 frames at 30 fps, 1.50 s, 185 controls, emotion happy, "
         f"applied intensity {happy.mean_applied_intensity:.2f}>"
@@ -180,7 +180,7 @@ def test_arguments_reject_other_types(network, function, arguments, error, messa
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
-def test_settings_say_any_emotion_in_a_line(network):
+def test_settings_hold_any_emotion_as_a_line(network):
     sound = recording(0.2)
     mixed = animate(sound, {"happy": 0.7, "sad": 0.1}, model=network, intensity_curve=still(1.0))
     assert mixed.settings["emotion"] == "happy=0.7,sad=0.1"
@@ -189,7 +189,7 @@ def test_settings_say_any_emotion_in_a_line(network):
     assert animate(sound, track, model=network).settings["emotion"] == "a track of 1 keys"
 
 
-def test_recordings_of_names_that_are_no_utf8_are_read(tmp_path, network):
+def test_recordings_with_names_that_are_no_utf8_are_read(tmp_path, network):
     path = tmp_path / "\udcff.wav"
     soundfile.write(tmp_path / "a.wav", recording(0.5).waveform, 16_000)
     try:

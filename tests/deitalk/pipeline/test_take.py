@@ -1,4 +1,4 @@
-"""The take folder: complete, readable, never half there."""
+"""The take folder: complete, readable, written whole or not at all."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ def write(folder, performance, **options):
     return write_take(folder, performance, settings=settings, model={"name": "test"}, **options)
 
 
-def test_every_file_is_there_and_described(tmp_path, performance):
+def test_take_describes_each_of_its_files(tmp_path, performance):
     take = write(tmp_path / "take", performance)
     about = json.loads((take / "take.json").read_text())
     assert {path.name for path in take.iterdir() if path.name[0] != "."} == set(about["files"])
@@ -38,7 +38,7 @@ def test_every_file_is_there_and_described(tmp_path, performance):
     assert about["settings"] == {"emotion": "happy"}
 
 
-def test_files_agree_with_each_other(tmp_path, performance):
+def test_files_of_a_take_agree(tmp_path, performance):
     take = write(tmp_path / "take", performance)
     from_csv, from_json = read_curves(take / "curves.csv"), read_curves(take / "curves.json")
     np.testing.assert_allclose(from_csv.values, performance.curves.values, atol=1e-5)
@@ -52,7 +52,7 @@ def test_files_agree_with_each_other(tmp_path, performance):
     assert len(sound) == len(performance.recording.waveform)
 
 
-def test_another_rate_keeps_the_duration(tmp_path, performance):
+def test_take_at_another_rate_keeps_its_duration(tmp_path, performance):
     take = write(tmp_path / "take", performance, fps=60)
     assert read_curves(take / "curves.csv").fps == 60
     assert len(read_curves(take / "curves.csv")) == pytest.approx(150, abs=1)
@@ -106,7 +106,7 @@ def test_write_take_shortens_long_names(tmp_path, performance):
     assert (take / ("long" * 25 + ".unreal.json")).is_file()
 
 
-def test_a_full_disk_leaves_nothing_behind(tmp_path, performance, monkeypatch):
+def test_write_take_on_a_full_disk_leaves_nothing(tmp_path, performance, monkeypatch):
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
@@ -116,7 +116,7 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path, performance, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unwritable_parent_is_one_line(tmp_path, performance):
+def test_write_take_rejects_an_unwritable_folder_in_one_line(tmp_path, performance):
     (tmp_path / "file").write_text("")
     with pytest.raises(TargetError, match="cannot write"):
         write(tmp_path / "file" / "take", performance)

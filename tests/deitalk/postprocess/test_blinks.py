@@ -24,12 +24,12 @@ def test_blinks_shut_and_open_again():
     assert track.max() == 1
 
 
-def test_blinks_come_as_often_as_in_speech():
+def test_blinks_are_as_frequent_as_in_speech():
     per_minute = (blink_track(30 * 60 * 30, 30, generator()) == 1).sum() / 30
     assert 12 < per_minute < 26  # adults in conversation: 10 to 32 a minute
 
 
-def test_seed_decides():
+def test_equal_seeds_give_equal_tracks():
     for track in (blink_track, gaze_track):
         assert np.array_equal(track(900, 30, generator(5)), track(900, 30, generator(5)))
         assert not np.array_equal(track(900, 30, generator(5)), track(900, 30, generator(6)))
@@ -37,19 +37,19 @@ def test_seed_decides():
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("n_frames", [1, 14, 40, 200, 601])
-def test_eyes_are_quiet_before_the_end(n_frames, seed):
+def test_eyes_are_still_before_the_end(n_frames, seed):
     assert not blink_track(n_frames, 30, generator(seed))[-15:].any()
     assert not gaze_track(n_frames, 30, generator(seed))[-15:].any()
 
 
-def test_gaze_is_small_and_comes_back_without_a_jump():
+def test_gaze_is_small_and_returns_without_a_jump():
     track = gaze_track(9000, 30, generator())
     assert track[:, 0].std() == pytest.approx(0.037, abs=0.01)
     assert np.abs(track).max() < 0.2
     assert np.abs(np.diff(track[-30:], axis=0)).max() < 0.12
 
 
-def test_idle_moves_eyes_and_nothing_else():
+def test_idle_motion_moves_eyes_only():
     controls = default_controls()
     curves = np.tile(controls.rest, (600, 1))
     before = curves.copy()

@@ -1,4 +1,4 @@
-"""The laws of expression, on random readings."""
+"""Rules on the curves, on random readings."""
 
 from itertools import pairwise
 
@@ -31,19 +31,19 @@ def constant(value):
 
 
 @given(st.integers(0, 50), st.floats(0, 1))
-def test_intensity_zero_is_exactly_the_neutral_reading(seed, heard):
+def test_blend_at_intensity_0_is_exactly_the_neutral_reading(seed, predicted):
     neutral, emotional = readings(seed, closed=0.5)
-    blended = blend(neutral, emotional, constant(0), constant(heard))
+    blended = blend(neutral, emotional, constant(0), constant(predicted))
     assert np.array_equal(blended, neutral)
 
 
-def test_intensity_one_is_the_emotional_reading():
+def test_blend_at_the_predicted_intensity_is_the_emotional_reading():
     neutral, emotional = readings()
     blended = blend(neutral, emotional, constant(0.6), constant(0.6))
     np.testing.assert_allclose(blended, emotional, atol=1e-6)
 
 
-def test_intensity_two_goes_twice_as_far():
+def test_blend_at_twice_the_intensity_goes_twice_as_far():
     neutral, emotional = readings()
     blended = blend(neutral, emotional, constant(1.0), constant(0.5))
     brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
@@ -53,18 +53,19 @@ def test_intensity_two_goes_twice_as_far():
 
 @settings(deadline=None)
 @given(st.integers(0, 20), st.floats(0, 1), st.floats(0, 1))
-def test_more_intensity_never_moves_a_control_back(seed, closed, heard):
+def test_more_intensity_never_moves_a_control_back(seed, closed, predicted):
     neutral, emotional = readings(seed, closed)
     levels = [0.0, 0.1, 0.5, 1.0, 2.0, 4.0]
     away = [
-        np.abs(blend(neutral, emotional, constant(x), constant(heard)) - neutral) for x in levels
+        np.abs(blend(neutral, emotional, constant(x), constant(predicted)) - neutral)
+        for x in levels
     ]
     assert all((b >= a - 1e-6).all() for a, b in pairwise(away))
     brow = CONTROLS.index("CTRL_L_brow_raiseIn.ty")
     assert (away[-1][:, brow] > away[1][:, brow]).all()
 
 
-def test_a_voice_that_was_not_heard_does_not_divide_by_zero():
+def test_blend_with_a_predicted_intensity_of_0_is_finite():
     neutral, emotional = readings()
     blended = blend(neutral, emotional, constant(0.15), constant(0))
     np.testing.assert_allclose(blended, emotional, atol=1e-6)  # as if it were 0.15 strong
@@ -78,7 +79,7 @@ def test_contacts_are_never_lowered(seed, closed, applied):
 
 
 @pytest.mark.parametrize("which", ["together", "bite"])
-def test_closed_lips_are_not_forced_open(which):
+def test_blend_does_not_part_closed_lips(which):
     neutral, emotional = readings()
     neutral[:, getattr(RULES, which)] = 0.8
     blended = blend(neutral, emotional, constant(4), constant(0.2))
@@ -87,7 +88,7 @@ def test_closed_lips_are_not_forced_open(which):
     assert not np.allclose(blended[:, smile], neutral[:, smile])
 
 
-def test_open_lips_open_further_and_half_closed_lips_half():
+def test_blend_opens_open_lips_fully_and_half_closed_lips_half():
     jaw = CONTROLS.index("CTRL_C_jaw.ty")
     moved = {}
     for closed in (0.0, 0.25, 0.5, 0.75):
@@ -98,7 +99,7 @@ def test_open_lips_open_further_and_half_closed_lips_half():
         np.testing.assert_allclose(moved[closed], share, atol=1e-4)
 
 
-def test_silence_is_rest():
+def test_curves_in_silence_are_at_rest():
     curves = readings()[1]
     gate = np.linspace(0, 1, T).astype(np.float32)
     spoken = curves.copy()
@@ -108,7 +109,7 @@ def test_silence_is_rest():
     assert spoken[0, CONTROLS.index("CTRL_L_nose_wrinkleUpper.ty")] == 1
 
 
-def test_an_expression_outlasts_the_mouth():
+def test_expression_stays_longer_than_the_motion_of_the_mouth():
     curves = readings()[1]
     spoken = curves.copy()
     RULES.rest_in_silence(spoken, constant(0), constant(1))
@@ -120,7 +121,7 @@ def test_an_expression_outlasts_the_mouth():
     assert stays[CONTROLS.index("CTRL_L_brow_down.ty")]
 
 
-def test_gates_work_frame_by_frame_in_long_clips():
+def test_gates_act_frame_by_frame_in_long_clips():
     n = 5000
     curves = np.tile(CONTROLS.rest, (n, 1)) + 1
     gate = (np.arange(n) % 2).astype(np.float32)
@@ -129,7 +130,7 @@ def test_gates_work_frame_by_frame_in_long_clips():
     np.testing.assert_allclose(moved, gate, atol=1e-6)
 
 
-def test_murmur_goes_and_speech_stays():
+def test_dead_zone_removes_small_openings_only():
     curves = np.tile(CONTROLS.rest, (4, 1))
     jaw, roll = CONTROLS.index("CTRL_C_jaw.ty"), CONTROLS.index("CTRL_L_mouth_lipsRollU.ty")
     brow = CONTROLS.index("CTRL_L_brow_down.ty")
@@ -142,7 +143,7 @@ def test_murmur_goes_and_speech_stays():
     assert (curves[:, brow] == np.float32(0.004)).all()
 
 
-def test_the_groups_hold_what_they_say():
+def test_groups_hold_their_controls():
     assert len(RULES.together) == 4
     assert len(RULES.bite) == 2
     assert not set(RULES.opening) & set(RULES.seals)
@@ -163,7 +164,7 @@ def decided(curve: list[float]) -> np.ndarray:
     # odds of 0.5 and 0.2 against those of 0.25 are 3 and 3/4; to the fourth 81 and 81/256
     [(0, 0), (0.2, 81 / 337), (0.25, 0.5), (0.5, 81 / 82), (1, 1)],
 )
-def test_a_doubtful_contact_is_decided(height, expected):
+def test_uncertain_contact_is_sharpened(height, expected):
     np.testing.assert_allclose(decided([height] * 3), expected, atol=1e-3)
 
 
@@ -180,13 +181,13 @@ def test_lips_part_between_two_contacts():
     # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719
     [(0.95, 0.8541), (0.35, 0.00077 * 0.8719)],
 )
-def test_a_suspected_contact_is_brief(height, share):
+def test_uncertain_contact_is_brief(height, share):
     before, peak, after = decided([0.8 * height, height, 0.8 * height])
     assert peak > 0.8
     assert before == after == pytest.approx(share, rel=0.01)
 
 
-def test_deciding_nothing():
+def test_sharpen_contacts_accepts_no_frames():
     assert decided([]).shape == (0,)
 
 
@@ -211,11 +212,11 @@ def half_open() -> np.ndarray:
     return curves
 
 
-def test_the_mouth_opens_with_a_voice_livelier_than_was_heard_and_contacts_stay():
+def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     curves = half_open()
-    heard = np.full(3, 0.575, np.float32)
+    predicted = np.full(3, 0.575, np.float32)
     strength = np.array([0.575, 0.775, 0.775], np.float32)
-    RULES.scale_opening(curves, strength, heard)
+    RULES.scale_opening(curves, strength, predicted)
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
