@@ -1,0 +1,260 @@
+"""Lips of people as measured on video, and the curves of the embedded head that repeat them.
+
+A folder of measured lips::
+
+    clips.csv         clip, speaker[, words]; words as "bin:0.50-0.74 blue:0.74-0.94" (seconds)
+    columns.json      {"columns": [...]}: names of the measures, `COLUMNS` among them
+    **/<clip>.npz     meas [shape=(n, columns)], int16 in 1e-4 of the distance between the outer
+                      corners of the eyes, -32768 where missing; y points down
+    **/<clip>.opus    the sound, or another audio file of that name; measure i is taken at
+                      (i + .5) / 25 s
+
+People differ in size and in how their lips rest, so measures become displacements from the rest
+of their speaker, in cm of the head (`speaker_rest`). `fit_curves` moves the curves that a model
+predicts as little as is needed for the head's lips to do the same.
+
+Letters: T frames at 30 per second, C controls, M measures (`deitalk.data.head_lips.MEASURES`).
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deitalk.audio.load import FRAME_RATE
+from deitalk.data.head_lips import MEASURES, HeadLips
+from deitalk.errors import DataError
+from rig import ControlSet, limits
+from rig.arrays import Bool, Float32, Float64
+from rig.errors import quoted
+from rig.files.reading import read_json, read_npz
+
+COLUMNS = ("open_in", "jaw", "width_out", "upper_lip_y", "lower_lip_y", "corner_y")
+"""Columns of a measurement, in the order of `MEASURES`."""
+RATE, MISSING, UNIT = 25.0, -32768, 1e-4
+SOUNDS = (".opus", ".wav", ".flac", ".mp3", ".ogg", ".m4a")
+CLOSED_PERCENTILE = 5
+"""Of a speaker's opening: lips that touch."""
+
+LOOSENESS = {
+    "CTRL_C_jaw.ty": 0.5,
+    "upperLipRaise": 0.4,
+    "lowerLipDepress": 0.4,
+    "funnel": 0.4,
+    "purse": 0.4,
+    "stretch.ty": 0.4,
+    "corner.t": 0.4,
+    "cornerPull": 0.4,
+    "cornerDepress": 0.4,
+    "ChinRaise": 0.4,
+    "towards": 0.4,
+    "mouth_press": 0.4,
+    "pushPull": 0.4,
+    "lipsTogether": 0.25,
+}
+"""Controls that `fit_curves` moves, by parts of their names, and how far it readily does."""
+KEPT = ("neck", "tongue", "lipsTowardsTeeth")
+TOLERANCE_CM = (0.02, 0.03, 0.04, 0.03, 0.03, 0.04)
+"""Error of each measure that costs as much as a control moved by its looseness."""
+ITERATIONS = 6
+
+
+@dataclass(frozen=True)
+class LipClip:
+    """One measured recording."""
+
+    name: str
+    speaker: str
+    sound: Path
+    measures: Float32
+    """Displacements from the speaker's rest [shape=(T, M)], cm of a head; NaN where missing."""
+    speaking: Bool
+    """From the first word to the last [shape=(T,)]."""
+
+
+def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
+    """Read a folder of measured lips.
+
+    Parameters
+    ----------
+    folder : Path
+        As described above.
+    eye_distance : float
+        Between the outer corners of the head's eyes, cm.
+
+    Raises
+    ------
+    DataError
+        If a table or a file is missing or damaged, or a column of `COLUMNS` is not measured.
+    """
+    folder = Path(folder)
+    columns = _columns(folder / "columns.json")
+    files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
+    by_speaker: dict[str, list[LipClip]] = {}
+    for name, speaker, (first, last) in _rows(folder / "clips.csv"):
+        track = _track(folder, files, name, columns)
+        times = np.arange(int(len(track) / RATE * FRAME_RATE)) / FRAME_RATE
+        clip = LipClip(
+            name,
+            speaker,
+            _sound(folder, files, name),
+            _at(track, times),
+            (times >= first) & (times <= last),
+        )
+        by_speaker.setdefault(speaker, []).append(clip)
+    return [
+        replace(clip, measures=eye_distance * (clip.measures - rest))
+        for clips in by_speaker.values()
+        for rest in [speaker_rest(clips)]
+        for clip in clips
+    ]
+
+
+def _rows(path: Path) -> Iterator[tuple[str, str, tuple[float, float]]]:
+    """Clip, speaker, start of the first word and end of the last."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            spans = [word.rsplit(":", 1)[1].split("-") for word in (row.get("words") or "").split()]
+            start = float(spans[0][0]) if spans else 0.0
+            yield row["clip"], row["speaker"], (start, float(spans[-1][1]) if spans else np.inf)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path}: cannot be read ({type(error).__name__})") from None
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise DataError(
+            f"{path}: needs the columns clip and speaker, and words as bin:0.50-0.74"
+        ) from None
+
+
+def _columns(path: Path) -> list[int]:
+    """Places of `COLUMNS` among the measures."""
+    tree = read_json(path, limit=limits.MODEL_JSON_BYTES, error=DataError)
+    names = tree.get("columns") if isinstance(tree, dict) else None
+    if not isinstance(names, list):
+        raise DataError(f"{path}: needs a list of names under columns")
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise DataError(f"{path}: lacks the measures {', '.join(missing)}")
+    return [names.index(name) for name in COLUMNS]
+
+
+def _track(folder: Path, files: dict[str, Path], name: str, columns: Sequence[int]) -> Float32:
+    """Measures (n, M) in distances of the eyes, NaN where missing."""
+    path = files.get(f"{name}.npz")
+    if path is None:
+        raise DataError(f"{folder}: no {quoted(name)}.npz below it")
+    track = read_npz(path, limit=limits.MESH_BYTES, error=DataError).get("meas")
+    if track is None or track.dtype != np.int16 or track.ndim != 2 or not len(track):
+        raise DataError(f"{path}: needs meas, int16 of shape (frames, measures)")
+    if track.shape[1] <= max(columns):
+        raise DataError(f"{path}: meas has {track.shape[1]} columns; columns.json names more")
+    chosen = track[:, list(columns)]
+    return np.where(chosen == MISSING, np.nan, chosen * UNIT).astype(np.float32)
+
+
+def _sound(folder: Path, files: dict[str, Path], name: str) -> Path:
+    for suffix in SOUNDS:
+        if name + suffix in files:
+            return files[name + suffix]
+    raise DataError(f"{folder}: no sound of {quoted(name)} below it ({', '.join(SOUNDS)})")
+
+
+def _at(track: Float32, times: Float64) -> Float32:
+    """Measures at seconds; NaN beside missing ones and beyond the ends."""
+    taken = (np.arange(len(track)) + 0.5) / RATE
+    out = np.stack([np.interp(times, taken, column) for column in track.T], axis=1)
+    out[(times < taken[0] - 0.5 / RATE) | (times > taken[-1] + 0.5 / RATE)] = np.nan
+    return out.astype(np.float32)
+
+
+def speaker_rest(clips: Sequence[LipClip]) -> Float32:
+    """Measures of a speaker's lips at rest, closed [shape=(M,)].
+
+    The median of the silent frames whose lips are nearest each other; of the opening, the
+    `CLOSED_PERCENTILE` of all frames.
+
+    Parameters
+    ----------
+    clips : sequence of LipClip
+        All of one speaker, as measured.
+
+    Raises
+    ------
+    DataError
+        If no frame has all measures.
+    """
+    values = np.concatenate([clip.measures for clip in clips])
+    known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        raise DataError(f"speaker {quoted(clips[0].speaker)}: no frame has all lip measures")
+    silent = known & ~np.concatenate([clip.speaking for clip in clips])
+    silent = silent if silent.any() else known
+    closed = silent & (values[:, 0] <= np.median(values[silent, 0]))
+    rest = np.median(values[closed], axis=0)
+    rest[0] = np.percentile(values[known, 0], CLOSED_PERCENTILE)
+    return np.asarray(rest, np.float32)
+
+
+def looseness(controls: ControlSet) -> Tensor:
+    """How far `fit_curves` readily moves every control [shape=(C,)]; 0 keeps it."""
+    return torch.tensor(
+        [
+            0.0
+            if any(part in name for part in KEPT)
+            else next((far for part, far in LOOSENESS.items() if part in name), 0.0)
+            for name in controls.names
+        ]
+    )
+
+
+def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: ControlSet) -> Tensor:
+    """Curves near a prediction whose lips on the head do what was measured.
+
+    Bounded least squares by Gauss-Newton steps: every frame minimises the squared errors of the
+    measures over `TOLERANCE_CM` plus the squared moves of the controls over `LOOSENESS`. Since
+    both sides of the face are measured together, they move alike.
+
+    Parameters
+    ----------
+    prior : Tensor [shape=(T, C)]
+        Predicted curves; what the measures leave open stays as predicted.
+    measures : Tensor [shape=(T, M)]
+        Displacements from rest, cm; rows with NaN leave the frame as predicted.
+    lips : HeadLips
+        The head.
+    controls : ControlSet
+        Columns of `prior`.
+
+    Returns
+    -------
+    Tensor [shape=(T, C)]
+        Within the ranges of the controls.
+    """
+    low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
+    rest = lips(torch.tensor(controls.rest).float())
+    loose = looseness(controls).square()
+    noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
+    known = torch.isfinite(measures).all(dim=1, keepdim=True)
+    wanted = torch.where(known, measures, 0.0)
+    curves = prior
+    for _ in range(ITERATIONS):
+        point = curves.detach().requires_grad_(True)
+        given = lips(point) - rest
+        slope = torch.stack(
+            [
+                torch.autograd.grad(given[:, i].sum(), point, retain_graph=i + 1 < len(MEASURES))[0]
+                for i in range(len(MEASURES))
+            ],
+            dim=1,
+        )  # (T, M, C)
+        missing = wanted - given.detach() + (slope @ (point - prior).detach()[..., None])[..., 0]
+        moved = slope * loose
+        solved = torch.linalg.solve(moved @ slope.transpose(1, 2) + noise, missing)
+        step = (solved[:, None] @ moved)[:, 0] * known
+        curves = (prior + step).clamp(low, high).detach()
+    return curves
