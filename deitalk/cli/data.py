@@ -1,4 +1,4 @@
-"""`deitalk data`: check a dataset folder."""
+"""`deitalk data`: check a dataset folder, or make one of measured lips."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,15 +6,19 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
-from deitalk.cli.console import bar, emit, emit_json
+from deitalk.cli.console import bar, console, emit, emit_json
+from deitalk.cli.options import Force, Most
+from deitalk.cli.paths import reserve_folder
 from rig.errors import as_line
 
-app = CheckedCommands(help="Check a dataset folder.", no_args_is_help=True)
+app = CheckedCommands(
+    help="Check a dataset folder, or make one of measured lips.", no_args_is_help=True
+)
 
 
 @app.callback()
 def _group() -> None:
-    """Check a dataset folder."""
+    """Check a dataset folder, or make one of measured lips."""
 
 
 @app.command()
@@ -47,3 +51,49 @@ def check(
             emit(as_line(f"{c.level:8} {c.name:13} {c.text}"))
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)
+
+
+@app.command()
+def lips(
+    folder: Annotated[Path, typer.Argument(help="Measured lips (docs/dataset.md).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder.")],
+    model: Annotated[
+        str, typer.Option(help="Model that predicts what the measures leave open.")
+    ] = "default",
+    validation: Annotated[
+        list[str] | None, typer.Option(help="Speaker to choose by; may be given several times.")
+    ] = None,
+    test: Annotated[
+        list[str] | None, typer.Option(help="Speaker to test on; may be given several times.")
+    ] = None,
+    most: Most = None,
+    force: Force = False,
+) -> None:
+    """Write measured lips as a dataset folder: curves that repeat them on the embedded head.
+
+    The curves of the model are moved as little as is needed for opening, jaw, width, lips and
+    corners to be those that were measured. Speakers train unless they are named for another split.
+
+    Examples
+    --------
+    deitalk data lips grid_lips/ --validation s02 --test s03 -o lips_data/
+    """
+    reserve_folder(out, kind="dataset", force=force, inputs=(folder,))
+    with console().status("loading"):
+        from deitalk.data.lips.dataset import write_lip_dataset
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
+
+        network = require_model(model, DEITalk)
+    with bar("fitting") as progress:
+        count = write_lip_dataset(
+            folder,
+            out,
+            network,
+            validation=validation or (),
+            test=test or (),
+            most=most,
+            force=force,
+            progress=progress,
+        )
+    emit(as_line(f"{out}: {count} clips"))

@@ -37,6 +37,14 @@ def evaluate(
         bool,
         typer.Option("--transitions", help="Mesh models: only recordings where s meets m, b, p."),
     ] = False,
+    lips: Annotated[
+        Path | None,
+        typer.Option(help="Measured lips of people to score instead of a dataset folder."),
+    ] = None,
+    speaker: Annotated[
+        list[str] | None,
+        typer.Option(help="Of measured lips, only this one; may be given several times."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
     ] = None,
@@ -55,6 +63,8 @@ def evaluate(
     deitalk evaluate runs/mel/best --data corpus/ --most 100 --noise pink -o report.md
 
     deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
+
+    deitalk evaluate default --lips grid_lips/
     """
     if out is not None:
         if out.suffix not in (".md", ".json"):
@@ -65,9 +75,13 @@ def evaluate(
     from deitalk.models.folder import product_of
 
     if product_of(model) == "mesh":
-        _refuse("not for mesh models", noise=noise, captured=captured, picture=picture)
+        _refuse("not for mesh models", noise=noise, captured=captured, picture=picture, lips=lips)
         report, markdown = _score_mesh(model, data, split=split, most=most, transitions=transitions)
+    elif lips is not None:
+        _refuse("not with measured lips", noise=noise, captured=captured, picture=picture)
+        report, markdown = _score_lips(model, lips, speakers=speaker or (), most=most)
     else:
+        _refuse("for measured lips", speaker=speaker)
         _refuse("for mesh models", transitions=transitions or None)
         report, markdown = _score_curves(
             model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
@@ -90,6 +104,19 @@ def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any
         network = require_model(model, DEITalk)
     with bar("evaluating") as progress:
         report = evaluate(network, data, **options, progress=progress)
+    return report, as_markdown(report)
+
+
+def _score_lips(model: str, folder: Path, **options: Any) -> tuple[dict[str, Any], str]:
+    """Report on measured lips, and its Markdown."""
+    with console().status("loading"):
+        from deitalk.evaluation.lips import as_markdown, evaluate_lips
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
+
+        network = require_model(model, DEITalk)
+    with bar("evaluating") as progress:
+        report = evaluate_lips(network, folder, **options, progress=progress)
     return report, as_markdown(report)
 
 

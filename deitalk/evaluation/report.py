@@ -23,22 +23,22 @@ def as_markdown(report: dict[str, Any]) -> str:
         f"Split: {report['split']}. LPE over {report['lpe_set']}; EPE over {report['epe_set']}; "
         "both in squared control units.",
         "",
-        *_table("", report["groups"]),
+        *table("", report["groups"]),
         *_phones(report.get("phones", {})),
         *_emotions(report.get("emotions", {})),
     ]
     if "lively" in report:
         parts += ["", "Takes of raised against lowered prosody of one recording:", ""]
-        parts += _table("", report["lively"])
+        parts += table("", report["lively"])
     if "noise" in report:
-        parts += ["", "In noise:", "", *_table("", report["noise"])]
+        parts += ["", "In noise:", "", *table("", report["noise"])]
     if "captured" in report:
         parts += ["", "Smoothness of the captured curves:", ""]
         parts += [f"- {name}: {_cell(value)}" for name, value in report["captured"].items()]
     return "\n".join(parts) + "\n"
 
 
-def _table(corner: str, columns: dict[str, dict[str, Any]]) -> list[str]:
+def table(corner: str, columns: dict[str, dict[str, Any]]) -> list[str]:
     """Table with a column per key and a row per name of any column."""
     names = list(dict.fromkeys(name for column in columns.values() for name in column))
     rows = [[name, *(column.get(name) for column in columns.values())] for name in names]
@@ -83,7 +83,7 @@ def _emotions(groups: dict[str, Any]) -> list[str]:
             "",
             "Factor on the neutral range of the mouth's opening:",
             "",
-            *_table(
+            *table(
                 "",
                 {
                     "predicted intensity": scores["range"],

@@ -1,4 +1,4 @@
-"""Lips of people as measured on video, and the curves of the embedded head that repeat them.
+"""Folders of lips that were measured on video.
 
 A folder of measured lips::
 
@@ -10,10 +10,9 @@ A folder of measured lips::
                       (i + .5) / 25 s
 
 People differ in size and in how their lips rest, so measures become displacements from the rest
-of their speaker, in cm of the head (`speaker_rest`). `fit_curves` moves the curves that a model
-predicts as little as is needed for the head's lips to do the same.
+of their speaker, in cm of a head (`speaker_rest`).
 
-Letters: T frames at 30 per second, C controls, M measures (`deitalk.data.head_lips.MEASURES`).
+Letters: T frames at 30 per second, M measures (`deitalk.data.lips.head.MEASURES`).
 """
 
 import csv
@@ -22,45 +21,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from deitalk.audio.load import FRAME_RATE
-from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.errors import DataError
-from rig import ControlSet, limits
+from rig import limits
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import quoted
 from rig.files.reading import read_json, read_npz
 
 COLUMNS = ("open_in", "jaw", "width_out", "upper_lip_y", "lower_lip_y", "corner_y")
-"""Columns of a measurement, in the order of `MEASURES`."""
+"""Columns of a measurement, in the order of `deitalk.data.lips.head.MEASURES`."""
 RATE, MISSING, UNIT = 25.0, -32768, 1e-4
 SOUNDS = (".opus", ".wav", ".flac", ".mp3", ".ogg", ".m4a")
 CLOSED_PERCENTILE = 5
 """Of a speaker's opening: lips that touch."""
-
-LOOSENESS = {
-    "CTRL_C_jaw.ty": 0.5,
-    "upperLipRaise": 0.4,
-    "lowerLipDepress": 0.4,
-    "funnel": 0.4,
-    "purse": 0.4,
-    "stretch.ty": 0.4,
-    "corner.t": 0.4,
-    "cornerPull": 0.4,
-    "cornerDepress": 0.4,
-    "ChinRaise": 0.4,
-    "towards": 0.4,
-    "mouth_press": 0.4,
-    "pushPull": 0.4,
-    "lipsTogether": 0.25,
-}
-"""Controls that `fit_curves` moves, by parts of their names, and how far it readily does."""
-KEPT = ("neck", "tongue", "lipsTowardsTeeth")
-TOLERANCE_CM = (0.02, 0.03, 0.04, 0.03, 0.03, 0.04)
-"""Error of each measure that costs as much as a control moved by its looseness."""
-ITERATIONS = 6
 
 
 @dataclass(frozen=True)
@@ -198,63 +172,3 @@ def speaker_rest(clips: Sequence[LipClip]) -> Float32:
     rest = np.median(values[closed], axis=0)
     rest[0] = np.percentile(values[known, 0], CLOSED_PERCENTILE)
     return np.asarray(rest, np.float32)
-
-
-def looseness(controls: ControlSet) -> Tensor:
-    """How far `fit_curves` readily moves every control [shape=(C,)]; 0 keeps it."""
-    return torch.tensor(
-        [
-            0.0
-            if any(part in name for part in KEPT)
-            else next((far for part, far in LOOSENESS.items() if part in name), 0.0)
-            for name in controls.names
-        ]
-    )
-
-
-def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: ControlSet) -> Tensor:
-    """Curves near a prediction whose lips on the head do what was measured.
-
-    Bounded least squares by Gauss-Newton steps: every frame minimises the squared errors of the
-    measures over `TOLERANCE_CM` plus the squared moves of the controls over `LOOSENESS`. Since
-    both sides of the face are measured together, they move alike.
-
-    Parameters
-    ----------
-    prior : Tensor [shape=(T, C)]
-        Predicted curves; what the measures leave open stays as predicted.
-    measures : Tensor [shape=(T, M)]
-        Displacements from rest, cm; rows with NaN leave the frame as predicted.
-    lips : HeadLips
-        The head.
-    controls : ControlSet
-        Columns of `prior`.
-
-    Returns
-    -------
-    Tensor [shape=(T, C)]
-        Within the ranges of the controls.
-    """
-    low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    rest = lips(torch.tensor(controls.rest).float())
-    loose = looseness(controls).square()
-    noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
-    known = torch.isfinite(measures).all(dim=1, keepdim=True)
-    wanted = torch.where(known, measures, 0.0)
-    curves = prior
-    for _ in range(ITERATIONS):
-        point = curves.detach().requires_grad_(True)
-        given = lips(point) - rest
-        slope = torch.stack(
-            [
-                torch.autograd.grad(given[:, i].sum(), point, retain_graph=i + 1 < len(MEASURES))[0]
-                for i in range(len(MEASURES))
-            ],
-            dim=1,
-        )  # (T, M, C)
-        missing = wanted - given.detach() + (slope @ (point - prior).detach()[..., None])[..., 0]
-        moved = slope * loose
-        solved = torch.linalg.solve(moved @ slope.transpose(1, 2) + noise, missing)
-        step = (solved[:, None] @ moved)[:, 0] * known
-        curves = (prior + step).clamp(low, high).detach()
-    return curves

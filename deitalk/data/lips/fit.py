@@ -1,0 +1,129 @@
+"""Curves whose lips do on the head what was measured on people.
+
+Letters: T frames at 30 per second, C controls, M measures.
+"""
+
+import torch
+from torch import Tensor
+
+from deitalk.audio.load import Recording
+from deitalk.audio.voice_activity import normalise_level
+from deitalk.data.lips.head import MEASURES, HeadLips
+from deitalk.emotions import EMOTIONS
+from deitalk.models.curve_model import DEITalk
+from rig import ControlSet
+
+LOOSENESS = {
+    "CTRL_C_jaw.ty": 0.5,
+    "upperLipRaise": 0.4,
+    "lowerLipDepress": 0.4,
+    "funnel": 0.4,
+    "purse": 0.4,
+    "stretch.ty": 0.4,
+    "corner.t": 0.4,
+    "cornerPull": 0.4,
+    "cornerDepress": 0.4,
+    "ChinRaise": 0.4,
+    "towards": 0.4,
+    "mouth_press": 0.4,
+    "pushPull": 0.4,
+    "lipsTogether": 0.25,
+}
+"""Controls that `fit_curves` moves, by parts of their names, and how far it readily does."""
+KEPT = ("neck", "tongue", "lipsTowardsTeeth")
+TOLERANCE_CM = (0.02, 0.03, 0.04, 0.03, 0.03, 0.04)
+"""Error of each measure that costs as much as a control moved by its looseness."""
+ITERATIONS = 8
+
+
+@torch.no_grad()
+def network_curves(model: DEITalk, recording: Recording, emotion: str = "neutral") -> Tensor:
+    """Curves of the network alone, no rule applied, within the ranges of the controls.
+
+    Parameters
+    ----------
+    model : DEITalk
+        In evaluation mode.
+    recording : Recording
+        What is said.
+    emotion : str
+        One of `deitalk.emotions.EMOTIONS`.
+
+    Returns
+    -------
+    Tensor [shape=(T, C)]
+    """
+    sound = torch.from_numpy(normalise_level(recording.waveform))
+    controls = model.controls
+    low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
+    curves = model.predict(sound, recording.n_frames, EMOTIONS.index(emotion))
+    return curves.clamp(low, high).float()
+
+
+def looseness(controls: ControlSet) -> Tensor:
+    """How far `fit_curves` readily moves every control [shape=(C,)]; 0 keeps it."""
+    return torch.tensor(
+        [
+            0.0
+            if any(part in name for part in KEPT)
+            else next((far for part, far in LOOSENESS.items() if part in name), 0.0)
+            for name in controls.names
+        ]
+    )
+
+
+def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: ControlSet) -> Tensor:
+    """Curves near a prediction whose lips on the head do what was measured.
+
+    Bounded least squares by Gauss-Newton steps: every frame minimises the squared errors of the
+    measures over `TOLERANCE_CM` plus the squared moves of the controls over `LOOSENESS`. Since
+    both sides of the face are measured together, they move alike.
+
+    Parameters
+    ----------
+    prior : Tensor [shape=(T, C)]
+        Predicted curves; what the measures leave open stays as predicted.
+    measures : Tensor [shape=(T, M)]
+        Displacements from rest, cm; rows with NaN leave the frame as predicted.
+    lips : HeadLips
+        The head.
+    controls : ControlSet
+        Columns of `prior`.
+
+    Returns
+    -------
+    Tensor [shape=(T, C)]
+        Within the ranges of the controls.
+    """
+    low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
+    rest = lips(torch.tensor(controls.rest).float())
+    loose = looseness(controls).square()
+    noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
+    known = torch.isfinite(measures).all(dim=1, keepdim=True)
+    wanted = torch.where(known, measures, 0.0)
+    curves, free = prior, torch.ones_like(prior)
+    for _ in range(ITERATIONS):
+        given, slope = _linearised(lips, curves)
+        slope = slope * free[:, None]
+        back = (slope @ (curves - prior)[..., None])[..., 0]
+        moved = slope * loose
+        solved = torch.linalg.solve(
+            moved @ slope.transpose(1, 2) + noise, wanted - (given - rest) + back
+        )
+        step = (solved[:, None] @ moved)[:, 0]
+        aim = torch.where(free > 0, prior + step * known, curves)
+        curves = aim.clamp(low, high)
+        free = free * (aim == curves)  # a control at the end of its range stays; others make up
+    return curves
+
+
+def _linearised(lips: HeadLips, curves: Tensor) -> tuple[Tensor, Tensor]:
+    """Measures (T, M) of curves, and their slopes (T, M, C)."""
+    with torch.enable_grad():
+        point = curves.detach().requires_grad_(True)
+        given = lips(point)
+        slopes = [
+            torch.autograd.grad(given[:, i].sum(), point, retain_graph=i + 1 < len(MEASURES))[0]
+            for i in range(len(MEASURES))
+        ]
+    return given.detach(), torch.stack(slopes, dim=1)

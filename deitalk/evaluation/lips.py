@@ -1,0 +1,157 @@
+"""Predicted lips against lips of people: ``deitalk evaluate MODEL --lips FOLDER``.
+
+Every recording is read in the neutral emotion; the curves move the embedded head, whose lip
+measures (`deitalk.data.lips.head`) are compared with those of the speaker while he speaks. Three
+predictions are scored: the network alone, the curves as `deitalk.animate` returns them, and the
+level of the recording as a baseline. No label is made by a rule of ours.
+
+Letters: T frames at 30 per second, M measures.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deitalk.audio.load import load_audio
+from deitalk.data.lips.fit import network_curves
+from deitalk.data.lips.head import MEASURES, HeadLips
+from deitalk.data.lips.measured import LipClip, read_lips
+from deitalk.errors import DataError
+from deitalk.evaluation.curves import loudness
+from deitalk.evaluation.report import table
+from deitalk.metrics import correlation
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import animate
+from rig.arrays import Float32
+from rig.face.head import build_head
+
+PREDICTIONS = ("network", "animated", "loudness")
+LOW, HIGH = 5, 95
+"""Percentiles between which a range is measured."""
+
+
+def evaluate_lips(
+    model: DEITalk,
+    folder: Path,
+    *,
+    speakers: Sequence[str] = (),
+    most: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Any]:
+    """Score a model on measured lips.
+
+    Parameters
+    ----------
+    model : DEITalk
+        In evaluation mode.
+    folder : Path
+        Measured lips (`deitalk.data.lips.measured`).
+    speakers : sequence of str
+        Only these; all if empty.
+    most : int or None
+        At most so many recordings of every speaker, evenly spread.
+    progress : callable
+        Given the share done.
+
+    Returns
+    -------
+    dict
+        Of every prediction, and speaker or ``mean`` (all speakers alike): ``r`` of each measure
+        (mean over recordings), and for predicted curves ``range`` (5th to 95th percentile) and
+        ``speed`` (mean absolute velocity) over those measured.
+
+    Raises
+    ------
+    DataError
+        If the folder is not as described, or a speaker is not in it.
+    """
+    lips = HeadLips(build_head())
+    groups = _spread(read_lips(folder, lips.eye_distance), speakers, most, folder)
+    total = sum(map(len, groups.values()))
+    report: dict[str, Any] = {name: {} for name in PREDICTIONS}
+    done = 0
+    for speaker, clips in groups.items():
+        pairs: dict[str, list[tuple[Float32, Float32]]] = {name: [] for name in PREDICTIONS}
+        for clip in clips:
+            known = clip.speaking & np.isfinite(clip.measures).all(axis=1)
+            for name, given in _predictions(model, lips, clip).items():
+                n = min(len(given), len(known))
+                pairs[name].append((given[:n][known[:n]], clip.measures[:n][known[:n]]))
+            done += 1
+            progress(done / total)
+        for name in PREDICTIONS:
+            report[name][speaker] = _scores(pairs[name], ranges=name != "loudness")
+    for name in PREDICTIONS:
+        report[name]["mean"] = _mean(list(report[name].values()))
+    return report
+
+
+def _spread(
+    clips: Sequence[LipClip], speakers: Sequence[str], most: int | None, folder: Path
+) -> dict[str, list[LipClip]]:
+    """Recordings of every chosen speaker."""
+    groups: dict[str, list[LipClip]] = {}
+    for clip in clips:
+        groups.setdefault(clip.speaker, []).append(clip)
+    unknown = [name for name in speakers if name not in groups]
+    if unknown:
+        raise DataError(f"{folder}: no speaker {unknown[0]!r}; has {', '.join(sorted(groups))}")
+    for name, group in groups.items():
+        count = len(group) if most is None else min(most, len(group))
+        groups[name] = [group[i] for i in np.linspace(0, len(group) - 1, count).round().astype(int)]
+    return {name: groups[name] for name in speakers or sorted(groups)}
+
+
+@torch.no_grad()
+def _predictions(model: DEITalk, lips: HeadLips, clip: LipClip) -> dict[str, Float32]:
+    """Measures [shape=(T, M)] by every prediction."""
+    recording = load_audio(clip.sound)
+    level = loudness(recording.waveform, recording.n_frames)
+    animated = animate(recording, "neutral", model=model, idle=False).curves.values
+    return {
+        "network": lips(network_curves(model, recording)).numpy(),
+        "animated": lips(torch.tensor(animated)).numpy(),
+        "loudness": np.repeat(level[:, None], len(MEASURES), axis=1),
+    }
+
+
+def _scores(pairs: Sequence[tuple[Float32, Float32]], *, ranges: bool) -> dict[str, Any]:
+    """Scores of one speaker."""
+    out: dict[str, Any] = {"clips": len(pairs)}
+    for i, name in enumerate(MEASURES):
+        each = [correlation(a[:, i], b[:, i]) for a, b in pairs]
+        finite = [r for r in each if np.isfinite(r)]
+        out[f"{name} r"] = float(np.mean(finite)) if finite else float("nan")
+    if ranges:
+        given, wanted = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+        reach = [np.subtract(*np.percentile(x, (HIGH, LOW), axis=0)) for x in (given, wanted)]
+        speed = [
+            np.mean([np.abs(np.diff(pair[i], axis=0)).mean(axis=0) for pair in pairs], axis=0)
+            for i in range(2)
+        ]
+        for i, name in enumerate(MEASURES):
+            out[f"{name} range"] = _ratio(reach[0][i], reach[1][i])
+            out[f"{name} speed"] = _ratio(speed[0][i], speed[1][i])
+    return out
+
+
+def _ratio(given: float, measured: float) -> float:
+    """NaN where the measured lips do not move."""
+    return float(given / measured) if measured > 0 else float("nan")
+
+
+def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Means over speakers; the number of recordings is added up."""
+    out: dict[str, Any] = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    return out | {"clips": sum(row["clips"] for row in rows)}
+
+
+def as_markdown(report: dict[str, Any]) -> str:
+    """A table for each prediction; columns are speakers."""
+    parts: list[str] = []
+    for name in PREDICTIONS:
+        parts += [f"Measured lips, {name}:", "", *table("", report[name]), ""]
+    return "\n".join(parts)

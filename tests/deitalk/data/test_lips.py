@@ -1,0 +1,309 @@
+"""Measured lips: the head's measures, the reader, fitted curves and the dataset folder."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import soundfile as sf
+import torch
+
+from deitalk.data.checks import check_dataset
+from deitalk.data.clips import read_clips
+from deitalk.data.lips.dataset import write_lip_dataset
+from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
+from deitalk.data.lips.head import MEASURES, HeadLips
+from deitalk.data.lips.measured import COLUMNS, read_lips
+from deitalk.errors import DataError
+from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
+from deitalk.models.checkpoint import load_model
+from rig import default_controls, read_curves
+from rig.errors import ExistsError
+from rig.face.geometry.topology import MOUTH
+from rig.face.head import build_head
+from rig.retarget.source_head import head_landmarks
+
+CONTROLS = default_controls()
+PLACE = {name: i for i, name in enumerate(CONTROLS.names)}
+REST = torch.tensor(CONTROLS.rest).float()
+
+
+@pytest.fixture(scope="module", params=[0, 2])
+def head(request):
+    return build_head(request.param)
+
+
+@pytest.fixture(scope="module")
+def lips():
+    return HeadLips(build_head())
+
+
+def posed(**values: float) -> torch.Tensor:
+    """Rest but for some controls; ``_`` stands for both sides."""
+    curves = REST.clone()
+    for name, value in values.items():
+        for i, control in enumerate(CONTROLS.names):
+            if name in control:
+                curves[i] = value
+    return curves
+
+
+def measured_on_mesh(head, values):
+    """The six measures from the vertices of the posed head."""
+    vertices = head.pose(values)[:, head.slices["skin"]]
+    marks, rim = head_landmarks(head), head.features.loop(MOUTH, 0)
+    half = len(rim) // 2
+    slots = np.arange(1, half)
+    middle = slots[np.abs(np.cos(slots / len(rim) * 2 * np.pi)) <= 0.5]
+    upper = vertices[:, rim[middle]].mean(axis=1)
+    lower = vertices[:, rim[len(rim) - middle]].mean(axis=1)
+    nose, chin, left, right = (
+        vertices[:, marks[n]]
+        for n in ("nose_base", "chin", "mouth_corner_left", "mouth_corner_right")
+    )
+    return np.stack(
+        [
+            upper[:, 1] - lower[:, 1],
+            np.linalg.norm(chin - nose, axis=1),
+            np.linalg.norm(left - right, axis=1),
+            nose[:, 1] - upper[:, 1],
+            nose[:, 1] - lower[:, 1],
+            nose[:, 1] - (left[:, 1] + right[:, 1]) / 2,
+        ],
+        axis=1,
+    )
+
+
+def test_measures_are_those_of_the_posed_head(head, rng):
+    names = [n for n in CONTROLS.names if ("mouth" in n or "jaw" in n) and "openExtreme" not in n]
+    values = np.tile(CONTROLS.rest, (40, 1))
+    for row in values[1:]:  # three controls at once, as speech and expression mix them
+        for name in rng.choice(names, 3, replace=False):
+            low, high = CONTROLS.minimum[PLACE[name]], CONTROLS.maximum[PLACE[name]]
+            row[PLACE[name]] = rng.uniform(low, high)
+        row[PLACE["CTRL_C_jaw.ty"]] = rng.uniform(0, 0.6)
+    given = HeadLips(head)(torch.from_numpy(values).float()).numpy()
+    error = np.abs(given - measured_on_mesh(head, values))
+    assert np.median(error, axis=0).max() < 0.002  # cm; teeth push lips forward, not up
+    assert np.quantile(error, 0.9, axis=0).max() < 0.05
+
+
+def test_measures_follow_the_anatomy(lips):
+    rest, given = lips(REST), dict(zip(MEASURES, range(6), strict=True))
+    change = {
+        name: (lips(curves) - rest).tolist()
+        for name, curves in {
+            "jaw": posed(**{"C_jaw.ty": 0.5}),
+            "together": posed(**{"C_jaw.ty": 0.5, "lipsTogether": 1.0}),
+            "wide": posed(**{"mouth_stretch.ty": 1.0}),
+            "purse": posed(purse=1.0),
+            "smile": posed(cornerPull=1.0),
+            "raise": posed(upperLipRaise=1.0),
+        }.items()
+    }
+    assert change["jaw"][given["opening"]] > 0.5 and change["jaw"][given["jaw"]] > 0.5
+    shut = posed(**{"C_jaw.ty": 0.5, "lipsTogether": 1.0})
+    assert abs(lips(shut)[given["opening"]]) < 1e-4
+    assert change["together"][given["jaw"]] == pytest.approx(change["jaw"][given["jaw"]], abs=1e-4)
+    assert change["wide"][given["width"]] > 0.2 > -0.2 > change["purse"][given["width"]]
+    assert change["smile"][given["corner"]] < -0.1  # a smaller distance below the nose
+    assert change["raise"][given["upper_lip"]] < -0.1
+
+
+def test_gradient_agrees_with_finite_differences(lips):
+    point = posed(**{"C_jaw.ty": 0.3, "lipsTogether": 0.4, "funnel": 0.3}).double()
+    exact = lips.double()
+    names = ["CTRL_C_jaw.ty", "CTRL_L_mouth_lipsTogetherU.ty", "CTRL_R_mouth_funnelU.ty"]
+    slope = torch.autograd.functional.jacobian(exact, point)
+    for name in names:
+        step = torch.zeros_like(point)
+        step[PLACE[name]] = 1e-5
+        difference = (exact(point + step) - exact(point - step)) / 2e-5
+        torch.testing.assert_close(slope[:, PLACE[name]], difference, atol=1e-5, rtol=1e-4)
+    lips.float()
+
+
+def test_fitted_curves_give_the_measured_lips_back(lips, rng):
+    truth = REST.repeat(30, 1)
+    for name, top in (("CTRL_C_jaw.ty", 0.5), ("upperLipRaise", 0.4), ("stretch.ty", 0.4)):
+        swing = torch.from_numpy(rng.uniform(0, top, 30)).float()
+        for i, control in enumerate(CONTROLS.names):
+            if name in control:
+                truth[:, i] = swing
+    wanted = lips(truth) - lips(REST)
+    wanted[7] = torch.nan
+    prior = REST.repeat(30, 1)
+    curves = fit_curves(prior, wanted, lips, CONTROLS)
+    given = lips(curves) - lips(REST)
+    known = torch.isfinite(wanted).all(dim=1)
+    assert (given - wanted)[known].abs().max() < 0.08  # cm, of openings up to 1.6
+    assert (given - wanted)[known].abs().mean() < 0.02
+    torch.testing.assert_close(curves[7], prior[7])
+    moved = (curves - prior).abs().amax(dim=0) > 0
+    assert not moved[looseness(CONTROLS) == 0].any()
+    assert (curves >= torch.tensor(CONTROLS.minimum)).all()
+    assert (curves <= torch.tensor(CONTROLS.maximum)).all()
+    for name in CONTROLS.names:  # the measures do not tell the sides apart
+        if name.startswith("CTRL_L_mouth"):
+            left, right = PLACE[name], PLACE[name.replace("CTRL_L", "CTRL_R")]
+            torch.testing.assert_close(curves[:, left], curves[:, right], atol=2e-3, rtol=0)
+
+
+def test_prediction_that_fits_stays(lips):
+    prior = posed(**{"C_jaw.ty": 0.4, "funnel": 0.3}).repeat(5, 1)
+    curves = fit_curves(prior, lips(prior) - lips(REST), lips, CONTROLS)
+    torch.testing.assert_close(curves, prior, atol=1e-4, rtol=0)
+
+
+def test_every_loose_part_names_a_control():
+    for part in LOOSENESS:
+        assert any(part in name for name in CONTROLS.names), part
+
+
+# the folder of measured lips
+
+
+def write_measured(folder, openings, *, rate=16000, seconds=2.0):
+    """Speakers whose lower lip and jaw go down with a given opening (distances of the eyes)."""
+    (folder / "video").mkdir(parents=True)
+    (folder / "columns.json").write_text(json.dumps({"columns": ["x", *COLUMNS]}))
+    rows = ["clip,speaker,words"]
+    noise = np.random.default_rng(0).normal(0, 0.1, int(seconds * rate))
+    for name, (speaker, opening) in openings.items():
+        table = np.zeros((int(seconds * 25), 7))
+        table[:, 1] = opening
+        table[:, 2:] = (0.8, 0.55, 0.8, 0.85, 0.82)
+        table[:, 2] += 0.6 * opening
+        table[:, 5] += opening
+        np.savez(folder / "video" / f"{name}.npz", meas=np.round(table * 1e4).astype(np.int16))
+        sf.write(folder / "video" / f"{name}.wav", noise, rate)
+        rows.append(f"{name},{speaker},one:0.50-0.90 two:0.90-1.50")
+    (folder / "clips.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.fixture
+def measured(tmp_path):
+    wave = 0.05 * (1 - np.cos(np.arange(50) / 25 * 2 * np.pi))  # closed at 0, 1 and 2 s
+    return write_measured(
+        tmp_path / "lips", {"a": ("one", wave), "b": ("one", wave), "c": ("two", wave + 0.01)}
+    )
+
+
+def test_measures_are_displacements_from_rest_at_30_frames(measured):
+    clips = {clip.name: clip for clip in read_lips(measured, 9.0)}
+    assert [clips[n].speaker for n in "abc"] == ["one", "one", "two"]
+    for clip in clips.values():
+        assert clip.measures.shape == (60, 6)
+        times = np.arange(60) / 30
+        assert (clip.speaking == ((times >= 0.5) & (times <= 1.5))).all()
+        expected = 9 * 0.05 * (1 - np.cos((times * 25 - 0.5) / 25 * 2 * np.pi))
+        inside = slice(2, 58)
+        lowest = np.percentile(9 * 0.05 * (1 - np.cos(np.arange(50) / 25 * 2 * np.pi)), 5)
+        np.testing.assert_allclose(
+            clip.measures[inside, 0], expected[inside] - lowest, atol=0.015
+        )  # the speaker's own zero is taken off, and time is right to a few milliseconds
+        np.testing.assert_allclose(clip.measures[inside, 2:4], 0, atol=1e-5)
+        np.testing.assert_allclose(clip.measures[inside, 5], 0, atol=1e-5)
+        down = np.diff(clip.measures[inside], axis=0)
+        np.testing.assert_allclose(down[:, 4], down[:, 0], atol=0.002)
+        np.testing.assert_allclose(down[:, 1], 0.6 * down[:, 0], atol=0.002)
+
+
+def test_missing_measures_are_nan(measured):
+    path = measured / "video" / "a.npz"
+    table = np.load(path)["meas"]
+    table[20, 3] = -32768
+    np.savez(path, meas=table)
+    clip = read_lips(measured, 9.0)[0]
+    known = np.isfinite(clip.measures)
+    assert not known[round(20.5 / 25 * 30), 2] and known[:, 0].mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda f: (f / "clips.csv").unlink(), "clips.csv"),
+        (lambda f: (f / "clips.csv").write_text("name\nx\n"), "needs the columns clip and speaker"),
+        (lambda f: (f / "clips.csv").write_text("clip,speaker,words\na,b,one\n"), "words as"),
+        (lambda f: (f / "columns.json").write_text('{"columns": ["jaw"]}'), "lacks the measures"),
+        (lambda f: (f / "columns.json").write_text("[]"), "list of names under columns"),
+        (lambda f: (f / "video" / "a.npz").unlink(), "'a'.npz"),
+        (lambda f: (f / "video" / "a.npz").write_bytes(b"PK"), "a.npz"),
+        (lambda f: np.savez(f / "video" / "a.npz", meas=np.zeros((5, 7))), "int16"),
+        (lambda f: np.savez(f / "video" / "a.npz", meas=np.zeros((5, 2), np.int16)), "2 columns"),
+        (lambda f: (f / "video" / "a.wav").unlink(), "no sound of 'a'"),
+        (lambda f: np.savez(f / "video" / "c.npz", meas=np.full((9, 7), -32768, np.int16)), "'two'"),
+    ],
+)  # fmt: skip
+def test_read_lips_rejects_damaged_folders(measured, damage, words):
+    damage(measured)
+    with pytest.raises(DataError) as error:
+        read_lips(measured, 9.0)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips):
+    out = tmp_path / "data"
+    model = load_model("default")
+    assert write_lip_dataset(measured, out, model, validation=["two"], most=1) == 2
+    clips = {clip.name: clip for clip in read_clips(out)}
+    assert {n: (c.speaker, c.split, c.emotion) for n, c in clips.items()} == {
+        "a": ("lips:one", "train", "neutral"),
+        "c": ("lips:two", "validation", "neutral"),
+    }
+    assert not [c for c in check_dataset(out) if c.level == "error" and c.name != "emotions"]
+    wanted = next(c for c in read_lips(measured, lips.eye_distance) if c.name == "a")
+    curves = torch.tensor(read_curves(clips["a"].curves).values)
+    given = (lips(curves) - lips(REST))[:, 0].numpy()
+    known = np.isfinite(wanted.measures[:, 0])
+    assert np.abs(given - wanted.measures[:, 0])[known].max() < 0.1
+    with pytest.raises(ExistsError):
+        write_lip_dataset(measured, out, model)
+    with pytest.raises(DataError, match="no speaker 'x'"):
+        write_lip_dataset(measured, tmp_path / "new", model, test=["x"])
+    assert not (tmp_path / "new").exists()
+
+
+# scores
+
+
+def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatch, lips):
+    """A prediction that moves the head as was measured has r and ratios of 1."""
+    from deitalk.evaluation import lips as scoring
+
+    clips = {clip.sound: clip for clip in read_lips(measured, lips.eye_distance)}
+    monkeypatch.setattr(
+        scoring,
+        "_predictions",
+        lambda model, lips, clip: {
+            "network": clips[clip.sound].measures * 1.0,
+            "animated": clips[clip.sound].measures * 0.5,
+            "loudness": -clips[clip.sound].measures,
+        },
+    )
+    shutil.copy(measured / "video" / "a.wav", measured / "video" / "b.wav")
+    report = evaluate_lips(None, measured)
+    assert set(report) == set(PREDICTIONS)
+    assert set(report["network"]) == {"one", "two", "mean"}
+    for speaker in report["network"]:
+        assert np.isnan(report["network"][speaker]["width r"])  # does not move
+        assert report["network"][speaker]["opening r"] == pytest.approx(1)
+        assert report["network"][speaker]["opening range"] == pytest.approx(1)
+        assert report["animated"][speaker]["opening range"] == pytest.approx(0.5)
+        assert report["animated"][speaker]["opening speed"] == pytest.approx(0.5)
+        assert report["loudness"][speaker]["opening r"] == pytest.approx(-1)
+    assert report["network"]["mean"]["clips"] == 3
+    assert "opening r" in as_markdown(report)
+    with pytest.raises(DataError, match="no speaker 'x'"):
+        evaluate_lips(None, measured, speakers=["x"])
+
+
+def test_model_follows_real_lips_better_than_loudness_does(shared):
+    folder = shared / "data" / "lips"
+    if not folder.is_dir():
+        pytest.skip("needs the measured lips in ../shared")
+    report = evaluate_lips(load_model("default"), folder, speakers=["s30", "s32"], most=5)
+    for measure in ("opening", "jaw", "lower_lip"):
+        ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
+        assert ours > level + 0.1 and ours > 0.4
