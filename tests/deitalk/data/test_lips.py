@@ -16,7 +16,8 @@ from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import COLUMNS, read_lips
 from deitalk.errors import DataError
 from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
-from deitalk.models.checkpoint import load_model
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
 from rig import default_controls, read_curves
 from rig.errors import ExistsError
 from rig.face.geometry.topology import MOUTH
@@ -245,7 +246,7 @@ def test_read_lips_rejects_damaged_folders(measured, damage, words):
 
 def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips):
     out = tmp_path / "data"
-    model = load_model("default")
+    model = require_model("default", DEITalk)
     assert write_lip_dataset(measured, out, model, validation=["two"], most=1) == 2
     clips = {clip.name: clip for clip in read_clips(out)}
     assert {n: (c.speaker, c.split, c.emotion) for n, c in clips.items()} == {
@@ -303,7 +304,9 @@ def test_model_follows_real_lips_better_than_loudness_does(shared):
     folder = shared / "data" / "lips"
     if not folder.is_dir():
         pytest.skip("needs the measured lips in ../shared")
-    report = evaluate_lips(load_model("default"), folder, speakers=["s30", "s32"], most=5)
+    report = evaluate_lips(
+        require_model("default", DEITalk), folder, speakers=["s30", "s32"], most=5
+    )
     for measure in ("opening", "jaw", "lower_lip"):
         ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
         assert ours > level + 0.1 and ours > 0.4
