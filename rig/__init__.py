@@ -1,4 +1,4 @@
-"""What a face is: controls, curves, formats, meshes. No torch, no audio, no HTTP."""
+"""Faces: controls, curves, formats and meshes. No torch, no audio, no HTTP."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,4 +1,4 @@
-"""Array types of the project, named by their numbers; shapes are in the docstrings."""
+"""Types of arrays by the type of their numbers; shapes are in the docstrings."""
 
 from typing import TypeAlias
 

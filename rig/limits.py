@@ -1,8 +1,7 @@
-"""Every limit on what is read: files, clips, meshes, models. No limit is set anywhere else.
+"""Limits of everything that is read: files, clips, meshes, models.
 
-A reader checks a limit before it allocates or loops, so that a small or hostile file costs little
-time and memory; an honest file far below the limits never meets them. ``docs/limits.md`` lists
-them all.
+A reader checks a limit before it allocates or loops, so that a small or hostile file takes little
+time and memory. ``docs/limits.md`` lists all limits.
 """
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
@@ -121,13 +120,13 @@ QUOTED_CHARACTERS = 60
 # Networks
 
 PARAMETERS = 500_000_000
-"""Numbers a network learns; wav2vec 2.0 large has 317 million."""
+"""Parameters of a network; wav2vec 2.0 large has 317 million."""
 WIDTH = 8192
 """Channels, features or units of one layer; wav2vec 2.0 large has 4096."""
 LAYERS = 32
 """Layers of one stack; wav2vec 2.0 large has 24."""
 MOTION_LAYERS = 10
-"""Layers of the motion encoder: each doubles the dilation, the tenth sees 512 frames apart."""
+"""Layers of the motion encoder: each doubles the dilation, that of the tenth is 512 frames."""
 RECURRENT_LAYERS = 8
 """Layers of one BiLSTM, and BiLSTMs along rig frames."""
 KERNEL = 255
@@ -141,9 +140,9 @@ WINDOW_SECONDS = 1.0
 SPECTRA_PER_SECOND = 1000.0
 """Rate of spectra; every spectrum is computed."""
 WINDOW_FRAMES = 1024
-"""Spectra that one frame's attention or convolution sees."""
+"""Spectra within one frame's attention or convolution."""
 PHASES = 8
-"""Times that a clip is heard; each costs the whole work of the frontend."""
+"""Passes of a frontend over a clip; each takes its whole time."""
 SALIENCY_FRAMES = 1800
 """Frames that an embedding is pooled over: one minute; the work grows with it."""
 TRAINING_FRAMES = 36_000

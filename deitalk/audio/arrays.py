@@ -1,6 +1,6 @@
-"""Recordings out of arrays of samples, and out of whatever else `deitalk.animate` is given.
+"""Recordings from arrays of samples, and from every other input of `deitalk.animate`.
 
-Legend: S samples per channel at the array's rate, C channels.
+Letters: S samples per channel at the array's rate, C channels.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 MOST_CHANNELS = 64
-"""An array of more columns has its axes the other way round."""
+"""Most columns of an array; with more, its axes are transposed."""
 _FULL_SCALE = {"int8": 2.0**7, "uint8": 2.0**7, "int16": 2.0**15, "int32": 2.0**31}
 _FLOATS = ("float16", "float32", "float64")
 
@@ -27,31 +27,31 @@ Audio: TypeAlias = "str | Path | bytes | IO[bytes] | Recording | npt.NDArray[Any
 
 
 def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
-    """Return a recording of anything that holds sound.
+    """Return a recording from a file, a stream, an array or a tensor.
 
     Parameters
     ----------
     audio : path, bytes, file object, Recording, array or tensor
         See `deitalk.audio.load.load_audio` and `recording_from_array`.
     sample_rate : float, optional
-        Hz, of an array or a tensor, which need it; nothing else takes it.
+        Hz; required for an array or a tensor, not allowed for anything else.
 
     Raises
     ------
     AudioError
-        As either of them, and for a rate that is missing or too much.
+        As raised by either of them, or if `sample_rate` is missing or not allowed.
     """
     if _is_array(audio):
         if sample_rate is None:
             raise AudioError(
-                f"an array does not say its rate; pass sample_rate in Hz with the "
+                f"an array holds no sample rate; pass sample_rate in Hz with the "
                 f"{type(audio).__name__}"
             )
         return recording_from_array(audio, sample_rate)  # type: ignore[arg-type]
     if sample_rate is not None:
         raise AudioError(
             f"sample_rate={sample_rate!r} belongs to an array of samples; leave it out, a "
-            f"{type(audio).__name__} says its own"
+            f"{type(audio).__name__} has its own"
         )
     return audio if isinstance(audio, Recording) else load_audio(audio)  # type: ignore[arg-type]
 
@@ -72,7 +72,7 @@ def recording_from_array(
     sample_rate : float
         A whole number of Hz, 4,000 to 768,000.
     name : str
-        What to call it in messages and in a take.
+        Name of the recording in messages and in a take.
     max_seconds : float
         Longer recordings are refused.
 
@@ -83,8 +83,8 @@ def recording_from_array(
     Raises
     ------
     AudioError
-        Another shape or type, a rate that is no whole number or out of range, samples that are
-        not finite, none at all, or too many.
+        If the shape, the type or the rate is not one of these, or if there are no samples, too
+        many, or samples that are not finite.
     """
     array = _array(samples)
     if array.ndim == 1:
@@ -112,7 +112,7 @@ def _rate(sample_rate: float) -> int:
 
 
 def _array(samples: Any) -> npt.NDArray[Any]:
-    """The samples as they are, on the CPU; only types whose full scale is known."""
+    """The unscaled samples on the CPU; only types whose full scale is known."""
     if hasattr(samples, "detach"):  # a tensor
         samples = samples.detach().cpu()
         if samples.is_floating_point():

@@ -1,9 +1,9 @@
-"""Sound out of a file: libsndfile for what it reads, FFmpeg's libraries (PyAV) for the rest.
+"""Sound from a file: libsndfile for the formats it supports, FFmpeg's libraries (PyAV) otherwise.
 
-The first bytes decide who reads. FFmpeg gets the bytes through a Python file, one demuxer chosen
-here, a list of audio decoders, and no way to open anything else: a playlist reads no other file.
+The decoder is chosen by the first bytes. FFmpeg reads through a Python file, with one demuxer
+chosen here and a list of audio decoders, and cannot open another file, as a playlist would.
 
-Legend: N samples at the file's rate, C channels.
+Letters: n samples of a block at the file's rate, C channels.
 """
 
 import io
@@ -49,11 +49,11 @@ class SoundSource(Protocol):
     rate, channels : int
         Hz and C.
     promised : int
-        Samples per channel that the header announces; 0 where it does not.
+        Samples per channel according to the header; 0 where it holds no length.
     slack : int
-        The announcement may be off by so many samples.
+        Tolerance of `promised`, samples.
     notes : list of str
-        What `blocks` met and mended.
+        Damage that `blocks` replaced by silence.
     """
 
     rate: int
@@ -74,14 +74,14 @@ def open_sound(name: str, data: bytes | None) -> Iterator[SoundSource]:
     Parameters
     ----------
     name : str
-        A path, or what to call `data` in messages.
+        A path, or the name of `data` in messages.
     data : bytes or None
         The content, unless `name` is a path.
 
     Raises
     ------
     AudioError
-        Not audio, damaged, without sound, or coded in a way that is not read.
+        If the file is no audio, is damaged, has no sound track, or its coding is not supported.
     """
     with open(name, "rb") if data is None else io.BytesIO(data) as file:
         demuxer, is_mpeg = sniff(file)
@@ -116,10 +116,10 @@ class _SndfileSource:
 
     @classmethod
     def opened(cls, name: str, file: IO[bytes]) -> "_SndfileSource | None":
-        """The open source; None if libsndfile does not know the format.
+        """The open source; None if libsndfile does not support the format.
 
-        libsndfile gets a file without a name: by the ending ``.mp3`` it would take any bytes for
-        MPEG audio.
+        libsndfile reads a file without a name, since it decodes any file named ``.mp3`` as MPEG
+        audio.
         """
         import soundfile
 
@@ -188,7 +188,7 @@ class _FFmpegSource:
 
     @contextmanager
     def _container(self) -> "Iterator[InputContainer]":
-        """Open FFmpeg's view of the file; whatever it raises is one line."""
+        """Open the file in FFmpeg; its exceptions become an AudioError."""
         import av
 
         self.file.seek(0)
@@ -254,11 +254,11 @@ class _FFmpegSource:
             return (values.astype(np.float32) - np.float32(128)) / np.float32(128)
         if values.dtype.kind == "i":
             return np.asarray(values / np.float32(-float(np.iinfo(values.dtype).min)), np.float32)
-        with np.errstate(invalid="ignore", over="ignore"):  # the reader names what is not finite
+        with np.errstate(invalid="ignore", over="ignore"):  # reported by the reader
             return values.astype(np.float32)
 
     def _announced(self, container: "InputContainer") -> int:
-        """Samples that the header announces; 0 where it does not."""
+        """Samples according to the header; 0 where it holds no length."""
         import av
 
         if self.demuxer not in _KEEP_LENGTH and not self._counts_frames():
@@ -273,7 +273,7 @@ class _FFmpegSource:
         return max(0, round(seconds * self.rate))
 
     def _counts_frames(self) -> bool:
-        """Whether this is an mp3 whose first frame says how many follow."""
+        """Whether this is an mp3 whose first frame holds their number."""
         if self.demuxer != "mp3":
             return False
         skip_id3(self.file)
@@ -282,7 +282,7 @@ class _FFmpegSource:
 
 
 def _seconds(packet: "Packet[AudioStream]") -> float:
-    """How long a packet says it lasts."""
+    """Duration of a packet according to its header, seconds."""
     if packet.duration is None or packet.time_base is None:
         return 0.0
     return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
@@ -294,9 +294,9 @@ def _lenient(version: str) -> dict[str, Any]:
 
 
 class _Nameless:
-    """A file in which a damaged header may ask for a place before the beginning, to no effect.
+    """A file without a name, in which seeking to an invalid position has no effect.
 
-    An exception of `seek` would reach libsndfile's caller as a traceback on standard error.
+    In a callback of libsndfile an exception would be printed as a traceback on standard error.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -304,7 +304,7 @@ class _Nameless:
         self._seek = file.seek
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to a place; stay where it does not exist."""
+        """Go to a position; stay if it does not exist."""
         try:
             return self._seek(offset, whence)
         except (ValueError, OverflowError, OSError):
@@ -312,12 +312,12 @@ class _Nameless:
 
 
 class _OnlyRead:
-    """A file without a name, which FFmpeg can read and seek but not close."""
+    """A file without a name that FFmpeg can read and seek but not close."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self.read, self.seek, self.tell = file.read, file.seek, file.tell
 
 
 def _refuse(url: str, flags: int, options: dict[str, str]) -> Any:
-    """What FFmpeg is answered when a file asks it to open another."""
+    """Callback of FFmpeg for opening another file: always an error."""
     raise PermissionError("it refers to another file")

@@ -1,10 +1,10 @@
-"""The two clocks: samples at 16 kHz and rig frames at 30 Hz (DEITalk §3.2)."""
+"""The two rates: samples at 16 kHz and rig frames at 30 Hz (DEITalk §3.2)."""
 
 import numpy as np
 
 from rig.arrays import Float64, Int64
 
-SAMPLE_RATE = 16_000  # Hz; what wav2vec 2.0 and the mel frontend hear
+SAMPLE_RATE = 16_000  # Hz; input of wav2vec 2.0 and of the mel frontend
 FRAME_RATE = 30  # rig frames per second
 
 

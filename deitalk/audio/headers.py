@@ -1,10 +1,10 @@
-"""First bytes of a recording: its format, its tags, and the length that it announces."""
+"""First bytes of a recording: format, ID3 tag and length."""
 
 import io
 import struct
 from typing import IO
 
-MOST_CHUNKS = 1000  # of a wav or aiff file, to look through for its samples
+MOST_CHUNKS = 1000  # of a wav or aiff file that are searched for its samples
 _MPEG_TAGS = (b"\x50\0", b"\x55\0")  # coding of a wav file: layers I to III
 # Offset and first bytes -> FFmpeg's demuxer.
 _SIGNATURES = (
@@ -24,7 +24,7 @@ _SIGNATURES = (
 
 
 def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
-    """What a file is by its first bytes.
+    """Format of a file by its first bytes.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
     Returns
     -------
     demuxer : str or None
-        Of FFmpeg; None for what it is not to read.
+        Of FFmpeg; None if it does not read the format.
     is_mpeg : bool
-        Whether it holds MPEG audio. FFmpeg reads it, to the same samples: libsndfile's decoder
-        writes to standard error whatever it dislikes in a file.
+        Whether it holds MPEG audio. FFmpeg decodes it to the same samples; libsndfile's decoder
+        would print warnings about the file to standard error.
     """
     has_tag = skip_id3(file)
     first = file.read(32)
@@ -51,7 +51,7 @@ def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
 
 
 def skip_id3(file: IO[bytes]) -> bool:
-    """Go to the beginning of a binary file, or to the end of the ID3 tag there; tell which."""
+    """Go to the end of the ID3 tag at the beginning of a file; False and the beginning if none."""
     file.seek(0)
     head = file.read(10)
     has_tag = head[:3] == b"ID3" and len(head) == 10
@@ -62,7 +62,7 @@ def skip_id3(file: IO[bytes]) -> bool:
 
 
 def missing_share(file: IO[bytes]) -> float:
-    """How many times the samples that are there a wav or aiff file announces.
+    """Number of samples in a wav or aiff header over the number of samples in the file.
 
     Parameters
     ----------

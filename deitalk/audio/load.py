@@ -1,6 +1,6 @@
 """Any recording -> mono float32 at 16 kHz (DEITalk §3.2), read in blocks so that hours fit.
 
-Legend: S samples at 16 kHz, T rig frames at 30 Hz, C channels, N samples at the source's rate.
+Letters: N samples at the source's rate, n of a block, C channels.
 """
 
 import wave
@@ -54,7 +54,7 @@ class Recording:
     clipped_fraction : float
         Share of source samples inside flat runs (3 or more equal samples at full scale), 0 … 1.
     warnings : tuple of str
-        What a listener may want to know; none of it stops the work.
+        Properties that lower the quality of the animation, such as clipping.
     """
 
     waveform: Float32
@@ -89,11 +89,11 @@ def load_audio(
 ) -> Recording:
     """Read a recording as mono 16 kHz.
 
-    wav, flac, ogg, opus and what else libsndfile knows; mp3, m4a, mp4, mov, webm, aac, wma through
-    FFmpeg's libraries, the first sound track of each. Channels are averaged; if they cancel
+    wav, flac, ogg, opus and the other formats of libsndfile; mp3, m4a, mp4, mov, webm, aac and wma
+    through FFmpeg's libraries, the first sound track of each. Channels are averaged; if they cancel
     (phase-inverted stereo), the loudest one is taken instead. The length is N · 16000 / rate,
-    rounded. What a listener may want to know is in the recording's `warnings`: a file cut short,
-    channels that cancel, clipping, DC, a level far off, no speech.
+    rounded. The recording's `warnings` report a file cut short, channels that cancel, clipping,
+    DC, a level far off, no speech.
 
     Parameters
     ----------
@@ -109,8 +109,8 @@ def load_audio(
     Raises
     ------
     AudioError
-        Missing, unreadable, empty, not audio, without sound, not finite, too long, or of a rate
-        outside 4 … 768 kHz.
+        If the source is missing, unreadable, empty, no audio, without sound, not finite or too
+        long, or its rate is outside 4 … 768 kHz.
 
     Notes
     -----
@@ -153,7 +153,7 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
     Raises
     ------
     AudioError
-        A waveform that is not 1-D and finite, or a place that cannot be written.
+        If the waveform is not 1-D and finite, or the file cannot be written.
     """
     samples = np.asarray(waveform, dtype=np.float32)
     if samples.ndim != 1 or not np.isfinite(samples).all():
@@ -239,7 +239,7 @@ class _MonoReader:
 
 
 def _remove_dc(waveform: Float32) -> tuple[float, float]:
-    """Subtract the mean in place; give it and the peak that is left."""
+    """Subtract the mean in place; return it and the remaining peak."""
     offset = float(waveform.mean(dtype=np.float64))
     waveform -= np.float32(offset)
     return offset, float(max(waveform.max(), -waveform.min()))
@@ -303,7 +303,7 @@ def _check_header(name: str, sound: SoundSource, max_seconds: float) -> None:
     rate = sound.rate
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise AudioError(
-            f"{name} says its sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
+            f"{name}: the sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
             f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
         )
     if sound.promised / rate > max_seconds:
@@ -318,7 +318,7 @@ def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:
 
 
 def _name_and_data(source: str | Path | bytes | IO[bytes]) -> tuple[str, bytes | None]:
-    """What to call the source in messages, and its bytes unless it is a path."""
+    """Name of the source in messages, and its bytes unless it is a path."""
     if isinstance(source, str | Path):
         _check_path(Path(source))
         return str(source), None
@@ -340,7 +340,7 @@ def _name_and_data(source: str | Path | bytes | IO[bytes]) -> tuple[str, bytes |
 
 
 def _check_path(path: Path) -> None:
-    """One line for everything that can be wrong with a path before its content matters."""
+    """Check a path before its content is read."""
     try:
         if path.is_dir():
             raise AudioError(f"{path} is a folder, not a recording; name one file in it")

@@ -1,6 +1,5 @@
 """Waveform to mel spectrogram with two derivatives (SDFA §3.1, §4.4).
 
-Letters: B batch, S samples, L spectra, F mel bins, T rig frames (30 per second).
 Spectrum k is centred at k / frame_rate seconds, rig frame i at i / 30 seconds::
 
     frame_rate 120, rig 30:   spectra  0 1 2 3 4 5 6 7 8

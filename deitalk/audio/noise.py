@@ -1,4 +1,7 @@
-"""Speech in noise or music at a known ratio; letters: S and N samples at 16 kHz."""
+"""Speech in noise or music at a given signal-to-noise ratio.
+
+Letters: N samples of the noise.
+"""
 
 from pathlib import Path
 
@@ -33,7 +36,7 @@ def synthetic_music(seconds: float, seed: int = 0) -> Float32:
 
     Held notes have 14 harmonics and vibrato (5.5 Hz, 0.4 %), like strings; plucked notes decay
     within 0.3 s; drums are a falling sine and bursts of noise. Key and tempo are drawn from the
-    seed. It has no singing, which detectors of speech are known to mistake.
+    seed. It has no singing, which speech detectors often take for speech.
 
     Parameters
     ----------

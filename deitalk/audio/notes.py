@@ -1,7 +1,4 @@
-"""What a listener may want to know about a recording before its face is judged.
-
-Legend: S samples at 16 kHz.
-"""
+"""Warnings about recordings without speech, or with very quiet or voiceless speech."""
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.prosody import rms_db
@@ -19,7 +16,7 @@ NOISE_LIKENESS = 0.5  # speakers: at most 0.43 of 150 recordings; noise that com
 
 
 def describe(waveform: Float32) -> tuple[str, ...]:
-    """Notes on a recording without speech, or with speech that is hardly there.
+    """Warnings about a recording without usable speech.
 
     Parameters
     ----------
@@ -42,7 +39,7 @@ def describe(waveform: Float32) -> tuple[str, ...]:
         return (f"no speech found, only {kind} ({level:.0f} dBFS), so the mouth stays shut",)
     notes = []
     if noise_likeness(waveform, activity) > NOISE_LIKENESS:
-        notes.append("no voice found: what comes and goes in it is noise, or whispering")
+        notes.append("no voice found: its varying sound is noise, or whispering")
     level = active_level_db(waveform, activity)
     if level < FAINT_DB:
         notes.append(f"very quiet ({level:.0f} dBFS): it is amplified, and its noise with it")

@@ -1,7 +1,7 @@
-"""Prosody of a voice, measured: level, spectral tilt and pitch, frame by frame.
+"""Prosody of a voice: level, spectral tilt and pitch of every frame.
 
-The index that follows human ratings of arousal best without training is the mean of the three,
-each against the speaker's own average. Letters: S samples, N frames at 30 per second.
+The index is their mean, each relative to the clip's average; of the untrained measures that were
+compared it correlates best with human ratings of arousal.
 """
 
 import math
@@ -19,7 +19,7 @@ SMOOTHING_SECONDS = 0.2
 """Sigma of the Gaussian that smooths the index: about 0.5 s wide at half its height."""
 LEVEL_WINDOW = 800  # samples, 50 ms
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
-ACTIVE_DB = 25.0  # what is further below the loudest speech does not count
+ACTIVE_DB = 25.0  # below the loudest speech; quieter frames are not active
 VOICED = 0.35  # least autocorrelation
 SHORTEST, LONGEST = 36, 230  # samples of a period: 444 to 70 Hz
 FLOOR_PERCENTILE = 20.0  # of all frames: pauses are at least a fifth of speech
@@ -27,24 +27,24 @@ PIECE = 2048  # frames at once, so that an hour fits
 
 
 class Prosody(NamedTuple):
-    """What was measured of every frame."""
+    """Measures of every frame."""
 
     level: Float64
-    """dB [shape=(N,)]."""
+    """dB [shape=(T,)]."""
     bright: Float64
-    """Power from 1 to 4 kHz [shape=(N,)]."""
+    """Power from 1 to 4 kHz [shape=(T,)]."""
     dark: Float64
-    """Power from 80 Hz to 1 kHz [shape=(N,)]."""
+    """Power from 80 Hz to 1 kHz [shape=(T,)]."""
     pitch: Float64
-    """Semitones over 100 Hz [shape=(N,)]."""
+    """Semitones over 100 Hz [shape=(T,)]."""
     active: Bool
-    """Loud enough to be speech [shape=(N,)]."""
+    """Loud enough to be speech [shape=(T,)]."""
     voiced: Bool
-    """Active, with a pitch to be trusted [shape=(N,)]."""
+    """Active and periodic [shape=(T,)]."""
 
     @property
     def tilt(self) -> Float64:
-        """Bright over dark, dB [shape=(N,)]."""
+        """Bright over dark, dB [shape=(T,)]."""
         tilt: Float64 = 10 * np.log10((self.bright + 1e-12) / (self.dark + 1e-12))
         return tilt
 
@@ -80,14 +80,14 @@ def rms_db(waveform: Float32) -> float:
 
 
 def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
-    """Measure a recording.
+    """Measure level, tilt and pitch of a recording.
 
     Parameters
     ----------
     waveform : ndarray [shape=(S,)]
         16 kHz, any level.
     n_frames : int
-        Frames N; frame i is at i / 30 seconds.
+        Frames T; frame i is at i / 30 seconds.
     """
     columns = [
         _measure(waveform, np.arange(first, min(first + PIECE, n_frames)))
@@ -100,7 +100,7 @@ def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
 
 
 def _measure(waveform: Float32, frames: Int64) -> Float64:
-    """Level, bright and dark power, pitch and its strength [shape=(5, N)]."""
+    """Level, bright and dark power, pitch and its strength [shape=(5, T)]."""
     centres = frame_centres(frames)
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
     piece = waveform[max(low, 0) : high].astype(np.float64)
@@ -125,9 +125,9 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
 
 
 def prosody_index(prosody: Prosody) -> Float64:
-    """Level, pitch and tilt against the clip's own mean, in standard deviations [shape=(N,)].
+    """Level, pitch and tilt relative to the clip's mean, in standard deviations [shape=(T,)].
 
-    Frames without speech take the index of their neighbours (weighted smoothing).
+    Frames without speech are interpolated from their neighbours (weighted smoothing).
     """
     if prosody.active.sum() < 8:
         return np.zeros(len(prosody.level))
@@ -141,9 +141,9 @@ def prosody_index(prosody: Prosody) -> Float64:
 
 
 def vocal_effort_db(prosody: Prosody) -> float:
-    """Spectral tilt of the voiced speech as a whole, with what sounds in its pauses taken off.
+    """Spectral tilt of all voiced speech, without the noise of its pauses.
 
-    It rises with vocal effort whatever the gain of the recording: an alpha ratio, as in eGeMAPS
+    It rises with vocal effort and does not depend on the gain: an alpha ratio, as in eGeMAPS
     (Eyben et al. 2016), of the powers above the noise floor.
 
     Returns
@@ -163,7 +163,7 @@ def vocal_effort_db(prosody: Prosody) -> float:
 
 
 def _standard(values: Float64, known: Bool, spread: float) -> Float64:
-    """Smoothed deviation from the mean of the known frames; unknown frames are filled in."""
+    """Smoothed deviation from the mean of the known frames; the others are interpolated."""
     if known.sum() < 5:
         return np.zeros(len(values))
     deviation = np.where(known, values - values[known].mean(), 0.0)

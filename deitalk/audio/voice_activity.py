@@ -1,6 +1,6 @@
 """Voice activity at 30 Hz and the level of speech, from the whole clip. numpy only.
 
-K frequency bands.
+Letters: K frequency bands.
 """
 
 import numpy as np
@@ -11,10 +11,10 @@ from rig.arrays import Bool, Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
-TOP_BANDS = 4  # speech needs to rise in a few bands, not in all
-SILENCE_DB = -85.0  # per band, dBFS: below it there is nothing but dither
-SPEECH_RANGE_DB = 45.0  # what is this far below the loudest speech is breath and reverberation
-FLOOR_SECONDS = 12.0  # the noise may change this fast
+TOP_BANDS = 4  # of the 14; speech rises above the noise in a few bands
+SILENCE_DB = -85.0  # per band, dBFS: dither
+SPEECH_RANGE_DB = 45.0  # below the loudest speech; quieter sound is breath and reverberation
+FLOOR_SECONDS = 12.0  # time in which the noise may change
 FLOOR_PERCENTILE = 10.0
 SHORT_SECONDS = 0.35  # too short to hold both speech and noise
 SHORT_FLOOR_DB = -60.0
@@ -28,14 +28,14 @@ SHORTEST_SPEECH = 2  # frames; a single one is a click
 
 
 def speech_activity(waveform: npt.ArrayLike) -> Float32:
-    """Where there is speech: 1, elsewhere 0.
+    """Frames with speech: 1, all others 0.
 
     The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
     12 s around; a frame is speech where its four strongest bands rise above it, with
-    hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged, for a
-    mouth that stays shut through a drowned syllable is seen, and one that is ready to move in a
-    short pause is not. The level plays no part above -85 dBFS per band, so whispered and badly
-    gained recordings work.
+    hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged: a mouth
+    that stays shut during a masked syllable is more visible than one that may move in a short
+    pause. Above -85 dBFS per band the result does not depend on the level, so whispered and quiet
+    recordings work.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
     Returns
     -------
     float
-        RMS over the speaking frames in dB re full scale; ``-inf`` if nobody speaks.
+        RMS over the speaking frames in dB re full scale; ``-inf`` without speech.
     """
     samples = np.asarray(waveform, dtype=np.float32)
     active = np.asarray(speech_activity(samples) if activity is None else activity) > 0.5
@@ -91,7 +91,7 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
 def normalise_level(
     waveform: npt.ArrayLike, target_db: float = -23.0, activity: npt.ArrayLike | None = None
 ) -> Float32:
-    """Scale a recording so that its speech has one level, whatever its pauses.
+    """Scale a recording so that its speech without pauses has a given level.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def normalise_level(
     Returns
     -------
     ndarray (S,) float32
-        A copy; unchanged where nobody speaks.
+        A copy; unscaled if there is no speech.
     """
     samples = np.asarray(waveform, dtype=np.float32)
     level = active_level_db(samples, activity)
@@ -114,7 +114,7 @@ def normalise_level(
 
 
 def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
-    """How far even the most voiced of the active frames resemble noise.
+    """Spectral flatness of the most voiced tenth of the active frames.
 
     Per frame the spectral flatness (geometric over arithmetic mean of the power) of eight narrow
     bands between 200 and 4000 Hz, averaged. A voice has harmonics, and a low value; noise of any
@@ -200,7 +200,7 @@ def _longest_gap(excess: Float32) -> int:
 
 
 def _runs(mask: Bool) -> Int64:
-    """[start, stop) of every run of True: (n, 2)."""
+    """[start, stop) of every run of True [shape=(n, 2)]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return edges.reshape(-1, 2)
 

@@ -54,7 +54,7 @@ class ModelConfig(Section):
 
 
 class LossConfig(Section):
-    """The four-part loss (DEITalk Eq. 8) and what we add to it."""
+    """The four-part loss (DEITalk Eq. 8) and our additions."""
 
     contrast: float = Field(default=0.1, ge=0, description="lambda_1")
     classification: float = Field(default=0.1, ge=0, description="lambda_2")
@@ -133,14 +133,16 @@ class TrainConfig(Section):
 
     @field_validator("teacher")
     @classmethod
-    def _there_is_someone_to_teach(cls, value: str | None, info: ValidationInfo) -> str | None:
+    def _teaching_needs_a_trained_frontend(
+        cls, value: str | None, info: ValidationInfo
+    ) -> str | None:
         if value is not None and info.data.get("frozen_frontend") is not None:
-            raise ValueError("a frozen frontend learns nothing; set one of the two to null")
+            raise ValueError("a frozen frontend cannot be taught; set one of the two to null")
         return value
 
 
 class Config(Section):
-    """Everything a run needs besides its data."""
+    """Settings of a run: network, loss, data and training."""
 
     name: str = "deitalk"
     model: ModelConfig = ModelConfig()

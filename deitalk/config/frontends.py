@@ -58,7 +58,7 @@ class MelConfig(Section):
     )
     phases: Phases = Field(
         default=1,
-        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+        description="passes over a clip, shifted by parts of a spectrum; features are their mean",
     )
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
@@ -78,7 +78,7 @@ class MelConfig(Section):
 
 
 class Wav2VecConfig(Section):
-    """wav2vec 2.0 (DEITalk §3.2): a published checkpoint, or a compact encoder of one's own."""
+    """wav2vec 2.0 (DEITalk §3.2): a published checkpoint or an encoder of a given shape."""
 
     kind: Literal["wav2vec"] = "wav2vec"
     checkpoint: str | None = Field(
@@ -111,7 +111,7 @@ class ConformerConfig(Section):
     kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
     phases: Phases = Field(
         default=1,
-        description="times a whole clip is heard, parts of a spectrum apart; features are the mean",
+        description="passes over a clip, shifted by parts of a spectrum; features are their mean",
     )
     dropout: float = Field(default=0.1, ge=0, lt=1)
 
@@ -130,19 +130,19 @@ class SDFAMelConfig(MelConfig):
     @classmethod
     def _every_spectrum(cls, value: int) -> int:
         if value != 1:
-            raise ValueError("SDFA hears every spectrum; leave it at 1")
+            raise ValueError("SDFA uses every spectrum; leave it at 1")
         return value
 
     @field_validator("rig_layers")
     @classmethod
     def _no_rig(cls, value: int) -> int:
         if value != 0:
-            raise ValueError("SDFA has no rig frames to go along; leave it at 0")
+            raise ValueError("SDFA has no BiLSTM along rig frames; leave it at 0")
         return value
 
 
 class KarrasConfig(Section):
-    """Convolutions over frequency, then over time (in the way of Karras et al. 2017)."""
+    """Convolutions over frequency, then over time (after Karras et al. 2017)."""
 
     kind: Literal["karras"] = "karras"
     window_seconds: SpectrumSeconds = Field(default=0.016, description="length of one spectrum")
@@ -158,7 +158,7 @@ class KarrasConfig(Section):
 
 
 class VocaConfig(Section):
-    """Convolutions over a window of speech features (in the way of Cudeiro et al. 2019)."""
+    """Convolutions over a window of speech features (after Cudeiro et al. 2019)."""
 
     kind: Literal["voca"] = "voca"
     window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
@@ -172,7 +172,7 @@ class VocaConfig(Section):
 
 
 class DEITalkFeaturesConfig(Section):
-    """What a trained DEITalk model has made of speech and emotion; the model stays as it is."""
+    """Features of speech and emotion of a trained DEITalk model, whose weights are frozen."""
 
     kind: Literal["deitalk"] = "deitalk"
     model: str = Field(default="default", description="name or folder of the DEITalk model")

@@ -19,7 +19,7 @@ AnyConfig = Config | SDFAConfig
 
 
 _PROBLEMS = 5
-"""Problems that are named in one message."""
+"""Largest number of problems in one message."""
 
 
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
@@ -28,12 +28,12 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
     Parameters
     ----------
     tree : dict
-        As a YAML file holds it; what is missing takes its default.
+        Content of a YAML file; missing keys take their defaults.
 
     Raises
     ------
     ConfigError
-        Naming the key, the value and the rule, all problems in one line.
+        With the key, the value and the rule of every problem, in one line.
     """
     try:
         kind = SDFAConfig if tree.get("kind") == "sdfa" else Config

@@ -74,7 +74,7 @@ class MeshDataConfig(Section):
 
 
 class MeshTrainConfig(Section):
-    """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and what a CPU needs."""
+    """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and our additions."""
 
     learning_rate: float = Field(default=1e-4, gt=0)
     schedule: Literal["constant", "one_cycle"] = "constant"
@@ -127,7 +127,7 @@ class MeshTrainConfig(Section):
 
 
 class SDFAConfig(Section):
-    """Everything a run of SDFA needs besides its data; ``kind: sdfa`` chooses it."""
+    """Settings of a run of SDFA or a mesh head; chosen by ``kind: sdfa``."""
 
     kind: Literal["sdfa"]
     name: str = "sdfa"

@@ -18,7 +18,7 @@ def _odd(value: int) -> int:
 Width = Annotated[int, Field(ge=1, le=limits.WIDTH)]
 """Channels, features or units of a layer."""
 Window = Annotated[int, Field(ge=1, le=limits.WINDOW_FRAMES)]
-"""Spectra or frames that are seen at once."""
+"""Spectra or frames of one window."""
 Odd = Annotated[int, Field(ge=1, le=limits.KERNEL), AfterValidator(_odd)]
 """Frames of a kernel."""
 Recurrent = Annotated[int, Field(ge=1, le=limits.RECURRENT_LAYERS)]
@@ -73,7 +73,7 @@ def check_encoder(shape: Mapping[str, Any]) -> None:
 
 
 class Section(BaseModel):
-    """A frozen group of settings that refuses unknown keys."""
+    """A frozen group of settings; unknown keys are errors."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True

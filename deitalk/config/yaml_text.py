@@ -1,7 +1,7 @@
-"""YAML from anywhere: plain values only, with bounded size and nesting.
+"""YAML from untrusted files: plain values only, with bounded size and nesting.
 
-Aliases let a text of 1 kB stand for gigabytes. So values are counted as if every alias was written
-out, while the text is parsed and before anything is built.
+With aliases a text of 1 kB may expand to gigabytes, so values are counted with every alias
+expanded, while the text is parsed and before anything is built.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,11 +28,11 @@ _BUILD_ERRORS = (
     OverflowError,
     RecursionError,
 )
-"""What PyYAML raises for values such as ``!!int x`` or the date 2024-99-99."""
+"""Exceptions of PyYAML for values such as ``!!int x`` or the date 2024-99-99."""
 
 
 def read_yaml(path: Path, *, error: ErrorClass = ConfigError) -> Any:
-    """Return what a YAML file holds.
+    """Return the content of a YAML file.
 
     Parameters
     ----------
@@ -44,14 +44,14 @@ def read_yaml(path: Path, *, error: ErrorClass = ConfigError) -> Any:
     Raises
     ------
     ConfigError
-        Or what `error` makes: if the file cannot be read, or as `load_yaml`.
+        Or what `error` makes: if the file cannot be read, or as in `load_yaml`.
     """
     text = read_text(path, limits.YAML_BYTES, error=error, may_be_empty=True)
     return load_yaml(text, path, error=error)
 
 
 def load_yaml(text: str, where: object, *, error: ErrorClass = ConfigError) -> Any:
-    """Return what a YAML text holds: null, booleans, numbers, texts, dates, lists and mappings.
+    """Return the content of a YAML text: null, booleans, numbers, texts, dates, lists and mappings.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class _Node:
 
 
 def _check_events(events: Iterator[Any]) -> None:
-    """Raise ValueError if a text is too large or nested too deep, its aliases written out."""
+    """Raise ValueError if a text is too large or nested too deep, aliases expanded."""
     open_nodes = [_Node(None)]
     anchored: dict[str, _Node] = {}
     for event in events:
@@ -108,7 +108,7 @@ def _check_events(events: Iterator[Any]) -> None:
         elif isinstance(event, yaml.AliasEvent):
             done = anchored.get(str(event.anchor))
             if done is None:
-                raise ValueError(f"alias {quoted(event.anchor)} stands for nothing complete")
+                raise ValueError(f"alias {quoted(event.anchor)} has no complete anchor")
         if done is not None:
             _add(open_nodes[-1], done, anchored)
         if len(open_nodes) - 2 + open_nodes[-1].height > limits.NESTING:

@@ -1,6 +1,6 @@
 """Augmentations of SDFA §4.3: of the frame's time, of the audio, of the mel spectrogram.
 
-Letters: S samples, F mel bins, L spectra of a window, W spectra given (a wider piece around it).
+Letters: W spectra of the piece around a window.
 Mel values are those of `deitalk.audio.mel.MelSpectrogram`, the logarithm of power; its derivatives
 are taken afterwards. Every function takes a Generator; none changes its input.
 
@@ -24,9 +24,9 @@ from deitalk.audio.prosody import rms_db
 from rig.arrays import Float32
 
 LEVEL_SPREAD = 3.5
-"""Nepers of power that are 1 in `MelSpectrogram`'s scale, whose zero is at -6.5."""
+"""Nepers of power per unit of `MelSpectrogram`'s scale, whose zero is at -6.5."""
 SILENCE = (math.log(FLOOR) + 6.5) / LEVEL_SPREAD
-"""Mel value of no power at all."""
+"""Mel value of zero power."""
 SHIFT_FRAMES = 0.5
 """Largest shift of a frame (§4.3 i)."""
 PRE_EMPHASIS = (0.0, 0.95)
@@ -35,14 +35,14 @@ SNR_DB = (5.0, 40.0)
 PADDED_SHARE = 0.12
 """Largest share of bins that are padded below or above."""
 STRETCH = (0.8, 1.25)
-"""Range of the factor of time; below 1 the speech is squeezed."""
+"""Range of the factor of time; below 1 the speech is compressed."""
 ZEROED_SHARE = 0.12
 """Largest share of bins set to zero."""
 SINE_DB = 6.0
 """Largest amplitude of the gain over the bins."""
 SINE_PERIODS = (0.25, 3.0)
 PROBABILITY = 0.5
-"""Of every augmentation of audio and mel, apart from the others."""
+"""Of every augmentation of audio and mel, independently."""
 
 
 def frame_shift(rng: np.random.Generator) -> float:
@@ -51,7 +51,7 @@ def frame_shift(rng: np.random.Generator) -> float:
 
 
 def augment_audio(waveform: Float32, rng: np.random.Generator) -> Float32:
-    """Noise, then pre-emphasis, each as likely as not (§4.3 ii) [shape=(S,)]."""
+    """Noise, then pre-emphasis, each with probability one half (§4.3 ii) [shape=(S,)]."""
     x = waveform
     if rng.random() < PROBABILITY:
         x = add_noise(x, rng.uniform(*SNR_DB), rng, pink=bool(rng.random() < 0.5))
@@ -89,7 +89,7 @@ def pre_emphasise(waveform: Float32, coefficient: float) -> Float32:
 
 @dataclass(frozen=True)
 class MelWarp:
-    """One choice of mel augmentations, so that the two frames of a pair get the same (§4.3 iii).
+    """Mel augmentations shared by the two frames of a pair (§4.3 iii).
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class MelWarp:
 
     @classmethod
     def draw(cls, n_mels: int, rng: np.random.Generator) -> "MelWarp":
-        """Choose each of the four as likely as not."""
+        """Choose each of the four with probability one half."""
         chosen = rng.random(4) < PROBABILITY
         most = int(PADDED_SHARE * n_mels)
         padded = int(rng.integers(1, most + 1)) if most else 0
@@ -136,7 +136,7 @@ class MelWarp:
         Parameters
         ----------
         mel : Tensor [shape=(F, W)]
-            W at least `n_spectra`, and 1 / stretch as many where time is squeezed; beyond its
+            W at least `n_spectra`, and 1 / stretch as many where time is compressed; beyond its
             ends the last spectrum holds.
         n_spectra : int
             L. The middle, spectrum W // 2, becomes spectrum L // 2.

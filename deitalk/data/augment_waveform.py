@@ -1,8 +1,8 @@
-"""Make one recording sound like many: voices, rooms, microphones, noise.
+"""Augmentation of recordings: voice, room, microphone, noise and level.
 
-SDFA §4.3 (noise, pre-emphasis, warps) and what helped most with synthetic speech: resampling as
-vocal-tract change, equalisers, rooms, band limits. Every function takes a Generator; none changes
-its input. Letters: S samples.
+SDFA §4.3 (noise, pre-emphasis, warps) and the most effective ones for synthetic speech: resampling
+as vocal-tract change, equalisers, rooms, band limits. Every function takes a Generator; none
+changes its input.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class Surroundings:
 
     @classmethod
     def read(cls, noise_folder: str | None, room_folder: str | None) -> "Surroundings":
-        """Read every audio file of two folders; None leaves a kind out."""
+        """Read every audio file of two folders; None for no such folder."""
         noises, rooms = (
             () if folder is None else tuple(sound for _, sound in read_recordings(folder))
             for folder in (noise_folder, room_folder)
@@ -55,7 +55,7 @@ def augment(
     surroundings: Surroundings,
     voices: Sequence[Float32] = (),
 ) -> Float32:
-    """Change colour, room, band, noise and level, not the timing.
+    """Change spectrum, room, band, noise and level, not the timing.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def augment(
     Returns
     -------
     ndarray [shape=(S,)]
-        What happens at a sample happens there still, to a millisecond.
+        In time with the input to a millisecond.
     """
     if not len(waveform):
         return waveform
@@ -92,7 +92,7 @@ def augment(
 
 
 def _ratio_db(rng: np.random.Generator) -> float:
-    """Speech over noise: most windows are hard to hear."""
+    """Signal-to-noise ratio; of most windows below 11 dB."""
     low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
     return float(rng.uniform(low, high))
 
@@ -148,7 +148,7 @@ def _limit_band(x: Float64, rng: np.random.Generator) -> Float64:
 def _noise(
     n: int, rng: np.random.Generator, noises: Sequence[Float32], voices: Sequence[Float32]
 ) -> Float64:
-    """Babble, recorded or made, at power 1; it may come and go."""
+    """Babble, recorded or made, at power 1, of constant or varying level."""
     kind = rng.random()
     if kind < 0.15 and len(voices) >= 4:
         chosen = [voices[int(rng.integers(len(voices)))] for _ in range(4)]
@@ -167,9 +167,9 @@ def _noise(
 
 
 def _hiss(n: int, rng: np.random.Generator) -> Float64:
-    """Noise of a random colour: a slope of up to 6 dB an octave, and hills of up to 20 dB.
+    """Noise with a random spectrum: a slope of ±6 dB an octave at most, and peaks of ±20 dB.
 
-    Traffic and rooms rumble, water and cloth hiss: the slope goes either way.
+    Noise of traffic and rooms falls with frequency, that of water and cloth rises.
     """
     slope = -rng.uniform(0, 6) if rng.random() < 0.6 else rng.uniform(0, 6)
     hills = rng.integers(1, 5) if rng.random() < 0.6 else 0
@@ -182,7 +182,7 @@ def _hiss(n: int, rng: np.random.Generator) -> Float64:
 def _coloured(
     noise: Float64, slope: float, hills: Sequence[tuple[float, float, float]] = ()
 ) -> Float64:
-    """Turn the spectrum by `slope` dB an octave; `hills` are octaves from the top, width, dB."""
+    """Tilt the spectrum by `slope` dB an octave; `hills`: octaves below the top, width, dB."""
     n = len(noise)
     spectrum = fft.rfft(noise, fft.next_fast_len(n, real=True))
     octaves = np.log2(np.arange(len(spectrum)) + 1.0)
@@ -194,7 +194,7 @@ def _coloured(
 
 
 def _tone(n: int, rng: np.random.Generator) -> Float64:
-    """Harmonics of a pitch that wanders: engines, horns, animals."""
+    """Harmonics of a varying pitch, as of engines, horns and animals."""
     pitch = np.exp(rng.uniform(np.log(60), np.log(900)))
     glide = 2 ** (rng.uniform(0, 0.6) * _wandering(n, rng, rng.uniform(0.5, 3)))
     phase = 2 * np.pi * np.cumsum(pitch * glide) / SAMPLE_RATE
@@ -205,7 +205,7 @@ def _tone(n: int, rng: np.random.Generator) -> Float64:
 
 
 def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Float64:
-    """A smooth random course, most of it within -1 to 1, that turns some `hertz` times a second."""
+    """A smooth random curve, mostly within -1 to 1, with about `hertz` knots a second."""
     knots = max(int(n / SAMPLE_RATE * hertz), 1) + 3
     places = np.linspace(0, knots - 1, n)
     course: Float64 = CubicSpline(np.arange(knots), 0.6 * rng.standard_normal(knots))(places)

@@ -12,7 +12,6 @@ SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
 """Named sets that are columns of the table."""
 NEWER_ONLY = "-"
 """`mh3_name` of a control that the older board did not have."""
-"""A control set is a list a person can read, not a mesh."""
 NUMBERS = {"min": "minimum", "max": "maximum", "rest": "rest", "mirror_sign": "mirror_sign"}
 TEXTS = (
     "ue_control", "ue_channel", "type", "axis", "side", "region", "role", "mirror", "mh3_name",
@@ -34,7 +33,7 @@ class Control:
     ue_control, ue_channel : str
         The control in Unreal, and its channel (``CTRL_C_jaw``, ``CTRL_C_jaw.Y``).
     type : str
-        ``float`` or ``Vector2D``: which setter Unreal wants.
+        ``float`` or ``Vector2D``: the setter to use in Unreal.
     axis : str
         ``X`` or ``Y``.
     side, region, role : str
@@ -45,7 +44,7 @@ class Control:
     mirror : str
         The control of the other side (itself in the middle); empty means itself.
     mirror_sign : float
-        -1 where mirroring turns the value round.
+        -1 where mirroring changes the sign.
     raw_positive, raw_negative : tuple of str
         Raw ``CTRL_expressions`` curves driven by the positive and the negative half.
     mh3_name : str
@@ -78,13 +77,13 @@ class Control:
 
     @property
     def spellings(self) -> tuple[str, ...]:
-        """Ways to write this board's name: ours, Unreal's channel, Maya's attribute."""
+        """Spellings of this board's name: ours, Unreal's channel, Maya's attribute."""
         unreal = tuple(filter(None, [self.ue_channel]))
         return (*unreal, *self.aliases, *_spellings(self.name))
 
     @property
     def older_spellings(self) -> tuple[str, ...]:
-        """Ways to write the mh3 board's name, and EmoFace's."""
+        """Spellings of the mh3 board's name, and EmoFace's."""
         emoface = tuple(filter(None, [self.emoface_name]))
         return (*emoface, *_spellings(self.mh3_name))
 
@@ -95,7 +94,7 @@ def read_table(lines: Iterable[str]) -> tuple[Control, ...]:
     Raises
     ------
     ControlError
-        If a number is none, or the rows are more than a control set may have.
+        If a value is no number, or the rows are more than a control set may have.
     """
     rows = list(itertools.islice(csv.DictReader(lines), CONTROLS + 1))
     return tuple(_control_from({k: v or "" for k, v in row.items() if k}) for row in rows)
@@ -121,7 +120,7 @@ def _number(text: str, where: str) -> float:
 
 
 def _spellings(name: str) -> tuple[str, ...]:
-    """Return ``X.ty`` as Unreal and Maya spell it too."""
+    """Return ``X.ty`` and its spellings in Unreal and Maya."""
     if name in ("", NEWER_ONLY):
         return ()
     stem, dot, axis = name.rpartition(".t")

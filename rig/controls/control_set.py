@@ -45,7 +45,7 @@ class ControlSet:
     Parameters
     ----------
     id : str
-        ``name@version``; every file we write carries it.
+        ``name@version``; written into every file.
     controls : tuple of Control
         In column order.
 
@@ -101,7 +101,7 @@ class ControlSet:
 
     @cached_property
     def mirror_sign(self) -> Float32:
-        """1, or -1 where mirroring turns the value round [shape=(C,)]."""
+        """1, or -1 where mirroring changes the sign [shape=(C,)]."""
         return _floats([control.mirror_sign for control in self.controls])
 
     @cached_property
@@ -133,7 +133,7 @@ class ControlSet:
         Raises
         ------
         ControlError
-            If no control is spelled so; near matches are listed.
+            If the name is unknown; near matches are listed.
         """
         found = self._aliases.get(name) or self._older_aliases.get(name)
         if found is None:
@@ -141,7 +141,7 @@ class ControlSet:
         return found
 
     def resolve(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return canonical names for a whole header, telling the board generation from it.
+        """Return canonical names for a whole header; the board generation is inferred from it.
 
         ``CTRL_C_tongue_roll.ty`` is a control of both boards and means different things. If any
         other name of the header exists on the older board only, the header is of the older board
@@ -162,7 +162,7 @@ class ControlSet:
         return any(n not in self._aliases and n in self._older_aliases for n in names)
 
     def missing(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the controls that a header lacks; what its older board never had is no lack."""
+        """Return the controls of its own board that a header lacks."""
         present = set(self.resolve(names))
         lacking = [control for control in self.controls if control.name not in present]
         if self.is_older_board(names):
@@ -192,7 +192,7 @@ class ControlSet:
 
     @property
     def subset_names(self) -> tuple[str, ...]:
-        """Names that `subset` knows."""
+        """Names that `subset` accepts."""
         return tuple(self._subsets)
 
     def select(self, indices: Iterable[int], *, id: str) -> "ControlSet":

@@ -1,11 +1,11 @@
 """Raw MetaHuman curves to the shapes of Apple ARKit, and back.
 
-Unreal's own pose asset says which raw curves each of 51 ARKit shapes moves (``arkit.csv``: the
-weights, re-typed, small leaks below 0.04 left out; the 5.7 asset agrees within 0.02). Back from raw
+Unreal's own pose asset holds the raw curves that each of 51 ARKit shapes moves (``arkit.csv``: its
+weights, without those below 0.04; the 5.7 asset agrees within 0.02). Back from raw
 curves to shapes is a least-squares fit with weights in [0, 1].
 
 **The ARKit file is a lossy preview.** 76 of the 251 raw curves move under no shape at all, and in
-Epic's own captures about 45 % of the deformation lies outside what the shapes can say. The residual
+Epic's own captures about 45 % of the deformation cannot be expressed by the shapes. The residual
 of the fit is reported per frame and summed.
 
 ``MouthClose`` has no pose. Unreal's face blueprint sets the four lips-together curves to
@@ -33,7 +33,7 @@ HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
 ROTATION_LIMIT = 3.2
 """Rotations are radians, within half a turn."""
 HEAD_DEGREES = {"HeadYaw": -50.0, "HeadPitch": 50.0, "HeadRoll": 50.0}
-"""Degrees that Unreal's face blueprint turns the head by for a value of 1."""
+"""Turn of the head for a value of 1 in Unreal's face blueprint, degrees."""
 GAZE_SIDE_DEGREES, GAZE_UP_DEGREES, GAZE_DOWN_DEGREES = 40.0, 30.0, 40.0
 """Turn of an eye for a raw look curve at 1 (mh4 rig)."""
 LIPS_TOGETHER = tuple(f"{PREFIX}mouthLipsTogether{half}" for half in ("UL", "UR", "DL", "DR"))
@@ -45,16 +45,16 @@ MAX_SWEEPS = 60
 
 @dataclass(frozen=True, eq=False)
 class ArkitFit:
-    """ARKit shapes and what they could not say.
+    """ARKit shapes fitted to raw curves, and the residual.
 
     Parameters
     ----------
     curves : RigCurves
         Of `arkit_controls`.
     residual : array [shape=(T,), >= 0]
-        Distance between the raw curves and what the shapes make of them, per frame.
+        Distance between the raw curves and those of the shapes, per frame.
     lost : float [range 0 to 1]
-        Share of the movement away from rest that the shapes leave out, over all frames: the root
+        Share of the movement that the shapes do not reproduce, over all frames: the root
         of the ratio of the summed squares.
     """
 
@@ -153,7 +153,7 @@ def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = Non
 def _fit(moved: Float32) -> Float32:
     """Return weights in [0, 1] that best fit the poses [shape=(T, 61)].
 
-    A raw curve at 1 was clamped: it only says "1 or more". So the fit is to the clamped sum.
+    A raw curve at 1 may have been clamped, so the fit is to the clamped sum.
     """
     poses = _poses()
     weights = np.zeros((len(moved), len(poses)), np.float32)

@@ -1,4 +1,4 @@
-"""From any control set we know to any other: board, raw curves, ARKit shapes."""
+"""Conversion between the known control sets: board, raw curves, ARKit shapes."""
 
 from collections.abc import Callable, Sequence
 
@@ -22,7 +22,7 @@ _STEPS: dict[tuple[str, str], Callable[[RigCurves], RigCurves]] = {
 
 
 def known_controls(control_set: str) -> ControlSet | None:
-    """Return a control set by its id, or None if it is someone's own."""
+    """Return a control set by its id, or None for a user's own."""
     make = KNOWN.get(control_set)
     return None if make is None else make()
 
@@ -33,7 +33,7 @@ def convert(curves: RigCurves, control_set: str) -> RigCurves:
     Raises
     ------
     ControlError
-        If there is no way between the two sets.
+        If there is no conversion between the two sets.
     """
     if curves.control_set == control_set:
         return curves
@@ -44,7 +44,7 @@ def convert(curves: RigCurves, control_set: str) -> RigCurves:
     from_raw = _STEPS.get((RAW_ID, control_set))
     if to_raw is None or from_raw is None:
         raise ControlError(
-            f"no way from control set {curves.control_set!r} to {control_set!r}; "
+            f"no conversion from control set {curves.control_set!r} to {control_set!r}; "
             f"known: {', '.join(KNOWN)}"
         )
     return from_raw(to_raw(curves))
@@ -56,7 +56,7 @@ def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
     Raises
     ------
     ControlError
-        If none has; the message is that of the set that knows most of them.
+        If there is none; the message is that of the set with most of the names.
     """
     sets = [make() for make in KNOWN.values()]
     known = [sum(controls.knows(name) for name in names) for controls in sets]

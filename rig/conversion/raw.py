@@ -1,6 +1,6 @@
 """Board channels to the 251 raw curves ``CTRL_expressions_*`` of a MetaHuman face, and back.
 
-A raw curve is what Unreal's RigLogic takes in; an AnimSequence stores these and not the board. Each
+Raw curves are the input of Unreal's RigLogic; an AnimSequence stores them, not the board. Each
 is a clamped piecewise linear function of one board channel, given by its knots in ``raw.csv``.
 Ranges and slopes are facts of the mh4 rig: Epic's MetaHuman-DNA-Calibration assembles the rig from
 them. (A mapper file of Live Link Face disagrees in one: it takes ``mouthRight`` from the positive
@@ -84,7 +84,7 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
 
     The raw curves of one channel trace a path as the channel moves; each frame takes the nearest
     point of it (least squares). On the path this is the exact inverse, but for two cases:
-    ``CTRL_C_neck_swallow`` at 1 looks like 0, and the gaze of `BOTH_EYES` comes back in each eye.
+    ``CTRL_C_neck_swallow`` at 1 becomes 0, and the gaze of `BOTH_EYES` is added to each eye.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Curves to mouth shapes and back: the 15 Oculus visemes, and Rhubarb's cues A to H and X.
 
-Both sets are named after sounds and drawn by hand, so there is no exact map. We measure ten
-gestures on the board (jaw, lips together, lip bite …), and call a frame what its gestures are
-nearest to. The poses (``visemes.csv``) are our reading of what the two sets describe.
+Both sets are drawn by hand, so there is no exact map. Ten gestures are measured on the board (jaw,
+lips together, lip bite …), and each frame gets the viseme with the nearest gestures. The poses
+(``visemes.csv``) are our interpretation of the two sets.
 """
 
 import csv
@@ -41,7 +41,7 @@ EMPHASIS = {
     "back": 0.7,
     "hiss": 0.6,
 }
-"""How much a gesture counts in the distance; lips that meet count most, hidden tongues least."""
+"""Weight of each gesture in the distance: lips that meet most, the hidden tongue least."""
 WIDTH = 0.28
 """Distance at which a pose's share has fallen to exp(-1/2)."""
 MINIMUM_CUE_SECONDS = 0.06
@@ -65,7 +65,7 @@ def names(viseme_set: str) -> tuple[str, ...]:
 
 
 def weights(curves: RigCurves, viseme_set: str = OCULUS) -> Float32:
-    """Return how much each frame is each viseme [shape=(T, visemes), rows sum to 1].
+    """Return the weight of every viseme in each frame [shape=(T, visemes), rows sum to 1].
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def weights(curves: RigCurves, viseme_set: str = OCULUS) -> Float32:
 def cues(curves: RigCurves) -> tuple[Cue, ...]:
     """Return Rhubarb's cues: the strongest shape per frame, cues shorter than 60 ms merged.
 
-    Closed lips (``A``) are kept however short they are: they are what a viewer misses first.
+    Closed lips (``A``) of any length are kept, since their absence is the most visible error.
     """
     shapes = names(RHUBARB)
     best = [shapes[i] for i in weights(curves, RHUBARB).argmax(axis=1)]
@@ -138,7 +138,7 @@ def gestures(curves: RigCurves) -> Float32:
 
 
 def posed(amounts: Float32, fps: float) -> RigCurves:
-    """Return board curves of gestures [amounts shape=(T, 10)]; the opposite of `gestures`."""
+    """Return board curves of gestures [amounts shape=(T, 10)]; the inverse of `gestures`."""
     rest = rest_curves(len(amounts), fps=fps)
     values = rest.values.copy()
     for column, gesture in enumerate(GESTURES):
@@ -149,7 +149,7 @@ def posed(amounts: Float32, fps: float) -> RigCurves:
 
 
 def _merged(runs: list[Cue]) -> tuple[Cue, ...]:
-    """Give runs that are too short to their longer neighbour, then join equal neighbours."""
+    """Merge runs that are too short into their longer neighbour, then join equal neighbours."""
     merged: list[Cue] = []
     for i, run in enumerate(runs):
         is_short = run.end - run.start < MINIMUM_CUE_SECONDS - 1e-9 and run.shape != "A"

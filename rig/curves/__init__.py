@@ -1,4 +1,4 @@
-"""Values of named controls over time, and changes that keep their meaning."""
+"""Values of named controls over time, and edits of them."""
 
 from rig.curves.rig_curves import (
     EMOTIONS,

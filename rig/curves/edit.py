@@ -1,4 +1,4 @@
-"""Changes an animator makes to curves: smoothing, gain and offset, clamping to the ranges."""
+"""Edits of curves: smoothing, gain and offset, clamping to the ranges."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -23,14 +23,14 @@ CLOSURE_CONTROLS = (
 """Controls whose extremes are the lip closures of p, b and m."""
 
 MAX_FACTOR = 1e6
-"""Largest gain or offset; float32 holds what comes of it."""
+"""Largest gain or offset; the result stays finite in float32."""
 MAX_SMOOTHING_SECONDS = 60.0
 """Longest deviation of a smoothing kernel."""
 
 
 @dataclass(frozen=True)
 class Clipped:
-    """What clamping did to one control.
+    """Effect of clamping on one control.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Clipped:
 
 @dataclass(frozen=True)
 class ClampReport:
-    """Which controls were clamped; empty if none. Its text is one line."""
+    """The clamped controls; empty if none. As text it is one line."""
 
     clipped: tuple[Clipped, ...] = ()
 
@@ -76,7 +76,7 @@ def clamp(
     curves : RigCurves
         Any values.
     controls : ControlSet, optional
-        Where the ranges come from; the default board.
+        Source of the ranges; the default board.
     tolerance : float
         Excess (in the controls' unit) that is clamped but not worth reporting: rounding.
 
@@ -119,7 +119,7 @@ def gain(
         Keys are controls (any spelling) or sets (``mouth``, ``upper_face``, ``left`` …). Gains of a
         control that is named more than once multiply, offsets add.
     controls : ControlSet, optional
-        Where rest values and sets come from; the default board.
+        Source of rest values and sets; the default board.
 
     Raises
     ------
@@ -160,8 +160,8 @@ def smooth(
     curves : RigCurves
         Any values.
     seconds : float
-        Standard deviation of the Gaussian, seconds; 0 returns the curves as they are. 0.02 to 0.05
-        takes away jitter.
+        Standard deviation of the Gaussian, seconds; 0 returns the curves unchanged. 0.02 to 0.05
+        removes jitter.
     names : iterable of str, optional
         Controls or sets to smooth; all by default.
     keep_closures : bool

@@ -1,7 +1,7 @@
-"""Curves of a face: values over time for named controls, and what does not change their meaning.
+"""Curves of a face: values of named controls over time; slices, rates, mirroring, joining.
 
-Frame i is at i/fps seconds. A clip of d seconds has ceil(fps * d) frames. Everything here is pure:
-each function returns new curves.
+Frame i is at i/fps seconds. A clip of d seconds has ceil(fps * d) frames. Every
+function returns new curves.
 """
 
 import math
@@ -142,7 +142,7 @@ class RigCurves:
         Raises
         ------
         ControlError
-            If the curves hold a control that the set does not know.
+            If the curves hold a control that is not in the set.
         """
         controls = controls or default_controls()
         places = controls.indices(self.names)
@@ -175,7 +175,7 @@ class RigCurves:
         return replace(self._with_rows(interpolate), fps=fps)
 
     def mirror(self, controls: ControlSet | None = None) -> "RigCurves":
-        """Return the face seen in a mirror: left and right swapped, sideways values turned round.
+        """Return the mirrored face: left and right swapped, sideways values negated.
 
         Raises
         ------
@@ -291,7 +291,7 @@ def snap_fps(fps: float) -> float:
 
 
 def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float32:
-    """Return a read-only float32 array of a shape, or say which value is wrong."""
+    """Return a read-only float32 array of a shape, or raise CurveError naming the wrong value."""
     with np.errstate(over="ignore"):  # what becomes infinite is named below
         array = np.asarray(values, dtype=np.float32)
     if array.ndim != len(shape) or any(

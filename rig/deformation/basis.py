@@ -1,9 +1,11 @@
 """Linear bases of stretch and rotation over a head's motion (SDFA §3.4: the frozen last layers).
 
-F frames, D numbers a frame (6 N for s, 3 N for r). Deviation: the paper takes PCA of the plain
+Letters: D numbers of a frame (6 N for s, 3 N for r).
+
+Deviation: the paper takes PCA of the plain
 numbers and keeps 97 % of their variance; rows here are weighted by the root of their triangle's
 area, and the size is chosen by the error it leaves at the lips of frames not seen. 97 % of the
-unweighted variance can be more than 2 mm there: slivers on rims turn wildly and move nothing.
+unweighted variance can be more than 2 mm there: thin triangles on rims rotate a lot.
 """
 
 from collections.abc import Sequence
@@ -73,12 +75,12 @@ def fit_basis(frames: Any, areas: Any, *, most: int = 512) -> GradientBasis:
 
     Parameters
     ----------
-    frames : array [shape=(F, D)]
+    frames : array [shape=(T, D)]
         Packed s (D = 6 N) or r (D = 3 N).
     areas : array [shape=(N,)]
         Of the template's triangles.
     most : int
-        Most components kept; never more than F - 1.
+        Most components kept; never more than T - 1.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def fit_basis(frames: Any, areas: Any, *, most: int = 512) -> GradientBasis:
     weights = np.repeat(np.sqrt(areas / areas.mean()), data.shape[1] // len(areas))
     mean = data.mean(axis=0)
     weighted = (data - mean) * weights
-    # F is far below D: eigenvectors of the small F x F matrix.
+    # T is far below D: eigenvectors of the small T x T matrix.
     power, left = np.linalg.eigh(weighted @ weighted.T)
     order = np.argsort(power)[::-1][: min(most, len(data) - 1)]
     kept = order[power[order] > 1e-12 * max(power.max(), 1e-30)]
@@ -114,7 +116,7 @@ def fit_basis(frames: Any, areas: Any, *, most: int = 512) -> GradientBasis:
 
 @dataclass(frozen=True, eq=False)
 class Bases:
-    """Bases of one head's stretch and rotation, and what they cost at the lips.
+    """Bases of one head's stretch and rotation, and their errors at the lips.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def choose_bases(
     ----------
     template : TriMesh
         The expressionless head.
-    training, held_out : array [shape=(F, V, 3)]
+    training, held_out : array [shape=(T, V, 3)]
         Moved vertices, of different clips.
     lips : array of int
         Vertices of the lips.
@@ -201,12 +203,12 @@ def write_bases(path: Path | str, bases: Bases) -> None:
 
 
 def read_bases(path: Path | str) -> Bases:
-    """Read what `write_bases` wrote; the table is not kept.
+    """Read a file of `write_bases`, which has no table.
 
     Raises
     ------
     FormatError
-        If the file is something else.
+        If the file holds no bases.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -1,6 +1,6 @@
-"""Deformation gradients: how each triangle turns and stretches from the neutral face (SDFA §3.4).
+"""Deformation gradients: rotation and stretch of each triangle from the neutral face (SDFA §3.4).
 
-T frames, N triangles. A gradient is `T_i = R_i S_i`; a frame is packed as s (6N) and r (3N).
+The gradient of triangle i is `T_i = R_i S_i`; a frame is packed as s (6N) and r (3N).
 """
 
 from typing import Any, cast
@@ -159,7 +159,7 @@ def pack_vertices(
 
 
 def unpack(s: Any, r: Any) -> Float64:
-    """Put T = R S together again.
+    """T = R S from packed rows.
 
     Parameters
     ----------

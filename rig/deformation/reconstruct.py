@@ -1,8 +1,8 @@
 """From deformation gradients back to vertices (SDFA §3.5, Eq. 5-6).
 
-The fourth vertices are eliminated: the columns of Eq. 1's system that belong to them only say
-T n, which no choice of the three real vertices changes. What remains is, per triangle, the
-gradient within its plane, weighted by the root of its area:
+The fourth vertices are eliminated: the columns of Eq. 1's system that belong to them only hold
+T n, which does not depend on the three real vertices. The rest is, per triangle, the gradient
+within its plane, weighted by the root of its area:
 
     sum_i area_i | grad_i x - T_i |^2      over the free vertices x.
 
@@ -243,7 +243,7 @@ def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart
 def quietest_pins(template: TriMesh, shapes: Any) -> Int64:
     """For each component, the vertex that moves least over `shapes` [shape=(K, V, 3)].
 
-    A pin held at its neutral place costs exactly the motion it really had.
+    The error of pinning a vertex at rest is the motion it had.
     """
     motion = np.linalg.norm(np.asarray(shapes) - template.vertices, axis=-1).max(axis=0)
     labels = components(template)

@@ -151,7 +151,7 @@ def exp_entries(vectors: Float64) -> Float64:
 
 
 def unwrap(vectors: Any, reference: Any) -> Float64:
-    """Choose, of the vectors that mean the same rotation, the one nearest to a reference.
+    """Of the vectors of the same rotation, the one nearest to a reference.
 
     r and r + 2 pi k axis are one rotation. Near pi the logarithm jumps from one end of the axis
     to the other (6.28 rad between frames of `mouthClose` on two rim triangles of the ICT face);
@@ -162,7 +162,7 @@ def unwrap(vectors: Any, reference: Any) -> Float64:
     Parameters
     ----------
     vectors : array [shape=(..., 3), radians]
-        What the logarithm gave.
+        Rotation vectors of the logarithm.
     reference : array [shape=(..., 3), radians]
         The frame before, or the rest (zeros).
 

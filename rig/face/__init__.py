@@ -1,4 +1,4 @@
-"""The embedded head: a procedural face that every one of the 185 controls can move.
+"""The embedded head: a procedural face moved by the 185 controls.
 
 `build_head(identity)` gives a `Head`; `Head.pose(values)` gives vertices. Nothing is loaded from
 files: skull, lips, lids, teeth and hair are formulas (see docs/face.md).

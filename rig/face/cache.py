@@ -1,4 +1,4 @@
-"""Heads kept on disk between runs, as plain arrays in the user's cache folder."""
+"""Cache of heads on disk: plain arrays in the user's cache folder."""
 
 import hashlib
 import zipfile
@@ -19,7 +19,7 @@ Arrays = dict[str, NDArray[Any]]
 
 @lru_cache(maxsize=1)
 def _source_key() -> str:
-    """Digest of the code that builds heads: a change of it makes old heads unfindable."""
+    """Digest of the code that builds heads: heads of older code are not used."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(source.read_bytes())

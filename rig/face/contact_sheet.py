@@ -59,7 +59,7 @@ def sheet_tiles(name: str) -> list[Tile]:
 
 
 def _control_tiles(region: str) -> list[Tile]:
-    """Both ends of the region's controls; left controls stand for their right partners."""
+    """Both ends of the region's controls; of left and right controls only the left."""
     controls = default_controls()
     group = controls.subset("mouth" if region == "lips" else region)
     base = _base(region)
@@ -77,7 +77,7 @@ def _control_tiles(region: str) -> list[Tile]:
 
 
 def _base(region: str) -> dict[str, float]:
-    """A pose in which the region's controls can be seen."""
+    """A pose in which the region's controls are visible."""
     if region in ("tongue", "teeth"):
         return {"CTRL_C_jaw.ty": 0.45, "*mouth_lowerLipDepress.ty": 0.5,
                 "*mouth_upperLipRaise.ty": 0.4}  # fmt: skip
@@ -97,15 +97,15 @@ def draw_sheet(
     Parameters
     ----------
     head : Head
-        Who is drawn.
+        The head.
     tiles : sequence of Tile
-        What is drawn, in order.
+        Poses, row by row.
     columns : int, optional
         Tiles in a row.
     size : (int, int), optional
         Width and height of a tile, pixels.
     backend : {'auto', 'opengl', 'software'}, optional
-        What draws.
+        Renderer.
 
     Returns
     -------

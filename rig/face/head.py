@@ -38,7 +38,7 @@ BATCH = 64
 
 @dataclass(frozen=True)
 class _Follow:
-    """Vertices that ride on the skin: for each, some skin vertices and their weights."""
+    """Vertices attached to the skin: for each, some skin vertices and their weights."""
 
     near: Int64
     weight: Float64
@@ -284,7 +284,7 @@ def build_head(identity: int | str | Identity = 0) -> Head:
     Parameters
     ----------
     identity : int, str or Identity, optional
-        One of `rig.face.IDENTITIES` by number or name, or proportions of your own.
+        One of `rig.face.IDENTITIES` by number or name, or other proportions.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Parameters that make one procedural head differ from another."""
+"""Parameters of a procedural head."""
 
 from dataclasses import dataclass
 

@@ -1,11 +1,11 @@
-"""Writing files so that nothing is half there and nothing of the user's is lost.
+"""Files and folders written completely or not at all, without loss of a user's own files.
 
 ::
 
     atomic.py     one file: written beside, then renamed
     targets.py    which paths a command may write to
     lock.py       one process at a time per target
-    manifest.py   what deitalk wrote into a folder, with hashes
+    manifest.py   the files that deitalk wrote into a folder, with hashes
     recorded.py   single files of a folder that stays in use, such as a training run's
     folder.py     a whole folder: staged, then exchanged file by file, with a journal
 """

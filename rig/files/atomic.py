@@ -1,4 +1,4 @@
-"""One file, written beside its place and then renamed: a reader never meets half of it."""
+"""Atomic writing of one file: written beside its place, then renamed."""
 
 import hashlib
 import os
@@ -11,12 +11,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PREFIX = ".deitalk-"
-"""How the names of all temporary files and folders begin."""
+"""Beginning of the names of all temporary files and folders."""
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
 
 
 def temporary_name(name: str) -> str:
-    """Hidden name for a file on its way to `name`; it keeps the suffix that writers look at.
+    """Hidden name of the temporary file of `name`; it has the same suffix.
 
     ``.deitalk-<hash of name>-<hash of host>-<random><suffix>``.
     """

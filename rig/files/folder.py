@@ -1,13 +1,13 @@
 """A whole folder written at once: staged, then exchanged file by file.
 
 A folder that does not exist yet is filled beside its place and renamed. An existing one receives a
-hidden stage within it; once the stage is complete, a journal says what is to be moved and removed,
-and the next start finishes what a killed process began.
+hidden stage within it; once the stage is complete, a journal lists what is to be moved and removed,
+so that the next start finishes the exchange of a killed process.
 
 ::
 
     take/
-      .deitalk-manifest.json        what deitalk wrote, with hashes
+      .deitalk-manifest.json        files that deitalk wrote, with hashes
       .deitalk-journal.json         only while files are exchanged
       .deitalk-<hash>-<host>-…/     only while files are written: the stage
 """
@@ -39,7 +39,7 @@ _STAGE = "stage"
 _IGNORED = (".DS_Store", "Thumbs.db", "desktop.ini")
 """Files that file managers leave in any folder they show."""
 _NAMED = 3
-"""Files that a message names before it counts the rest."""
+"""Most files that a message names."""
 
 
 def check_folder(
@@ -57,7 +57,7 @@ def check_folder(
     folder : Path or str
         Folder to write: new, empty, or of the same kind and written by deitalk before.
     kind : str
-        What the folder is, as its manifest says: take, model, frames, shapes …
+        Kind of the folder in its manifest: take, model, frames, shapes …
     force : bool
         Whether a folder that deitalk wrote before may be written again.
     inputs : iterable of path or None
@@ -220,7 +220,7 @@ def _lies_in(folder: Path, path: Path) -> bool:
 def _exchange(folder: Path, journal: dict[str, Any]) -> None:
     """Move what is staged, remove what is gone, the manifest last; may be repeated at any point.
 
-    A file that is not the one the journal knows is the user's and stays.
+    A file whose hash differs from the journal's is the user's and stays.
     """
     stage = folder / journal["stage"]
     for name, before in journal["moves"].items():
@@ -276,7 +276,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _visible(folder: Path) -> list[str]:
-    """Names in a folder but for what deitalk keeps there while it works."""
+    """Names in a folder without deitalk's own hidden and temporary files."""
     try:
         names = os.listdir(folder)
     except OSError as error:

@@ -16,7 +16,7 @@ _guard = threading.Lock()
 
 
 def cache_folder() -> Path:
-    """Folder of what can be made again: ``$DEITALK_CACHE``, else the system's for this user."""
+    """Cache folder: ``$DEITALK_CACHE``, else the system's for this user."""
     if chosen := os.environ.get("DEITALK_CACHE"):
         return Path(chosen)
     if sys.platform == "win32":
@@ -65,7 +65,7 @@ def _acquire(key: str, target: Path) -> None:
 
 
 def _lock(key: str, target: Path) -> Any:
-    """A lock that is held, or None where locks cannot be made."""
+    """An acquired lock, or None where locks cannot be made."""
     from filelock import FileLock, Timeout
 
     name = hashlib.sha256(os.fsencode(key)).hexdigest()[:32]

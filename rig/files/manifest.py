@@ -1,4 +1,4 @@
-"""What deitalk wrote into a folder: names, sizes and hashes, in a hidden JSON file.
+"""Manifest of the files that deitalk wrote into a folder: a hidden JSON file of names and hashes.
 
 A command replaces and removes only files that are listed here and unchanged since.
 """
@@ -21,7 +21,7 @@ MAX_BYTES = 64 * 1024**2
 
 
 class Manifest(NamedTuple):
-    """What a folder is, and the SHA-256 of each file that deitalk wrote into it."""
+    """Kind of a folder, and the SHA-256 of each file that deitalk wrote into it."""
 
     kind: str
     """take, model, frames, shapes …"""
@@ -89,7 +89,7 @@ def record(folder: Path, names: Iterable[str], *, kind: str) -> None:
 
 
 def kind_of(folder: Path) -> str | None:
-    """What deitalk wrote a folder as; None if it has no manifest."""
+    """Kind of a folder in its manifest; None if it has none."""
     manifest = read_manifest(folder)
     return None if manifest is None else manifest.kind
 
@@ -100,7 +100,7 @@ def changed_files(folder: Path, names: Iterable[str] | None = None) -> list[str]
     Parameters
     ----------
     folder : Path
-        Without a manifest nothing is known, and the list is empty.
+        Without a manifest the list is empty.
     names : iterable of str, optional
         Only these; all listed ones by default.
     """
@@ -112,7 +112,7 @@ def changed_files(folder: Path, names: Iterable[str] | None = None) -> list[str]
 
 
 def is_changed(path: Path, digest: str) -> bool:
-    """Whether something is there that is not the file with this hash."""
+    """Whether the path exists and is not the file with this hash."""
     if not os.path.lexists(path):
         return False
     return path.is_symlink() or not path.is_file() or digest_of(path) != digest

@@ -1,8 +1,8 @@
-"""Read files that may be anything: bytes, text, JSON and NPZ, each within its limits.
+"""Safe reading of untrusted files: bytes, text, JSON and NPZ, each within its limits.
 
-Every function refuses what is no regular file before it opens it, so that a FIFO or a device never
-blocks, and checks sizes before it allocates. Errors are one line; callers of another package say
-which class they are.
+Every function refuses anything but a regular file before it opens it, so that a FIFO or a device
+never blocks, and checks sizes before it allocates. Errors are one line; other packages pass their
+own class of errors.
 """
 
 import json
@@ -165,7 +165,7 @@ def decode_text(
 
 
 def load_json(data: bytes | str, where: object, *, error: ErrorClass = FormatError) -> Any:
-    """Parse JSON with bounded nesting; NaN and Infinity, which JSON does not know, are errors.
+    """Parse JSON with bounded nesting; NaN and Infinity, which JSON does not have, are errors.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b'[]{}"'))
 
 
 def read_json(path: Path, limit: int, *, error: ErrorClass = FormatError) -> Any:
-    """Return what a JSON file holds; see `check_file` and `load_json`."""
+    """Return the content of a JSON file; see `check_file` and `load_json`."""
     return load_json(read_bytes(path, limit, error=error), path, error=error)
 
 
@@ -265,7 +265,7 @@ def check_expansion(
     error: ErrorClass,
     floor: int = limits.EXPANDED_BYTES,
 ) -> None:
-    """Refuse a file that expands to far more than its size.
+    """Raise an error if a file expands to far more than its size.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def _no_constant(text: str) -> NoReturn:
 
 
 def _reason(problem: BaseException) -> str:
-    """One short line of a library's message."""
+    """A library's message as one short line."""
     text = " ".join(shorten(str(problem), 500).split()) or type(problem).__name__
     return shorten(text, 160)
 

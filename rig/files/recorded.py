@@ -1,7 +1,7 @@
-"""Single files of a folder that stays in use: replaced only where nobody edited them.
+"""Single files of a folder that stays in use; replaced only while they are unedited.
 
 A manifest and the file it lists cannot change in one step. So the hash of the new file is added to
-the manifest first, under a name of its own; `settle` decides by it what a killed process did.
+the manifest first, under a name of its own; after a kill `settle` decides by it.
 """
 
 import hashlib
@@ -25,9 +25,9 @@ _NEXT = ".deitalk-next/"
 
 
 def begin_folder(folder: Path, *, kind: str) -> None:
-    """Make a folder that stays in use, or go on with it; it has a manifest from then on.
+    """Make a folder that stays in use, or open it again; it has a manifest afterwards.
 
-    What killed processes left is settled and removed. The caller holds the folder
+    Files of killed processes are settled or removed. The caller holds the folder
     (`rig.files.claim`).
 
     Parameters
@@ -35,7 +35,7 @@ def begin_folder(folder: Path, *, kind: str) -> None:
     folder : Path
         New, empty, or begun with the same kind before.
     kind : str
-        What the folder is: run, dataset …
+        Kind of the folder: run, dataset …
 
     Raises
     ------
@@ -55,7 +55,7 @@ def begin_folder(folder: Path, *, kind: str) -> None:
 def replace_recorded(folder: Path, name: str, text: str) -> None:
     """Write a file and list it in its folder's manifest; a file that is equal is left.
 
-    A process killed at any point leaves the old file or the new one, and `settle` knows either as
+    A process killed at any point leaves the old file or the new one, and `settle` accepts either as
     deitalk's.
 
     Parameters
@@ -65,7 +65,7 @@ def replace_recorded(folder: Path, name: str, text: str) -> None:
     name : str
         Path within the folder, with ``/``.
     text : str
-        What to write, in UTF-8.
+        Content, written in UTF-8.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which paths may be written to: rules that are checked before any work is done."""
+"""Rules of the paths that may be written to, checked before any work is done."""
 
 import os
 import stat
@@ -10,7 +10,7 @@ from rig.errors import ExistsError, TargetError
 Inputs = Iterable[Path | str | None]
 
 LONGEST_SUFFIX = 8
-"""Characters of the longest ending that is taken for a file type."""
+"""Most characters of a suffix that is a file type."""
 
 
 def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) -> None:
@@ -54,7 +54,7 @@ def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) ->
 
 
 def is_folder_name(target: Path | str, suffixes: Sequence[str]) -> bool:
-    """Tell whether a target means a folder or one file; the same rule for commands and Python.
+    """Whether a target is a folder or one file; the same rule for commands and Python.
 
     A folder is: an existing folder, a name that ends with a slash, a name without suffix, and a
     name whose suffix is no file type (``Scene 1.2``: only digits, a space in it, or more than 8
@@ -91,7 +91,7 @@ def is_folder_name(target: Path | str, suffixes: Sequence[str]) -> bool:
 
 
 def check_place(folder: Path | str) -> None:
-    """Refuse a folder that no command may fill, whatever it holds.
+    """Refuse a folder that no command may fill, empty or not.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def is_same(one: Path | str, other: Path | str) -> bool:
 
 
 def _mode(path: Path) -> int | None:
-    """Kind of what a path leads to; None if nothing is there."""
+    """Kind of the file at a path; None if there is none."""
     try:
         return os.stat(path).st_mode
     except FileNotFoundError:

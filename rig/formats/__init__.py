@@ -23,12 +23,12 @@ from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
 RANGE_TOLERANCE = 1e-4
-"""Excess over a range that a reader takes for rounding and clamps."""
+"""Excess over a range that a reader clamps as rounding."""
 
 
 @dataclass(frozen=True)
 class WriteReport:
-    """What a writer did besides writing.
+    """Changes that a writer made to the curves.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class WriteReport:
     dropped : tuple of str
         Tracks the format cannot hold.
     note : str
-        What else was lost, in one line: the residual of ARKit shapes; empty if nothing.
+        Other losses, in one line: the residual of ARKit shapes; empty if nothing.
     """
 
     path: Path
@@ -68,12 +68,12 @@ def read_curves(
     path : Path or str
         The file.
     format : str, optional
-        Name of a format; by default the suffix, and for CSV and JSON the beginning, tells.
+        Name of a format; by default that of the suffix, or of the beginning of a CSV or JSON file.
     controls : ControlSet, optional
-        Someone's own control set that the columns are; all its controls must be there. By default
-        the file or its names tell: board, raw curves or ARKit, in any order and known spelling.
+        A user's own control set of the columns; all its controls must be there. By default board,
+        raw curves or ARKit, by the file or its names, in any order and known spelling.
     fps : float, optional
-        Frames per second where the file does not say, or says wrong.
+        Frames per second, instead of the file's.
     control_set : str, optional
         Set to convert to where the file holds another of the known ones: a Live Link take becomes
         board channels. None leaves the curves as they are.
@@ -81,7 +81,7 @@ def read_curves(
     Raises
     ------
     FormatError
-        If the format is unknown or the file is not what it should be: not there, too large, NaN,
+        If the format is unknown, or the file is missing, too large or invalid: NaN,
         out of range (naming row and column), uneven times.
     ControlError
         If a control is unknown or doubled.
@@ -111,14 +111,14 @@ def write_curves(
     curves : RigCurves
         At least one frame.
     format : str, optional
-        Name of a format; by default the suffix tells.
+        Name of a format; by default that of the suffix.
     fps : float, optional
         Rate to resample to.
 
     Returns
     -------
     WriteReport
-        Says what was clamped and which tracks the format cannot hold.
+        The clamped controls, and the tracks that the format cannot hold.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def write_curves(
 
 
 def _told_by_content(path: Path, chosen: Format) -> Format:
-    """Return the format that the beginning of a CSV or JSON file tells."""
+    """Return the format of a CSV or JSON file by its beginning."""
     told = None
     if path.suffix.lower() == ".csv":
         told = format_of_header(read_header(path))

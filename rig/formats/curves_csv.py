@@ -1,6 +1,6 @@
 """Curves as a wide CSV: ``frame,time,<one column per control>``.
 
-Plain enough for pandas, a spreadsheet and Unreal's data tables. Controls are values only: emotion
+For pandas, spreadsheets and Unreal's data tables. Controls are values only: emotion
 and intensity tracks go into JSON and NPZ, and beside a take into its ``intensity.csv``.
 """
 
@@ -45,7 +45,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     path : Path
         The file.
     controls : ControlSet, optional
-        What the columns must be; told from their names if not given.
+        Control set of the columns; inferred from their names if not given.
     fps : float, optional
         Frames per second; taken from the ``time`` column if not given.
 
@@ -83,14 +83,14 @@ def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
 def names_of_set(
     path: Path, set_id: str, names: Sequence[str], controls: ControlSet | None
 ) -> tuple[list[str], ControlSet | None]:
-    """Names of a file that says its control set, as that set spells them, and the set.
+    """Canonical names of a file that holds its control set, and the set.
 
-    A set that is not known is someone's own (None): its names are taken as they are.
+    An unknown set is a user's own (None): its names stay as they are.
 
     Raises
     ------
     FormatError
-        If it is not the set that is wanted, or lacks some of its controls.
+        If it is not the required set, or lacks some of its controls.
     """
     known = controls or known_controls(set_id)
     if known is None:

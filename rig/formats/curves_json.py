@@ -95,7 +95,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 def read_object(
     path: Path, schema: str | None = None, limit: int = JSON_CURVES_BYTES
 ) -> dict[str, Any]:
-    """Read a JSON object; NaN and Infinity, which JSON does not know, are errors.
+    """Read a JSON object; NaN and Infinity, which JSON does not have, are errors.
 
     Raises
     ------

@@ -100,7 +100,7 @@ def _framed(text: NDArray[np.uint8], keep: Bool, before: bytes, after: bytes) ->
 def _cells(
     block: Block | Text, start: int, stop: int, separator: bytes
 ) -> tuple[NDArray[np.uint8], Bool]:
-    """Return characters and which of them count [both shape=(rows, columns * width)]."""
+    """Return characters and whether each is kept [both shape=(rows, columns * width)]."""
     if isinstance(block, Text):
         part = block.characters[start:stop]
         text = np.concatenate([part, np.full((len(part), 1), ord(separator), np.uint8)], axis=1)

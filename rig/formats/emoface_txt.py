@@ -2,7 +2,7 @@
 
 The columns are the channels of the mh3 board in the alphabetical order of their Maya names. The
 list that EmoFace publishes names ``CTRL_C_tongue_tip`` twice; by its alphabetical order the first
-pair stands where ``CTRL_C_tongue_roll`` belongs, and is read as that.
+pair is at the place of ``CTRL_C_tongue_roll``, and is read as that.
 """
 
 from functools import cache
@@ -40,7 +40,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     Raises
     ------
     FormatError
-        If `fps` is not given (the file does not say), or a line has not 174 finite numbers.
+        If `fps` is not given, or a line has not 174 finite numbers.
     """
     check_file(path, CURVES_BYTES)
     if fps is None:

@@ -1,4 +1,4 @@
-"""Files that other programs open right away, beside the curves of a take."""
+"""Files of a take for other programs."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Live Link Face CSV: what the iPhone app records, and what Unreal, Blender and Maya import.
+"""Live Link Face CSV, recorded by the iPhone app and imported by Unreal, Blender and Maya.
 
 Columns are ``Timecode, BlendShapeCount`` and 61 ARKit names; a row is a frame. The time code
 ``HH:MM:SS:FF.mmm`` counts **sixtieths of a second whatever the rate** (``.mmm`` are thousandths of
@@ -37,7 +37,7 @@ SUBJECT = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+?)(?:_(?:cal
 
 @dataclass(frozen=True, eq=False)
 class LiveLinkTake:
-    """A recorded take, as it is.
+    """A recorded take with its own times.
 
     Parameters
     ----------

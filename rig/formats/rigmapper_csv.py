@@ -1,7 +1,7 @@
 """RigMapper CSV: the long table that Unreal's RigMapper plugin imports (5.7 and later).
 
 ``curve_name, frame_number, value``, one row per key. Unreal turns it into an AnimSequence or into a
-section of a control rig. The file knows frames only: the rate is said on import.
+section of a control rig. The file holds frame numbers only: the rate is given on import.
 """
 
 import itertools
@@ -29,7 +29,7 @@ def write(path: Path, curves: RigCurves) -> None:
     """Write curve after curve, a key per frame; a curve that never moves has its first and last."""
     every = np.arange(len(curves))
     ends = np.unique([0, len(curves) - 1])
-    columns = np.ascontiguousarray(curves.values.T)  # a column at a time, near in memory
+    columns = np.ascontiguousarray(curves.values.T)  # column by column, as in memory
     frame_text = rendered(Block(every.reshape(-1, 1), 0))
     with path.open("wb") as stream:
         stream.write(", ".join(HEADER).encode() + b"\n")
@@ -50,9 +50,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     path : Path
         The file.
     controls : ControlSet, optional
-        What the curves are; told from the names if not given.
+        Control set of the curves; inferred from the names if not given.
     fps : float, optional
-        Frames per second, which the file does not say; 30 if not given.
+        Frames per second, which the file does not hold; 30 if not given.
     """
     if read_header(path) != HEADER:
         raise FormatError(f"{path}: the first line must be {', '.join(HEADER)!r}")

@@ -34,19 +34,19 @@ class Format:
     Parameters
     ----------
     name : str
-        What ``--format`` says.
+        Name of the format.
     suffixes : tuple of str
         Ends of file names that mean this format, the longest match wins.
     description : str
         One line.
     read, write : callable, optional
-        None where a format goes one way only.
+        None if the format is only written or only read.
     control_set : str, optional
-        What the writer takes; curves are converted to it. None takes any.
+        Control set of the file; curves are converted to it. None: any.
     has_tracks : bool
         Whether emotion and intensity are kept.
     begins : tuple of str
-        First cells (lower case) of a CSV of this format, to tell it by its header.
+        First cells (lower case) of a CSV of this format, by which it is recognised.
     """
 
     name: str
@@ -221,7 +221,7 @@ def find_format(
     Raises
     ------
     FormatError
-        If there is none that goes the way that is asked for; the known ones are listed.
+        If there is none, or it cannot be read or written as required; the known ones are listed.
     """
     fits = [f for f in FORMATS if (f.read or not readable) and (f.write or not writable)]
     by_name: Mapping[str, Format] = {f.name: f for f in fits}

@@ -1,7 +1,7 @@
 """JSON for the script that runs inside Unreal, schema ``deitalk.unreal/1``.
 
-The script has no numpy and no rig, so everything is ready for it: raw curves for an AnimSequence
-and board controls, float or Vector2D, for a Level Sequence. A curve that never moves is one number.
+The script has neither numpy nor rig, so the file holds both raw curves for an AnimSequence and
+board controls, float or Vector2D, for a Level Sequence. A curve that never moves is one number.
 """
 
 import json
@@ -51,7 +51,7 @@ def write(path: Path, curves: RigCurves) -> None:
 def _by_control() -> dict[str, dict[str, str]]:
     """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``.
 
-    Switches and multipliers are the animator's and are not keyed.
+    Switches and multipliers are left to the animator and not keyed.
     """
     controls: dict[str, dict[str, str]] = {}
     for c in default_controls().controls:

@@ -132,7 +132,7 @@ def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
 
 
 def _skeleton(pxr: Any, stage: Any) -> Any:
-    """Define one joint that never moves: UsdSkel wants a skeleton to bind an animation to."""
+    """Define one static joint: UsdSkel binds an animation to a skeleton."""
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/head/skeleton")
     still = [pxr.Gf.Matrix4d(1)]
     skeleton.CreateJointsAttr(["head"])

@@ -124,7 +124,7 @@ def read_matrix(path: Path, n_columns: int) -> Float64:
 
 
 def read_quietly(path: Path, **options: Any) -> pd.DataFrame:
-    """Return what `pandas.read_csv` reads, with its ParserWarning as an error."""
+    """Return the table of `pandas.read_csv`, with its ParserWarning as an error."""
     with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
         warnings.simplefilter("error", pd.errors.ParserWarning)
         table: pd.DataFrame = pd.read_csv(stream, **options)

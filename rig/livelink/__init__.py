@@ -1,4 +1,4 @@
-"""Live curves over UDP: to Unreal's Live Link, to JSON receivers, to VMC marionettes, and back."""
+"""Live curves over UDP: to Unreal's Live Link, JSON receivers and VMC programs, and back."""
 
 from rig.livelink.packet import Packet, decode, encode
 from rig.livelink.protocols import PROTOCOLS, find_protocol, make_protocol

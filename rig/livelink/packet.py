@@ -1,4 +1,4 @@
-"""Live Link Face packets, ARKit mode, version 6: what the iPhone app sends to UDP port 11111.
+"""Live Link Face packets, ARKit mode, version 6, as sent by the iPhone app to UDP port 11111.
 
 Big endian::
 
@@ -26,7 +26,7 @@ from rig.errors import FormatError
 
 VERSION = 6
 MAX_SECONDS = 2.0**32
-"""Latest time of a frame: what its 32 bits reach at one frame per second."""
+"""Latest time of a frame, in seconds: 32 bits at one frame per second."""
 N_VALUES = 61
 MAX_TEXT_BYTES = 512
 PORT = 11111
@@ -41,7 +41,7 @@ class Packet:
     Parameters
     ----------
     device, subject : str
-        Id of the sender, and the name that Unreal lists.
+        Id of the sender, and the name shown by Unreal.
     frame : int
         Frame number at the rate, 0 to 2**31 - 1.
     subframe : float
@@ -98,8 +98,8 @@ def decode(data: bytes) -> Packet:
     ------
     FormatError
         If it is of another version, too short or too long, its texts are no text, its rate is not
-        above 0, its time is beyond `MAX_SECONDS`, or a value is not finite. A phone that sees no
-        face sends packets without values: those are too short.
+        above 0, its time is beyond `MAX_SECONDS`, or a value is not finite. Packets of
+        a phone without a face in view hold no values and are too short.
     """
     if data[:1] != bytes([VERSION]):
         got = data[0] if data else "nothing"

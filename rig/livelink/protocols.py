@@ -1,4 +1,4 @@
-"""Ways to put one frame of curves into datagrams: Live Link Face, JSON properties, VMC."""
+"""Protocols of live curves, frames to datagrams: Live Link Face, JSON properties, VMC."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -13,18 +13,18 @@ from rig.livelink import osc
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
-"""Our device id: 36 characters, as receivers that misread the length expect."""
+"""Our device id: 36 characters, the length that some receivers assume."""
 MAX_JSON_BYTES = 60_000
 MAX_OSC_BYTES = 1_400
 """Below one Ethernet frame, so that nothing is cut into fragments."""
 
 
 class LiveProtocol(Protocol):
-    """What `rig.livelink.sender.send` needs."""
+    """Interface of a protocol for `rig.livelink.sender.send`."""
 
     @property
     def control_set(self) -> str | None:
-        """Set the values belong to; None takes any."""
+        """Control set of the values; None: any."""
 
     def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return the datagrams of one frame."""
@@ -103,7 +103,7 @@ class Vmc:
 
 @dataclass(frozen=True)
 class ProtocolInfo:
-    """A protocol by name: its usual port and how it is made from subject and names."""
+    """A protocol: its usual port, and its constructor from subject and names."""
 
     port: int
     description: str
@@ -122,7 +122,7 @@ PROTOCOLS: dict[str, ProtocolInfo] = {
 
 
 def find_protocol(name: str) -> ProtocolInfo:
-    """Return what is known of a protocol.
+    """Return the table entry of a protocol.
 
     Raises
     ------

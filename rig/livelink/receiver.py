@@ -1,6 +1,6 @@
-"""Receive Live Link Face packets and record them: the other end, for tests and for captures.
+"""Receive and record Live Link Face packets, for tests and captures.
 
-Bound to the loopback by default: a machine in a network opens a port only if it is told to.
+Bound to the loopback by default, so that no port is open to the network.
 """
 
 import socket
@@ -29,7 +29,7 @@ class Recording:
     Parameters
     ----------
     subject : str
-        Of the first packet, unless one was asked for.
+        Of the first packet, unless one was given.
     packets : tuple of Packet
         Sorted, each time once.
     n_lost, n_late, n_garbage, n_other : int
@@ -45,7 +45,7 @@ class Recording:
     n_other: int = 0
 
     def to_take(self) -> LiveLinkTake:
-        """Return what a Live Link Face CSV holds, with the packets' own times.
+        """Return the recording as a Live Link Face take, with the packets' own times.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class Recording:
 
 
 class Receiver:
-    """A UDP port that gives packets; a context manager.
+    """A UDP port that receives packets; a context manager.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class Receiver:
         idle_seconds: float | None = None,
         is_over: Callable[[], bool] = lambda: False,
     ) -> Iterator[Packet]:
-        """Yield packets as they come; garbage is counted and passed over.
+        """Yield packets as they come; other datagrams are counted and skipped.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class Receiver:
         idle_seconds : float, optional
             Longest time without a packet, once one has come.
         is_over : callable
-            Asked before every packet and five times a second; True ends.
+            Called before every packet and five times a second; True ends.
         """
         end = None if seconds is None else time.monotonic() + seconds
         idle_end: float | None = None
@@ -154,7 +154,7 @@ class Receiver:
         Parameters
         ----------
         subject : str, optional
-            Whose packets to take; the first one's by default.
+            Subject of the packets to take; that of the first packet by default.
         seconds, idle_seconds : float, optional
             See `packets`.
         n_packets : int
@@ -179,7 +179,7 @@ class Receiver:
 
 
 def _recording(subject: str, taken: list[Packet], n_garbage: int, n_other: int) -> Recording:
-    """Sort packets by time and count what went wrong on the way."""
+    """Sort packets by time and count lost and late ones."""
     highest, n_late = -1.0, 0
     for packet in taken:
         n_late += packet.seconds < highest

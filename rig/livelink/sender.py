@@ -1,4 +1,4 @@
-"""Send curves in time: paced by a monotonic clock, late frames skipped, at rest in the end."""
+"""Send curves in real time by a monotonic clock; late frames are skipped, the end is at rest."""
 
 import socket
 import time
@@ -15,12 +15,12 @@ from rig.errors import FormatError
 from rig.livelink.protocols import LiveProtocol
 
 REST_REPEATS = 3
-"""UDP may lose a datagram; a face that stays open is worse than three packets."""
+"""Packets of the face at rest at the end, since UDP may lose one."""
 
 
 @dataclass(frozen=True)
 class SendReport:
-    """What was sent.
+    """Statistics of a sending.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class SendReport:
 
 @dataclass(frozen=True)
 class Clock:
-    """Where time comes from; tests bring their own."""
+    """Source of time; tests have their own."""
 
     now: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
@@ -67,7 +67,7 @@ def send(
     Parameters
     ----------
     curves : RigCurves
-        Converted to what the protocol takes.
+        Converted to the control set of the protocol.
     protocol : LiveProtocol
         See `rig.livelink.protocols`.
     address : tuple of str and int
@@ -170,7 +170,7 @@ class _Run:
             self._send(self.index + i, values)
 
     def report(self) -> SendReport:
-        """Return what was sent so far."""
+        """Return the statistics so far."""
         seconds = self.clock.now() - self.start
         return SendReport(self.n_sent, self.n_skipped, seconds, max(self.worst, 0.0))
 
@@ -181,7 +181,7 @@ class _Run:
             try:
                 self.link.send(datagram)
             except ConnectionRefusedError:
-                pass  # nobody listens yet: UDP goes on
+                pass  # no receiver yet: UDP goes on
 
 
 def check_address(address: tuple[str, int]) -> None:
@@ -203,7 +203,7 @@ def _connected(address: tuple[str, int]) -> socket.socket:
         family, kind, number, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         link = socket.socket(family, kind, number)
         link.connect(target)
-    except (OSError, UnicodeError) as error:  # the latter: no name of a host is so long
+    except (OSError, UnicodeError) as error:  # the latter for a name that is too long
         reason = getattr(error, "strerror", None) or error
         raise FormatError(f"cannot send to {host}:{port}: {reason}; name another host") from error
     return link

@@ -1,4 +1,4 @@
-"""Triangle meshes, meshes with named shapes, and their files; knows no face and no curves."""
+"""Triangle meshes, meshes with named shapes, and their files; independent of faces and curves."""
 
 from rig.mesh.obj import read_obj, read_obj_folder, write_obj, write_obj_folder
 from rig.mesh.ply import read_ply, read_ply_sequence, write_ply, write_ply_sequence

@@ -1,4 +1,7 @@
-"""Closest points on a mesh, with a say in which triangles may answer."""
+"""Closest points on a mesh, limited to triangles of the same side and direction.
+
+Letters: Q query points.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +13,7 @@ from rig.arrays import Bool, Float64, Int64
 from rig.mesh.trimesh import TriMesh, triangle_normals
 
 _PENALTY = 1e3
-"""A refused triangle counts this many mesh sizes further away: it answers only for want of any."""
+"""Distance added to triangles that are not allowed, in mesh sizes: chosen only if none is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +28,7 @@ class SurfacePoints:
     distances : array [shape=(Q,)]
         From the query point to the surface point.
     allowed : array of bool [shape=(Q,)]
-        False where no allowed triangle was near, and a refused one answered.
+        False where no allowed triangle was near and another was taken.
     """
 
     triangles: Int64
@@ -47,7 +50,7 @@ class ClosestPoints:
     mesh : TriMesh
     labels : array of int [shape=(V,)], optional
         Side of each vertex: +1 upper lip, -1 lower lip, 0 neither. A query labelled +1 is never
-        answered from a triangle labelled -1, nor the other way about.
+        matched with a triangle labelled -1, nor the reverse.
     candidates : int
         How many triangles (by centroid) are tried for each query.
     """
@@ -77,7 +80,7 @@ class ClosestPoints:
         points : array [shape=(Q, 3)]
             The queries.
         normals : array [shape=(Q, 3)], optional
-            Only triangles facing the same way (cosine at least `least_cosine`) may answer.
+            Only triangles facing the same way (cosine at least `least_cosine`) are allowed.
         labels : array of int [shape=(Q,)], optional
             Lip sides of the queries.
         least_cosine : float [-1 to 1]

@@ -52,13 +52,13 @@ class WeightAnimation:
 
 @dataclass
 class GlbBuilder:
-    """A GLB in the making: grows the JSON and the binary chunk together."""
+    """Builder of a GLB: its JSON and its binary chunk."""
 
     json: dict[str, Any] = field(default_factory=dict)
     binary: bytearray = field(default_factory=bytearray)
 
     def view(self, array: NDArray[Any], target: int | None = None) -> int:
-        """Append the array's bytes, aligned to 4; give the index of its bufferView."""
+        """Append the array's bytes, aligned to 4; return the index of its bufferView."""
         while len(self.binary) % 4:
             self.binary.append(0)
         data = array.tobytes()
@@ -73,7 +73,7 @@ class GlbBuilder:
         return len(views) - 1
 
     def accessor(self, **fields: Any) -> int:
-        """Append an accessor; give its index."""
+        """Append an accessor; return its index."""
         accessors = self.json.setdefault("accessors", [])
         accessors.append(fields)
         return len(accessors) - 1
@@ -124,8 +124,8 @@ def write_glb(
 ) -> None:
     """Write a neutral mesh, its shapes as sparse morph targets, and their animation.
 
-    Target names go to `mesh.extras.targetNames`, where Blender, three.js and Unreal look for
-    them. Unused vertices are dropped (glTF forbids none, viewers dislike them).
+    Target names go to `mesh.extras.targetNames`, where Blender, three.js and Unreal read
+    them. Unused vertices are dropped, since some viewers do not support them.
 
     Parameters
     ----------

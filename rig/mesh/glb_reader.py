@@ -1,7 +1,7 @@
 """Read a user's GLB: its meshes joined into one, with named morph targets; or add an animation.
 
-`read_glb` brings geometry in. `animate_glb` leaves the user's file as it is (materials, textures,
-skin, compression) and only appends morph weights by name.
+`read_glb` reads geometry. `animate_glb` copies the user's file (materials, textures, skin,
+compression) and only appends morph weights by name.
 """
 
 from collections import deque
@@ -67,7 +67,7 @@ def read_glb(path: Path | str) -> ShapeSet:
 
 @contextmanager
 def _consistent(path: Path) -> Iterator[None]:
-    """Say in one line that a document's parts do not fit one another."""
+    """Turn errors of an inconsistent document into a FormatError."""
     try:
         yield
     except (MeshError, FormatError):
@@ -303,7 +303,7 @@ def animate_glb(
     path : Path or str
         The new file.
     names : tuple of str
-        What each column of `animation.weights` drives; targets not named stay at 0.
+        Morph target of each column of `animation.weights`; targets not named stay at 0.
     animation : WeightAnimation
         Weights [shape=(T, K)].
 

@@ -2,7 +2,7 @@
 
 Only positions and faces are read; texture coordinates, normals, groups and materials are skipped.
 Polygons become fans from their first corner, so that equal files give equal triangles. Vertices
-no face uses are kept: their indices count.
+without a face are kept, so that indices stay.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
 
 NEUTRAL_WORDS = ("neutral", "base", "rest", "basis", "default")
-"""A file is taken as the neutral one if its name holds one of these words."""
+"""Words in the name of the neutral file."""
 
 
 def read_obj(path: Path | str) -> TriMesh:

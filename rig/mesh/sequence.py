@@ -1,7 +1,7 @@
 """Sequences of one mesh's vertices to files: GLB, NPZ, folders of PLY.
 
-Letters: T frames, V vertices, K shapes. NPZ and PLY hold every vertex of every frame. GLB has no
-such thing that players read, so a sequence is first said by a few morph targets and their weights.
+NPZ and PLY hold every vertex of every frame. GLB players support only morph targets, so a
+sequence is first approximated by a few of them.
 """
 
 from dataclasses import replace
@@ -23,12 +23,12 @@ Kind = Literal["glb", "npz", "folder"]
 _FRAMES_AT_FIRST = 384
 """Frames that principal shapes are first taken from, evenly over the sequence."""
 _FRAMES_MORE = 128
-"""Frames that are added, those told worst, until the bound holds."""
+"""Frames that are added at a time, those with the largest error, until the bound holds."""
 _FRAMES_AT_ONCE = 256
 
 
 def check_out(out: Path | str) -> Kind:
-    """Return what a sequence is written as: ``glb``, ``npz``, or a ``folder`` of PLY files.
+    """Return the kind of file of a sequence: ``glb``, ``npz``, or a ``folder`` of PLY files.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def write_sequence(
     fps : float
         Any rate above 0.
     tolerance : float
-        Furthest a vertex of the GLB may be off, in the mesh's unit; 0 for a 100,000th of its size.
+        Largest error of a vertex of the GLB, in the mesh's unit; 0 for a 100,000th of its size.
     unit_metres : float
         Metres in the mesh's unit; the GLB is in metres, the others in the mesh's unit.
     colours : array [shape=(V, 3), range 0 to 1], optional
@@ -108,7 +108,7 @@ def scaled(shapes: ShapeSet, factor: float) -> ShapeSet:
 
 
 def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[ShapeSet, Float32]:
-    """Say a sequence by as few linear shapes as keep every vertex within a bound.
+    """Approximate a sequence by the fewest linear shapes that keep every vertex within a bound.
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
     vertices : array [shape=(T, V, 3)]
         At least one frame.
     tolerance : float
-        Furthest any vertex of any frame may be off, in the mesh's unit.
+        Largest error of any vertex of any frame, in the mesh's unit.
 
     Returns
     -------
     shapes : ShapeSet
-        K principal shapes, `motion_000` first: it says most.
+        K principal shapes, `motion_000` first, with the most variance.
     weights : array [shape=(T, K), range -1 to 1]
         Each column reaches 1 or -1.
 
@@ -133,8 +133,8 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
 
     Notes
     -----
-    The shapes come from the frames' Gram matrix. Where a long sequence is not said within the
-    bound by evenly chosen frames, the frames told worst join them.
+    The shapes come from the frames' Gram matrix. Where evenly chosen frames do not reach
+    the bound, the frames with the largest error are added.
     """
     frames = np.asarray(vertices, dtype=np.float32)
     if frames.ndim != 3 or frames.shape[1:] != mesh.vertices.shape or not len(frames):
@@ -180,7 +180,7 @@ def _coefficients(frames: Float32, rest: Float32, directions: Float64) -> Float6
 
 
 def _errors(frames: Float32, rest: Float32, directions: Float64) -> Float64:
-    """How far the worst vertex of each frame is off [shape=(T,)]."""
+    """Largest vertex error of each frame [shape=(T,)]."""
     worst = np.empty(len(frames))
     for k in range(0, len(frames), _FRAMES_AT_ONCE):
         deltas = (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size)

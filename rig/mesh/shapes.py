@@ -1,4 +1,4 @@
-"""A neutral mesh with its named shapes: what a blendshape rig is."""
+"""A neutral mesh with named shapes: the geometry of a blendshape rig."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -118,7 +118,7 @@ def write_shapes_npz(path: Path | str, shapes: ShapeSet) -> None:
 
 
 def read_shapes_npz(path: Path | str) -> ShapeSet:
-    """Read what `write_shapes_npz` wrote; nothing in the file is unpickled.
+    """Read a file of `write_shapes_npz`; nothing in it is unpickled.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """A triangle mesh, checked once when it is made.
 
-V vertices, N triangles. Space is right-handed, y up, the face looks along +z, the subject's left
+Space is right-handed, y up, the face looks along +z, the subject's left
 is +x (the convention of glTF); the unit is the file's own.
 """
 
@@ -55,7 +55,7 @@ class TriMesh:
 
     @property
     def size(self) -> float:
-        """Diagonal of the bounding box: the length that errors are measured against."""
+        """Diagonal of the bounding box, the reference length of tolerances."""
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
 
     def with_vertices(self, vertices: Any) -> "TriMesh":

@@ -1,11 +1,9 @@
 """The head as a GLB with ARKit's 52 shapes, for any viewer.
 
-ARKit's names are the ones that viewers and face trackers know. Each shape is the board pose that
-Unreal gives that name (`rig.conversion.arkit`). What shapes alone cannot express (a jaw and lids
+Viewers and face trackers use ARKit's names. Each shape is the board pose of
+that name in Unreal (`rig.conversion.arkit`). What shapes alone cannot express (a jaw and lids
 turn, lips seal) comes as correctives, whose drivers stand in ``mesh.extras.correctives``. For a
 take, with shapes of all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
-
-Letters: K shapes, V vertices.
 """
 
 from dataclasses import dataclass
@@ -26,7 +24,7 @@ from rig.mesh.trimesh import TriMesh
 SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
 """ARKit's 52 blend shapes, by Apple's names."""
 BASES = {"mouthClose": ("jawOpen", 1.0), "tongueOut": ("jawOpen", 0.4)}
-"""Shapes that mean something over an open jaw only: what they add to it."""
+"""Shapes that act on an open jaw only, as displacements from it."""
 CORRECTIVES: dict[str, dict[str, float]] = {
     "jawOpen_half": {"jawOpen": 0.5},
     "eyeBlinkLeft_half": {"eyeBlinkLeft": 0.5},
@@ -117,7 +115,7 @@ def write_head(path: Path | str, head: Head) -> Morphs:
 
 
 def _name_correctives(path: Path | str, title: str) -> None:
-    """Say whose head a file holds, and in which pose each corrective is fully on."""
+    """Extras of the file: whose head it is, and the pose in which each corrective is fully on."""
     document, binary = read_container(path)
     (mesh,) = document["meshes"]
     mesh["name"] = title

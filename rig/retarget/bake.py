@@ -1,8 +1,8 @@
-"""Bake a rig into linear morph targets, and say which curves drive each.
+"""Bake a rig into linear morph targets and their drivers.
 
-A shape is driven by a product of control halves, so that what a rig does beyond the sum of its
-controls (a jaw that turns, lips that seal over it) comes along as correctives: what the rig shows
-in a pose, less what the shapes before it show.
+A shape is driven by a product of control halves, so that nonlinear effects of a rig (a jaw that
+turns, lips that seal over it) become correctives: the vertices of the rig in a pose, less those of
+the shapes before it.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ class Half:
     sign: int = 1
 
     def amount(self, values: NDArray[Any], controls: ControlSet) -> Float64:
-        """How far along [shape=(T,), range 0 to 1], of control values [shape=(T, C)]."""
+        """Position between them [shape=(T,), range 0 to 1], of control values [shape=(T, C)]."""
         i = controls.index(self.control)
         rest = float(controls.rest[i])
         end = float(controls.maximum[i] if self.sign > 0 else controls.minimum[i])
@@ -96,7 +96,7 @@ class BakedRig:
     drivers : tuple of Driver
         One for each shape.
     controls : ControlSet
-        What the drivers' names mean.
+        Control set of the drivers' names.
     """
 
     shapes: ShapeSet
@@ -120,7 +120,7 @@ class BakedRig:
         return replace(self, shapes=ShapeSet(neutral, self.shapes.names, deltas))
 
     def moving(self) -> "BakedRig":
-        """Without the shapes that move nothing to speak of."""
+        """The rig without shapes that hardly move."""
         least = _STILL * self.shapes.neutral.size
         moves = np.linalg.norm(self.shapes.deltas, axis=-1).max(axis=1, initial=0.0) > least
         kept = np.flatnonzero(moves)
@@ -146,11 +146,11 @@ def bake(
     neutral : TriMesh
         The rig's mesh at rest.
     evaluate : callable
-        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]; one pose at a time is asked.
+        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]; one pose at a time.
     controls : ControlSet
         Columns of those values.
     correctives : sequence of (str, Driver)
-        Named shapes to add, in this order: each holds what is still missing in its pose.
+        Named shapes to add, in this order: each is the remaining difference in its pose.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def _posed(evaluate: Evaluate, values: Float32, neutral: TriMesh) -> Float64:
 
 
 def face_correctives() -> list[tuple[str, Driver]]:
-    """Correctives a MetaHuman-board face needs to stay true as morph targets.
+    """Correctives of a MetaHuman-board face baked to morph targets.
 
     The jaw turns rather than slides and lids go round the eyeball: an in-between half way each.
     Lips together close over an open jaw: each side, then both.

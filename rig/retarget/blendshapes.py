@@ -1,7 +1,7 @@
-"""Curves to the weights of someone's own blendshapes: by name, then bounded least squares.
+"""Curves to the weights of a user's blendshapes: by name, then bounded least squares.
 
-Every shape is understood as a pose of the 251 raw MetaHuman curves. Names of ARKit, Live Link Face,
-ICT-FaceKit, MetaHuman's raw curves and its board are known in the spellings exporters give them;
+Every shape is taken as a pose of the 251 raw MetaHuman curves. Names of ARKit, Live Link Face,
+ICT-FaceKit, MetaHuman's raw curves and its board are known in the spellings of exporters;
 other names come with a mapping file. The weights in [0, 1] whose poses add up nearest to a frame
 are its weights.
 """
@@ -56,14 +56,14 @@ _STAND_INS: dict[str, tuple[tuple[str, float], ...]] = {
     "noseNasolabialDeepen": (("noseWrinkle", 0.4), ("mouthUpperLipRaise", 0.2)),
     "mouthLipsBlow": (("mouthCheekBlow", 0.3),),
 }
-"""Raw curves (side letter left out) that few shape sets have, and what says nearly the same.
+"""Raw curves (side letter left out) that few shape sets have, and substitutes for them.
 
 Our judgement after the muscles they share; used only where no shape of the set has the curve."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlendshapeFit:
-    """Weights of a shape set over time, and what they could not say.
+    """Weights of a shape set over time, and the movement that it lacks.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class ShapePoses:
     names : tuple of str
         All shapes of the set, in its order.
     poses : array [shape=(K, 251)]
-        Change of the raw curves at weight 1; zero for shapes not understood.
+        Change of the raw curves at weight 1; zero for unknown shapes.
     mouth_close, jaw_open : int or None
         The corrective that closes the lips over an open jaw, and the jaw.
     close_gain : float [range 0 to 1]
@@ -109,7 +109,7 @@ class ShapePoses:
 
     @property
     def understood(self) -> tuple[str, ...]:
-        """Names that mean something here."""
+        """Names with a known meaning."""
         moving = np.asarray(self.poses.any(axis=1))
         driven = {*self.drivers, *arkit_halves(self.names), self.mouth_close}
         return tuple(n for i, n in enumerate(self.names) if moving[i] or i in driven)
@@ -150,12 +150,12 @@ class ShapePoses:
 
     @property
     def _closes_lips(self) -> bool:
-        """Whether correctives say what the lips-together curves do."""
+        """Whether correctives reproduce the lips-together curves."""
         of_arkit = self.mouth_close is not None and self.jaw_open is not None
         return of_arkit or any(len(driver.groups) > 1 for driver in self.drivers.values())
 
     def _fitted(self, moved: Float64, curves: RigCurves) -> Float64:
-        """Weights of all shapes: driven where there is a driver, else fitted to what is left."""
+        """Weights of all shapes: driven where there is a driver, else fitted to the remainder."""
         if not self.drivers:
             return _bounded_fit(moved, self.poses)
         driven = np.zeros((len(moved), len(self.names)))
@@ -172,7 +172,7 @@ def match_shapes(
     mapping: Mapping[str, Mapping[str, float]] | None = None,
     shapes: ShapeSet | None = None,
 ) -> ShapePoses:
-    """Understand the names of a blendshape set.
+    """Interpret the names of a blendshape set.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def shape_key(name: str) -> str:
     bare = re.sub(r"(?<=[a-zUD])R$", "_r", bare)
     side = bare[-2:] if bare[-2:] in ("_l", "_r") else ""
     stem = bare[: len(bare) - len(side)]
-    # jawLeft and mouthRight are ways, not sides: they keep the word.
+    # jawLeft and mouthRight are directions, not sides.
     if stem.lower() in ("jaw", "mouth"):
         return stem.lower() + {"_l": "left", "_r": "right", "": ""}[side]
     return re.sub(r"[^a-z0-9]", "", stem.lower()) + side
@@ -234,8 +234,8 @@ def shape_key(name: str) -> str:
 def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
     """Weight of the closing corrective at which the lips meet as in the neutral face.
 
-    Pairs across the slit are vertices close together that the jaw tears apart and the corrective
-    brings back; the weight is the median of what each pair needs. (ICT's corrective at 1 overlaps
+    Pairs across the slit are vertices close together that the jaw parts and the corrective
+    brings together; the weight is the median over the pairs. (ICT's corrective at 1 overlaps
     the lips by 5 mm.) 1 if there are no such pairs.
     """
     jaw, close = shapes.delta(jaw_open), shapes.delta(mouth_close)
@@ -326,7 +326,7 @@ def _columns(stem: str) -> NDArray[np.intp]:
 
 
 def _stand_in(moved: Float64, covered: NDArray[Any]) -> Float64:
-    """Let curves no shape has speak through near relatives that some shape has."""
+    """Move curves that no shape has to similar curves that some shape has."""
     index = {n.removeprefix(PREFIX): i for i, n in enumerate(raw_controls().names)}
     result = np.where(covered, moved, 0.0)
     for stem, relatives in _STAND_INS.items():

@@ -51,7 +51,7 @@ def arkit_halves(names: Sequence[str]) -> dict[int, tuple[int, ...]]:
 def own_drivers(names: Sequence[str]) -> dict[int, Driver]:
     """Drivers by column, if the names are of our own export of the board's shapes; else none.
 
-    The board's names alone do not tell: others use them too, and get weights that fit.
+    The board's names alone are ambiguous: other rigs use them too, and get fitted weights.
     """
     drivers, telling = _drivers()
     if not telling & set(names):
@@ -81,7 +81,7 @@ def driver_weights(drivers: Mapping[int, Driver], curves: RigCurves) -> dict[int
 
 @cache
 def _drivers() -> tuple[dict[str, Driver], frozenset[str]]:
-    """Drivers of all names our exporter gives, and the names that nobody else gives."""
+    """Drivers of all names of our exporter, and the names that only it uses."""
     halves, correctives = dict(control_halves(default_controls())), dict(face_correctives())
     telling = {name for name in halves if name.endswith("_negative")} | set(correctives)
     return halves | correctives, frozenset(telling)

@@ -1,7 +1,7 @@
-"""Lids that close: scale their travel to the eye they are on.
+"""Closing lids: their travel scaled to the opening of the target's eyes.
 
 A blink carried from an eye that opens 11 mm to one that opens 8 mm would run the upper lid 3 mm
-past the lower one. The local Jacobian knows the region, not the slit between the lids.
+past the lower one. The local Jacobian does not resolve the slit between the lids.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ def fit_lids(
     target_landmarks: Mapping[str, int],
     deltas: Any,
 ) -> Float64:
-    """Scale displacements across each eye's slit by how far this eye opens.
+    """Scale displacements across each eye's slit by the ratio of the eyes' openings.
 
     Parameters
     ----------

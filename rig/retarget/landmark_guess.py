@@ -1,4 +1,4 @@
-"""Find the landmarks of a neutral face without being told: lay the embedded head over it blind.
+"""Landmarks of a neutral face, found by laying the embedded head over it.
 
 The head is tried in the usual orientations and several sizes, fitted rigidly, then loosely; its
 landmarks are read off. The mouth is then found exactly: lips are vertices near in space and far
@@ -47,22 +47,22 @@ _VAGUE = (
     "upper_rim",
     "lower_rim",
 )
-"""A blind fit slides too far here; these come from rims and the slit, or not at all."""
+"""Landmarks for which the fit is too inaccurate; they are found by rims and the slit only."""
 _WORST = 0.03
-"""Largest median residual, in eye distances, at which a guess is offered at all."""
+"""Largest median residual of an accepted fit, in eye distances."""
 
 
 _SLIT_REACH = (0.03, 0.06)
-"""How near vertices across the slit are, in widths of the mouth; the second for parted lips."""
+"""Distance of vertices across the slit, in widths of the mouth; the second for parted lips."""
 _WAY_ROUND = 3.0
-"""They count if the way along the surface is this many times as long as that."""
+"""Least ratio of the way along the surface to that distance."""
 _FEWEST_PAIRS = 12
 _FEWEST_VERTICES = 100
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Landmarks that were found, and how sure one may be.
+    """Landmarks that were found, and the residual of the fit.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     Raises
     ------
     MeshError
-        If the head lies badly everywhere, or no mouth is found; landmarks must be given then.
+        If no fit is good enough or no mouth is found; landmarks must be given then.
     """
     skin, chosen = _largest_part(source)
     if len(mesh.vertices) < _FEWEST_VERTICES:
@@ -198,7 +198,7 @@ def _eyes(mesh: TriMesh, seen: dict[str, Float64], eyes: float) -> dict[str, int
 def _lid(mesh: TriMesh, loop: Float64, middle: Float64, side: float) -> int:
     """Vertex of a lid's edge: the one furthest into the eye, near the loop and its middle.
 
-    Behind the edge the skin turns in and the loop lies wider than what one sees open.
+    Behind the edge the skin turns in and the loop is wider than the visible opening.
     """
     width = float(np.ptp(loop[:, 0]))
     distance = _query(KDTree(loop), mesh.vertices)[0]

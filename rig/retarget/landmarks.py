@@ -1,4 +1,4 @@
-"""Named points of a face that two meshes share, and files that say where they are.
+"""Named points of a face that two meshes share, and files of them.
 
 Left and right are the subject's; left is +x.
 """
@@ -44,11 +44,11 @@ NEEDED = (
     "eye_outer_left",
     "eye_outer_right",
 )
-"""Registration cannot do without these eight."""
+"""The eight that registration requires."""
 
 
 def read_landmarks(path: Path | str, mesh: TriMesh) -> dict[str, int]:
-    """Read where the landmarks of a mesh are.
+    """Read the landmarks of a mesh from a file.
 
     JSON: ``{"nose_tip": 1225, "chin": [0.0, -9.8, 8.1]}``; CSV: ``name,vertex`` or ``name,x,y,z``
     with that header. A position means the nearest vertex.

@@ -1,7 +1,7 @@
-"""Pairs of points across the mouth's slit: do the lips meet, and making them.
+"""Pairs of points across the mouth's slit, and correction of the lips' contact after a transfer.
 
-Vertices of the upper and of the lower lip take their displacements from the source apart; an error
-of half a millimetre each way is nothing on a cheek and an open mouth on /m/.
+Vertices of the upper and of the lower lip take their displacements from the source separately; an
+error of half a millimetre each is invisible on a cheek, but an open mouth on /m/.
 """
 
 from collections.abc import Mapping
@@ -19,11 +19,11 @@ from rig.retarget.registration import Registration
 from rig.retarget.transfer import local_jacobians
 
 _NEAR_SLIT = 0.03
-"""Lips are paired where they are this near, in widths of the mouth, or half again the gap."""
+"""Largest distance of a pair, in widths of the mouth; at least 1.5 times the gap."""
 _REPAIR_REACH = 0.08
-"""How far a correction of the rim spreads over its lip, in widths of the mouth."""
+"""Reach of a correction of the rim over its lip, in widths of the mouth."""
 _SMOOTHING = 0.04
-"""How far corrections are averaged along the slit, in widths of the mouth."""
+"""Reach of the averaging of corrections along the slit, in widths of the mouth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +93,9 @@ def repair_lips(
     source_deltas: Any,
     target_deltas: Any,
 ) -> Float64:
-    """Give the target's lip pairs the parting and meeting of the source's pairs.
+    """Correct the target's lip pairs to the gaps of the source's pairs.
 
-    Each target pair looks up what the nearest source pairs do *relative to one another*, turned
+    Each target pair takes the *relative* motion of the nearest source pairs, turned
     and scaled by the local Jacobian; half of the difference goes to each lip and fades over it.
 
     Parameters

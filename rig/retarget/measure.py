@@ -49,7 +49,7 @@ def of_file(path: str) -> Iterator[str]:
 
 
 def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[str]:
-    """Shapes carried from one embedded head to others, against what those have themselves."""
+    """Shapes carried from one embedded head to others, against their own."""
     source = source_head(0)
     for identity in identities:
         head = source_head(identity)

@@ -1,4 +1,4 @@
-"""A take on someone's own face: the three ways, each from plain arrays to plain arrays.
+"""A take on a user's face: three methods, each from arrays to arrays.
 
 (a) their blendshapes, driven by name: `rig.retarget.blendshapes`;
 (b) their one neutral mesh: `shapes_for` registers the embedded head and bakes its shapes onto it;
@@ -31,7 +31,7 @@ _VERTICES_AT_ONCE = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Retargeted:
-    """A rig on the user's mesh, and how well it lies.
+    """A rig on the user's mesh, and its registration.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Retargeted:
     source_pairs, target_pairs : LipPairs
         Where the lips meet on each.
     warnings : tuple of str
-        What an artist should look at, one line each.
+        Warnings for an artist, one line each.
     """
 
     rig: BakedRig
@@ -78,7 +78,7 @@ def shapes_for(
     Raises
     ------
     MeshError
-        If landmarks are missing, the lips cannot be told apart, or the mesh is too large.
+        If landmarks are missing, upper and lower lip cannot be separated, or the mesh is too large.
     """
     source = source_head() if source is None else source
     shapes = replace(source.rig.shapes, landmarks=source.landmarks)
@@ -165,7 +165,7 @@ def sequence_for(registration: Registration, vertices: Any) -> Float64:
 
 
 def warnings_of(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
-    """What an artist should look at after a registration, one line each."""
+    """Warnings for an artist about a registration, one line each."""
     found = []
     if registration.residual > POOR_MATCH:
         found.append(

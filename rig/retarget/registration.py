@@ -1,7 +1,7 @@
-"""Lay one head over another: landmarks, thin plates, then non-rigid closest points.
+"""Registration of one head with another: landmarks, thin plates, non-rigid closest points.
 
-The upper lip only ever meets the upper lip: vertices near the mouth are labelled by their distance
-*along the surface* from the rims, which does not leap the slit.
+The upper lip is matched with the upper lip only: vertices near the mouth are labelled by
+their distance *along the surface* from the rims, which does not cross the slit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,7 +45,7 @@ _LIP_REACH = 0.75
 _WELD = 1e-7
 
 POOR_MATCH = 0.02
-"""A median residual above this share of the eye distance (2 mm on a head) deserves a warning."""
+"""A median residual above this share of the eye distance (2 mm on a head) gives a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Registration:
 
     @cached_property
     def skin_faces(self) -> Int64:
-        """Triangles of the source's largest part; teeth and tongue must not answer for lips."""
+        """Triangles of the source's largest part; teeth and tongue are not matched with lips."""
         on_skin = components(self.source)[self.source.faces[:, 0]] == 0
         return np.flatnonzero(np.asarray(on_skin))
 
@@ -266,7 +266,7 @@ def closest_rounds(
     eyes: float,
     rounds: Rounds = _ROUNDS,
 ) -> Float64:
-    """Pull the skin to its closest points, round by round more freely.
+    """Pull the skin to its closest points, less stiffly each round.
 
     Parameters
     ----------

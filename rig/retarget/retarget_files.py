@@ -1,4 +1,4 @@
-"""From a take's curves and a mesh file to an animated file: what `deitalk retarget` does."""
+"""From a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ Way = Literal["blendshapes", "neutral", "sequence"]
 
 @dataclass(frozen=True)
 class RetargetReport:
-    """What was done.
+    """Result of a retargeting.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class RetargetReport:
         Shapes that are driven.
     frames : int
     lost : float or None [range 0 to 1]
-        Share of the movement the mesh's own shapes cannot say.
+        Share of the movement that the mesh's own shapes lack.
     notes : tuple of str
         Warnings, one line each.
     """
@@ -79,16 +79,16 @@ def retarget_curves(
     landmarks : Path or str, optional
         Where the landmarks of a neutral mesh are; guessed if not given.
     mapping : Path or str, optional
-        What shapes of unknown names stand for.
+        Meaning of shapes with unknown names.
     method : str
-        How shapes are made for a neutral mesh: "displacements" or "gradients".
+        Method of making shapes for a neutral mesh: "displacements" or "gradients".
     as_neutral : bool
-        Take no notice of the mesh's own shapes.
+        Ignore the mesh's own shapes.
 
     Raises
     ------
     FormatError, MeshError, TopologyError, ControlError
-        With one line that says what to mend.
+        With one line on what to correct.
     """
     mesh = Path(mesh)
     check_out(out)
@@ -134,7 +134,7 @@ def retarget_sequence(
     fps : float
         Any rate above 0.
     tolerance : float
-        Furthest a vertex of the template may be off before it is carried, in its unit.
+        Largest error of a vertex of the template, in its unit.
     source_landmarks : mapping of str to int, optional
         Of the template; guessed if not given.
     landmarks : Path or str, optional
@@ -143,12 +143,12 @@ def retarget_sequence(
     Raises
     ------
     FormatError, MeshError, TopologyError
-        With one line that says what to mend.
+        With one line on what to correct.
 
     Notes
     -----
-    The sequence is first said by principal shapes, which are carried as any shape is: parting and
-    meeting of the lips are linear in them.
+    The sequence is first approximated by principal shapes, which are carried as any shape is:
+    the gaps between the lips are linear in them.
     """
     mesh = Path(mesh)
     check_out(out)
@@ -170,7 +170,7 @@ def _guessed(mesh: TriMesh) -> Mapping[str, int]:
 def _landmarks(
     shapes: ShapeSet, path: Path | str | None
 ) -> tuple[Mapping[str, int], tuple[str, ...]]:
-    """Landmarks from a file, from the shape set, or guessed; and what to say about them."""
+    """Landmarks from a file, from the shape set, or guessed; and warnings about them."""
     if path is not None:
         return read_landmarks(path, shapes.neutral), ()
     if shapes.landmarks:

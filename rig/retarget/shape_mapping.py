@@ -1,4 +1,4 @@
-"""Files that say what the shapes of someone's own face stand for."""
+"""Files that map the shapes of a user's face to controls."""
 
 import csv
 from pathlib import Path

@@ -13,7 +13,7 @@ from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, face_correctives
 
 PARTS = ("skin", "eye_L", "eye_R", "teeth_upper", "teeth_lower", "tongue")
-"""What is carried to another head; brows, lashes, ears and hair are the other head's own."""
+"""Parts that are carried to another head, without brows, lashes, ears and hair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def head_landmarks(head: Head) -> dict[str, int]:
 
 
 def _profile(points: Float64, known: dict[str, Int64], head: Head) -> dict[str, int]:
-    """Nose, chin and brows, by where the skin stands out or folds in."""
+    """Nose, chin and brows, by extremes of the skin."""
     skin = head.features
     inside = (skin.kind == MOUTH) & (skin.ring < 0)
     middle = np.flatnonzero((np.abs(points[:, 0]) < 1e-6) & (points[:, 2] > 0) & ~inside)

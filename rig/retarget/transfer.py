@@ -4,7 +4,7 @@ Two ways. *Displacements* (default): each target vertex takes its source point's
 turned and scaled by the registration's local Jacobian. *Gradients*: each target triangle takes
 its source triangles' deformation gradient and the vertices are solved for (Sumner & Popovic 2004;
 SDFA's use of Eq. 1-6 across topologies). The first is closer at the lips, where gradients of a
-few rim slivers lead the whole lip astray (measured: docs/mesh.md).
+few thin rim triangles displace the whole lip (measured: docs/mesh.md).
 """
 
 from functools import lru_cache
@@ -72,7 +72,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
 
 
 def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
-    """As `transfer_displacements`, by deformation gradients; frames of a take go the same way.
+    """As `transfer_displacements`, by deformation gradients; also for frames of a take.
 
     Vertices whose source stays within 0.1 % of the head through all K are held there; each part
     without one is pinned where its displacement says.
@@ -111,11 +111,11 @@ def _checked(registration: Registration, deltas: Any) -> Float64:
 
 @lru_cache(maxsize=2)
 def local_jacobians(registration: Registration) -> Float64:
-    """How the registration turns and stretches space around each source vertex.
+    """Local Jacobian of the registration at each source vertex.
 
     Affine maps fitted to the placed skin about a few hundred of its vertices, within a Gaussian of
     `_REGION` eye distances, then blended. Gradients of single triangles would follow every
-    wrinkle of the fit, and know nothing of the direction across the skin.
+    wrinkle of the fit, and are undetermined across the skin.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def local_jacobians(registration: Registration) -> Float64:
     moments = np.stack([_moments(near, x, before) for x in (before, after)])
     moments[0] -= mean_before[:, :, None] * mean_before[:, None, :]
     moments[1] -= mean_after[:, :, None] * mean_before[:, None, :]
-    # A patch of skin is nearly flat; what it does not show about its normal, the whole head does.
+    # A patch of skin is nearly flat; along its normal the whole head determines the map.
     whole = registration.scale * registration.rotation
     ridge = 1e-3 * np.trace(moments[0], axis1=1, axis2=2)[:, None, None] * np.eye(3)
     fitted = (moments[1] + whole @ ridge) @ np.linalg.inv(moments[0] + ridge)
@@ -187,7 +187,7 @@ def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
 
 
 def _soften(registration: Registration, deltas: Float64) -> Float64:
-    """Take the registration's ripples out: mix vertices with neighbours a millimetre or two off.
+    """Smooth the registration's ripples: mix vertices with neighbours a millimetre or two off.
 
     A coarse mesh, whose edges are longer than the ripples, is left as it is.
     """
@@ -210,7 +210,7 @@ def _settle_parts(registration: Registration, mapped: Float64, result: Float64) 
     """Make loose parts of the target (eyes, teeth) move as one piece.
 
     A part nearest to a loose part of the source takes its motion, rigid if that is; a part on the
-    skin (brow, lash) keeps what it has; any other stays still: an eyeball must not follow the lids.
+    skin (brow, lash) keeps what it has; any other stays still: an eyeball does not follow the lids.
     """
     labels = components(registration.target)
     if labels.max() == 0:
@@ -228,7 +228,7 @@ def _settle_parts(registration: Registration, mapped: Float64, result: Float64) 
         result[:, part] = 0.0
         if inner is None or points is None or to_inner > _NEAR_PART * registration.eyes:
             continue
-        # Upper and lower teeth touch: only the part that most points lie on may lead.
+        # Upper and lower teeth touch: only the part with most of the points determines the motion.
         owners = source_labels[inner.mesh.faces[:, 0]]
         leader = inner.mesh.faces[owners == np.bincount(owners[points.triangles]).argmax()]
         points = ClosestPoints(TriMesh(registration.placed, leader)).query(rest)

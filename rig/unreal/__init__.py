@@ -1,1 +1,1 @@
-"""The script that a user runs inside Unreal; nothing here is imported by the rest."""
+"""The script that runs inside Unreal; no other module imports it."""

@@ -1,4 +1,4 @@
-"""Bring deitalk animation into Unreal Engine (5.3 to 5.7): run this file inside the editor.
+"""Import of deitalk animation into Unreal Engine (5.3 to 5.7), run inside the editor.
 
 Needs nothing but Unreal's own Python (3.9 or later) and a ``*.unreal.json`` that
 ``deitalk convert take/curves.json speech.unreal.json`` writes. In the editor's Python console::
@@ -45,7 +45,7 @@ OLDER_NAMES = {
 
 
 class DeitalkError(RuntimeError):
-    """Something the user can mend; the message says how."""
+    """An error that the user can correct; the message says how."""
 
 
 def anim_sequence(
@@ -284,7 +284,7 @@ def _resampled(data: dict[str, Any], values: Any, fps: float) -> list[float]:
 
 
 def _display_rate() -> Any:
-    """Return the time unit, whose enum Unreal renamed on the way."""
+    """Return the time unit, whose enum has two names in these versions of Unreal."""
     enum = getattr(unreal, "MovieSceneTimeUnit", None) or unreal.SequenceTimeUnit
     return enum.DISPLAY_RATE
 

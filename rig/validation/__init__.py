@@ -1,1 +1,1 @@
-"""Files checked as the programs that import them would."""
+"""Checks of files by the rules of the programs that import them."""

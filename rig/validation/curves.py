@@ -1,7 +1,7 @@
-"""Check a file of curves, or a take folder, as the programs that import it would.
+"""Check a file of curves, or a take folder, by the rules of the programs that import it.
 
-Every finding is an error (an importer refuses it or plays it wrong), a warning (it plays, and
-probably not as meant) or a note (what will happen).
+Every finding is an error (an importer refuses it or plays it wrong), a warning (it is probably not
+played as intended) or a note (an effect of the import).
 """
 
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ from rig.validation.exports import CHECKS
 
 Level = Literal["error", "warning", "note"]
 OPEN_MOUTH = 0.1
-"""Jaw opening above which a clip that ends is said to end with an open mouth."""
+"""Jaw opening at the end of a clip above which a warning is given."""
 JUMP = 0.8
-"""Share of a control's range that no face crosses from one frame to the next."""
+"""Share of a control's range that is too far for one frame."""
 MOUTH_SHAPES = ("JawOpen", "CTRL_C_jaw.ty", f"{PREFIX}jawOpen")
 CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb")
 OTHER_CSV = ("intensity.csv",)
@@ -38,7 +38,7 @@ WRINKLES = tuple(f"{PREFIX}noseWrinkleUpper{side}" for side in "LR")
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found.
+    """One finding.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def _file(path: Path) -> list[Finding]:
 
 
 def _curves(path: Path, curves: RigCurves) -> list[Finding]:
-    """Check values that are finite and in range already: the reader saw to that."""
+    """Check values, which are finite and in range after reading."""
     findings = [Finding("note", path, _summary(curves))]
     findings += _motion(path, curves.values, curves.names, curves.control_set)
     if curves.control_set == RAW_ID:

@@ -1,4 +1,4 @@
-"""Check the files that are only written: JSON for Unreal, visemes, GLB."""
+"""Checks of files that are only written: JSON for Unreal, visemes, GLB."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ def check_unreal_json(path: Path) -> Note:
     Raises
     ------
     FormatError
-        If the script inside Unreal would refuse it, or the face would look wrong.
+        If the script inside Unreal would refuse it, or would show a wrong face.
     """
     from rig.formats.unreal_json import SCHEMA
 
@@ -101,7 +101,7 @@ CHECKS: dict[str, Callable[[Path], Note]] = {
     ".visemes.json": check_visemes,
     ".glb": check_glb,
 }
-"""By the end of the file name."""
+"""Check by the end of the file name."""
 
 
 def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]) -> int:

@@ -1,4 +1,4 @@
-"""An ear, woven from rings: bowl, inner ridge, groove, rim, and back into the skull."""
+"""An ear from rings: bowl, inner ridge, groove, rim, and back into the skull."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The curves around the mouth, the eyes and the nostrils that the mesh is woven from.
+"""The curves around the mouth, the eyes and the nostrils that the mesh is built on.
 
 Every loop is a closed row of vertices. Its angle t starts at the side nearest the character's
 left (+x) for the mouth, at the outer corner for an eye, and runs over the top.
@@ -87,7 +87,7 @@ def lid_outline(offset: float, identity: Identity) -> Float64:
 def mouth_directions(identity: Identity) -> Float64:
     """Directions (loops, MOUTH_COUNT, 3) from `CENTER` of the mouth's loops."""
     aim = np.stack([mouth_loop(r, identity) for r in MOUTH_OFFSETS])
-    for _ in range(4):  # slide along the skin to the heights the outline asks for
+    for _ in range(4):  # slide along the skin to the heights of the outline
         hit = project(unit(aim - CENTER).reshape(-1, 3), identity)
         aim[..., 2] = hit[:, 2].reshape(aim.shape[:2])
     return unit(aim - CENTER)

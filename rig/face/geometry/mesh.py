@@ -42,7 +42,7 @@ def painted(vertices: Float64, faces: Int64, color: ArrayLike, gloss: float = 0.
 
 
 def mirrored(mesh: Mesh) -> Mesh:
-    """The mesh seen in the mirror plane x = 0, faces still counter-clockwise."""
+    """The mesh mirrored at the plane x = 0, faces still counter-clockwise."""
     return Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1], mesh.colors, mesh.gloss)
 
 

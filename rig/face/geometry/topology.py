@@ -1,6 +1,6 @@
-"""Which vertices the skin has and how they are joined: loops plus a Delaunay filler.
+"""Vertices and triangles of the skin: loops plus a Delaunay filler.
 
-Loops are woven as strips of quads; the rest of the sphere of directions is filled with points
+Loops are joined by strips of quads; the rest of the sphere of directions is filled with points
 whose spacing follows the detail wanted, mirrored in x = 0, and triangulated by a convex hull
 (on a sphere that is the Delaunay triangulation). The result depends on no identity.
 """
@@ -43,7 +43,7 @@ class Topology:
 
 
 def spacing(directions: Float64) -> Float64:
-    """Wanted distance between neighbouring vertices, radians seen from the head's centre."""
+    """Target distance between neighbouring vertices, radians seen from the head's centre."""
     from_face = np.degrees(np.arccos(np.clip(directions @ FACE_AXIS, -1, 1)))
     from_nose = np.degrees(np.arccos(np.clip(directions @ NOSE_AXIS, -1, 1)))
     face = np.interp(from_face, [0, 28, 42, 60, 90, 180], [0.046, 0.046, 0.067, 0.14, 0.28, 0.36])

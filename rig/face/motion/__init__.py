@@ -1,1 +1,1 @@
-"""How controls move the head."""
+"""Motion of the head by its controls."""

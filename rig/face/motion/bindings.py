@@ -1,4 +1,4 @@
-"""Which control of the 185 drives what: the whole map from the board to the head.
+"""Map from the 185 controls of the board to the shapes and inputs of the head.
 
 A target is a linear shape (`shapes_*`) or a named input of the non-linear parts: ``jaw.*``,
 ``lid.*_L``, ``seal.*``, ``tongue.*``, ``teeth.*``, ``gaze.*``, ``pupil_*``, ``lash.*``, ``ear_*``.
@@ -142,7 +142,7 @@ NOTHING: dict[str, str] = {
     "CTRL_neckCorrectivesMultiplyerM.ty": "corrects the neck in head turns; a take has none",
     "CTRL_neckCorrectivesMultiplyerD.ty": "corrects the neck in head turns; a take has none",
 }
-"""Controls that move nothing on this head, and why."""
+"""Controls without effect on this head, and the reason."""
 
 ONLY_WITH: dict[str, str] = {
     "CTRL_L_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_L_nose.ty (rests at 1)",
@@ -156,7 +156,7 @@ ONLY_WITH: dict[str, str] = {
     "CTRL_C_mouth_stickyU.ty": "closes lips that are apart; at rest they touch already",
     "CTRL_C_mouth_stickyD.ty": "closes lips that are apart; at rest they touch already",
 }  # fmt: skip
-"""Controls whose effect shows only together with another one."""
+"""Controls with an effect only together with another one."""
 
 
 class Bindings:

@@ -1,7 +1,7 @@
 """Lips against teeth and lips against lips: the non-linear end of a pose.
 
 First every lip vertex that would sink into a dental arch is moved out of it. Last, the seal:
-opposing vertices of the rims are brought together as far as the controls ask, and never pass
+opposing vertices of the rims are brought together by the controls' share, and never pass
 through one another. Full closure is exact, whatever jaw, purse or smile do.
 """
 
@@ -86,7 +86,7 @@ class Seal:
         self._sides = {"L": left, "R": 1 - left}
 
     def amounts(self, inputs: Inputs) -> tuple[Float64, Float64]:
-        """How far (T, n) upper and lower lip go along their part of the gap, 0..1."""
+        """Shares (T, n) of their part of the gap that upper and lower lip move, 0..1."""
         far = np.abs(self._u)
         center, inner = np.exp(-((far / 0.35) ** 2)), np.exp(-(((far - 0.45) / 0.28) ** 2))
         outer = smoothstep((far - 0.55) / 0.3)

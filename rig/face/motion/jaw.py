@@ -21,7 +21,7 @@ class Jaw:
 
     @staticmethod
     def weights(maker: ShapeMaker) -> Float64:
-        """How much (V,) each skin vertex follows the jaw, 0..1.
+        """Weight (V,) of the jaw's motion at each skin vertex, 0..1.
 
         A thin plate between the skull (0) and the chin (1). On the lips the weights follow
         0.4 +- 0.6 sqrt(1 - u**2), which opens the mouth as an ellipse.
@@ -60,7 +60,7 @@ class Jaw:
         return np.asarray(_turned(points, angle * share) + slide * np.asarray(share)[..., None])
 
     def undo(self, points: Float64, inputs: Inputs) -> Float64:
-        """Points (T, n, 3) of the world as the jaw sees them (the inverse of a full `ride`)."""
+        """Points (T, n, 3) of the world in the jaw's frame (the inverse of a full `ride`)."""
         angle, slide = self._motion(inputs)
         return _turned(points - slide, -angle)
 

@@ -1,4 +1,4 @@
-"""Eyelids: loops that turn about the eyeball, never through it."""
+"""Eyelids: loops that turn about the eyeball."""
 
 from dataclasses import dataclass
 
@@ -62,7 +62,7 @@ class Lids:
         return turn
 
     def _rim_turn(self, angle: Float64, eye: _Eye, inputs: Inputs, name: str) -> Float64:
-        """How far every rim vertex turns upwards; opposite rims meet and never cross."""
+        """Upward turn of every rim vertex; opposite rims meet and never cross."""
         opposite = angle[:, self._opposite]
         gap = np.where(eye.upper > 0, angle - opposite, opposite - angle)
         gap = np.maximum(gap, 0)

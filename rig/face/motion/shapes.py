@@ -1,4 +1,4 @@
-"""What a linear shape of the face is, and how it is made from a few numbers.
+"""Linear shapes of the face, made from a few numbers.
 
 A shape is authored once, symmetric, on the character's left (x > 0). It states how the lips'
 loops move, where some points of the face go, and where the skin folds; the rest follows as a
@@ -23,7 +23,7 @@ Triple = tuple[Number, Number, Number]
 
 @dataclass(frozen=True)
 class LipPoints:
-    """The lips' vertices as a shape's formula sees them.
+    """Lip coordinates of the vertices, the input of a shape's formula.
 
     `u` (n,) is 0 in the middle and 1 at the corner; `ring` (n,) is the loop (0 the rim, -1 its
     wet side, 3 the edge of the red); `upper` (n,) is 1 on the upper lip, 0 on the lower and 0.5
@@ -153,7 +153,7 @@ class ShapeMaker:
 
 
 def _nose(skin: Skin) -> Bool:
-    """Tip and bridge of the nose, which the lips pull at in vain."""
+    """Tip and bridge of the nose, which no lip shape moves."""
     rim = skin.vertices[skin.loop(NOSTRIL_L, 0)]
     x, y, z = np.abs(skin.vertices[:, 0]), skin.vertices[:, 1], skin.vertices[:, 2]
     front = (skin.kind == FILLER) & (x < 0.8) & (z > rim[:, 2].mean() - 0.2)

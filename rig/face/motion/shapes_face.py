@@ -143,4 +143,4 @@ FACE_SHAPES: tuple[Shape, ...] = (
     ),
     Shape("jawClench", None, ((5.3, -5.6, 0.24, 0.0, 0.12), (5.0, -7.0, 0.20, 0.0, 0.14))),
 )
-"""Shapes that the lips do not lead."""
+"""Shapes outside the lips."""

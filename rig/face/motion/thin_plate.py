@@ -12,7 +12,7 @@ from rig.face.geometry.skin import Skin
 class ThinPlate:
     """Solves the biharmonic equation on the skin.
 
-    It follows the surface, so it sees the slit between the lips, which a distance does not.
+    It follows the surface and so separates the lips, unlike a distance in space.
 
     Factorisations are kept, one for each set of fixed vertices.
     """

@@ -1,4 +1,4 @@
-"""Where the camera stands."""
+"""Cameras: position, target and projection."""
 
 from dataclasses import dataclass
 

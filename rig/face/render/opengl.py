@@ -1,4 +1,4 @@
-"""The same picture by OpenGL 3.3 without a window (moderngl over EGL); moderngl is optional."""
+"""Rendering by OpenGL 3.3 without a window (moderngl over EGL); moderngl is optional."""
 
 from functools import lru_cache
 from importlib import import_module
@@ -97,7 +97,7 @@ class OpenGLRenderer:
 
 @lru_cache(maxsize=1)
 def open_context() -> Any:
-    """The process's one OpenGL context; several would each have to be made current."""
+    """The one OpenGL context of the process, so that none has to be made current."""
     try:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Which triangle is nearest at every sample of a picture: scan conversion in numpy.
+"""Scan conversion in numpy: the nearest triangle at every sample of a picture.
 
 A triangle becomes one span of samples for each row it crosses, and spans become fragments; all
 triangles go through each step together. Depth and triangle share one integer, so that the
@@ -56,7 +56,7 @@ def front_faces(screen: Screen, faces: Int64) -> Int64:
 def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Float32, Float32]:
     """How vertex values (V, k) run over each face: at its first corner, per x and per y.
 
-    Each of the three arrays is (F, k).
+    Each of the three arrays is (N, k).
     """
     a, b, c = (faces[:, k] for k in range(3))
     bx, by = screen.x[b] - screen.x[a], screen.y[b] - screen.y[a]
@@ -76,7 +76,7 @@ def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
     ----------
     screen : Screen
         The picture and where vertices fall on it.
-    faces : ndarray [shape=(F, 3)]
+    faces : ndarray [shape=(N, 3)]
         Faces to draw, all from their outside (`front_faces`).
     """
     spans, depth = _spans(screen, faces), planes(screen, faces, screen.depth[:, None])

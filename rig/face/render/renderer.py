@@ -1,4 +1,4 @@
-"""One way to ask for a picture, whichever backend draws it."""
+"""One interface to both backends."""
 
 from typing import Literal, Protocol
 
@@ -42,7 +42,7 @@ class Renderer:
         return self._drawer.draw(vertices, normals)
 
     def close(self) -> None:
-        """Free what the backend holds."""
+        """Free the memory of the backend."""
         self._drawer.close()
 
 
@@ -52,7 +52,7 @@ def check_backend(backend: Backend) -> None:
     Raises
     ------
     RigError
-        For an unknown backend, or where ``opengl`` is asked for and is not there.
+        For an unknown backend, or for ``opengl`` where it is not available.
     """
     if backend not in ("auto", "opengl", "software"):
         raise RigError(f"backend {backend!r} is unknown; use auto, opengl or software")
@@ -68,7 +68,7 @@ def make_renderer(
     Raises
     ------
     RigError
-        For an unknown backend, or where ``opengl`` is asked for and is not there.
+        For an unknown backend, or for ``opengl`` where it is not available.
     """
     check_backend(backend)
     if backend != "software":

@@ -1,7 +1,7 @@
-"""Light and material, the same in numpy and in GLSL.
+"""Light and material, equal in numpy and GLSL.
 
 Linear light, wrapped diffuse (red wraps further, as in skin), Blinn-Phong highlights, a sky and
-ground ambient, and a gentle shoulder. sRGB is taken as a square, which is cheap and near enough.
+ground ambient, and a gentle shoulder. sRGB is approximated by a gamma of 2.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
-"""The same picture in numpy alone: no OpenGL, no compiled code.
+"""Rendering in numpy, without OpenGL or compiled code.
 
 Four samples a pixel find the nearest face. Light is worked out once a pixel, and once more for
-each sample that sees another surface than the pixel's first sample does (multisampling).
+each sample on another surface than the pixel's first sample (multisampling).
 """
 
 from typing import TypeVar
@@ -19,7 +19,7 @@ from rig.face.render.shading import background, shade
 
 T = TypeVar("T", bound=np.generic)
 STEP_CM = 0.2
-"""Samples of one part whose depths differ by more see different surfaces."""
+"""Largest difference of depth between samples of one surface."""
 CHUNK = 8192
 """Pixels shaded at a time: few enough for a processor's cache."""
 
@@ -70,7 +70,7 @@ class SoftwareRenderer:
         )
 
     def _differs(self, faces: Int64, face: Int32, depth: Float32, sample: int) -> Int64:
-        """Pixels whose sample sees another surface than sample 0 does."""
+        """Pixels with a sample on another surface than sample 0."""
         at = np.flatnonzero(face[sample] != face[0])
         part = np.append(self._part[faces[:, 0]], -1)  # face -1 is the backdrop
         is_other = part[face[sample, at]] != part[face[0, at]]

@@ -1,4 +1,4 @@
-"""Arrays as recordings: the same as the file that holds them."""
+"""Arrays as recordings: equal to files of the same samples."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def stereo():
     return (both * 2**15).round().astype(np.int16)
 
 
-def test_array_gives_what_its_file_gives(tmp_path, stereo):
+def test_array_equals_its_file(tmp_path, stereo):
     soundfile.write(tmp_path / "a.wav", stereo, RATE, subtype="PCM_16")
     read, made = load_audio(tmp_path / "a.wav"), recording_from_array(stereo, RATE)
     np.testing.assert_array_equal(made.waveform, read.waveform)
@@ -41,20 +41,20 @@ def test_array_gives_what_its_file_gives(tmp_path, stereo):
         lambda x: torch.from_numpy(x / 2.0**15).requires_grad_(),
     ],
 )
-def test_every_type_of_sample_means_the_same_sound(stereo, change):
+def test_sample_types_give_the_same_waveform(stereo, change):
     expected = recording_from_array(stereo, RATE).waveform
     given = recording_from_array(change(stereo), float(RATE)).waveform
     np.testing.assert_allclose(given, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("kind", "offset"), [(np.int8, 0), (np.uint8, 128)])
-def test_eight_bits_are_scaled_to_full_scale(kind, offset):
+def test_eight_bit_samples_are_scaled_to_full_scale(kind, offset):
     wave = np.rint(100 * np.sin(np.arange(16_000) / 20))
     made = recording_from_array((wave + offset).astype(kind), 16_000)
     np.testing.assert_allclose(made.waveform, wave / 128 - (wave / 128).mean(), atol=1e-3)
 
 
-def test_one_channel_may_have_one_axis_or_two(stereo):
+def test_one_channel_has_one_axis_or_two(stereo):
     one = stereo[:, 0]
     np.testing.assert_array_equal(
         recording_from_array(one, RATE).waveform, recording_from_array(one[:, None], RATE).waveform
@@ -89,12 +89,12 @@ def test_arrays_reject_other_shapes_types_and_rates(samples, rate, message):
         recording_from_array(samples, rate)
 
 
-def test_arrays_too_long_are_refused():
+def test_arrays_reject_too_many_samples():
     with pytest.raises(AudioError, match="the limit is 1 s"):
         recording_from_array(np.zeros(16_001), 16_000, max_seconds=1)
 
 
-def test_an_array_needs_its_rate_and_a_file_takes_none(stereo, tmp_path):
+def test_sample_rate_is_required_for_arrays_and_rejected_for_files(stereo, tmp_path):
     with pytest.raises(AudioError, match="pass sample_rate in Hz with the ndarray"):
         animate(stereo)
     with pytest.raises(AudioError, match="sample_rate=16000 belongs to an array"):

@@ -1,4 +1,4 @@
-"""Loading recordings: known signals in, known signals out; every bad input one line."""
+"""Recordings as mono 16 kHz: known signals, damaged files, invalid input."""
 
 import io
 import os
@@ -57,7 +57,7 @@ def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
     ("suffix", "tolerance"),
     [("wav", 1e-4), ("flac", 1e-4), ("ogg", 0.05), ("mp3", 0.05), ("opus", 0.1)],
 )
-def test_formats_agree(tmp_path, suffix, tolerance):
+def test_formats_give_the_same_waveform(tmp_path, suffix, tolerance):
     path = tmp_path / f"tone.{suffix}"
     kind = {"format": "OGG", "subtype": "OPUS"} if suffix == "opus" else {}
     sf.write(path, tone(48000), 48000, **kind)
@@ -93,7 +93,7 @@ def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.6, 0.9])
-def test_mp3_with_garbage_is_read_without_a_word_on_stderr(tmp_path, capfd, rng, kept):
+def test_mp3_with_invalid_bytes_prints_nothing(tmp_path, capfd, rng, kept):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
     content = (tmp_path / "a.mp3").read_bytes()
     middle = int(kept * len(content))
@@ -102,7 +102,7 @@ def test_mp3_with_garbage_is_read_without_a_word_on_stderr(tmp_path, capfd, rng,
     assert capfd.readouterr() == ("", "")
 
 
-def test_mp3_after_padding_is_read_silently(tmp_path, capfd):
+def test_mp3_after_padding_prints_nothing(tmp_path, capfd):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
     path = tmp_path / "padded.mp3"
     path.write_bytes(bytes(3000) + (tmp_path / "a.mp3").read_bytes())
@@ -112,7 +112,7 @@ def test_mp3_after_padding_is_read_silently(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("kept", [0, 4, 40])
-def test_load_audio_rejects_text_called_mp3_silently(tmp_path, capfd, rng, kept):
+def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, rng, kept):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
     head = rng.integers(1, 250, kept, dtype=np.uint8).tobytes()
     (tmp_path / "a.mp3").write_bytes(head + b"Dear diary,\n" * 200)
@@ -131,7 +131,7 @@ def test_load_audio_rejects_text_called_mp3_silently(tmp_path, capfd, rng, kept)
         ("a.mp4", b"Dear diary,\n", "is not audio that can be read"),
     ],
 )
-def test_container_without_content_is_one_line(tmp_path, capfd, name, content, words):
+def test_load_audio_rejects_containers_without_content(tmp_path, capfd, name, content, words):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(AudioError) as error:
         load_audio(tmp_path / name)
@@ -140,7 +140,7 @@ def test_container_without_content_is_one_line(tmp_path, capfd, name, content, w
 
 
 @pytest.mark.parametrize("suffix", ["m4a", "mka", "mp3"])
-def test_tags_that_are_no_utf_8_do_no_harm(tmp_path, suffix):
+def test_tags_that_are_no_utf_8_are_ignored(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     write_sound(path, np.stack([tone(48000)], 1), 48000, title="Zoe Z.")
     content = path.read_bytes()
@@ -148,7 +148,7 @@ def test_tags_that_are_no_utf_8_do_no_harm(tmp_path, suffix):
     assert load_audio(content.replace(b"Zoe Z.", b"Zo\xeb Z.")).duration > 0.9
 
 
-def test_half_written_m4a_is_one_line(tmp_path):
+def test_load_audio_rejects_half_written_m4a(tmp_path):
     path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000)], 1), 48000, faststart=False)
     path.write_bytes(path.read_bytes()[:5000])  # the index comes last
     with pytest.raises(AudioError, match="cut off or damaged") as error:
@@ -156,14 +156,14 @@ def test_half_written_m4a_is_one_line(tmp_path):
     assert_one_line(error, "a.m4a", "export it again")
 
 
-def test_video_without_sound_is_one_line(tmp_path):
+def test_load_audio_rejects_video_without_sound(tmp_path):
     with pytest.raises(AudioError, match="has no sound track") as error:
         load_audio(write_silent_video(tmp_path / "a.mp4"))
     assert_one_line(error, "a.mp4", "export it with its sound")
 
 
 @pytest.mark.parametrize("suffix", ["m4a", "webm", "mp3"])
-def test_cut_container_is_read_as_far_as_it_goes(tmp_path, suffix):
+def test_cut_container_is_read_to_its_end(tmp_path, suffix):
     path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(48000, 4.0)], 1), 48000)
     content = path.read_bytes()
     recording = load_audio(content[: len(content) // 2])
@@ -171,7 +171,7 @@ def test_cut_container_is_read_as_far_as_it_goes(tmp_path, suffix):
     assert any("of 4.0" in note and "cut short" in note for note in recording.warnings)
 
 
-def test_damage_inside_a_container_is_silent_and_told(tmp_path, rng):
+def test_damage_inside_a_container_becomes_silence_and_a_warning(tmp_path, rng):
     path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000, 4.0)], 1), 48000)
     content = bytearray(path.read_bytes())
     middle = len(content) // 2
@@ -182,7 +182,7 @@ def test_damage_inside_a_container_is_silent_and_told(tmp_path, rng):
 
 
 @pytest.mark.parametrize("first", [b"\xff\xff", b"\xff\xfb"])
-def test_a_wav_that_begins_as_mpeg_is_read_without_a_word_on_stderr(capfd, first):
+def test_wav_that_begins_as_mpeg_prints_nothing(capfd, first):
     file = io.BytesIO()
     sf.write(file, tone(16000), 16000, format="WAV", subtype="FLOAT")
     content = bytearray(file.getvalue())
@@ -192,7 +192,7 @@ def test_a_wav_that_begins_as_mpeg_is_read_without_a_word_on_stderr(capfd, first
     assert capfd.readouterr() == ("", "")
 
 
-def test_bytes_that_point_before_their_beginning_are_read_without_a_word_on_stderr(capfd):
+def test_header_with_negative_offset_prints_nothing(capfd):
     file = io.BytesIO()
     sf.write(file, tone(16000), 16000, format="AIFF")
     content = bytearray(file.getvalue())
@@ -209,14 +209,14 @@ def test_bytes_that_point_before_their_beginning_are_read_without_a_word_on_stde
 @pytest.mark.parametrize(
     "first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"]
 )
-def test_a_playlist_opens_no_other_file(tmp_path, first):
+def test_playlist_opens_no_other_file(tmp_path, first):
     sf.write(tmp_path / "secret.wav", tone(16000), 16000)
     (tmp_path / "list.m4a").write_text(first)
     with pytest.raises(AudioError, match="not audio"):
         load_audio(tmp_path / "list.m4a")
 
 
-def test_damaged_containers_are_one_line_or_a_recording(tmp_path, rng, capfd):
+def test_damaged_containers_give_an_error_of_one_line_or_a_recording(tmp_path, rng, capfd):
     for suffix in ("m4a", "mp4", "webm", "mp3", "aac", "wma", "mka"):
         path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(16000, 0.5)], 1), 16000)
         content = np.frombuffer(path.read_bytes(), np.uint8)
@@ -252,7 +252,7 @@ def test_channels_are_averaged(tmp_path, rng):
     assert not any("cancel" in note for note in recording.warnings)
 
 
-def test_one_live_channel_of_eight_is_no_cancellation(tmp_path):
+def test_one_channel_of_eight_with_sound_is_averaged(tmp_path):
     channels = np.zeros((16000, 8))
     channels[:, 3] = tone(16000)
     sf.write(tmp_path / "a.wav", channels, 16000, subtype="FLOAT")
@@ -261,7 +261,7 @@ def test_one_live_channel_of_eight_is_no_cancellation(tmp_path):
     assert np.abs(recording.waveform).max() == pytest.approx(0.5 / 8, rel=1e-3)
 
 
-def test_inverted_channel_does_not_silence_the_voice(tmp_path):
+def test_inverted_channels_take_the_loudest(tmp_path):
     voice = tone(16000)
     sf.write(tmp_path / "a.wav", np.stack([0.9 * voice, -voice], 1), 16000, subtype="FLOAT")
     recording = load_audio(tmp_path / "a.wav")
@@ -270,7 +270,7 @@ def test_inverted_channel_does_not_silence_the_voice(tmp_path):
     assert "channel 2" in recording.warnings[0]
 
 
-def test_blocks_join_without_a_seam(tmp_path, monkeypatch):
+def test_result_does_not_depend_on_the_block_length(tmp_path, monkeypatch):
     path = tmp_path / "a.wav"
     sf.write(path, np.stack([tone(44100, 2.0)] * 2, 1), 44100, subtype="FLOAT")
     whole = load_audio(path).waveform
@@ -278,7 +278,7 @@ def test_blocks_join_without_a_seam(tmp_path, monkeypatch):
     np.testing.assert_allclose(load_audio(path).waveform, whole, atol=1e-6)
 
 
-def test_dc_is_removed_and_told(tmp_path):
+def test_dc_is_removed_with_a_warning(tmp_path):
     sf.write(tmp_path / "a.wav", tone(16000) + 0.2, 16000, subtype="FLOAT")
     recording = load_audio(tmp_path / "a.wav")
     assert abs(recording.waveform.mean()) < 1e-6
@@ -295,7 +295,7 @@ def test_clipping_is_measured(tmp_path):
     assert load_audio(tmp_path / "full.wav").clipped_fraction == 0
 
 
-def test_samples_scaled_like_integers_are_brought_back(tmp_path):
+def test_floats_scaled_like_integers_are_rescaled(tmp_path):
     sf.write(tmp_path / "a.wav", 12000 * tone(16000), 16000, subtype="FLOAT")
     recording = load_audio(tmp_path / "a.wav")
     assert np.abs(recording.waveform).max() == pytest.approx(1)
@@ -303,7 +303,7 @@ def test_samples_scaled_like_integers_are_brought_back(tmp_path):
     assert recording.clipped_fraction == 0
 
 
-def test_silence_is_a_recording(tmp_path):
+def test_silence_is_read(tmp_path):
     sf.write(tmp_path / "a.wav", np.zeros((16000, 2)), 16000)
     recording = load_audio(tmp_path / "a.wav")
     assert not recording.waveform.any()
@@ -311,13 +311,13 @@ def test_silence_is_a_recording(tmp_path):
     assert "silence" in note
 
 
-def test_one_sample_is_a_recording(tmp_path):
+def test_one_sample_is_read(tmp_path):
     sf.write(tmp_path / "a.wav", np.full(1, 0.5), 16000)
     assert load_audio(tmp_path / "a.wav").n_frames == 1
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
-def test_samples_must_be_finite(tmp_path, bad):
+def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
     samples = tone(16000)
     samples[8000] = bad
     for n, channels in enumerate((samples, np.stack([tone(16000), samples], 1))):
@@ -328,14 +328,14 @@ def test_samples_must_be_finite(tmp_path, bad):
 
 
 @pytest.mark.parametrize("rate", [1, 3999, 768001])
-def test_rates_out_of_range(tmp_path, rate):
+def test_load_audio_rejects_rates_out_of_range(tmp_path, rate):
     sf.write(tmp_path / "a.wav", tone(16000), rate)
     with pytest.raises(AudioError, match=f"sample rate is {rate} Hz") as error:
         load_audio(tmp_path / "a.wav")
     assert_one_line(error, "4000", "768000", "export")
 
 
-def test_too_long_by_its_header_and_by_its_content(tmp_path):
+def test_load_audio_rejects_recordings_too_long_by_header_or_content(tmp_path):
     sf.write(tmp_path / "a.wav", np.zeros(4000 * 10), 4000)
     with pytest.raises(AudioError, match="the limit is 5 s") as error:
         load_audio(tmp_path / "a.wav", max_seconds=5)
@@ -355,7 +355,7 @@ def test_the_default_limit_is_three_hours(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
-def test_wav_shorter_than_its_header_says_is_told(kind, endian):
+def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     file = io.BytesIO()
     sf.write(file, np.stack([tone(16000, 4.0)] * 2, 1), 16000, format=kind, endian=endian)
     content = file.getvalue()
@@ -366,7 +366,7 @@ def test_wav_shorter_than_its_header_says_is_told(kind, endian):
 
 
 @pytest.mark.parametrize("size", [0x7FFFFFFF, 0xFFFFFFFF])
-def test_wav_written_to_a_pipe_is_not_cut_short(size):
+def test_wav_written_to_a_pipe_gives_no_warning(size):
     file = io.BytesIO()
     sf.write(file, tone(16000), 16000, format="WAV")
     content = bytearray(file.getvalue())
@@ -375,7 +375,7 @@ def test_wav_written_to_a_pipe_is_not_cut_short(size):
     assert not any("cut short" in note for note in recording.warnings)
 
 
-def test_cut_short_file_is_read_as_far_as_it_goes(tmp_path):
+def test_cut_file_is_read_to_its_end(tmp_path):
     sf.write(
         tmp_path / "a.flac",
         tone(16000, 4.0) + 0.01 * np.random.default_rng(0).normal(size=64000),
@@ -401,7 +401,7 @@ def test_cut_short_file_is_read_as_far_as_it_goes(tmp_path):
         ("half.wav", b"RIFF\x24\0\0\0WAVEfmt ", "cut off or damaged"),
     ],
 )
-def test_files_that_are_no_audio(tmp_path, name, content, words):
+def test_load_audio_rejects_files_that_are_no_audio(tmp_path, name, content, words):
     path = tmp_path / name
     path.write_bytes(content)
     for source in (path, content):
@@ -410,14 +410,14 @@ def test_files_that_are_no_audio(tmp_path, name, content, words):
         assert_one_line(error, words)
 
 
-def test_zero_samples(tmp_path):
+def test_load_audio_rejects_zero_samples(tmp_path):
     for channels in (1, 2):
         sf.write(tmp_path / "a.wav", np.zeros((0, channels)), 16000)
         with pytest.raises(AudioError, match="holds 0 samples"):
             load_audio(tmp_path / "a.wav")
 
 
-def test_paths_that_cannot_be_read(tmp_path):
+def test_load_audio_rejects_paths_that_cannot_be_read(tmp_path):
     with pytest.raises(AudioError, match="there is no recording"):
         load_audio(tmp_path / "missing.wav")
     with pytest.raises(AudioError, match="is a folder"):
@@ -433,7 +433,7 @@ def test_paths_that_cannot_be_read(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_forbidden_file(tmp_path):
+def test_load_audio_rejects_files_without_permission(tmp_path):
     path = tmp_path / "a.wav"
     sf.write(path, tone(16000), 16000)
     path.chmod(0)
@@ -449,7 +449,7 @@ def test_write_wav_returns_sixteen_bits_unchanged(tmp_path, rng):
     assert np.array_equal(samples, steps)
 
 
-def test_write_wav_clips_and_refuses(tmp_path):
+def test_write_wav_clips_and_rejects_invalid_waveforms(tmp_path):
     write_wav(tmp_path / "a.wav", [2.0, -2.0, 0.25])
     assert sf.read(tmp_path / "a.wav", dtype="int16")[0].tolist() == [32767, -32768, 8192]
     for bad in (np.zeros((2, 2)), [np.nan]):
@@ -460,7 +460,7 @@ def test_write_wav_clips_and_refuses(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
 
 
-def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+def test_full_disk_leaves_no_partial_file(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 

@@ -40,7 +40,7 @@ def test_window_of_sdfa_lasts_568_milliseconds():
     assert (last - first) / SAMPLE_RATE == pytest.approx(0.568)
 
 
-def test_shape(mel):
+def test_shape_is_three_channels_of_bins_and_spectra(mel):
     assert mel(noise(), 50).shape == (1, 3, mel.filters.shape[1], 50)
 
 
@@ -58,7 +58,7 @@ def test_channels_are_the_spectrum_and_its_derivatives(mel):
     )
 
 
-def test_piece_of_a_clip_has_the_spectra_of_the_whole(mel):
+def test_piece_has_the_spectra_of_the_whole_clip(mel):
     waveform = noise(2.0)
     whole, piece = mel(waveform, 100), mel(waveform, 30, first=40)
     torch.testing.assert_close(piece[:, 0], whole[:, 0, :, 40:70])
@@ -76,13 +76,13 @@ def test_click_at_a_frame_peaks_at_its_spectrum(mel, frame):
     assert abs(peak - int(nearest_spectra(30, mel.frame_rate)[frame])) <= 1
 
 
-def test_frames_and_spectra_of_the_default_meet_exactly():
+def test_frames_and_spectra_of_the_default_coincide():
     assert nearest_spectra(6, 60).tolist() == [0, 2, 4, 6, 8, 10]
     assert nearest_spectra(4, 120, stack=2).tolist() == [0, 2, 4, 6]
     assert nearest_spectra(7, 125).tolist() == [0, 4, 8, 12, 17, 21, 25]  # 4.17 apart
 
 
-def test_no_drift_in_an_hour():
+def test_spectra_do_not_drift_in_an_hour():
     last = 30 * 3600 - 1
     sample = int(spectra_centres(125 * 3600, 125)[nearest_spectra(last + 1, 125)[last]])
     assert abs(sample / SAMPLE_RATE - last / 30) <= 0.5 / 125
@@ -115,7 +115,7 @@ def test_silence_and_beyond_the_clip_are_the_floor(mel):
     assert beyond[0, 0, :, 20:].numpy() == pytest.approx(floor)
 
 
-def test_silence_around_a_clip_changes_nothing_in_it(mel):
+def test_silence_around_a_clip_leaves_its_spectra_unchanged(mel):
     waveform = noise(1.0)
     hop = SAMPLE_RATE // 5  # a whole number of spectra at both rates
     padded = torch.nn.functional.pad(waveform, (hop, 5 * SAMPLE_RATE))

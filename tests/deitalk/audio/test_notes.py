@@ -1,4 +1,4 @@
-"""Notes on recordings without usable speech: hand-made signals and the bundled speaker."""
+"""Warnings about recordings without usable speech: synthetic signals and a bundled recording."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def test_speech_of_usual_level_has_no_notes(speech):
 
 
 @pytest.mark.parametrize("peak", [0.0, 1e-6, 3e-5])
-def test_silence_is_told(rng, peak):
+def test_silence_has_a_note(rng, peak):
     (note,) = describe((peak * rng.uniform(-1, 1, 16000)).astype(np.float32))
     assert note.startswith("silence")
 
@@ -47,7 +47,7 @@ def test_steady_noise_of_any_colour_is_no_speech(rng, slope, seconds):
     assert note.startswith("no speech found, only steady sound (-")
 
 
-def test_noise_that_comes_and_goes_is_no_voice(rng):
+def test_noise_of_varying_level_is_no_voice(rng):
     strength = np.repeat(rng.uniform(0, 1, 100), 1600).astype(np.float32)
     for slope in (0.0, 1.0):
         samples = noise(rng, 10.0, slope) * strength
@@ -63,7 +63,7 @@ def test_a_voice_in_noise_is_a_voice(speech, rng, snr_db):
     assert describe(noisy.astype(np.float32)) == ()
 
 
-def test_flatness_is_that_of_theory(rng):
+def test_flatness_of_noise_is_the_theoretical_one(rng):
     samples = noise(rng, 20.0)
     everything = np.ones(600)
     # of an exponentially distributed power the geometric mean is exp(-0.577) of the mean
@@ -78,7 +78,7 @@ def test_speech_at_minus_65_dbfs_is_very_quiet(speech):
     assert any("very quiet (-65 dBFS)" in note for note in notes)
 
 
-def test_speech_at_minus_80_dbfs_is_told(speech, tmp_path):
+def test_speech_at_minus_80_dbfs_has_a_note(speech, tmp_path):
     (note,) = describe(at_level(speech, -80))
     assert "too quiet to tell from noise" in note
     write_wav(tmp_path / "a.wav", at_level(speech, -80))

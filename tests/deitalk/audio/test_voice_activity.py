@@ -52,21 +52,21 @@ def test_onsets_and_offsets_are_found_within_two_frames(rng):
 
 
 @pytest.mark.parametrize("level_db", [-60, -50, -35, -10, 0])
-def test_level_plays_no_part(rng, level_db):
+def test_activity_does_not_depend_on_the_level(rng, level_db):
     waveform, truth = placed(rng, [-1, 1.5, -0.7, 1, -1.2], level_db, level_db - 30)
     in_steps = np.round(waveform * 32768) / 32768  # as a 16-bit file has it
     assert (speech_activity(in_steps) == truth).mean() > 0.95
 
 
-def test_five_db_of_noise(rng):
+def test_activity_is_found_at_five_db(rng):
     waveform, truth = placed(rng, [-1, 2, -1, 2, -1], noise_db=-28)
     activity = speech_activity(waveform)
     assert activity[truth == 1].mean() > 0.9
     assert activity[truth == 0].mean() < 0.05
 
 
-def test_a_drowned_syllable_is_no_pause(rng):
-    """0.4 s that cannot be heard: a pause where the recording is clean, perhaps speech in noise."""
+def test_masked_syllable_is_no_pause(rng):
+    """0.4 s without speech: a pause where the recording is clean, perhaps masked speech in noise."""
     pieces = [-1, 2, -0.4, 2, -1]
     gap = slice(30 + 60 + 2, 30 + 60 + 12 - 2)
     assert not speech_activity(placed(rng, pieces)[0])[gap].any()
@@ -81,7 +81,7 @@ def test_steady_noise_is_silence(rng, seconds, level_db):
     assert not speech_activity(noise(seconds, rng, level_db)).any()
 
 
-def test_digital_silence(rng):
+def test_digital_silence_has_no_activity(rng):
     assert not speech_activity(np.zeros(RATE)).any()
     assert speech_activity(np.zeros(0)).shape == (0,)
     waveform = np.concatenate([np.zeros(RATE), voice(1, rng), np.zeros(RATE)])
@@ -92,7 +92,7 @@ def test_digital_silence(rng):
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.1, 0.19, 0.4, 1, 4])
-def test_speech_from_first_sample_to_last(rng, seconds):
+def test_speech_without_pauses_is_active_throughout(rng, seconds):
     activity = speech_activity(voice(seconds, rng))
     assert activity.mean() > 0.8
 
@@ -103,7 +103,7 @@ def test_short_silence_is_silence(rng):
 
 
 def test_noise_floor_follows_a_change(rng):
-    """An air conditioner that starts half way is not a speaker."""
+    """Noise that starts half way is no speech."""
     waveform = np.concatenate([noise(30, rng, -70), noise(30, rng, -40)])
     waveform[5 * RATE : 7 * RATE] += voice(2, rng)
     waveform[50 * RATE : 52 * RATE] += voice(2, rng)
@@ -121,8 +121,8 @@ def test_clicks_are_not_speech(rng):
     assert not speech_activity(waveform).any()
 
 
-def test_no_side_of_time_is_preferred(rng):
-    """Played backwards, speech is active at the mirrored frames: windows are centred on frames."""
+def test_activity_is_symmetric_in_time(rng):
+    """Reversed speech is active at the mirrored frames: windows are centred on frames."""
     waveform, _ = placed(rng, [-1, 1.5, -0.7, 1, -1.2])
     whole = waveform[: 161 * 1600 // 3 + 1]  # frame 161 is the last sample: frames mirror
     forwards, backwards = speech_activity(whole), speech_activity(whole[::-1])[::-1]
@@ -174,7 +174,7 @@ def test_active_level_by_hand():
 
 
 @pytest.mark.parametrize("gain_db", [-27, 0, 20])
-def test_normalised_speech_has_the_target_level_whatever_the_gain(rng, gain_db):
+def test_normalised_speech_has_the_target_level_at_any_gain(rng, gain_db):
     waveform, _ = placed(rng, [-3, 2, -3])
     levelled = normalise_level(waveform * 10 ** (gain_db / 20), -30)
     assert levelled.dtype == np.float32

@@ -1,4 +1,4 @@
-"""Configurations of strangers: bounded by field, then by the network's size, before it is built."""
+"""Limits of configurations: of every field, then of the network's size before it is built."""
 
 import time
 
@@ -150,7 +150,7 @@ def folder(tiny, tmp_path):
         ("name: tiny", "name: &a [" + "*a," * 100 + "1]"),
     ],
 )
-def test_model_folder_of_a_stranger_costs_nothing(folder, before, after):
+def test_oversized_model_folder_takes_no_memory(folder, before, after):
     path = folder / "config.yaml"
     text = path.read_text()
     assert before in text
@@ -192,7 +192,7 @@ def test_header_at_its_limit_is_read_and_above_is_not(folder, monkeypatch):
         load_model(folder)
 
 
-def test_loaded_weights_are_those_that_were_saved(folder):
+def test_loaded_weights_equal_the_saved_ones(folder):
     from safetensors.torch import load_file
 
     state = load_model(folder).state_dict()

@@ -1,4 +1,4 @@
-"""Configurations: the papers' numbers, and what a bad file says."""
+"""Configurations: the papers' numbers, and messages about invalid files."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def written(tmp_path, text):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_file_loads_and_is_named_after_itself(path):
+def test_every_file_loads_under_its_name(path):
     config = load_config(path)
     assert config.name == path.stem
     assert parse_config(config.model_dump(mode="json")) == config
@@ -38,7 +38,7 @@ def test_files_are_the_expected_ones():
     assert expected <= {path.stem for path in FILES}
 
 
-def test_deitalk_is_the_paper_word_for_word():
+def test_deitalk_has_the_numbers_of_the_paper():
     config = load_config(FOLDER / "deitalk.yaml")
     model, loss, data, train = config.model, config.loss, config.data, config.train
     assert isinstance(model.frontend, Wav2VecConfig)
@@ -64,7 +64,7 @@ def test_deitalk_is_the_paper_word_for_word():
     assert (train.weight_decay, train.gradient_clip, train.ema) == (0, None, None)
 
 
-def test_sdfa_encoder_is_the_paper_word_for_word():
+def test_sdfa_encoder_has_the_numbers_of_the_paper():
     config = load_config(FOLDER / "sdfa_encoder.yaml")
     mel = config.model.frontend
     assert mel == MelConfig()
@@ -79,13 +79,13 @@ def test_sdfa_encoder_is_the_paper_word_for_word():
 
 
 @pytest.mark.parametrize(("recipe", "model"), [("mel", "default"), ("compact", "compact")])
-def test_the_embedded_weights_can_be_continued_by_their_recipe(recipe, model):
+def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = FOLDER.parent / "deitalk/models/weights" / model / "config.yaml"
     assert load_config(FOLDER / f"{recipe}.yaml").model == load_config(embedded).model
 
 
 def test_compact_fits_its_teacher():
-    """The default's data and loss; what is behind the frontend can begin with its weights."""
+    """The default's data and loss; the layers after the frontend can start from its weights."""
     mel, compact = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "compact"))
     unlike = {"distillation"}
     assert compact.loss.model_dump(exclude=unlike) == mel.loss.model_dump(exclude=unlike)
@@ -104,7 +104,7 @@ def test_compact_fits_its_teacher():
         ({"model": {"frontend": {"kind": "mel", "mels": 80}}}, "model.frontend.mels=80"),
     ],
 )
-def test_unknown_key_is_named(tree, key):
+def test_unknown_key_is_in_the_message(tree, key):
     assert f"{key}: unknown key" in problem(tree)
 
 
@@ -128,16 +128,16 @@ def test_unknown_key_is_named(tree, key):
         ({"model": 3}, "model=3"),
     ],
 )
-def test_bad_value_is_named(tree, key):
+def test_invalid_value_is_in_the_message(tree, key):
     assert key in problem(tree)
 
 
-def test_all_problems_come_at_once():
+def test_all_problems_are_in_one_message():
     said = problem({"train": {"seeed": 1, "steps": 0}, "nme": "x"})
     assert all(key in said for key in ("train.seeed", "train.steps", "nme"))
 
 
-def test_a_long_value_is_cut():
+def test_long_value_is_shortened_in_the_message():
     assert len(problem({"bogus": list(range(10_000))})) < 200
 
 
@@ -146,7 +146,7 @@ def test_configurations_are_frozen():
         Config().name = "other"
 
 
-def test_overrides(tmp_path):
+def test_overrides_replace_values(tmp_path):
     path = written(tmp_path, "train: {batch_size: 16}")
     config = load_config(
         path,
@@ -169,7 +169,7 @@ def test_overrides(tmp_path):
         ("train.steps=[1", "cannot be read as YAML"),
     ],
 )
-def test_bad_override(tmp_path, override, said):
+def test_load_config_rejects_invalid_overrides(tmp_path, override, said):
     with pytest.raises(ConfigError) as caught:
         load_config(written(tmp_path, "name: x"), [override])
     assert said in str(caught.value)
@@ -177,14 +177,14 @@ def test_bad_override(tmp_path, override, said):
 
 
 @pytest.mark.parametrize("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
-def test_file_that_is_no_configuration(tmp_path, text):
+def test_load_config_rejects_other_files(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         load_config(written(tmp_path, text))
     assert "it.yaml" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_missing_and_binary_files(tmp_path):
+def test_load_config_rejects_missing_and_binary_files(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         load_config(tmp_path / "none.yaml")
     binary = tmp_path / "b.yaml"
@@ -193,16 +193,16 @@ def test_missing_and_binary_files(tmp_path):
         load_config(binary)
 
 
-def test_a_file_runs_no_code(tmp_path):
+def test_yaml_tags_run_no_code(tmp_path):
     with pytest.raises(ConfigError):
         load_config(written(tmp_path, "name: !!python/object/apply:os.getcwd []"))
 
 
-def test_empty_file_is_the_paper(tmp_path):
+def test_empty_file_is_the_paper_configuration(tmp_path):
     assert load_config(written(tmp_path, "")) == Config()
 
 
-def test_what_is_written_reads_back(tmp_path):
+def test_configuration_survives_writing_and_reading(tmp_path):
     config = load_config(FOLDER / "mel.yaml")
     path = written(tmp_path, yaml.safe_dump(config.model_dump(mode="json")))
     assert load_config(path) == config

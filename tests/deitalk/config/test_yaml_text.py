@@ -1,4 +1,4 @@
-"""YAML from strangers: plain values, bounded however they are written."""
+"""Limits of YAML: plain values of bounded size and nesting."""
 
 import time
 
@@ -23,7 +23,7 @@ def refused(text):
 
 
 def bomb(levels):
-    """A text of a few hundred bytes that stands for 9 ** levels values."""
+    """A text of a few hundred bytes that expands to 9 ** levels values."""
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     for i in range(1, levels):
         lines.append(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]")
@@ -36,7 +36,7 @@ def test_plain_values_are_read():
     assert load_yaml("", "a") is None
 
 
-def test_few_aliases_are_read_as_pyyaml_writes_them():
+def test_aliases_written_by_pyyaml_are_read():
     key = {"time": 0, "emotion": "happy"}
     text = yaml.safe_dump([key, key])
     assert "*id001" in text
@@ -69,7 +69,7 @@ def test_nesting_at_the_limit_is_read_and_above_is_not(style):
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "- " * 50_000, "{a: " * 20_000, "? " * 20_000])
-def test_deep_nesting_is_refused_at_once(text):
+def test_deep_nesting_is_refused_quickly(text):
     assert "deeper than 32 levels" in refused(text)
 
 
@@ -99,7 +99,7 @@ def test_yaml_rejects(text):
     assert "cannot be read as YAML" in refused(text)
 
 
-def test_emotion_file_with_a_bomb_is_one_line(tmp_path):
+def test_emotion_file_rejects_an_alias_bomb(tmp_path):
     (tmp_path / "e.yaml").write_text(bomb(9))
     with pytest.raises(EmotionError, match="aliases counted"):
         parse_emotion(tmp_path / "e.yaml")

@@ -185,7 +185,7 @@ def test_configuration_sdfa_is_the_paper():
 @pytest.mark.parametrize(
     ("tree", "said"),
     [
-        ({"model": {"frontend": SEGMENT | {"time_stack": 2}}}, "hears every spectrum"),
+        ({"model": {"frontend": SEGMENT | {"time_stack": 2}}}, "uses every spectrum"),
         ({"model": {"frontend": {"kind": "deepspeech"}}}, "model.frontend"),
         ({"train": {"batch_size": 7}}, "a multiple of segment_frames, 2"),
         ({"train": {"momentum": 0.9}}, "unknown key"),

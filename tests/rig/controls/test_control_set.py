@@ -28,7 +28,7 @@ def test_two_channels_exist_exactly_where_unreal_has_a_vector():
     ("name", "size"),
     [("lip", 86), ("upper_face", 18), ("lip_no_sticky", 86), ("upper_face_gaze", 18), ("all", 185)],
 )
-def test_named_sets_have_the_sizes_the_paper_counts(name, size):
+def test_named_sets_have_the_sizes_of_the_paper(name, size):
     assert len(set(CONTROLS.subset(name).tolist())) == size
 
 
@@ -70,7 +70,7 @@ def test_mirror_is_an_involution_with_equal_signs_and_ranges():
     assert (CONTROLS.maximum[mirrored] == CONTROLS.maximum).all()
 
 
-def test_mirror_turns_sideways_values_round_and_leaves_the_jaw_opening():
+def test_mirror_negates_sideways_values_and_keeps_the_jaw_opening():
     sign = {name: CONTROLS[name].mirror_sign for name in CONTROLS.names}
     assert sign["CTRL_C_jaw.tx"] == sign["CTRL_L_eye.tx"] == sign["CTRL_C_mouth.tx"] == -1
     assert sign["CTRL_C_jaw.ty"] == sign["CTRL_L_mouth_corner.tx"] == 1
@@ -93,14 +93,14 @@ def test_other_spellings_resolve(spelling, name):
     assert CONTROLS.names[CONTROLS.index(spelling)] == name
 
 
-def test_tongue_roll_is_read_by_the_board_the_header_is_from():
+def test_tongue_roll_depends_on_the_board_of_the_header():
     newer = CONTROLS.resolve(["CTRL_C_tongue_roll.ty", "CTRL_C_jaw.ty"])
     older = CONTROLS.resolve(["CTRL_C_tongue_roll.ty", "CTRL_C_tongue_roll.tx"])
     assert newer == ("CTRL_C_tongue_roll.ty", "CTRL_C_jaw.ty")
     assert older == ("CTRL_C_tongue_bendTwist.ty", "CTRL_C_tongue_bendTwist.tx")
 
 
-def test_older_board_does_not_lack_what_it_never_had():
+def test_missing_leaves_out_controls_that_the_older_board_never_had():
     older = [c.mh3_name or c.name for c in CONTROLS.controls if c.mh3_name != "-"]
     assert len(older) == 179
     assert CONTROLS.missing(older) == ()
@@ -115,7 +115,7 @@ def test_unknown_control_lists_near_matches():
         CONTROLS.index("€")
 
 
-def test_two_spellings_of_one_control_are_doubled():
+def test_resolve_rejects_two_spellings_of_one_control():
     with pytest.raises(ControlError, match=r"'CTRL_C_jaw.ty' occurs twice"):
         CONTROLS.resolve(["CTRL_C_jaw.ty", "CTRL_C_jaw.Y"])
 
@@ -132,7 +132,7 @@ def test_arrays_of_a_set_cannot_be_changed():
         CONTROLS.subset("lip")[0] = 1
 
 
-def test_own_set_from_a_table(tmp_path):
+def test_set_is_read_from_a_table(tmp_path):
     path = tmp_path / "puppet.csv"
     path.write_text(
         "name,min,max,rest,region,mirror\nsmileL,0,1,0.5,mouth,smileR\nsmileR,0,1,0.5,mouth,smileL\n"
@@ -144,7 +144,7 @@ def test_own_set_from_a_table(tmp_path):
     assert puppet.subset("mouth").tolist() == [0, 1]
 
 
-def test_own_set_from_the_header_of_curves(tmp_path):
+def test_set_is_read_from_the_header_of_curves(tmp_path):
     path = tmp_path / "curves.csv"
     path.write_text("frame,time,jaw,lips\n0,0,0,0\n")
     puppet = ControlSet.from_csv(path, id="puppet@1")
@@ -166,7 +166,7 @@ def test_own_set_from_the_header_of_curves(tmp_path):
         ("", "is empty"),
     ],
 )
-def test_bad_tables_say_what_is_wrong(tmp_path, text, message):
+def test_invalid_tables_are_rejected_with_the_reason(tmp_path, text, message):
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(ControlError, match=message):

@@ -56,7 +56,7 @@ def test_apple_spelling_resolves():
 
 @pytest.mark.parametrize("strength", [0.1, 0.6, 1.0])
 @pytest.mark.parametrize("name", POSED)
-def test_each_posed_shape_comes_back(name, strength):
+def test_each_posed_shape_is_recovered(name, strength):
     fit = raw_to_arkit(arkit_to_raw(arkit(**{name: strength})))
     assert fit.curves.values[:, :52] == pytest.approx(
         arkit(**{name: strength}).values[:, :52], abs=1e-3
@@ -66,7 +66,7 @@ def test_each_posed_shape_comes_back(name, strength):
 
 @settings(max_examples=30, deadline=None)
 @given(hnp.arrays(np.float32, (2, 52), elements=st.floats(0, 0.5, width=32)))
-def test_mixtures_come_back_where_no_raw_curve_is_clamped(weights):
+def test_mixtures_are_recovered_where_no_raw_curve_is_clamped(weights):
     values = np.zeros((2, 61), np.float32)
     values[:, :52] = weights
     jaw, close = ARKIT.index("JawOpen"), ARKIT.index("MouthClose")
@@ -77,7 +77,7 @@ def test_mixtures_come_back_where_no_raw_curve_is_clamped(weights):
     assert fit.curves.values[:, :52] == pytest.approx(values[:, :52], abs=1e-3)
 
 
-def test_real_capture_comes_back(shared):
+def test_real_capture_is_recovered(shared):
     import pandas as pd
 
     table = pd.read_csv(shared / "data/curves/livelink/alex_rom_3.csv")
@@ -107,7 +107,7 @@ def test_fit_equals_bounded_least_squares(rng):
                 assert fit.curves[name][0] == pytest.approx(weight, abs=1e-3)
 
 
-def test_clamped_brows_are_told_as_both_shapes():
+def test_clamped_brows_give_both_shapes():
     full = raw(
         browRaiseInL=1,
         browRaiseInR=1,
@@ -122,7 +122,7 @@ def test_clamped_brows_are_told_as_both_shapes():
     assert fit.lost < 1e-3
 
 
-def test_weights_by_hand():
+def test_weights_of_a_hand_worked_pose():
     pucker = arkit_to_raw(arkit(MouthPucker=0.5))
     assert pucker["CTRL_expressions_mouthFunnelUL"][0] == pytest.approx(0.37595)
     assert pucker["CTRL_expressions_mouthLipsTowardsDR"][0] == pytest.approx(0.2061)
@@ -155,7 +155,7 @@ def test_mouth_close_needs_an_open_jaw():
     assert crossed[LIPS_TOGETHER[0]][0] == 1
 
 
-def test_gaze_turns_the_eyes_as_captures_do():
+def test_gaze_turns_the_eyes_as_in_captures():
     """In real captures a left eye that looks in has positive yaw, and looking down positive pitch."""
     board = rest_curves(1).values.copy()
     board[0, default_controls().index("CTRL_L_eye.tx")] = -0.5  # towards the right: in
@@ -168,7 +168,7 @@ def test_gaze_turns_the_eyes_as_captures_do():
     assert curves["RightEyePitch"][0] == pytest.approx(-np.radians(30))
 
 
-def test_head_degrees_are_what_the_blueprint_turns():
+def test_head_degrees_are_those_of_the_blueprint():
     curves = raw_to_arkit(raw(), head=[[10.0, -20.0, 5.0]]).curves
     assert curves["HeadYaw"][0] * -50 == pytest.approx(10)
     assert curves["HeadPitch"][0] * 50 == pytest.approx(-20)
@@ -176,14 +176,14 @@ def test_head_degrees_are_what_the_blueprint_turns():
         raw_to_arkit(raw(), head=[[1.0, 2.0]])
 
 
-def test_what_arkit_cannot_say_is_reported():
+def test_movement_outside_arkit_is_reported():
     fit = raw_to_arkit(raw(earUpL=1.0))
     assert fit.lost == 1.0 and fit.residual[0] == pytest.approx(1.0)
     assert "lossy preview: 100%" in str(fit)
     assert raw_to_arkit(raw()).lost == 0
 
 
-def test_wrong_sets_are_errors():
+def test_conversion_rejects_other_control_sets():
     with pytest.raises(ControlError, match="ARKit shapes are 'arkit-61'"):
         arkit_to_raw(raw())
     with pytest.raises(ControlError, match="raw curves are"):

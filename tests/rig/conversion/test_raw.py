@@ -44,7 +44,7 @@ def test_there_are_251_raw_curves_and_only_wrinkle_upper_rests_at_one():
     ]
 
 
-def test_rest_is_rest():
+def test_rest_is_converted_to_rest():
     assert moved(board_to_raw(rest_curves(1))) == {}
     rest = raw_to_board(board_to_raw(rest_curves(1)))
     assert rest.values == pytest.approx(rest_curves(1).values)
@@ -72,7 +72,7 @@ def test_rest_is_rest():
         ),
     ],
 )
-def test_raw_values_by_hand(channel, value, expected):
+def test_raw_values_of_hand_worked_channels(channel, value, expected):
     assert moved(board_to_raw(board(**{channel: value}))) == expected
 
 
@@ -86,7 +86,7 @@ def test_middle_eye_is_added_to_both_eyes_and_clamped():
 
 @settings(max_examples=40, deadline=None)
 @given(hnp.arrays(np.float32, (3, 185), elements=st.floats(0, 1, width=32)))
-def test_there_and_back_is_exact_where_the_map_can_be_inverted(unit):
+def test_round_trip_is_exact_where_the_map_is_invertible(unit):
     invertible = np.zeros(185, bool)
     invertible[BOARD.subset("driver")] = True
     values = np.where(
@@ -100,8 +100,8 @@ def test_there_and_back_is_exact_where_the_map_can_be_inverted(unit):
 
 @settings(max_examples=20, deadline=None)
 @given(hnp.arrays(np.float32, (2, 251), elements=st.floats(0, 1, width=32)))
-def test_the_way_back_is_a_projection(unit):
-    """Raw vectors off the board's reach: coming back twice changes nothing more."""
+def test_raw_to_board_is_a_projection(unit):
+    """Raw vectors outside the board's range: a second round trip changes nothing."""
     raw = RigCurves(unit, raw_controls().names, control_set=RAW_ID)
     once = raw_to_board(raw)
     twice = raw_to_board(board_to_raw(once))
@@ -135,9 +135,9 @@ def test_names_without_prefix_and_of_the_older_rig_resolve():
     assert raw.canonical("CTRL_expressions_tongueRollUp") == "CTRL_expressions_tongueBendUp"
 
 
-def test_wrong_sets_are_errors():
+def test_conversion_rejects_other_control_sets():
     with pytest.raises(ControlError, match="raw curves are 'metahuman-raw-251@mh4'"):
         raw_to_board(rest_curves(1))
     own = RigCurves([[0.0]], ("smile",), control_set="puppet@1")
-    with pytest.raises(ControlError, match="no way from control set 'puppet@1'"):
+    with pytest.raises(ControlError, match="no conversion from control set 'puppet@1'"):
         convert(own, RAW_ID)

@@ -54,12 +54,12 @@ def test_sets_have_the_documented_names():
         ({"jaw": 0.1, "spread": 0.3, "tip": 0.5, "hiss": 1}, "SS", "B"),
     ],
 )
-def test_mouths_are_called_what_they_show(amounts, oculus, rhubarb):
+def test_known_mouths_get_their_viseme(amounts, oculus, rhubarb):
     assert strongest(frames(**amounts), OCULUS) == oculus
     assert rhubarb is None or strongest(frames(**amounts), RHUBARB) == rhubarb
 
 
-def test_weights_are_shares(rng):
+def test_weights_are_shares_that_sum_to_one(rng):
     curves = posed(rng.random((50, 10)).astype(np.float32), 30)
     for viseme_set in (OCULUS, RHUBARB):
         share = weights(curves, viseme_set)
@@ -67,7 +67,7 @@ def test_weights_are_shares(rng):
         assert (share >= 0).all()
 
 
-def test_gestures_come_back_from_poses(rng):
+def test_gestures_are_recovered_from_poses(rng):
     amounts = rng.random((20, 10)).astype(np.float32)
     assert gestures(posed(amounts, 30)) == pytest.approx(amounts, abs=1e-6)
 
@@ -78,7 +78,7 @@ def speech():
     return given, cues_to_curves(given)
 
 
-def test_cues_come_back_from_posed_curves():
+def test_cues_are_recovered_from_posed_curves():
     curves = speech()[1]
     found = cues(curves)
     order = "".join(cue.shape for cue in found)
@@ -130,13 +130,13 @@ def test_all_three_read_back_to_the_same_mouth(tmp_path, suffix):
     assert np.abs(gestures(back) - gestures(curves)).mean() < 0.05
 
 
-def test_rhubarb_json_is_told_by_its_content(tmp_path):
+def test_rhubarb_json_is_recognised_by_its_content(tmp_path):
     write_curves(tmp_path / "c.rhubarb.json", speech()[1])
     (tmp_path / "c.rhubarb.json").rename(tmp_path / "output.json")
     assert len(read_curves(tmp_path / "output.json")) == 36
 
 
-def test_visemes_json(tmp_path):
+def test_visemes_json_has_the_documented_schema(tmp_path):
     write_curves(tmp_path / "c.visemes.json", speech()[1])
     data = json.loads((tmp_path / "c.visemes.json").read_text())
     assert data["schema"] == "deitalk.visemes/1" and data["n_frames"] == len(data["values"]) == 36
@@ -161,12 +161,12 @@ def test_visemes_json(tmp_path):
         ("c.xml", "<x><mouthCue start='0'>A</mouthCue></x>", "end: None is no time"),
     ],
 )
-def test_broken_cues_are_errors(tmp_path, name, text, message):
+def test_read_curves_rejects_invalid_cues(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(FormatError, match=message):
         read_curves(tmp_path / name)
 
 
-def test_unknown_set_is_an_error():
+def test_weights_rejects_unknown_sets():
     with pytest.raises(FormatError, match="'disney'; known: oculus, rhubarb"):
         weights(rest_curves(1), "disney")

@@ -61,7 +61,7 @@ def test_gain_of_a_region_leaves_the_others():
     assert moved == {default_controls().names[i] for i in default_controls().subset("brow")}
 
 
-def test_bad_gains_are_errors():
+def test_gain_rejects_invalid_numbers_and_names():
     with pytest.raises(CurveError, match="gain of jaw is nan"):
         gain(jaw([0.0]), {"jaw": float("nan")})
     with pytest.raises(ControlError, match="unknown control 'jar'"):
@@ -98,6 +98,6 @@ def test_constant_curves_and_zero_width_stay():
 
 
 @pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
-def test_impossible_widths_are_errors(seconds):
+def test_smooth_rejects_invalid_widths(seconds):
     with pytest.raises(CurveError, match="finite time of 0 or more"):
         smooth(rest_curves(3), seconds)

@@ -44,7 +44,7 @@ def test_broadcast_rates_are_exact_fractions(given_fps, meant):
 
 
 @pytest.mark.parametrize("fps", [0, -1, np.nan, np.inf, 1001])
-def test_impossible_rates_are_errors(fps):
+def test_curves_reject_invalid_rates(fps):
     with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
         jaw([0.0], fps=fps)
 
@@ -55,7 +55,7 @@ def test_doubling_the_rate_puts_a_frame_between_two():
     assert doubled.fps == 60
 
 
-def test_24_fps_takes_every_fifth_quarter_by_hand():
+def test_24_fps_samples_every_1_25_frames_of_30_fps():
     # frame j of 24 lies at frame 1.25 j of 30
     values = jaw(np.arange(10) / 10).resample(24)[JAW]
     assert values.tolist() == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
@@ -115,7 +115,7 @@ def test_parts_join_to_the_whole(a, b):
     assert whole.intensity.tolist() == curves.intensity.tolist()
 
 
-def test_joining_what_does_not_fit_is_an_error():
+def test_concatenate_rejects_parts_that_differ():
     with pytest.raises(CurveError, match="part 2 has 60 fps and part 1 has 30; resample"):
         concatenate([jaw([0.0]), jaw([0.0], fps=60)])
     with pytest.raises(CurveError, match="other controls"):
@@ -128,7 +128,7 @@ def test_track_is_dropped_where_one_part_lacks_it():
     assert concatenate([jaw([0.0], intensity=[1.0]), jaw([0.0])]).intensity is None
 
 
-def test_mirror_swaps_sides_and_turns_the_jaw_round(rng):
+def test_mirror_swaps_sides_and_negates_the_jaw(rng):
     curves = RigCurves(rng.random((3, 185)), default_controls().names)
     mirrored = curves.mirror()
     assert (mirrored["CTRL_L_mouth_cornerPull.ty"] == curves["CTRL_R_mouth_cornerPull.ty"]).all()
@@ -168,12 +168,12 @@ def test_rest_curves_are_the_rest_values():
     ],
 )
 @pytest.mark.filterwarnings("ignore:overflow encountered")
-def test_impossible_curves_are_errors(fields, message):
+def test_curves_reject_wrong_shapes_and_values(fields, message):
     with pytest.raises(CurveError, match=message):
         RigCurves(names=(JAW,), **fields)
 
 
-def test_doubled_names_are_an_error():
+def test_curves_reject_doubled_names():
     with pytest.raises(ControlError, match="occurs twice"):
         RigCurves(np.zeros((1, 2)), (JAW, JAW))
 
@@ -187,11 +187,11 @@ def test_values_are_a_private_copy_and_cannot_be_changed():
         curves.values[0, 0] = 1
 
 
-def test_absent_control_is_named():
+def test_absent_control_is_in_the_message():
     with pytest.raises(ControlError, match=r"'CTRL_C_jaw.tx' is not among these 1 curves"):
         jaw([0.0])["CTRL_C_jaw.tx"]
 
 
-def test_times_that_are_no_numbers_are_errors():
+def test_time_to_frames_rejects_times_that_are_no_numbers():
     with pytest.raises(CurveError, match="not a finite number"):
         time_to_frames(float("nan"), fps=30)

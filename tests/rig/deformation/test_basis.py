@@ -40,7 +40,7 @@ def test_projection_is_weighted_least_squares(rng):
     np.testing.assert_allclose(basis.project(noisy).std(axis=0, ddof=1), 1.0, atol=1e-2)
 
 
-def test_weights_decide_what_comes_first():
+def test_component_order_follows_the_area_weights():
     """Two independent motions of equal size: the large triangle's is the first component."""
     rng = np.random.default_rng(1)
     frames = np.zeros((50, 6))
@@ -50,7 +50,7 @@ def test_weights_decide_what_comes_first():
         assert np.argmax(np.abs(basis.components[0])) == first
 
 
-def test_sizes_count_variance():
+def test_size_follows_the_share_of_variance():
     frames = np.diag([3.0, 2.0, 1.0])[[0, 0, 1, 1, 2, 2]] * np.array([1, -1] * 3)[:, None]
     basis = fit_basis(frames, [1.0])
     assert [basis.size_for(share) for share in (0.5, 0.9, 0.95, 1.0)] == [1, 2, 3, 3]
@@ -73,7 +73,7 @@ def test_chosen_bases_keep_unseen_lips_within_the_bound(rng, tmp_path):
     np.testing.assert_array_equal(again.rotation.components, tight.rotation.components)
 
 
-def test_no_basis_from_nothing(tmp_path):
+def test_fit_basis_rejects_frames_without_motion(tmp_path):
     with pytest.raises(MeshError, match="do not move"):
         fit_basis(np.ones((5, 6)), [1.0])
     with pytest.raises(MeshError, match="at least 2 rows"):

@@ -83,7 +83,7 @@ def test_determinant_is_the_area_ratio_to_the_three_halves(rng):
     )
 
 
-def test_flipping_both_meshes_changes_nothing(rng):
+def test_gradients_do_not_depend_on_the_orientation(rng):
     mesh = sheet()
     moved = mesh.vertices + rng.normal(scale=0.1, size=mesh.vertices.shape)
     np.testing.assert_allclose(
@@ -91,7 +91,7 @@ def test_flipping_both_meshes_changes_nothing(rng):
     )
 
 
-def test_unpack_undoes_pack(rng):
+def test_unpack_inverts_pack(rng):
     mesh = sheet()
     moved = mesh.vertices + rng.normal(scale=0.3, size=(4, *mesh.vertices.shape))
     gradients = deformation_gradients(mesh, moved)
@@ -100,7 +100,7 @@ def test_unpack_undoes_pack(rng):
     np.testing.assert_allclose(unpack(s, r), gradients, atol=1e-12)
 
 
-def test_frames_that_follow_one_another_are_unwrapped():
+def test_consecutive_frames_are_unwrapped():
     """A sheet turning once and a half keeps turning in r; single poses come back to |r| <= pi."""
     mesh = sheet(4)
     angles = np.linspace(0, 3 * np.pi, 60)
@@ -113,7 +113,7 @@ def test_frames_that_follow_one_another_are_unwrapped():
     np.testing.assert_allclose(unpack(single_s, single_r), unpack(s, r), atol=1e-12)
 
 
-def test_degenerate_triangles_are_refused_by_index():
+def test_degenerate_triangles_are_rejected_by_index():
     mesh = sheet()
     vertices = mesh.vertices.copy()
     vertices[mesh.faces[7, 1]] = vertices[mesh.faces[7, 0]]
@@ -125,12 +125,12 @@ def test_degenerate_triangles_are_refused_by_index():
         DeformationSolver(TriMesh(vertices, mesh.faces))
 
 
-def test_another_vertex_count_is_refused():
+def test_gradients_reject_another_vertex_count():
     with pytest.raises(TopologyError, match="the template's"):
         deformation_gradients(sheet(6), sheet(5).vertices)
 
 
-def test_solve_gives_back_the_moved_vertices(rng):
+def test_solve_recovers_the_moved_vertices(rng):
     mesh = sheet(8)
     moved = mesh.vertices + rng.normal(scale=0.2, size=(20, *mesh.vertices.shape))
     solver = DeformationSolver(mesh)
@@ -171,7 +171,7 @@ def test_solve_is_the_least_squares_solution_of_the_full_system(rng):
     np.testing.assert_allclose(solver.solve_gradients(noisy)[free], expected, atol=1e-10)
 
 
-def test_normal_stretch_is_invisible(rng):
+def test_stretch_along_the_normal_has_no_effect(rng):
     mesh = sheet()
     normals = np.cross(
         *(mesh.vertices[mesh.faces[:, k]] - mesh.vertices[mesh.faces[:, 0]] for k in (1, 2))
@@ -195,7 +195,7 @@ def test_every_component_gets_a_pin(rng):
     np.testing.assert_allclose(solved, moved, atol=1e-11)
 
 
-def test_unused_vertices_stay(rng):
+def test_unused_vertices_keep_their_positions(rng):
     mesh = sheet()
     extended = TriMesh(np.vstack([mesh.vertices, [[9, 9, 9]]]), mesh.faces)
     moved = extended.vertices + rng.normal(scale=0.1, size=extended.vertices.shape)
@@ -227,14 +227,14 @@ def test_rigid_motion_never_mirrors(rng):
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
-def test_pins_can_be_the_quietest_vertices():
+def test_quietest_pins_are_the_vertices_that_move_least():
     mesh = sheet(5)
     moved = np.tile(mesh.vertices, (2, 1, 1)) + 1.0
     moved[:, 17] = mesh.vertices[17]
     assert list(quietest_pins(mesh, moved)) == [17]
 
 
-def test_solver_refuses_wrong_shapes():
+def test_solver_rejects_wrong_shapes():
     mesh = sheet()
     solver = DeformationSolver(mesh)
     with pytest.raises(MeshError, match="triangles need"):

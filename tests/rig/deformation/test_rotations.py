@@ -47,7 +47,7 @@ def test_polar_gives_a_rotation_and_a_symmetric_positive_stretch(rng):
     assert np.linalg.eigvalsh(stretch).min() > 0
 
 
-def test_polar_survives_slivers():
+def test_polar_is_accurate_for_thin_triangles():
     # The rim of the ICT lips stretches between 0.004 and 116 times.
     turn = Rotation.from_euler("xyz", [40, -70, 160], degrees=True).as_matrix()
     stretch = np.diag([0.004, 116.0, 1.0])
@@ -56,13 +56,13 @@ def test_polar_survives_slivers():
     np.testing.assert_allclose(found, stretch, atol=1e-9)
 
 
-def test_polar_refuses_a_reflection():
+def test_polar_rejects_a_reflection():
     with pytest.raises(ValueError, match="positive determinant"):
         polar(np.diag([1.0, 1.0, -1.0]))
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_log_undoes_exp_at(angle, rng):
+def test_log_inverts_exp_at(angle, rng):
     vectors = angle * axes(rng)
     matrices = rotation_exp(vectors)
     np.testing.assert_allclose(rotation_log(matrices), vectors, atol=1e-12, rtol=1e-9)
@@ -86,7 +86,7 @@ def test_log_agrees_with_scipy(rng):
     )
 
 
-def test_unwrap_runs_on_through_pi():
+def test_unwrap_is_continuous_beyond_pi():
     steps = np.linspace(0, 3 * np.pi, 90)
     turning = steps[:, None, None] * np.array([0.0, 0.6, 0.8])
     wrapped = rotation_log(rotation_exp(turning))

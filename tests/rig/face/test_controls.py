@@ -1,4 +1,4 @@
-"""Every control moves the right landmark, the right way, on the right side."""
+"""Every control moves its landmark in its direction and on its side."""
 
 import numpy as np
 import pytest
@@ -186,14 +186,14 @@ def motion(head, name: str, value: float, base: dict[str, float]) -> np.ndarray:
 
 
 OPEN = {"CTRL_C_jaw.ty": 0.35}
-"""Lips apart and room for the tongue, so that contact hides nothing."""
+"""Open mouth, so that contact does not limit motion."""
 CASES = [(f"CTRL_L_{stem}", *rest) for stem, rest in SIDED.items()] + [
     (name, *rest) for name, rest in CENTER.items()
 ]
 
 
 @pytest.mark.parametrize(("name", "landmark", "axis", "plus", "minus"), CASES)
-def test_control_moves_its_landmark_the_right_way(
+def test_control_moves_its_landmark_in_its_direction(
     head, landmarks, name, landmark, axis, plus, minus
 ):
     base = {k: v for k, v in OPEN.items() if not name.startswith("CTRL_C_jaw")}
@@ -274,7 +274,7 @@ def test_center_sticky_closes_the_middle(head):
     assert np.linalg.norm(skin[rim[13]] - skin[rim[39]]) < 0.02
 
 
-def test_parallel_look_makes_the_eyes_agree(head):
+def test_parallel_look_makes_the_eyes_parallel(head):
     crossed = {"CTRL_L_eye.tx": -0.6, "CTRL_R_eye.tx": 0.6}
 
     def aim(pose):
@@ -291,8 +291,8 @@ def test_parallel_look_makes_the_eyes_agree(head):
     assert np.abs(a - b).max() < 1e-3
 
 
-def test_every_control_is_accounted_for(head):
-    """Each of the 185 moves something, needs company, or is listed with a reason."""
+def test_every_control_has_an_effect_or_a_reason(head):
+    """Each of the 185 moves a vertex, alone or with another control, or is listed with a reason."""
     base = {**OPEN, "*nose.ty": 0.5, "CTRL_L_eye.tx": 0.5}
     still = {n for n, m in _motions(head, pose_values(base)).items() if m < 0.02}
     assert still == set(NOTHING)

@@ -55,7 +55,7 @@ def rim_middles(head, pose: dict[str, float]) -> np.ndarray:
     ["brow_down", "brow_raiseIn", "brow_raiseOut", "eye_cheekRaise", "eye_squintInner",
      "eye_faceScrunch", "eye_lidPress", "jaw_clench"],
 )  # fmt: skip
-def test_muscles_of_eyes_and_jaw_angle_leave_the_lips_alone(head, name):
+def test_controls_of_eyes_and_jaw_angle_do_not_move_the_lips(head, name):
     red = np.flatnonzero((head.features.kind == MOUTH) & (head.features.ring <= 3))
     moved = head.pose(pose_values({f"*{name}.ty": 1})) - head.mesh.vertices
     assert np.abs(moved[red]).max() < 1e-4
@@ -63,7 +63,7 @@ def test_muscles_of_eyes_and_jaw_angle_leave_the_lips_alone(head, name):
 
 
 @pytest.mark.parametrize("name", ["purse", "funnel", "lipBite", "press", "lipsRoll"])
-def test_lips_leave_the_tip_of_the_nose_where_the_skull_holds_it(head, name):
+def test_lip_controls_do_not_move_the_tip_of_the_nose(head, name):
     tip = np.argmax(head.skin.vertices[:, 2])
     pose = {f"CTRL_{side}_mouth_{name}{lip}.ty": 1 for side in "LR" for lip in "UD"}
     moved = head.pose(pose_values(pose)) - head.mesh.vertices
@@ -98,7 +98,7 @@ def test_rest_pose_is_the_neutral_head(head):
 
 
 @pytest.mark.parametrize("share", [0.15, 1.0])
-def test_seal_closes_the_lips_whatever_else_happens(head, share):
+def test_seal_closes_the_lips_in_any_pose(head, share):
     values = random_values(60, 1, share)
     for name in CONTROLS.names:
         if "lipsTogether" in name:
@@ -177,7 +177,7 @@ def winding_number(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) 
     return np.arctan2(top, bottom).sum(1) / (2 * np.pi)
 
 
-def test_winding_number_tells_inside_from_outside(head):
+def test_winding_number_is_one_inside_and_zero_outside(head):
     faces = outer_surface(head)
     points = np.array([[0, 2.0, 0], [0, -7.1, 7.5], [0, -7.1, 11.0], [12.0, 0, 0]])
     inside = winding_number(points, head.skin.vertices, faces) > 0.5
@@ -307,11 +307,11 @@ def test_a_frame_takes_milliseconds(head):
         (np.full(185, np.nan), "finite"),
     ],
 )
-def test_bad_values_are_refused(head, values, message):
+def test_pose_rejects_invalid_values(head, values, message):
     with pytest.raises(RigError, match=message):
         head.pose(values)
 
 
-def test_pose_with_an_unknown_control_is_refused():
+def test_pose_values_rejects_unknown_controls():
     with pytest.raises(RigError, match="CTRL_L_nothing"):
         pose_values({"*nothing.ty": 1})

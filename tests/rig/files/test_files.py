@@ -1,4 +1,4 @@
-"""Writing files: nothing half there, nothing of the user's lost, whenever a process ends."""
+"""Writing files and folders: complete or not at all, at whatever step a process ends."""
 
 import hashlib
 import json
@@ -402,7 +402,7 @@ def holder(target, seconds):
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_second_process_on_one_target_is_told(tmp_path, exists):
+def test_claim_rejects_a_second_process(tmp_path, exists):
     take = tmp_path / "take"
     if exists:
         fill(take, {"curves.csv": "1"})

@@ -22,7 +22,7 @@ def visible(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_an_interrupted_replacement_leaves_one_of_both_and_nothing_hidden(
+def test_interrupted_replacement_leaves_the_old_or_new_folder_and_no_hidden_files(
     when, tmp_path, monkeypatch
 ):
     real, seen = os.replace, set()

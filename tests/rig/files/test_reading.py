@@ -1,4 +1,4 @@
-"""Reading files that may be anything: regular files within limits, or one line and no waiting."""
+"""Reading untrusted files: regular files within limits, or an error of one line without blocking."""
 
 import io
 import json
@@ -66,7 +66,7 @@ def test_read_bytes_rejects(tmp_path, name, words):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="this system has no /dev/zero")
-def test_device_is_no_file():
+def test_read_bytes_rejects_devices():
     from pathlib import Path
 
     assert "is a device" in refused(read_bytes, Path("/dev/zero"), 99)
@@ -79,7 +79,7 @@ def test_text_is_read_in_every_encoding_with_a_mark(tmp_path, encoding):
     assert read_text(tmp_path / "a", 99) == "time; Zürich €"
 
 
-def test_text_rejects_bytes_that_are_none(tmp_path):
+def test_text_rejects_bytes_that_are_no_text(tmp_path):
     (tmp_path / "a").write_bytes(b"caf\xe9")
     assert "no UTF-8 text (byte 3" in refused(read_text, tmp_path / "a", 99)
     (tmp_path / "a").write_bytes(b"\xff\xfea")
@@ -186,7 +186,7 @@ def test_archive_of_most_arrays_is_read_and_one_more_is_not(tmp_path):
     assert "65 arrays; at most 64" in refused(read_npz, archive(tmp_path / "b.npz", members))
 
 
-def test_archive_rejects_a_bomb_before_unpacking(tmp_path):
+def test_archive_that_expands_too_much_is_rejected_before_unpacking(tmp_path):
     """300 MiB of zeros in 300 kB: refused by the sizes that the archive declares."""
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as file:
         with file.open("a.npy", "w") as stream:
@@ -211,7 +211,7 @@ def test_archive_rejects_a_cut_file(tmp_path, kept):
     assert "no archive of numpy arrays" in refused(read_npz, tmp_path / "a.npz")
 
 
-def test_archive_rejects_a_size_that_lies(tmp_path):
+def test_archive_rejects_a_wrong_size(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.zeros(4))
     data = bytearray((tmp_path / "a.npz").read_bytes())
     central = data.index(b"PK\x01\x02")

@@ -1,4 +1,4 @@
-"""Files of a folder that stays in use: replaced where they are deitalk's, whatever was killed."""
+"""Recorded files of a folder in use: replaced only while unedited, also after a kill."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def write(folder: Path, text: str) -> None:
     replace_recorded(folder, "table.csv", text)
 
 
-def test_a_recorded_file_is_replaced_and_an_edited_one_stays(tmp_path):
+def test_recorded_file_is_replaced_and_edited_one_is_kept(tmp_path):
     folder = tmp_path / "data"
     write(folder, "one")
     assert kind_of(folder) == "dataset" and changed_files(folder) == []
@@ -30,7 +30,7 @@ def test_a_recorded_file_is_replaced_and_an_edited_one_stays(tmp_path):
     assert (folder / "table.csv").read_text() == "three" and changed_files(folder) == []
 
 
-def test_a_file_that_deitalk_did_not_write_stays_unless_it_is_equal(tmp_path):
+def test_foreign_file_is_kept_unless_it_is_equal(tmp_path):
     begin_folder(tmp_path, kind="dataset")
     (tmp_path / "table.csv").write_text("mine")
     with pytest.raises(TargetError, match="was not written by deitalk and would be replaced"):
@@ -40,7 +40,7 @@ def test_a_file_that_deitalk_did_not_write_stays_unless_it_is_equal(tmp_path):
     assert (tmp_path / "table.csv").read_text() == "ours"
 
 
-def test_a_link_in_place_of_a_recorded_file_is_not_followed(tmp_path):
+def test_link_in_place_of_a_recorded_file_is_not_followed(tmp_path):
     folder = tmp_path / "data"
     write(folder, "one")
     (tmp_path / "elsewhere.csv").write_text("one")
@@ -51,7 +51,7 @@ def test_a_link_in_place_of_a_recorded_file_is_not_followed(tmp_path):
     assert (tmp_path / "elsewhere.csv").read_text() == "one"
 
 
-def test_a_kill_at_any_write_leaves_the_old_file_or_the_new_one_and_either_is_known(tmp_path):
+def test_kill_at_any_write_leaves_the_old_or_new_file_recorded(tmp_path):
     total = count_writes(tmp_path / "whole", lambda: write(tmp_path / "whole", "new"))
     for number in range(1, total + 5):
         folder = tmp_path / str(number)
@@ -64,7 +64,7 @@ def test_a_kill_at_any_write_leaves_the_old_file_or_the_new_one_and_either_is_kn
         assert (folder / "table.csv").read_text() == "other"
 
 
-def test_a_kill_while_files_are_listed_leaves_nothing_after_the_next(tmp_path):
+def test_temporary_files_of_a_killed_process_are_removed(tmp_path):
     (tmp_path / "page.html").write_text("page")
     total = count_writes(tmp_path, lambda: record(tmp_path, ["page.html"], kind="take"))
     for number in range(1, total + 1):

@@ -76,7 +76,7 @@ def test_fixed_point_text_equals_printf(values, decimals):
             assert not (cell.startswith("-") and float(cell) == 0)
 
 
-def test_fixed_point_text_by_hand():
+def test_fixed_point_text_of_hand_worked_numbers():
     values = np.array([[0.5, -0.25, 1.0, -0.0000001, 10.05, 123.0]])
     assert list(rows([Block(values, 6)])) == [b"0.5,-0.25,1,0,10.05,123\n"]
     assert list(rows([Block(values[:, :2], 2, trim=False)])) == [b"0.50,-0.25\n"]
@@ -93,7 +93,7 @@ def test_csv_is_a_plain_table_for_pandas(tmp_path):
     assert table[JAW].tolist() == [0, 0.5, 0]
 
 
-def test_json_says_what_it_is(tmp_path):
+def test_json_holds_its_schema_and_control_set(tmp_path):
     write_curves(tmp_path / "c.json", rest_curves(2, fps=29.97))
     data = json.loads((tmp_path / "c.json").read_text())
     assert data["schema"] == "deitalk.curves/1"
@@ -103,21 +103,21 @@ def test_json_says_what_it_is(tmp_path):
     assert len(data["values"][0]) == len(data["names"]) == 185
 
 
-def test_rate_is_changed_on_the_way_out(tmp_path):
+def test_write_curves_resamples_to_a_given_rate(tmp_path):
     report = write_curves(tmp_path / "c.csv", rest_curves(30), fps=24)
     assert (report.n_frames, report.fps) == (24, 24)
     assert read_curves(tmp_path / "c.csv").fps == 24
 
 
 @pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
-def test_rate_is_told_from_the_times_even_of_two_frames(tmp_path, fps):
+def test_rate_is_inferred_from_the_times_of_two_frames(tmp_path, fps):
     for n_frames in (2, 3, 1000):
         curves = rest_curves(n_frames, fps=fps)
         write_curves(tmp_path / "c.csv", curves)
         assert read_curves(tmp_path / "c.csv").fps == curves.fps
 
 
-def test_clipping_is_done_and_reported_on_writing(tmp_path):
+def test_write_curves_clamps_and_reports(tmp_path):
     values = np.tile(CONTROLS.rest, (2, 1))
     values[1, CONTROLS.index(JAW)] = 1.5
     report = write_curves(tmp_path / "c.csv", RigCurves(values, CONTROLS.names))
@@ -144,7 +144,7 @@ def test_columns_may_come_in_any_order_and_spelling(tmp_path):
     assert read_curves(save(table, tmp_path / "c.csv"))[JAW].tolist() == [0, 0.5, 1]
 
 
-def test_older_board_reads_with_rest_for_what_it_lacked(tmp_path):
+def test_older_board_is_read_with_rest_for_newer_controls(tmp_path):
     newer_only = [c.name for c in CONTROLS.controls if c.mh3_name == "-"]
     names = {c.name: c.mh3_name for c in CONTROLS.controls if c.mh3_name not in ("", "-")}
     table = table_of_rest().drop(columns=newer_only).rename(columns=names)
@@ -154,7 +154,7 @@ def test_older_board_reads_with_rest_for_what_it_lacked(tmp_path):
     assert (curves["CTRL_C_tongue_roll.ty"] == 0).all()
 
 
-def test_control_faults_are_one_line_errors(tmp_path):
+def test_read_curves_rejects_wrong_controls(tmp_path):
     table = table_of_rest()
     with pytest.raises(FormatError, match=r"lacks 1 of the 185 controls.*CTRL_C_jaw.ty"):
         read_curves(save(table.drop(columns=JAW), tmp_path / "missing.csv"))
@@ -175,14 +175,14 @@ def test_control_faults_are_one_line_errors(tmp_path):
         ("True", "is 'True'"),
     ],
 )
-def test_bad_cells_are_named_by_row_and_column(tmp_path, cell, message):
+def test_invalid_cells_are_named_by_row_and_column(tmp_path, cell, message):
     table = table_of_rest().astype(object)
     table.loc[1, JAW] = cell
     with pytest.raises(FormatError, match=message):
         read_curves(save(table, tmp_path / "c.csv"))
 
 
-def test_uneven_and_falling_times_are_errors(tmp_path):
+def test_read_curves_rejects_uneven_and_falling_times(tmp_path):
     table = table_of_rest(4)
     table["time"] = [0, 1, 2, 9]
     with pytest.raises(FormatError, match="data row 2 comes 1 s after the last, others 3 s"):
@@ -206,7 +206,7 @@ def test_uneven_and_falling_times_are_errors(tmp_path):
         ("x" * (1 << 20) + "x\n", "longer than 1 MiB"),
     ],
 )
-def test_broken_tables_are_errors(tmp_path, text, message):
+def test_read_curves_rejects_broken_tables(tmp_path, text, message):
     (tmp_path / "c.csv").write_text(text)
     with pytest.raises(RigError, match=message):
         read_curves(tmp_path / "c.csv")
@@ -244,7 +244,7 @@ def json_of_rest():
         ({"intensity": [1, 2]}, r"intensity has shape \(2,\)"),
     ],
 )
-def test_broken_json_fields_are_errors(tmp_path, change, message):
+def test_read_curves_rejects_invalid_json_fields(tmp_path, change, message):
     (tmp_path / "c.json").write_text(json.dumps(json_of_rest() | change))
     with pytest.raises(RigError, match=message):
         read_curves(tmp_path / "c.json")
@@ -253,7 +253,7 @@ def test_broken_json_fields_are_errors(tmp_path, change, message):
 @pytest.mark.parametrize(
     "text", ["[]", "{", "NaN", '{"a": NaN}', "[" * 100_000, "\x00", "1" * 5000]
 )
-def test_texts_that_are_no_json_object_are_errors(tmp_path, text):
+def test_read_curves_rejects_other_json(tmp_path, text):
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(
         FormatError, match=r"no JSON|must hold a JSON object|nests 100000 levels; at most 32"
@@ -267,7 +267,7 @@ def test_archives_never_unpickle(tmp_path):
         read_curves(tmp_path / "c.npz")
 
 
-def test_archive_without_an_array_says_which(tmp_path):
+def test_archive_names_the_missing_array(tmp_path):
     np.savez(tmp_path / "c.npz", schema="deitalk.curves/1", names=["a"], control_set="x")
     with pytest.raises(FormatError, match="no array 'fps'"):
         read_curves(tmp_path / "c.npz")
@@ -276,7 +276,7 @@ def test_archive_without_an_array_says_which(tmp_path):
 @pytest.mark.parametrize("suffix", EVERY_SUFFIX)
 @settings(max_examples=40, deadline=None)
 @given(data=st.binary(max_size=400))
-def test_any_bytes_give_a_clear_error(suffix, data, tmp_path_factory):
+def test_read_curves_rejects_any_bytes_in_one_line(suffix, data, tmp_path_factory):
     path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
     path.write_bytes(data)
     with pytest.raises(RigError) as caught:
@@ -287,9 +287,7 @@ def test_any_bytes_give_a_clear_error(suffix, data, tmp_path_factory):
 @pytest.mark.parametrize("suffix", EVERY_SUFFIX)
 @settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
-def test_one_wrong_byte_is_read_or_refused_never_a_crash(
-    suffix, place, byte, cut, tmp_path_factory
-):
+def test_one_wrong_byte_is_read_or_rejected(suffix, place, byte, cut, tmp_path_factory):
     path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
     write_curves(path, rest_curves(2))
     data = bytearray(path.read_bytes())
@@ -307,7 +305,7 @@ def test_one_wrong_byte_is_read_or_refused_never_a_crash(
         assert np.isfinite(curves.values).all()
 
 
-def test_paths_that_cannot_be_are_errors(tmp_path):
+def test_read_and_write_reject_impossible_paths(tmp_path):
     with pytest.raises(FormatError, match="does not exist"):
         read_curves(tmp_path / "absent.csv")
     (tmp_path / "folder.csv").mkdir()
@@ -324,7 +322,7 @@ def test_paths_that_cannot_be_are_errors(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, suffix):
+def test_failed_writer_leaves_the_old_file_only(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"c.{suffix}"
     write_curves(path, rest_curves(1))
     before = path.read_bytes()
@@ -341,7 +339,7 @@ def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monk
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_own_control_sets_travel_through_every_format(tmp_path):
+def test_own_control_sets_survive_every_format(tmp_path):
     puppet = ControlSet.from_names(["jaw", "lips"], id="puppet@1")
     curves = RigCurves([[0.5, 0.25], [0.0, 1.0]], puppet.names, 25, control_set=puppet.id)
     for suffix in FORMATS:

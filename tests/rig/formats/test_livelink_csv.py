@@ -47,7 +47,7 @@ def codes(n_frames, fps):
         (50, 3, "00:00:00:03.600"),
     ],
 )
-def test_timecodes_by_hand(fps, frame, timecode):
+def test_timecodes_of_hand_worked_times(fps, frame, timecode):
     rate = 30000 / 1001 if fps == 29.97 else fps
     assert codes(frame + 1, rate)[frame] == timecode
 
@@ -67,7 +67,7 @@ def test_every_timecode_reads_as_written(ticks):
     assert parse_timecode(text, row=1, where="x") == ticks
 
 
-def test_real_take_writes_back_to_the_same_bytes(shared, tmp_path):
+def test_real_take_is_written_back_to_the_same_bytes(shared, tmp_path):
     write_take(tmp_path / "back.csv", read_take(shared / ALEX))
     theirs = (shared / ALEX).read_text().split("\n")
     ours = (tmp_path / "back.csv").read_text().split("\n")
@@ -99,7 +99,7 @@ def test_real_take_drives_the_board(shared, tmp_path):
     assert again["MouthPucker"] == pytest.approx(take["MouthPucker"].clip(0, 1), abs=1e-3)
 
 
-def test_file_is_what_the_app_writes(tmp_path):
+def test_file_has_the_form_of_the_app(tmp_path):
     values = np.zeros((2, 61), np.float32)
     values[1, 17] = 0.25
     curves = RigCurves(values, arkit_controls().names, control_set=ARKIT_ID)
@@ -122,7 +122,7 @@ def test_loss_is_reported_when_the_board_is_written(tmp_path):
     assert "lossy preview: 100%" in report.note
 
 
-def test_raw_curves_travel_as_live_link_columns(tmp_path):
+def test_raw_curves_survive_as_live_link_columns(tmp_path):
     curves = rest_curves(4)
     write_curves(tmp_path / "a.livelink-raw.csv", curves)
     back = read_curves(tmp_path / "a.livelink-raw.csv", control_set=None)
@@ -136,7 +136,7 @@ def test_takes_that_cross_midnight_keep_rising(tmp_path):
     assert np.diff(read_take(tmp_path / "a.csv").ticks).tolist() == [2000]
 
 
-def test_more_columns_than_61_do_not_disturb(tmp_path):
+def test_more_columns_than_61_are_ignored(tmp_path):
     header = HEADER.replace("BlendShapeCount", "BlendshapeCount") + ",Angry"
     (tmp_path / "a.csv").write_text(header + "\n00:00:00:00.000,61" + ",0" * 61 + ",1\n")
     assert read_take(tmp_path / "a.csv").names[-1] == "Angry"
@@ -156,13 +156,13 @@ def test_more_columns_than_61_do_not_disturb(tmp_path):
         (("00:00:00:00.000,61" + ",0" * 61 + "\n") * 2, "not after the one before"),
     ],
 )
-def test_broken_takes_are_errors(tmp_path, row, message):
+def test_read_curves_rejects_broken_takes(tmp_path, row, message):
     (tmp_path / "a.csv").write_text(HEADER + "\n" + row + "\n")
     with pytest.raises(FormatError, match=message):
         read_curves(tmp_path / "a.csv")
 
 
-def test_doubled_and_foreign_columns_are_errors(tmp_path):
+def test_read_curves_rejects_doubled_and_foreign_columns(tmp_path):
     (tmp_path / "a.csv").write_text("Timecode,BlendShapeCount,JawOpen,JawOpen\n00:00:00:00,2,0,0\n")
     with pytest.raises(RigError, match="'JawOpen' occurs twice"):
         read_curves(tmp_path / "a.csv")

@@ -20,7 +20,7 @@ def curves(rng):
     return RigCurves(values, BOARD.names, 25)
 
 
-def test_raw_csv_is_told_by_its_names(tmp_path, curves):
+def test_raw_csv_is_recognised_by_its_names(tmp_path, curves):
     write_curves(tmp_path / "c.raw.csv", curves)
     raw = read_curves(tmp_path / "c.raw.csv", control_set=None)
     assert raw.control_set == RAW_ID and raw.fps == 25
@@ -29,7 +29,7 @@ def test_raw_csv_is_told_by_its_names(tmp_path, curves):
     assert read_curves(tmp_path / "other.csv").control_set == BOARD.id
 
 
-def test_rigmapper_keys_by_hand(tmp_path):
+def test_rigmapper_keys_of_hand_worked_curves(tmp_path):
     values = rest_curves(3).values.copy()
     values[1, BOARD.index("CTRL_C_jaw.ty")] = 0.5
     write_curves(tmp_path / "c.rigmapper.csv", RigCurves(values, BOARD.names))
@@ -67,13 +67,13 @@ def test_rigmapper_fills_between_sparse_keys_and_rests_absent_curves(tmp_path):
         ("CTRL_expressions_jawOpen,0,7\n", "outside 0 to 1"),
     ],
 )
-def test_broken_keys_are_errors(tmp_path, keys, message):
+def test_rigmapper_rejects_broken_keys(tmp_path, keys, message):
     (tmp_path / "c.csv").write_text("curve_name, frame_number, value\n" + keys)
     with pytest.raises(FormatError, match=message):
         read_curves(tmp_path / "c.csv")
 
 
-def test_unknown_curve_in_keys_is_named(tmp_path):
+def test_unknown_curve_in_keys_is_in_the_message(tmp_path):
     (tmp_path / "c.csv").write_text("curve_name, frame_number, value\nCTRL_expressions_jaw,0,1\n")
     with pytest.raises(ControlError, match="unknown control 'CTRL_expressions_jaw'"):
         read_curves(tmp_path / "c.csv")
@@ -125,7 +125,7 @@ def test_emoface_columns_are_the_published_ones():
     assert spelling[names[-1]] == "CTRL_neck_throatUpDown-translateY"
 
 
-def test_emoface_text_goes_both_ways(tmp_path, curves):
+def test_emoface_text_survives_writing_and_reading(tmp_path, curves):
     write_curves(tmp_path / "c.txt", curves)
     lines = (tmp_path / "c.txt").read_text().splitlines()
     assert [len(line.split(",")) for line in lines] == [174] * 5
@@ -136,7 +136,7 @@ def test_emoface_text_goes_both_ways(tmp_path, curves):
     assert (back.values[:, lost] == BOARD.rest[lost]).all()
 
 
-def test_emoface_faults_are_errors(tmp_path):
+def test_emoface_rejects_broken_text(tmp_path):
     (tmp_path / "c.txt").write_text("0,0\n")
     with pytest.raises(FormatError, match="holds no frame rate; give `fps`"):
         read_curves(tmp_path / "c.txt")

@@ -1,4 +1,4 @@
-"""GLB and USD against readers that are not ours: pygltflib, usd-core, Blender."""
+"""GLB and USD against independent readers: pygltflib, usd-core, Blender."""
 
 import json
 import shutil
@@ -63,7 +63,7 @@ def glb_path(tmp_path_factory, curves):
     return path
 
 
-def test_glb_shows_the_posed_head_to_an_independent_reader(glb_path, curves):
+def test_glb_holds_the_posed_head_by_an_independent_reader(glb_path, curves):
     pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib")
     glb = pygltflib.GLTF2().load(str(glb_path))
     blob = glb.binary_blob()
@@ -121,7 +121,7 @@ def usd_path(tmp_path_factory, curves):
     return path
 
 
-def test_usd_shows_the_posed_head_to_usd_core(usd_path, curves):
+def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
     stage = Usd.Stage.Open(str(usd_path))
@@ -175,7 +175,7 @@ def test_usd_passes_the_validators_of_usd_core(usd_path):
     assert [error.GetErrorAsString() for error in errors] == []
 
 
-def test_broken_usd_is_an_error(tmp_path):
+def test_read_rejects_broken_usd(tmp_path):
     pytest.importorskip("pxr", reason="needs usd-core")
     for name, text in (
         ("a.usda", "not usd"),
@@ -189,7 +189,7 @@ def test_broken_usd_is_an_error(tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_absent_usd_core_says_what_to_install(tmp_path, monkeypatch, curves):
+def test_absent_usd_core_names_the_install_line(tmp_path, monkeypatch, curves):
     import sys
 
     monkeypatch.setitem(sys.modules, "pxr", None)

@@ -35,7 +35,7 @@ def arkit_curves(n_frames, fps=30.0):
     return RigCurves(values, arkit_controls().names, fps, control_set=ARKIT_ID)
 
 
-def test_published_test_vector():
+def test_published_test_vector_is_decoded():
     data = encode(packet())
     assert len(data) == 313
     assert data[:5] == bytes.fromhex("0600000024")
@@ -52,7 +52,7 @@ def test_published_test_vector():
     st.integers(0, 2**31 - 1),
     st.lists(st.floats(-4, 4, width=32), min_size=61, max_size=61),
 )
-def test_packets_come_back(subject, frame, values):
+def test_packets_survive_encoding_and_decoding(subject, frame, values):
     sent = Packet(DEVICE, subject, frame, 0.25, (30000, 1001), np.array(values, np.float32))
     got = decode(encode(sent))
     assert (got.device, got.subject, got.frame, got.rate) == (DEVICE, subject, frame, (30000, 1001))
@@ -60,14 +60,14 @@ def test_packets_come_back(subject, frame, values):
 
 
 @given(st.binary(max_size=400))
-def test_any_bytes_are_refused_in_one_line(data):
+def test_decode_rejects_any_bytes_in_one_line(data):
     with pytest.raises(FormatError) as caught:
         decode(data)
     assert "\n" not in str(caught.value)
 
 
 @given(st.integers(0, 312), st.integers(0, 255), st.booleans())
-def test_one_wrong_byte_never_crashes(place, byte, cut):
+def test_one_wrong_byte_is_decoded_or_rejected(place, byte, cut):
     data = bytearray(encode(packet()))
     if cut:
         del data[place:]
@@ -91,12 +91,12 @@ def test_one_wrong_byte_never_crashes(place, byte, cut):
         ({"values": np.full(61, np.nan, np.float32)}, "must be 61 finite"),
     ],
 )
-def test_impossible_packets_are_errors(change, message):
+def test_encode_rejects_impossible_packets(change, message):
     with pytest.raises(FormatError, match=message):
         encode(Packet(**{**vars(packet()), **change}))
 
 
-def test_denominator_zero_is_refused():
+def test_decode_rejects_denominator_zero():
     data = bytearray(encode(packet()))
     data[64:68] = struct.pack("!i", 0)
     with pytest.raises(FormatError, match="rate 30/0"):
@@ -104,7 +104,7 @@ def test_denominator_zero_is_refused():
 
 
 class FakeTime:
-    """A clock that moves only when told; some steps may take long."""
+    """A clock that moves by its own steps, some of them long."""
 
     def __init__(self, stall_at=(), stall=0.0):
         self.t, self.n, self.stall_at, self.stall = 100.0, 0, set(stall_at), stall
@@ -151,7 +151,7 @@ def test_delays_do_not_add_up_over_ten_minutes():
     assert report.n_skipped == 0 and report.worst_lateness < 1 / 30
 
 
-def test_the_last_frame_is_sent_however_late():
+def test_last_frame_is_sent_however_late():
     with Receiver(port=0) as receiver:
         fake = FakeTime(stall_at=[4], stall=0.5)
         report = send(
@@ -198,7 +198,7 @@ def test_loop_goes_on_with_rising_numbers_until_stopped():
     assert frames == list(range(7 + REST_REPEATS))
 
 
-def test_an_interrupt_still_sends_the_face_at_rest():
+def test_interrupt_still_sends_the_face_at_rest():
     def interrupt(_index):
         raise KeyboardInterrupt
 
@@ -223,7 +223,7 @@ def test_start_is_signalled_before_the_first_frame():
     assert order == ["start", 0, 1]
 
 
-def test_real_clock_sends_at_its_rate_and_the_take_comes_back(tmp_path):
+def test_real_clock_sends_at_its_rate_and_the_take_is_received(tmp_path):
     curves = arkit_curves(30, fps=60)
     with Receiver(port=0) as receiver:
         sender = threading.Thread(
@@ -246,7 +246,7 @@ def test_real_clock_sends_at_its_rate_and_the_take_comes_back(tmp_path):
     assert back.values[sent] == pytest.approx(curves.values[frames[sent]], abs=1e-6)
 
 
-def test_loss_reordering_garbage_and_strangers_are_counted():
+def test_lost_late_invalid_and_foreign_packets_are_counted():
     frames = [5, 6, 9, 8, 8, 11]
     with Receiver(port=0) as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", receiver.port))
@@ -265,21 +265,21 @@ def test_loss_reordering_garbage_and_strangers_are_counted():
     )
 
 
-def test_nothing_received_is_an_error():
+def test_to_take_rejects_an_empty_recording():
     with Receiver(port=0) as receiver:
         recording = receiver.record(seconds=0.01)
     with pytest.raises(FormatError, match="no packet was received"):
         recording.to_take()
 
 
-def test_receiver_listens_on_the_loopback_unless_told():
+def test_receiver_listens_on_the_loopback_by_default():
     with Receiver(port=0) as receiver:
         assert receiver._socket.getsockname()[0] == "127.0.0.1"
         with pytest.raises(FormatError, match=r"cannot listen on 127\.0\.0\.1"):
             Receiver(port=receiver.port)
 
 
-def test_json_properties_by_hand():
+def test_json_properties_of_a_hand_worked_frame():
     protocol = make_protocol("json", "anna", ("CTRL_C_jaw.ty", "b"))
     (data,) = protocol.datagrams(7, 0.0, 30, np.array([0.5, -0.25], np.float32))
     assert json.loads(data) == {
@@ -293,7 +293,7 @@ def test_json_properties_by_hand():
     }
 
 
-def test_json_of_the_board_fits_a_datagram_and_more_is_refused():
+def test_json_of_the_board_fits_a_datagram_and_more_is_rejected():
     curves = rest_curves(1)
     (data,) = PropertyJson("a", curves.names).datagrams(2**31, 0.0, 30, curves.values[0])
     assert len(data) < 10_000
@@ -368,7 +368,7 @@ def test_board_curves_are_converted_for_each_protocol(name):
     assert report.n_sent == 2
 
 
-def test_impossible_addresses_are_errors():
+def test_send_rejects_impossible_addresses():
     with pytest.raises(FormatError, match="port 70000 must be 1 to 65535"):
         send(arkit_curves(1), make_protocol("livelink", "a", ()), ("127.0.0.1", 70000))
     with pytest.raises(FormatError, match="no frames to send"):
@@ -377,8 +377,8 @@ def test_impossible_addresses_are_errors():
         make_protocol("tcp", "a", ())
 
 
-def test_packet_rejects_times_no_clock_shows():
-    """Frames at a rate of nearly 0 lie centuries away."""
+def test_decode_rejects_times_beyond_the_limit():
+    """Frames at a rate of nearly 0 are centuries away."""
     packet = Packet("phone", "anna", 2**31 - 1, 0.0, (1, 2**31 - 1), np.zeros(61, np.float32))
     with pytest.raises(FormatError, match=r"at most 4\.29"):
         decode(encode(packet))

@@ -1,6 +1,6 @@
-"""What users bring: each is handled, or refused in one line, and nothing is left behind.
+"""Defects of users' meshes: handled, or rejected in one line without output.
 
-Issue 5: quads, unused vertices, several components, mirrored normals, wrong units, mismatched
+Quads, unused vertices, several components, mirrored normals, wrong units, mismatched
 counts, missing shapes, compressed GLB.
 """
 
@@ -46,7 +46,7 @@ def as_polygons(mesh):
 
 
 @pytest.mark.slow
-def test_a_mess_of_a_mesh_is_handled(tmp_path):
+def test_mesh_with_many_defects_is_retargeted(tmp_path):
     """Quads, unused vertices, loose eyes, metres, and normals inside out, all in one OBJ."""
     from rig.retarget.source_head import source_head
 
@@ -75,7 +75,7 @@ def test_a_mess_of_a_mesh_is_handled(tmp_path):
     assert error[skin].mean() < 0.02 * np.linalg.norm(wanted, axis=1).max()
 
 
-def test_mismatched_counts(tmp_path):
+def test_retarget_rejects_mismatched_counts(tmp_path):
     write_obj_folder(tmp_path / "face", shapes("jawOpen"))
     write_obj(tmp_path / "face" / "mouthSmile_L.obj", TriMesh(MESH.vertices[:3], [[0, 1, 2]]))
     refused(tmp_path, tmp_path / "face", "mouthSmile_L", "3 vertices")
@@ -87,7 +87,7 @@ def test_mismatched_counts(tmp_path):
     refused(tmp_path, tmp_path / "face.npz", "(1, 3, 3)", "(1, 4, 3)")
 
 
-def test_missing_shapes(tmp_path):
+def test_retarget_rejects_missing_shapes(tmp_path):
     (tmp_path / "empty").mkdir()
     refused(tmp_path, tmp_path / "empty", "empty")
     write_obj_folder(tmp_path / "face", shapes("jawOpen"))
@@ -99,7 +99,7 @@ def test_missing_shapes(tmp_path):
     refused(tmp_path, tmp_path / "own.glb", "Key 1", "mapping")
 
 
-def test_compressed_geometry(tmp_path):
+def test_retarget_rejects_compressed_geometry(tmp_path):
     write_glb(tmp_path / "face.glb", shapes())
     document, binary = read_container(tmp_path / "face.glb")
     document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
@@ -107,7 +107,7 @@ def test_compressed_geometry(tmp_path):
     refused(tmp_path, tmp_path / "face.glb", "Draco")
 
 
-def test_broken_geometry(tmp_path):
+def test_retarget_rejects_broken_geometry(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
     refused(tmp_path, tmp_path / "a.obj", "a.obj", "finite")
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nf 1 2 3\n")
@@ -130,7 +130,7 @@ def refused(tmp_path, mesh, *said):
     assert not [p for p in tmp_path.iterdir() if "out" in p.name]
 
 
-def test_unused_vertices_of_a_sequence_stay(tmp_path):
+def test_unused_vertices_of_a_sequence_are_kept(tmp_path):
     """A GLB drops them, but keeps the others' order and motion."""
     loose = TriMesh([*MESH.vertices, [5, 5, 5]], MESH.faces)
     deltas = np.zeros((1, 5, 3))

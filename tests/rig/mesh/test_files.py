@@ -1,4 +1,4 @@
-"""OBJ, PLY, NPZ and GLB: round trips, exporters' habits, and bad files in one line."""
+"""OBJ, PLY, NPZ and GLB: round trips, variants of exporters, and errors of one line."""
 
 import json
 import struct
@@ -45,7 +45,7 @@ def write(path, text):
 # --- meshes
 
 
-def test_cube_measures():
+def test_cube_has_the_known_size_area_and_normals():
     assert triangle_areas(CUBE).sum() == pytest.approx(6.0)
     assert CUBE.size == pytest.approx(np.sqrt(3))
     assert len(boundary_edges(CUBE)) == 0
@@ -86,7 +86,7 @@ def test_degenerate_triangles_are_found_and_can_be_left_out():
         (np.full((3, 3), np.nan), [[0, 1, 2]], MeshError, "vertices 0, 1, 2 are not finite"),
     ],
 )
-def test_meshes_that_are_none(vertices, faces, error, words):
+def test_trimesh_rejects_invalid_arrays(vertices, faces, error, words):
     with pytest.raises(error, match=words):
         TriMesh(vertices, faces)
 
@@ -102,7 +102,7 @@ def test_obj_round_trip(tmp_path, rng):
     np.testing.assert_array_equal(again.faces, mesh.faces)
 
 
-def test_obj_as_exporters_write_it(tmp_path):
+def test_obj_variants_of_exporters_are_read(tmp_path):
     text = (
         "# made by hand\nmtllib x.mtl\no face\nv 0 0 0 1 1 1\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 5 5 5\n"
         "vt 0 0\nvn 0 0 1\ng skin\nusemtl s\ns off\nf 1/1/1 2/1/1 3/1/1 4/1/1\nf -5//1 -4//1 \\\n -3//1\n"
@@ -125,7 +125,7 @@ def test_obj_as_exporters_write_it(tmp_path):
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", MeshError, "no triangles"),
     ],
 )
-def test_bad_obj(tmp_path, text, error, words):
+def test_read_obj_rejects(tmp_path, text, error, words):
     with pytest.raises(error, match=words):
         read_obj(write(tmp_path / "a.obj", text))
 
@@ -138,7 +138,7 @@ def test_obj_folder_round_trip(tmp_path, shapes):
         np.testing.assert_allclose(again.delta(name), shapes.delta(name), atol=1e-7)
 
 
-def test_obj_folder_refuses(tmp_path, shapes):
+def test_obj_folder_rejects(tmp_path, shapes):
     with pytest.raises(FormatError, match=r"holds no \.obj"):
         read_obj_folder(tmp_path)
     write_obj_folder(tmp_path / "set", shapes)
@@ -187,7 +187,7 @@ def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
      "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
      "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\n"],
 )  # fmt: skip
-def test_bad_ply(tmp_path, text):
+def test_read_ply_rejects(tmp_path, text):
     with pytest.raises(FormatError, match=r"a\.ply"):
         read_ply(write(tmp_path / "a.ply", text))
 
@@ -214,7 +214,7 @@ def test_npz_round_trip(tmp_path, shapes):
     np.testing.assert_array_equal(again.neutral.faces, CUBE.faces)
 
 
-def test_bad_npz(tmp_path):
+def test_read_shapes_npz_rejects(tmp_path):
     np.savez(tmp_path / "a.npz", neutral=np.eye(3))
     with pytest.raises(FormatError, match="no array 'triangles'"):
         read_shapes_npz(tmp_path / "a.npz")
@@ -223,7 +223,7 @@ def test_bad_npz(tmp_path):
         read_shapes_npz(tmp_path / "b.npz")
 
 
-def test_shape_sets_that_are_none():
+def test_shape_set_rejects_invalid_arrays():
     with pytest.raises(MeshError, match="'a' appears twice"):
         ShapeSet(CUBE, ("a", "a"), np.zeros((2, 8, 3)))
     with pytest.raises(MeshError, match=r"need \(1, 8, 3\)"):
@@ -330,7 +330,7 @@ def test_glb_nodes_move_and_scale_their_meshes(tmp_path, shapes):
         ("VENDOR_secret", "needs the extension VENDOR_secret"),
     ],
 )
-def test_compressed_glb_is_refused_in_one_line(tmp_path, shapes, extension, words):
+def test_read_glb_rejects_compression_in_one_line(tmp_path, shapes, extension, words):
     write_glb(tmp_path / "a.glb", shapes)
     document, binary = read_container(tmp_path / "a.glb")
     document["extensionsRequired"] = [extension]
@@ -341,7 +341,7 @@ def test_compressed_glb_is_refused_in_one_line(tmp_path, shapes, extension, word
 
 
 @pytest.mark.parametrize("change", ["accessor", "view", "type", "indices", "json"])
-def test_broken_glb_is_refused(tmp_path, shapes, change):
+def test_read_glb_rejects_broken_files(tmp_path, shapes, change):
     write_glb(tmp_path / "a.glb", shapes)
     document, binary = read_container(tmp_path / "a.glb")
     if change == "accessor":
@@ -364,14 +364,14 @@ def test_broken_glb_is_refused(tmp_path, shapes, change):
         read_glb(tmp_path / "a.glb")
 
 
-def test_not_a_glb(tmp_path):
+def test_read_glb_rejects_other_files(tmp_path):
     with pytest.raises(FormatError, match="not a binary glTF"):
         read_glb(write(tmp_path / "a.glb", "glTF but text, and long enough to have a header"))
     with pytest.raises(FormatError, match="does not exist"):
         read_glb(tmp_path / "none.glb")
 
 
-def test_animation_refuses_wrong_columns(tmp_path, shapes):
+def test_animation_rejects_wrong_columns(tmp_path, shapes):
     with pytest.raises(MeshError, match=r"must be \(T, 3\)"):
         write_glb(tmp_path / "a.glb", shapes, animation=WeightAnimation(np.zeros((4, 2))))
     assert not (tmp_path / "a.glb").exists()

@@ -1,4 +1,4 @@
-"""Meshes at and above their limits, and files whose counts and offsets lie: one line each."""
+"""Meshes at and above their limits, and files with wrong counts and offsets: errors of one line."""
 
 import json
 import struct
@@ -40,7 +40,7 @@ def written(path, text):
 # --- counts
 
 
-def test_coordinates_at_the_limit_are_kept_and_beyond_are_not():
+def test_coordinates_beyond_the_limit_are_rejected():
     assert TriMesh(SQUARE.vertices * limits.COORDINATE, SQUARE.faces).size > 1e9
     assert "vertices 1, 2, 3 are not finite" in refused(
         TriMesh, SQUARE.vertices * 1.001 * limits.COORDINATE, SQUARE.faces
@@ -263,7 +263,7 @@ def test_ply_list_longer_than_its_file_takes_no_memory(tmp_path, length):
     tracemalloc.stop()
 
 
-def test_glb_takes_no_memory_that_its_file_has_not(tmp_path):
+def test_glb_with_large_counts_in_a_small_file_takes_no_memory(tmp_path):
     """A file of 300 bytes that declares 3.6 GB of zeros."""
     document = {
         "scenes": [{"nodes": [0]}],

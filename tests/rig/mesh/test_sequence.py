@@ -20,7 +20,7 @@ def moving(n_frames, rank=2, seed=0):
     return MESH.vertices + np.tensordot(rng.normal(size=(n_frames, rank)), motions, axes=1)
 
 
-def test_as_many_shapes_as_motions():
+def test_principal_shapes_are_as_many_as_the_motions():
     frames = moving(50, rank=3)
     shapes, weights = principal_shapes(MESH, frames, 1e-5)
     assert len(shapes.names) == 3
@@ -47,8 +47,8 @@ def test_a_face_at_rest_has_no_weights():
     assert weights.shape == (3, 1) and not weights.any() and not shapes.deltas.any()
 
 
-def test_one_frame_among_a_thousand_is_not_missed():
-    """Evenly chosen frames pass it by; those told worst join them."""
+def test_one_different_frame_among_a_thousand_is_kept():
+    """Evenly chosen frames miss it; the frames with the largest error are added."""
     frames = np.repeat(MESH.vertices[None], 1000, axis=0)
     frames[:, 0, 0] += np.sin(np.arange(1000))
     frames[501, 3, 2] += 0.5
@@ -82,7 +82,7 @@ def test_files_hold_the_frames(tmp_path):
     np.testing.assert_allclose(read_accessor(document, binary, colour), 0.25)
 
 
-def test_what_cannot_be_written_leaves_nothing(tmp_path):
+def test_failed_write_leaves_no_file(tmp_path):
     with pytest.raises(TargetError, match=r"a\.fbx: .*\.glb, \.npz"):
         write_sequence(tmp_path / "a.fbx", MESH, moving(2), fps=30)
     with pytest.raises(FormatError, match="is not a folder"):

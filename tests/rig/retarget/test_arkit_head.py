@@ -36,7 +36,7 @@ def file(head, tmp_path_factory):
 
 
 def linear(head, morphs, pose: dict[str, float]) -> np.ndarray:
-    """What a viewer shows of weights that someone's tracker gives."""
+    """Vertices in a viewer for weights of a tracker."""
     weights = {**pose, **corrective_weights(pose)}
     moved = [w * morphs.deltas[morphs.names.index(n)].astype(float) for n, w in weights.items()]
     return head.mesh.vertices + sum(moved)

@@ -1,4 +1,4 @@
-"""Curves on someone's blendshapes: names, known answers, laws; and baking a rig into shapes."""
+"""Curves on a user's blendshapes: names, known answers, laws; and baking a rig into shapes."""
 
 import json
 
@@ -46,7 +46,7 @@ def test_spellings_of_one_shape_are_one(spelling):
     assert shape_key(spelling) == "eyeblink_l"
 
 
-def test_ways_are_not_sides():
+def test_directions_are_not_sides():
     assert shape_key("jawLeft") == "jawleft" and shape_key("MouthRight") == "mouthright"
     assert shape_key("mouthFunnelUL") == "mouthfunnelu_l"
 
@@ -79,7 +79,7 @@ def test_mouth_close_is_a_share_of_the_open_jaw():
     assert fit.lost == pytest.approx(0.0, abs=1e-6)
 
 
-def test_pucker_and_funnel_are_told_apart():
+def test_pucker_and_funnel_are_distinguished():
     funnel = {f"CTRL_{s}_mouth_funnel{r}": 0.8 for s in "LR" for r in "UD"}
     found, _ = weights_of(ARKIT, funnel)
     assert found[0].get("mouthFunnel", 0) == pytest.approx(0.8, abs=1e-3)
@@ -103,7 +103,7 @@ def test_raw_and_board_names_are_driven_exactly():
     assert found[0] == pytest.approx({names[0]: 0.7, names[1]: 0.2})
 
 
-def test_a_stand_in_speaks_for_a_missing_shape_and_the_loss_is_told():
+def test_substitute_replaces_a_missing_shape_and_the_loss_is_reported():
     found, fit = weights_of(ARKIT, {"CTRL_L_mouth_sharpCornerPull": 1.0})
     assert found[0] == pytest.approx({"mouthSmileLeft": 0.6, "mouthDimpleLeft": 0.5})
     assert fit.unsaid == ("mouthSharpCornerPullL",)
@@ -133,7 +133,7 @@ def test_fit_is_the_bounded_least_squares_solution(rng):
         np.testing.assert_allclose(row, expected, atol=2e-3)
 
 
-def test_own_names_through_a_mapping(tmp_path):
+def test_own_names_are_driven_by_a_mapping(tmp_path):
     (tmp_path / "m.csv").write_text(
         "shape,control,value\ngrin,mouthCornerPullL,1\ngrin,mouthCornerPullR,1\nopen,CTRL_C_jaw.ty,0.5\n"
     )
@@ -148,7 +148,7 @@ def test_own_names_through_a_mapping(tmp_path):
     assert read_mapping(tmp_path / "m.json") == mapping
 
 
-def test_bad_names_and_mappings(tmp_path):
+def test_match_shapes_rejects_unknown_names_and_mappings(tmp_path):
     with pytest.raises(MeshError, match="none of the shapes"):
         match_shapes(("Key 1", "Key 2"))
     with pytest.raises(MeshError, match="'grin', which the mesh does not have"):
@@ -161,7 +161,7 @@ def test_bad_names_and_mappings(tmp_path):
 
 
 def test_closing_weight_is_measured_on_the_lips():
-    """Two strips a hair apart; the corrective at 1 lifts the lower one half as far again."""
+    """Two strips close together; the corrective at 1 lifts the lower one half as far again."""
     x = np.linspace(0, 5, 12)
     upper = np.stack([np.r_[x, x], np.r_[x * 0, x * 0 + 2.0], np.zeros(24)], axis=1)
     lower = upper * [1, -1, 1] - [0, 0.01, 0]

@@ -106,13 +106,13 @@ def test_converted_take_is_retargeted_to_the_same_weights(tmp_path):
     assert driven.max(axis=0)[[names.index(n) for n in ("jaw_half", "seal_L")]].min() > 0.2
 
 
-def test_boards_names_of_others_are_fitted_as_before():
+def test_board_names_of_other_rigs_are_fitted():
     poses = match_shapes(["CTRL_C_jaw.ty", "CTRL_L_eye_blink.ty"])
     assert not poses.drivers
     assert poses.weights(TAKE).weights[1].tolist() == pytest.approx([0.5, 0], abs=1e-6)
 
 
-def test_mapping_comes_before_our_own_meaning():
+def test_mapping_takes_precedence_over_known_names():
     names = ["CTRL_C_jaw.ty", "jaw_half"]
     poses = match_shapes(names, mapping={"jaw_half": {"CTRL_L_eye_blink": 1.0}})
     assert set(poses.drivers) == set()

@@ -118,7 +118,7 @@ def test_landmarks_from_json_and_csv(tmp_path):
         ('{"beard": 3}', MeshError, "unknown landmark 'beard'"),
     ],
 )
-def test_bad_landmarks(tmp_path, text, error, words):
+def test_read_landmarks_rejects(tmp_path, text, error, words):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(error, match=words):
         read_landmarks(tmp_path / "a.json", PLANES)
@@ -132,7 +132,7 @@ def test_landmark_vertices_must_exist():
 # --- the embedded head as source
 
 
-def test_the_head_has_all_landmarks_where_they_belong(head):
+def test_head_has_all_landmarks_at_their_places(head):
     assert set(head.landmarks) == set(LANDMARKS)
     at = {name: head.mesh.vertices[v] for name, v in head.landmarks.items()}
     for name, point in at.items():
@@ -148,7 +148,7 @@ def test_the_head_has_all_landmarks_where_they_belong(head):
     assert at["nose_tip"][2] == max(p[2] for p in at.values())
 
 
-def test_labels_do_not_leap_the_slit(head):
+def test_labels_do_not_cross_the_slit(head):
     labels = lip_labels(head.mesh, head.landmarks)
     jaw = subset(head, "CTRL_C_jaw.ty")[0]
     pairs = lip_pairs(head.mesh, head.landmarks, labels)
@@ -206,7 +206,7 @@ def bends(rest, delta):
 
 @pytest.mark.slow
 def test_lids_travel_as_far_as_the_eye_opens(head):
-    """Landmarks that say the eye opens half as far: the blink across the slit halves, no more."""
+    """With landmarks of an eye half as open, the blink across the slit halves."""
     registration = register(head.mesh, head.landmarks, head.mesh, head.landmarks)
     blink = subset(head, "CTRL_L_eye_blink.ty", "CTRL_C_jaw.ty")
     at = head.mesh.vertices
@@ -231,7 +231,7 @@ def test_lids_travel_as_far_as_the_eye_opens(head):
 
 
 @pytest.mark.slow
-def test_landmarks_are_found_blind(head):
+def test_landmarks_are_found_without_help(head):
     """The head itself, z up and in metres: rims exactly a pair, everything within millimetres."""
     axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     mesh = TriMesh(0.01 * head.mesh.vertices @ axes.T, head.mesh.faces)
@@ -247,13 +247,13 @@ def test_landmarks_are_found_blind(head):
     assert labels[guess.landmarks["lower_rim"]] == -1
 
 
-def test_lips_that_share_a_landmark_are_refused(head):
+def test_register_rejects_lips_that_share_a_landmark(head):
     wrong = head.landmarks | {"lower_rim": head.landmarks["upper_rim"]}
     with pytest.raises(MeshError, match="landmark of the upper and of the lower lip"):
         register(head.mesh, head.landmarks, head.mesh, wrong)
 
 
-def test_one_pair_alone_makes_no_spike():
+def test_correction_of_one_pair_is_spread_along_the_slit():
     """Corrections are a weighted mean along the slit: even ones stay, a lone one is spread."""
     slit = np.column_stack([np.linspace(0, 5, 51), np.zeros(51), np.zeros(51)])
     even = np.full((1, 51, 3), 0.3)

@@ -76,7 +76,7 @@ EXPECTED = [[0, 1], [0.5, 0], [1, 0]]
 
 
 @pytest.mark.parametrize("kind", ["glb", "folder", "npz"])
-def test_own_shapes_are_driven_whatever_they_come_in(tmp_path, shapes, curves, kind):
+def test_own_shapes_are_driven_in_every_file_format(tmp_path, shapes, curves, kind):
     mesh = tmp_path / {"glb": "face.glb", "folder": "face", "npz": "face.npz"}[kind]
     {"glb": write_glb, "folder": write_obj_folder, "npz": write_shapes_npz}[kind](mesh, shapes)
     report = retarget_curves(curves, mesh, tmp_path / "out.glb")
@@ -84,7 +84,7 @@ def test_own_shapes_are_driven_whatever_they_come_in(tmp_path, shapes, curves, k
     np.testing.assert_allclose(glb_weights(tmp_path / "out.glb"), EXPECTED, atol=1e-6)
 
 
-def test_vertices_can_be_written_instead(tmp_path, shapes, curves):
+def test_vertices_are_written_as_npz_or_ply(tmp_path, shapes, curves):
     write_glb(tmp_path / "face.glb", shapes)
     retarget_curves(curves, tmp_path / "face.glb", tmp_path / "out.npz")
     with np.load(tmp_path / "out.npz") as file:
@@ -96,7 +96,7 @@ def test_vertices_can_be_written_instead(tmp_path, shapes, curves):
     np.testing.assert_allclose(vertices[0, 3], [1.5, 1, 0], atol=1e-6)
 
 
-def test_a_compressed_glb_is_still_driven_by_name(tmp_path, shapes, curves):
+def test_compressed_glb_is_driven_by_name(tmp_path, shapes, curves):
     write_glb(tmp_path / "a.glb", shapes)
     document, binary = read_container(tmp_path / "a.glb")
     document["extensionsRequired"] = ["EXT_meshopt_compression"]
@@ -107,7 +107,7 @@ def test_a_compressed_glb_is_still_driven_by_name(tmp_path, shapes, curves):
         retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.npz")
 
 
-def test_unknown_shapes_and_unsaid_curves_are_told(tmp_path, curves):
+def test_unknown_shapes_and_missing_curves_are_reported(tmp_path, curves):
     shapes = ShapeSet(MESH, ("jawOpen", "Key 7"), np.ones((2, 4, 3)))
     write_glb(tmp_path / "a.glb", shapes)
     report = retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.glb")
@@ -116,7 +116,7 @@ def test_unknown_shapes_and_unsaid_curves_are_told(tmp_path, curves):
 
 
 @pytest.mark.parametrize("mesh", [MESH, GRID], ids=["two triangles", "a sheet"])
-def test_what_is_no_face_is_not_taken_for_one(tmp_path, curves, mesh):
+def test_retarget_rejects_meshes_that_are_no_face(tmp_path, curves, mesh):
     write_obj(tmp_path / "a.obj", mesh)
     with pytest.raises(MeshError, match="give `landmarks`"):
         retarget_curves(curves, tmp_path / "a.obj", tmp_path / "out.glb")
@@ -133,7 +133,7 @@ def test_meshes_without_shapes_are_read_as_empty_sets(tmp_path, shapes, name):
     np.testing.assert_array_equal(read.neutral.faces, MESH.faces)
 
 
-def test_outputs_and_inputs_of_other_kinds_are_refused(tmp_path, curves):
+def test_retarget_rejects_other_kinds_of_files(tmp_path, curves):
     (tmp_path / "a.fbx").write_bytes(b"Kaydara")
     with pytest.raises(FormatError, match="Blender reads FBX"):
         retarget_curves(curves, tmp_path / "a.fbx", tmp_path / "out.glb")
@@ -167,7 +167,7 @@ def test_command_reads_a_take_folder(tmp_path, shapes, curves):
     assert summary["way"] == "blendshapes" and summary["frames"] == 3
 
 
-def test_command_refuses_what_it_cannot_do(tmp_path, shapes):
+def test_command_rejects_invalid_arguments(tmp_path, shapes):
     write_glb(tmp_path / "face.glb", shapes)
     common = ("--mesh", tmp_path / "face.glb", "-o", tmp_path / "out.glb")
     missing = run(tmp_path / "none.csv", *common)
@@ -183,7 +183,7 @@ def test_command_refuses_what_it_cannot_do(tmp_path, shapes):
 
 @pytest.mark.slow
 def test_our_head_on_the_ict_face(shared, tmp_path, curves):
-    """From a neutral ICT face and landmarks: moves rightly, and lips that seal on our head seal."""
+    """A neutral ICT face with landmarks: right motion, and lips that seal where ours do."""
     from rig.retarget.methods import shapes_for
     from rig.retarget.source_head import source_head
 
@@ -250,7 +250,7 @@ def test_landmarks_of_the_ict_face_are_found(shared):
 
 @pytest.mark.slow
 def test_ict_shapes_on_our_head(shared):
-    """The other way: every ICT shape moves our head where it moves theirs."""
+    """The reverse: every ICT shape moves our head where it moves the ICT face."""
     from rig.retarget.methods import carry_shapes
     from rig.retarget.source_head import source_head
 

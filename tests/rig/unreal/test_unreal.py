@@ -1,4 +1,4 @@
-"""The Unreal script against a strict stand-in: it has never run inside Unreal from here."""
+"""The Unreal script against a strict imitation of the module `unreal`."""
 
 import ast
 import importlib.util
@@ -110,7 +110,7 @@ def test_keys_are_put_into_the_rate_of_the_sequence(take, monkeypatch):
     assert [v.y for v in values] == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75])
 
 
-def test_older_board_takes_its_own_names_and_leaves_out_what_it_lacks(take, monkeypatch):
+def test_older_board_gets_its_own_names_without_newer_controls(take, monkeypatch):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board(older=True))
     sequence = fake_unreal.LevelSequence([rig])
     module = fake_unreal.make_unreal(level_sequence=sequence)
@@ -137,7 +137,7 @@ def test_live_link_take_is_imported(tmp_path, monkeypatch):
         script.live_link_csv(str(path))
 
 
-def test_what_the_user_can_mend_is_said(take, tmp_path, monkeypatch):
+def test_script_rejects_what_the_user_can_correct(take, tmp_path, monkeypatch):
     script = run_inside(fake_unreal.make_unreal(), monkeypatch)
     with pytest.raises(script.DeitalkError, match="no skeleton at"):
         script.anim_sequence(take)
@@ -164,7 +164,7 @@ def test_existing_asset_is_not_overwritten(take, monkeypatch):
 
 
 @pytest.mark.parametrize("route", ["anim", "rig"])
-def test_dry_run_works_outside_unreal_and_says_what_it_would_do(take, monkeypatch, capsys, route):
+def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, capsys, route):
     script = run_inside(None, monkeypatch)
     script.main([route, take, "--dry-run"])
     out = capsys.readouterr().out
@@ -174,7 +174,7 @@ def test_dry_run_works_outside_unreal_and_says_what_it_would_do(take, monkeypatc
         script.main([route, take])
 
 
-def test_wrong_lengths_are_errors(take, monkeypatch):
+def test_script_rejects_wrong_lengths(take, monkeypatch):
     data = json.loads(Path(take).read_text())
     data["raw"]["CTRL_expressions_jawOpen"] = [0, 1]
     Path(take).write_text(json.dumps(data))

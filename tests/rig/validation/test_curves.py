@@ -27,7 +27,7 @@ def talking(n_frames=90):
 
 
 @pytest.mark.parametrize("suffix", ["csv", "json", "npz", "raw.csv", "rigmapper.csv", "tsv"])
-def test_what_we_write_is_found_good(tmp_path, suffix):
+def test_our_files_are_valid(tmp_path, suffix):
     write_curves(tmp_path / f"c.{suffix}", talking())
     validation = validate(tmp_path / f"c.{suffix}")
     assert validation.ok
@@ -35,7 +35,7 @@ def test_what_we_write_is_found_good(tmp_path, suffix):
     assert "3.00 s" in validation.findings[0].text
 
 
-def test_our_live_link_take_is_found_good(tmp_path):
+def test_our_live_link_take_is_valid(tmp_path):
     write_curves(tmp_path / "Slate_1_anna.csv", talking(), format="livelink")
     validation = validate(tmp_path / "Slate_1_anna.csv")
     assert validation.ok and not texts(tmp_path / "Slate_1_anna.csv", "warning")
@@ -44,7 +44,7 @@ def test_our_live_link_take_is_found_good(tmp_path):
     )
 
 
-def test_real_take_is_read_as_the_importer_would(shared):
+def test_real_take_is_checked_by_the_importers_rules(shared):
     path = shared / "data/curves/livelink/alex_rom_3.csv"
     assert validate(path).ok
     warnings = " ".join(texts(path, "warning"))
@@ -78,7 +78,7 @@ def test_names_values_and_open_mouths_are_found(tmp_path):
     assert "ends with the mouth open (JawOpen 1.20)" in warnings
 
 
-def test_raw_curves_that_forget_the_wrinkles_are_found(tmp_path):
+def test_raw_curves_with_wrinkles_at_zero_are_found(tmp_path):
     write_curves(tmp_path / "c.raw.csv", rest_curves(3))
     text = (tmp_path / "c.raw.csv").read_text().splitlines()
     column = text[0].split(",").index("CTRL_expressions_noseWrinkleUpperL")
@@ -107,7 +107,7 @@ def test_jumps_and_dead_curves_are_found(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text"), [("c.csv", "a,b\n1,2\n"), ("c.json", "{}"), ("c.npz", "x"), ("c.xyz", "x")]
 )
-def test_files_that_cannot_be_read_are_errors(tmp_path, name, text):
+def test_unreadable_files_are_errors(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     assert not validate(tmp_path / name).ok
 
@@ -125,7 +125,7 @@ def test_take_folder_is_checked_file_by_file(tmp_path):
     assert "files differ in length" in texts(tmp_path, "warning")[0]
 
 
-def test_files_we_only_write_are_checked_too(tmp_path):
+def test_exports_are_checked(tmp_path):
     for suffix in ("unreal.json", "visemes.json"):
         path = tmp_path / f"c.{suffix}"
         write_curves(path, talking())
@@ -204,7 +204,7 @@ SUFFIXES = sorted({s for f in FORMATS for s in f.suffixes if f.name != "usd"})
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @settings(max_examples=25, deadline=None)
 @given(data=st.binary(max_size=300))
-def test_any_bytes_are_found_bad_in_one_line(suffix, data, tmp_path_factory):
+def test_any_bytes_give_an_error_of_one_line(suffix, data, tmp_path_factory):
     path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
     path.write_bytes(data)
     validation = validate(path)
@@ -215,7 +215,7 @@ def test_any_bytes_are_found_bad_in_one_line(suffix, data, tmp_path_factory):
 @pytest.mark.parametrize("suffix", [".unreal.json", ".visemes.json", ".glb"])
 @settings(max_examples=25, deadline=None)
 @given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
-def test_one_wrong_byte_never_crashes(suffix, place, byte, cut, tmp_path_factory):
+def test_one_wrong_byte_gives_findings(suffix, place, byte, cut, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fuzz")
     if suffix == ".glb":
         from rig.mesh.glb import write_container

@@ -1,4 +1,4 @@
-"""The head's neutral geometry: manifold, symmetric, closed where it should be, distinct people."""
+"""Neutral geometry of the head: manifold, symmetric, closed; distinct identities."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_skin_is_one_piece_of_a_few_thousand_triangles(head):
     assert 4000 <= len(head.skin.faces) <= 9000
 
 
-def test_neighbouring_faces_agree_about_the_outside(head):
+def test_neighbouring_faces_have_the_same_orientation(head):
     faces = head.skin.faces
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert len(np.unique(directed, axis=0)) == len(directed)

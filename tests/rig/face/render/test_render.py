@@ -48,7 +48,7 @@ def opengl():
         pytest.skip(str(error))
 
 
-def test_square_covers_the_pixels_geometry_says():
+def test_square_covers_its_projected_pixels():
     # 8 cm at 60 cm under 20 degrees of 80 pixels: 80 * 8 / (2 * 60 * tan 10 deg) = 30.2 pixels
     red = draw(square(0, (1, 0, 0)), "software")[..., 0] > 120
     assert red.sum(0).max() == pytest.approx(30.2, abs=1.5)
@@ -106,7 +106,7 @@ def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndar
     return screen, front_faces(screen, np.concatenate([faces, faces[:, ::-1]]))
 
 
-def test_nearest_face_is_the_one_found_by_trying_all(rng):
+def test_nearest_face_equals_that_of_exhaustive_search(rng):
     screen, faces = random_screen(rng)
     assert len(faces) == 60  # of each triangle and its back exactly one is in front
     face, depth = nearest_faces(screen, faces)
@@ -161,7 +161,7 @@ def test_a_frame_of_video_is_drawn_in_a_fifth_of_a_second(head):
     assert best < 0.3
 
 
-def test_two_opengl_renderers_of_different_sizes_do_not_disturb_each_other(head, opengl):
+def test_two_opengl_renderers_of_different_sizes_are_independent(head, opengl):
     alone = draw(head.mesh, "opengl", (100, 90), VIEWS["face"])
     one = make_renderer(head.mesh, size=(100, 90), view=VIEWS["face"], backend="opengl")
     two = make_renderer(head.mesh, size=(60, 140), view=VIEWS["mouth"], backend="opengl")
@@ -191,7 +191,7 @@ def test_missing_moderngl_names_the_install_line(monkeypatch):
     opengl_module.open_context.cache_clear()
 
 
-def test_unknown_backend_is_refused():
+def test_make_renderer_rejects_unknown_backends():
     with pytest.raises(RigError, match="vulkan"):
         make_renderer(square(0, (1, 1, 1)), size=SIZE, view=FROM_FRONT, backend="vulkan")
 
@@ -203,7 +203,7 @@ def test_every_sheet_has_named_tiles(name):
     assert all(tile.view in VIEWS for tile in tiles)
 
 
-def test_sheet_counts_are_the_promised_ones():
+def test_sheets_have_the_documented_number_of_tiles():
     assert len(sheet_tiles("mouth")) == 12
     assert len(sheet_tiles("emotions")) == 15
 
