@@ -65,15 +65,15 @@ def animate(
     target = Path(out)
     inputs = (speech, emotion, intensity_curve)
     _check(target, is_folder, inputs, fps=fps, preview=preview, force=force)
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "emotion": emotion,
         "intensity": intensity,
         "intensity_curve": intensity_curve,
         "idle": idle,
         "seed": seed,
     }
-    performance = _perform(speech, model, device, threads, asked)
-    settings = asked | {"intensity_curve": intensity_curve and intensity_curve.name}
+    performance = _perform(speech, model, device, threads, options)
+    settings = options | {"intensity_curve": intensity_curve and intensity_curve.name}
     if is_folder:
         _write_take(target, performance, settings, model, fps, preview=preview, force=force)
     else:
@@ -140,10 +140,10 @@ def _preview_notes(out: Path) -> tuple[str, ...]:
 
 
 def _perform(
-    speech: str, model: str, device: str, threads: int, asked: dict[str, Any]
+    speech: str, model: str, device: str, threads: int, options: dict[str, Any]
 ) -> "Performance":
     began = perf_counter()
-    sound, given = _read(speech, asked)
+    sound, given = _read(speech, options)
     reading_seconds = perf_counter() - began
     with console().status("loading the network"):
         import torch
@@ -160,15 +160,15 @@ def _perform(
     return performance
 
 
-def _read(speech: str, asked: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
+def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
     """Read the inputs before the network is loaded, so that errors are reported early."""
     from deitalk.audio.load import load_audio
     from deitalk.emotions import check_intensity, parse_emotion, read_intensity_curve
 
-    check_intensity(asked["intensity"])
-    given = asked | {"emotion": parse_emotion(asked["emotion"])}
-    if asked["intensity_curve"] is not None:
-        given["intensity_curve"] = read_intensity_curve(asked["intensity_curve"])
+    check_intensity(options["intensity"])
+    given = options | {"emotion": parse_emotion(options["emotion"])}
+    if options["intensity_curve"] is not None:
+        given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])
     return load_audio(sys.stdin.buffer.read() if speech == "-" else speech), given
 
 

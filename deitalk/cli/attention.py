@@ -51,17 +51,17 @@ def attention(
     reserve_picture(out, force=force, inputs=(source, phones))
     if source.is_dir() and phones is not None:
         raise DataError("--phones goes with one recording; a dataset folder has its own")
-    with console().status("listening"):
+    with console().status("computing the attention"):
         pooled = _measure(source, out, phones, model, split, clips, device)
-    said = {
+    summary = {
         name: {"phones": len(kind.phones), "evenness": kind.evenness, "peak": kind.peak}
         for name, kind in zip(("vowels", "plosives"), pooled, strict=False)
     }
     if as_json:
-        emit_json({"out": str(out), **said})
+        emit_json({"out": str(out), **summary})
         return
     console().print(str(out))
-    for name, numbers in said.items():
+    for name, numbers in summary.items():
         console().print(
             f"{name}: {numbers['phones']}, evenness {numbers['evenness']:.3f}, "
             f"largest weight {numbers['peak']:.3f} on average"
@@ -94,7 +94,7 @@ def _measure(
         plot_attention(*pooled, spectra_per_second(network), out)
         return pooled
     recording = load_audio(source)
-    heard = attention_of(network, recording.waveform)
+    along = attention_of(network, recording.waveform)
     known = None if phones is None else read_phones(phones)
-    plot_clip(*heard, known or (), out)
-    return attention_maps(heard.weights, known, heard.fps) if known else ()
+    plot_clip(*along, known or (), out)
+    return attention_maps(along.weights, known, along.fps) if known else ()

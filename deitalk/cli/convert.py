@@ -44,10 +44,10 @@ def convert(
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
     rig: Annotated[
         str,
-        typer.Option(help="What csv, json and npz are to hold: board, raw, arkit, as-is."),
+        typer.Option(help="Control set of csv, json and npz: board, raw, arkit, as-is."),
     ] = "board",
     list_formats: Annotated[
-        bool, typer.Option("--list-formats", help="Print the formats and leave.")
+        bool, typer.Option("--list-formats", help="Print the formats and exit.")
     ] = False,
     force: Force = False,
     as_json: Json = False,
@@ -83,11 +83,11 @@ def convert(
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
     if wanted is not None:
         curves = to_set(curves, wanted)
-    _tell(write_curves(target, curves, format=to, fps=fps), as_json)
+    _report(write_curves(target, curves, format=to, fps=fps), as_json)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:
-    """What the curves become before they are written; nothing where the format decides."""
+    """Control set to convert to before writing; None if the format determines it."""
     from rig.controls import DEFAULT_ID
     from rig.conversion.arkit import ARKIT_ID
     from rig.conversion.raw import RAW_ID
@@ -112,8 +112,8 @@ def _edited(
     return smooth(curves.mirror() if mirror else curves, seconds)
 
 
-def _tell(report: "WriteReport", as_json: bool) -> None:
-    """Say what was written and what was lost."""
+def _report(report: "WriteReport", as_json: bool) -> None:
+    """Print the written file and the notes on losses."""
     notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
     notes += [str(report.clipped)] if report.clipped else []
     notes += [report.note] if report.note else []

@@ -119,7 +119,7 @@ def align_scored(waveform: np.ndarray, text: str) -> Alignment:
         raise MissingError(reason)
     words = text_words(text)
     if not words:
-        return Alignment((), -np.inf, "the transcript holds no words")
+        return Alignment((), -np.inf, "the transcript has no words")
     if len(waveform) < SAMPLE_RATE // 10:
         return Alignment((), -np.inf, "the recording is shorter than 0.1 s")
     pcm = (np.clip(waveform, -1, 1) * 32767).astype(np.int16).tobytes()

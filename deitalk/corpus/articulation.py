@@ -34,7 +34,7 @@ DIPHTHONGS = {
     "EY": ("EH", "IY", 0.5),
     "OW": ("OW", "UW", 0.55),
 }
-"""Two targets, and the share of the time that belongs to the first; OW has a row of its own."""
+"""Two targets of a diphthong and the time share of the first; OW has its own row in the table."""
 
 ONSET_RATE = np.array([14, 38, 34, 34, 11, 11, 12, 18, 16, 30, 26, 28, 26.0])
 """Fall of dominance before a phone, 1/s: rounding begins 200 ms early, closures 30 ms."""
@@ -89,7 +89,7 @@ def dominance(name: str) -> Float64:
     if target[HISS] > 0:
         strength[[JAW, HISS]] = (1.6, 2)
     if name in ("T", "D", "N"):
-        strength[JAW] = 0.8  # a tongue at the alveolar ridge holds the jaw high
+        strength[JAW] = 0.8  # a tongue at the alveolar ridge requires a high jaw
     rounded = [c for c in (FUNNEL, PURSE) if target[c] > 0.25 and name not in VOWELS]
     strength[rounded] = 1.6
     tongue = [c for c in (TIP, OUT, BACK) if target[c] > 0.4]

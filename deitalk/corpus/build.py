@@ -106,7 +106,7 @@ def build(
         If the folder was begun with another seed, length or set of recordings, if no shard gave a
         clip, or if a worker process was ended.
     rig.errors.TargetError
-        If the folder holds files of another origin, ``clips.csv`` was edited, or another process
+        If the folder has files of another origin, ``clips.csv`` was edited, or another process
         writes there.
     """
     with claim(out), _held_caches(shards):
@@ -141,7 +141,7 @@ def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:
                 yield future.result()
         except BrokenProcessPool:
             raise DataError(
-                f"{out}: a worker process was ended, perhaps for want of memory; run the command "
+                f"{out}: a worker process was ended, perhaps for lack of memory; run the command "
                 "again, with fewer workers"
             ) from None
 
@@ -199,7 +199,7 @@ def _check_plan(out: Path, shards: Sequence[Shard]) -> None:
     if changed:
         raise DataError(
             f"{out}: {changed[0]} was begun with another seed, length or set of recordings; "
-            "build with the same options to go on, or name another folder"
+            "build with the same options to continue, or name another folder"
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as beside:

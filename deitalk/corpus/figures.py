@@ -34,7 +34,7 @@ def evenly_timed(names: Sequence[str]) -> list[Phone]:
     Raises
     ------
     DataError
-        If a name is no phone, or there is none.
+        If a name is no phone, or the list is empty.
     """
     unknown = [name for name in names if name not in PHONES]
     if unknown or not names:

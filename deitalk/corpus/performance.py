@@ -101,8 +101,8 @@ def _moved(phone: Phone, time_map: tuple[Float64, Float64]) -> Phone:
 def _liveliness(waveform: Float32, contour: Contour, times: Float64) -> Float64:
     """Sum of the applied contour and the measured prosody, at seconds of the source."""
     natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
-    heard = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
-    z: Float64 = contour_at(contour, times) + NATURAL_WEIGHT * heard
+    own = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
+    z: Float64 = contour_at(contour, times) + NATURAL_WEIGHT * own
     return z
 
 

@@ -60,7 +60,7 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
     Raises
     ------
     DataError
-        If the folder holds none, a column is missing, or a row names a missing file.
+        If the folder has no recordings, a column is missing, or a row names a missing file.
     ConfigError
         If `layout` is unknown.
     """
@@ -68,13 +68,13 @@ def recordings(folder: Path | str, layout: str = "auto") -> list[Recording]:
     if layout not in (*_READERS, "auto"):
         raise ConfigError(f"layout={layout!r} must be one of {', '.join((*_READERS, 'auto'))}")
     if not folder.is_dir():
-        raise DataError(f"{folder} is not a folder; give the folder that holds the recordings")
+        raise DataError(f"{folder} is not a folder; give the folder of the recordings")
     for name in _READERS if layout == "auto" else (layout,):
         found = list(_READERS[name](folder))
         if found:
             return found
     raise DataError(
-        f"{folder} holds no recordings with transcripts; it needs clips.csv (audio, transcript, "
+        f"{folder} has no recordings with transcripts; it needs clips.csv (audio, transcript, "
         "speaker), tables *.tsv (path, speaker, text) or LibriSpeech's *.trans.txt"
     )
 

@@ -1,7 +1,7 @@
 """Detection scores of lip contacts, bite and rounding, by phone.
 
 The protocol is that of `deitalk.evaluation.lip_closures`: the highest value of a curve within a
-phone widened by two frames, against the same in phones that stay 67 ms away from all that share
+phone widened by two frames, against the same in phones that are 67 ms away from all phones of
 the gesture. Letters: T frames.
 """
 

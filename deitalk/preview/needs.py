@@ -12,7 +12,7 @@ PAGES, VIDEOS = (".html", ".htm"), (".mp4",)
 
 
 def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str, ...]:
-    """Check that this installation can make every file asked for.
+    """Check that this installation can make every given file.
 
     Parameters
     ----------

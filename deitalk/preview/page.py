@@ -45,7 +45,7 @@ def render_page(
     out : Path or str
         The ``.html`` to write.
     audio : Path or str, optional
-        Recording, where the source brings none.
+        Recording, if the source has none.
     identity : int, str or Identity, optional
         Head of the preview.
     force : bool, optional

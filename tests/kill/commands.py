@@ -113,7 +113,7 @@ def _curves(folder: Path) -> None:
 
 
 def _packets(process: Process) -> None:
-    """Send a second of a face once the command listens."""
+    """Send a second of a face once the command is ready."""
     from rig.conversion.arkit import arkit_controls
     from rig.livelink import Packet, encode
 

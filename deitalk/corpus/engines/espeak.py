@@ -1,6 +1,6 @@
 """espeak-ng: speech in many languages with the exact time of every phone.
 
-Phone events are exact to about 4 ms but for stops, whose event comes at the burst: `with_closures`
+Phone events are exact to about 4 ms except for stops, whose event is at the burst: `with_closures`
 gives a stop the silent run before it.
 """
 
@@ -121,8 +121,8 @@ def synthesise(
     name = known_voice(voice if variant is None else f"{voice}+{variant}")
     numbers = {"rate": rate, "volume": volume, "pitch": pitch, "pitch_range": pitch_range}
     parameters = {key: round(value) for key, value in numbers.items()}
-    said, events = _server(os.getpid()).say(text, name, parameters, ssml=ssml)
-    waveform = np.frombuffer(said, np.int16).astype(np.float32) / 32768
+    samples, events = _server(os.getpid()).synthesise(text, name, parameters, ssml=ssml)
+    waveform = np.frombuffer(samples, np.int16).astype(np.float32) / 32768
     if not np.any(waveform):
         raise DataError(f"text={text!r} gives no speech in the espeak-ng voice {name}")
     rate_hz = library().sample_rate

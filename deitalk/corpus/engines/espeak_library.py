@@ -139,7 +139,7 @@ class Library:
         self._library.espeak_Info(ctypes.byref(path))
         return (path.value or b"").decode()
 
-    def say(
+    def synthesise(
         self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
     ) -> tuple[bytes, list[tuple[int, str]]]:
         """Samples (16-bit) of `text`, and the sample and IPA name at which each phone begins."""
@@ -181,10 +181,10 @@ class Server:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
         )
 
-    def say(
+    def synthesise(
         self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
     ) -> tuple[bytes, list[tuple[int, str]]]:
-        """`Library.say` in a fresh process.
+        """`Library.synthesise` in a fresh process.
 
         Raises
         ------
@@ -226,7 +226,7 @@ def _in_fork(job: dict[str, Any]) -> bytes:
     child = os.fork()
     if child == 0:
         signal.alarm(TIMEOUT_SECONDS)  # its default action ends the child
-        samples, events = library().say(job.pop("text"), job.pop("voice"), **job)
+        samples, events = library().synthesise(job.pop("text"), job.pop("voice"), **job)
         with os.fdopen(writing, "wb") as pipe:
             pipe.write(json.dumps({"bytes": len(samples), "events": events}).encode() + b"\n")
             pipe.write(samples)

@@ -76,9 +76,7 @@ def test_recordings_longer_than_ten_minutes_are_refused(tmp_path):
 def test_bad_folders_are_refused_with_the_missing_part(tmp_path):
     with pytest.raises(DataError, match="is not a folder"):
         recordings(tmp_path / "absent")
-    with pytest.raises(
-        DataError, match=r"holds no recordings with transcripts; it needs clips\.csv"
-    ):
+    with pytest.raises(DataError, match=r"has no recordings with transcripts; it needs clips\.csv"):
         recordings(tmp_path)
     with pytest.raises(ConfigError, match="layout='kaldi' must be one of clips, tsv, librispeech"):
         recordings(tmp_path, layout="kaldi")

@@ -69,8 +69,8 @@ export class Take {
 
   /** Applied intensity at a frame: of the take, or through the edited points. */
   intensityAt(frame: number): number {
-    const heard = this.intensity ? this.intensity[frame] : 0;
-    if (!this.isEdited) return heard;
+    const predicted = this.intensity ? this.intensity[frame] : 0;
+    if (!this.isEdited) return predicted;
     const time = frame / this.fps, p = this.points;
     for (let k = 1; k < p.length; k++) {
       if (time <= p[k].time) {

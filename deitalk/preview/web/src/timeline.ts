@@ -75,7 +75,7 @@ export function drawEmotion(canvas: HTMLCanvasElement, take: Take): void {
 
 export class IntensityEditor {
   private readonly line = document.createElementNS(SVG, "polyline");
-  private readonly heard = document.createElementNS(SVG, "polyline");
+  private readonly predicted = document.createElementNS(SVG, "polyline");
   private readonly head = document.createElementNS(SVG, "line");
   private dots: SVGCircleElement[] = [];
   private readonly top: number;
@@ -87,9 +87,9 @@ export class IntensityEditor {
   ) {
     const peak = take.intensity ? Math.max(...take.intensity) : 1;
     this.top = Math.min(MAX_INTENSITY, Math.max(1.5, peak * 1.5));
-    this.heard.classList.add("heard");
+    this.predicted.classList.add("predicted");
     this.head.classList.add("head");
-    svg.replaceChildren(this.heard, this.line, this.head);
+    svg.replaceChildren(this.predicted, this.line, this.head);
     this.build();
   }
 
@@ -145,7 +145,7 @@ export class IntensityEditor {
     this.line.setAttribute("points", this.take.points.map((p) => `${x(p.time)},${y(p.value)}`).join(" "));
     if (this.take.intensity) {
       const all = Array.from(this.take.intensity, (v, f) => `${x(f / this.take.fps)},${y(v)}`);
-      this.heard.setAttribute("points", all.join(" "));
+      this.predicted.setAttribute("points", all.join(" "));
     }
   }
 
