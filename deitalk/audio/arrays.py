@@ -131,7 +131,7 @@ class _ArraySource:
 
     def __init__(self, array: npt.NDArray[Any], rate: int) -> None:
         self.array, self.rate = array, rate
-        self.channels, self.promised = array.shape[1], len(array)
+        self.channels, self.expected = array.shape[1], len(array)
         self.slack = 0
         self.notes: list[str] = []
 

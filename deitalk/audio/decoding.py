@@ -48,17 +48,17 @@ class SoundSource(Protocol):
     ----------
     rate, channels : int
         Hz and C.
-    promised : int
+    expected : int
         Samples per channel according to the header; 0 where it holds no length.
     slack : int
-        Tolerance of `promised`, samples.
+        Tolerance of `expected`, samples.
     notes : list of str
         Damage that `blocks` replaced by silence.
     """
 
     rate: int
     channels: int
-    promised: int
+    expected: int
     slack: int
     notes: list[str]
 
@@ -108,10 +108,10 @@ def _padded_mpeg(name: str, file: IO[bytes]) -> "_FFmpegSource":
 class _SndfileSource:
     """A recording that libsndfile reads."""
 
-    def __init__(self, name: str, file: Any, promised: int) -> None:
+    def __init__(self, name: str, file: Any, expected: int) -> None:
         self.name, self.file = name, file
         self.rate, self.channels = int(file.samplerate), int(file.channels)
-        self.promised, self.slack = promised, 0
+        self.expected, self.slack = expected, 0
         self.notes: list[str] = []
 
     @classmethod
@@ -150,7 +150,7 @@ class _FFmpegSource:
 
     def __init__(self, name: str, file: IO[bytes], demuxer: str) -> None:
         self.name, self.file, self.demuxer = name, file, demuxer
-        self.rate = self.channels = self.promised = 0
+        self.rate = self.channels = self.expected = 0
         self.notes: list[str] = []
         with self._container() as container:
             first = next((frame for frame, _ in self._frames(container) if frame), None)
@@ -159,7 +159,7 @@ class _FFmpegSource:
                     f"{name} has a sound track with 0 samples that can be decoded; export it again"
                 )
             self.rate, self.channels = first.sample_rate, first.layout.nb_channels
-            self.promised = self._announced(container)
+            self.expected = self._expected(container)
         self.slack = round(LENGTH_SLACK_SECONDS * self.rate)
 
     def blocks(self, size: int) -> Iterator[Float32]:
@@ -257,7 +257,7 @@ class _FFmpegSource:
         with np.errstate(invalid="ignore", over="ignore"):  # reported by the reader
             return values.astype(np.float32)
 
-    def _announced(self, container: "InputContainer") -> int:
+    def _expected(self, container: "InputContainer") -> int:
         """Samples according to the header; 0 where it holds no length."""
         import av
 

@@ -185,11 +185,11 @@ class _MonoReader:
         import soxr
 
         self.name, self.rate, self.max_seconds = name, sound.rate, max_seconds
-        self.promised, self.slack = sound.promised, sound.slack
+        self.expected, self.slack = sound.expected, sound.slack
         self.resampler = soxr.ResampleStream(
             sound.rate, SAMPLE_RATE, 1, dtype="float32", quality="HQ"
         )
-        self.waveform = np.zeros(self._length(self.promised) + SAMPLE_RATE, np.float32)
+        self.waveform = np.zeros(self._length(self.expected) + SAMPLE_RATE, np.float32)
         self.filled = self.n_source = self.n_values = self.n_clipped = 0
 
     def add(self, block: Float32, weights: Float32) -> None:
@@ -213,8 +213,8 @@ class _MonoReader:
         waveform = self.waveform[: self._length(self.n_source)]
         offset, peak = _remove_dc(waveform)
         notes = []
-        if self.n_source + self.slack < self.promised:
-            there, whole = self.n_source / self.rate, self.promised / self.rate
+        if self.n_source + self.slack < self.expected:
+            there, whole = self.n_source / self.rate, self.expected / self.rate
             notes.append(f"cut short: {there:.2f} s of {whole:.2f} s are there")
         if self.clipped_fraction > 1e-4:
             notes.append(f"{self.clipped_fraction:.2%} of the samples are clipped")
@@ -306,8 +306,8 @@ def _check_header(name: str, sound: SoundSource, max_seconds: float) -> None:
             f"{name}: the sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
             f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
         )
-    if sound.promised / rate > max_seconds:
-        raise _too_long(name, sound.promised / rate, max_seconds)
+    if sound.expected / rate > max_seconds:
+        raise _too_long(name, sound.expected / rate, max_seconds)
 
 
 def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:

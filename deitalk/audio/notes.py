@@ -35,7 +35,7 @@ def describe(waveform: Float32) -> tuple[str, ...]:
     activity = speech_activity(waveform)
     if not activity.any():
         level = rms_db(waveform)
-        kind = "sound too quiet to tell from noise" if level < FAINT_DB else "steady sound"
+        kind = "sound too quiet to distinguish from noise" if level < FAINT_DB else "steady sound"
         return (f"no speech found, only {kind} ({level:.0f} dBFS), so the mouth stays shut",)
     notes = []
     if noise_likeness(waveform, activity) > NOISE_LIKENESS:

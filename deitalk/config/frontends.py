@@ -37,7 +37,7 @@ class MelConfig(Section):
     time_stack: Window = Field(default=1, description="spectra joined before the Time-BiLSTM")
     time_hidden: Width = Field(default=256, description="Time-BiLSTM units per direction")
     time_layers: Recurrent = 2
-    window_frames: Window = Field(default=64, description="spectra the attention sees (L)")
+    window_frames: Window = Field(default=64, description="spectra of the attention (L)")
     query_frames: Odd = Field(default=7, description="K_qry; Paper silent")
     attention_size: Width = Field(default=128, description="C_att; Paper silent")
     recurrence: Literal["window", "segment"] = Field(
@@ -108,7 +108,7 @@ class ConformerConfig(Section):
     layers: int = Field(default=2, ge=1, le=limits.LAYERS)
     heads: Width = 4
     intermediate_size: Width = Field(default=512, description="width within a block")
-    kernel_size: Odd = Field(default=15, description="rig frames a block's convolution sees")
+    kernel_size: Odd = Field(default=15, description="rig frames of a block's convolution")
     phases: Phases = Field(
         default=1,
         description="passes over a clip, shifted by parts of a spectrum; features are their mean",

@@ -123,7 +123,7 @@ class ControlSet:
         """Return the columns of several controls, by any of their spellings."""
         return np.array([self.index(name) for name in names], dtype=np.intp)
 
-    def knows(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         """Return whether a name is a spelling of one of the controls."""
         return name in self._aliases or name in self._older_aliases
 

@@ -59,12 +59,12 @@ def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
         If there is none; the message is that of the set with most of the names.
     """
     sets = [make() for make in KNOWN.values()]
-    known = [sum(controls.knows(name) for name in names) for controls in sets]
+    known = [sum(name in controls for name in names) for controls in sets]
     best = sets[known.index(max(known))]
     if max(known) < len(names):
-        stranger = next(name for name in names if not best.knows(name))
+        unknown = next(name for name in names if name not in best)
         try:
-            best.canonical(stranger)
+            best.canonical(unknown)
         except ControlError as error:
             raise ControlError(f"{where}: {error}") from None
     return best

@@ -4,7 +4,7 @@ Letters: D numbers of a frame (6 N for s, 3 N for r).
 
 Deviation: the paper takes PCA of the plain
 numbers and keeps 97 % of their variance; rows here are weighted by the root of their triangle's
-area, and the size is chosen by the error it leaves at the lips of frames not seen. 97 % of the
+area, and the size is chosen by the error it leaves at the lips of held-out frames. 97 % of the
 unweighted variance can be more than 2 mm there: thin triangles on rims rotate a lot.
 """
 
@@ -158,7 +158,7 @@ def choose_bases(
     Returns
     -------
     Bases
-        Of the first share within the bound, or of the last one tried; the table says which.
+        Of the first share within the bound, or of the last one tried.
     """
     areas = triangle_areas(template)
     train_s, train_r = pack_vertices(template, training)

@@ -322,7 +322,9 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
         if min(shape, default=0) < 0 or count > limits.UNPACKED_BYTES:
             raise ValueError(f"array {quoted(entry.filename)} has shape {shape}")
         if stream.tell() + n_bytes != entry.file_size:
-            raise ValueError(f"array {quoted(entry.filename)} is cut short, or longer than it says")
+            raise ValueError(
+                f"array {quoted(entry.filename)} is cut short, or longer than its header"
+            )
         flat = np.empty(count, dtype)
         _fill(stream, flat.view(np.uint8))
     if dtype.kind == "U" and (flat.view(f"{dtype.byteorder}u4") > sys.maxunicode).any():
@@ -354,7 +356,7 @@ def _fill(stream: Any, target: NDArray[np.uint8]) -> None:
             raise EOFError("an array is cut short")
         done += got
     if stream.read(1):
-        raise ValueError("an array is longer than it says")
+        raise ValueError("an array is longer than its header")
 
 
 def _no_constant(text: str) -> NoReturn:

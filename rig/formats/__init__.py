@@ -89,7 +89,7 @@ def read_curves(
     path = Path(path)
     chosen = find_format(path, format, readable=True)
     if format is None:
-        chosen = _told_by_content(path, chosen)
+        chosen = _recognised(path, chosen)
     assert chosen.read is not None
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
@@ -144,15 +144,15 @@ def write_curves(
     return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost, note)
 
 
-def _told_by_content(path: Path, chosen: Format) -> Format:
+def _recognised(path: Path, chosen: Format) -> Format:
     """Return the format of a CSV or JSON file by its beginning."""
-    told = None
+    name = None
     if path.suffix.lower() == ".csv":
-        told = format_of_header(read_header(path))
+        name = format_of_header(read_header(path))
     elif chosen.name == "json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            told = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
-    return find_format(path, told or chosen.name)
+            name = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
+    return find_format(path, name or chosen.name)
 
 
 def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:

@@ -78,7 +78,7 @@ class LiveLinkTake:
             If there are more frames than `limits.FRAMES`.
         """
         controls = _controls_of(self.names)
-        places = {controls.canonical(n): i for i, n in enumerate(self.names) if controls.knows(n)}
+        places = {controls.canonical(n): i for i, n in enumerate(self.names) if n in controls}
         names = tuple(name for name in controls.names if name in places)
         fps = snap_fps(fps or self.fps)
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
@@ -226,7 +226,7 @@ def take_name(slate: str, take: int, subject: str) -> str:
 def _controls_of(names: tuple[str, ...]) -> ControlSet:
     raw_names = sum(name.startswith(PREFIX) for name in names)
     controls = raw_controls() if raw_names > len(names) / 2 else arkit_controls()
-    if not any(controls.knows(name) for name in names):
+    if not any(name in controls for name in names):
         raise FormatError(
             f"none of the columns {', '.join(names[:3])}, … is an ARKit shape or a raw curve "
             f"({ARKIT_ID}, {RAW_ID})"

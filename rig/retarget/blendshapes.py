@@ -249,9 +249,9 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
     distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     near = distance < 0.02 * size
     low, high = moved[near], still[nearest[near]]
-    torn, mended = jaw[low] - jaw[high], close[low] - close[high]
+    torn, closed = jaw[low] - jaw[high], close[low] - close[high]
     strength = np.einsum("pc,pc->p", torn, torn)
-    back = -np.einsum("pc,pc->p", mended, torn)
+    back = -np.einsum("pc,pc->p", closed, torn)
     useful = back > 0.3 * strength
     if useful.sum() < 4:
         return 1.0

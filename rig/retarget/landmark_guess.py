@@ -117,9 +117,9 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     if residual > _WORST:
         raise _unrecognised("no face was recognised in the mesh (it must stand upright)")
     found = {name: _nearest_vertex(turned, surface[v]) for name, v in marks.items()}
-    seen = {name: surface[v] for name, v in marks.items()}
+    placed_marks = {name: surface[v] for name, v in marks.items()}
     found = {n: v for n, v in found.items() if not n.startswith(_VAGUE)}
-    found |= _mouth(turned, seen) | _eyes(turned, seen, eyes)
+    found |= _mouth(turned, placed_marks) | _eyes(turned, placed_marks, eyes)
     return Guess({name: int(used[v]) for name, v in found.items()}, residual)
 
 
@@ -170,7 +170,7 @@ def _nearest_vertex(mesh: TriMesh, point: Float64) -> int:
     return int(np.argmin(np.linalg.norm(mesh.vertices - point, axis=1)))
 
 
-def _eyes(mesh: TriMesh, seen: dict[str, Float64], eyes: float) -> dict[str, int]:
+def _eyes(mesh: TriMesh, placed_marks: dict[str, Float64], eyes: float) -> dict[str, int]:
     """Lids from the open rims of the eyes, where the skin has them."""
     ends = boundary_edges(mesh)
     count = len(mesh.vertices)
@@ -179,7 +179,9 @@ def _eyes(mesh: TriMesh, seen: dict[str, Float64], eyes: float) -> dict[str, int
     rim = np.unique(ends)
     found: dict[str, int] = {}
     for side, outward in (("left", 1.0), ("right", -1.0)):
-        corners = [seen[f"eye_{corner}_{side}"] for corner in ("outer", "inner", "upper", "lower")]
+        corners = [
+            placed_marks[f"eye_{corner}_{side}"] for corner in ("outer", "inner", "upper", "lower")
+        ]
         for label in np.unique(labels[rim]):
             loop = rim[labels[rim] == label]
             points = mesh.vertices[loop]
@@ -213,11 +215,11 @@ def _lid(mesh: TriMesh, loop: Float64, middle: Float64, side: float) -> int:
     return int(np.argmin(np.where(here, side * offset[:, 1], np.inf)))
 
 
-def _mouth(mesh: TriMesh, seen: dict[str, Float64]) -> dict[str, int]:
+def _mouth(mesh: TriMesh, placed_marks: dict[str, Float64]) -> dict[str, int]:
     """Rims and corners from the slit: near in space, far along the surface."""
-    corners = seen["mouth_corner_left"], seen["mouth_corner_right"]
+    corners = placed_marks["mouth_corner_left"], placed_marks["mouth_corner_right"]
     width = float(np.linalg.norm(corners[0] - corners[1]))
-    middle = 0.5 * (seen["upper_rim"] + seen["lower_rim"])
+    middle = 0.5 * (placed_marks["upper_rim"] + placed_marks["lower_rim"])
     near = np.flatnonzero(
         (np.abs(mesh.vertices - middle) < np.array([0.75, 0.35, 0.5]) * width).all(axis=1)
     )
@@ -261,7 +263,7 @@ def _slit_pairs(mesh: TriMesh, near: Int64, width: float) -> tuple[Int64, float]
         if far.sum() < _FEWEST_PAIRS:
             continue
         one, two = near[close[far, 0]], near[close[far, 1]]
-        # The upper lip lies above; where they touch, its rim looks down.
+        # The upper lip lies above; where they touch, its rim faces down.
         above = points[one, 1] - points[two, 1] + 0.01 * width * (normals[two, 1] - normals[one, 1])
         upper, lower = np.where(above > 0, one, two), np.where(above > 0, two, one)
         return np.stack([upper, lower], axis=1), 0.5 * _WAY_ROUND * reach

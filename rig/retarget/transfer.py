@@ -75,7 +75,7 @@ def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
     """As `transfer_displacements`, by deformation gradients; also for frames of a take.
 
     Vertices whose source stays within 0.1 % of the head through all K are held there; each part
-    without one is pinned where its displacement says.
+    without one is pinned by its displacement.
     """
     source = _checked(registration, deltas)
     target = without_degenerate(registration.target)

@@ -30,7 +30,7 @@ NECK_Y = -15.6
 class Topology:
     """The skin's directions for the reference identity and its triangles.
 
-    `kind`, `ring`, `slot` (V,) say for each vertex which feature it belongs to, which loop
+    `kind`, `ring`, `slot` (V,) are for each vertex its feature, its loop
     (0 is the rim) and which place on the loop; `mirror` (V,) is the vertex on the other side.
     """
 

@@ -46,8 +46,8 @@ class SoftwareRenderer:
         face, depth = _by_pixel(nearest), _by_pixel(depths)
         surfaces = _Surfaces(screen, faces, np.c_[normals, self._paint].astype(np.float32))
         picture = self._empty.copy()
-        seen = np.flatnonzero(face[0] >= 0)
-        picture[:, seen] = self._colors(surfaces, seen, face[0, seen], 0)
+        drawn = np.flatnonzero(face[0] >= 0)
+        picture[:, drawn] = self._colors(surfaces, drawn, face[0, drawn], 0)
         more = np.zeros_like(picture)
         for sample in (1, 2, 3):
             at = self._differs(faces, face, depth, sample)

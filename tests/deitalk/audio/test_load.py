@@ -341,7 +341,7 @@ def test_load_audio_rejects_recordings_too_long_by_header_or_content(tmp_path):
         load_audio(tmp_path / "a.wav", max_seconds=5)
     assert_one_line(error, "10 s", "split")
     content = bytearray((tmp_path / "a.wav").read_bytes())
-    content[40:44] = struct.pack("<I", 8000)  # a header that promises one second
+    content[40:44] = struct.pack("<I", 8000)  # one second by the header
     assert len(load_audio(bytes(content), max_seconds=5).waveform) == 16000
 
 

@@ -80,7 +80,7 @@ def test_speech_at_minus_65_dbfs_is_very_quiet(speech):
 
 def test_speech_at_minus_80_dbfs_has_a_note(speech, tmp_path):
     (note,) = describe(at_level(speech, -80))
-    assert "too quiet to tell from noise" in note
+    assert "too quiet to distinguish from noise" in note
     write_wav(tmp_path / "a.wav", at_level(speech, -80))
     assert load_audio(tmp_path / "a.wav").warnings
 

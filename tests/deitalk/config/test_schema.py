@@ -133,8 +133,8 @@ def test_invalid_value_is_in_the_message(tree, key):
 
 
 def test_all_problems_are_in_one_message():
-    said = problem({"train": {"seeed": 1, "steps": 0}, "nme": "x"})
-    assert all(key in said for key in ("train.seeed", "train.steps", "nme"))
+    message = problem({"train": {"seeed": 1, "steps": 0}, "nme": "x"})
+    assert all(key in message for key in ("train.seeed", "train.steps", "nme"))
 
 
 def test_long_value_is_shortened_in_the_message():
@@ -161,7 +161,7 @@ def test_overrides_replace_values(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "message"),
     [
         ("train.batch_size", "no '='"),
         ("name.first=x", "'name' is a value"),
@@ -169,10 +169,10 @@ def test_overrides_replace_values(tmp_path):
         ("train.steps=[1", "cannot be read as YAML"),
     ],
 )
-def test_load_config_rejects_invalid_overrides(tmp_path, override, said):
+def test_load_config_rejects_invalid_overrides(tmp_path, override, message):
     with pytest.raises(ConfigError) as caught:
         load_config(written(tmp_path, "name: x"), [override])
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -419,14 +419,14 @@ def test_claim_rejects_a_second_process(tmp_path, exists):
 
 
 def test_claim_is_reentrant_in_its_thread_only(tmp_path):
-    told = []
+    found = []
 
     def other():
         try:
             with claim(tmp_path / "t"):
-                told.append("free")
+                found.append("free")
         except TargetError:
-            told.append("told")
+            found.append("refused")
 
     def run():
         thread = threading.Thread(target=other)
@@ -438,7 +438,7 @@ def test_claim_is_reentrant_in_its_thread_only(tmp_path):
             run()
         run()
     run()
-    assert told == ["told", "told", "free"]
+    assert found == ["refused", "refused", "free"]
 
 
 def test_claim_works_without_a_cache_folder(tmp_path, monkeypatch):

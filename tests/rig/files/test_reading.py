@@ -47,13 +47,13 @@ def test_size_is_checked_before_reading(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_named_pipe_never_blocks(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    said = []
+    messages = []
     reader = threading.Thread(
-        target=lambda: said.append(refused(read_bytes, tmp_path / "pipe", 99)), daemon=True
+        target=lambda: messages.append(refused(read_bytes, tmp_path / "pipe", 99)), daemon=True
     )
     reader.start()
     reader.join(5)
-    assert said and "pipe is a named pipe, not a file" in said[0]
+    assert messages and "pipe is a named pipe, not a file" in messages[0]
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def archive(path, members, compression=zipfile.ZIP_DEFLATED):
         (npy((10**9, 10**9)), "has shape"),
         (npy((-1, 3)), "no archive of numpy arrays"),
         (npy((1000,)), "is cut short"),
-        (npy((1,), data=b"\0" * 8), "longer than it says"),
+        (npy((1,), data=b"\0" * 8), "longer than its header"),
         (npy((2,), "|O", b"\0" * 16), "not numbers or text"),
         (npy((2**60,), "<U0"), "not numbers or text"),
         (npy((1,), "<c8", b"\0" * 8), "not numbers or text"),

@@ -64,8 +64,8 @@ def test_mesh_with_many_defects_is_retargeted(tmp_path):
     report = retarget_curves(
         jaw_open(), tmp_path / "mess.obj", tmp_path / "out.npz", landmarks=tmp_path / "marks.json"
     )
-    said = " ".join(report.notes)
-    assert "normals point inward" in said and "0.01 x the size of a head in centimetres" in said
+    words = " ".join(report.notes)
+    assert "normals point inward" in words and "0.01 x the size of a head in centimetres" in words
     with np.load(tmp_path / "out.npz") as file:
         moved = 100 * (file["vertices"][1] - file["vertices"][0])
     np.testing.assert_array_equal(moved[[0, -1]], 0)  # unused: left where they are
@@ -119,14 +119,14 @@ def test_retarget_rejects_broken_geometry(tmp_path):
     refused(tmp_path, tmp_path / "cut.ply", "cut short")
 
 
-def refused(tmp_path, mesh, *said):
-    """One line that says what is wrong; the output is not there."""
+def refused(tmp_path, mesh, *words):
+    """The message is one line, and there is no output."""
     with pytest.raises(RigError) as caught:
         retarget_curves(jaw_open(), mesh, tmp_path / "out.glb")
     message = str(caught.value)
     assert "\n" not in message
-    for words in said:
-        assert words in message, message
+    for part in words:
+        assert part in message, message
     assert not [p for p in tmp_path.iterdir() if "out" in p.name]
 
 
