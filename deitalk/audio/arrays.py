@@ -74,11 +74,7 @@ def recording_from_array(
     name : str
         Name of the recording in messages and in a take.
     max_seconds : float
-        Longer recordings are refused.
-
-    Returns
-    -------
-    Recording
+        As for `load_audio`.
 
     Raises
     ------

@@ -23,6 +23,7 @@ __all__ = [
     "FRAME_RATE",
     "SAMPLE_RATE",
     "Recording",
+    "checked_waveform",
     "frame_count",
     "frame_times",
     "load_audio",
@@ -153,14 +154,9 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
     Raises
     ------
     AudioError
-        If the waveform is not 1-D and finite, or the file cannot be written.
+        As `checked_waveform`; or if the file cannot be written.
     """
-    samples = np.asarray(waveform, dtype=np.float32)
-    if samples.ndim != 1 or not np.isfinite(samples).all():
-        raise AudioError(
-            f"waveform of shape {samples.shape} must be 1-D and finite to be written to {path}; "
-            "pass the samples of one channel"
-        )
+    samples = checked_waveform(waveform)
     try:
         with (
             atomic_write(path) as beside,
@@ -176,6 +172,23 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
             f"cannot write {path}: {error.strerror or error}; name a folder that exists, "
             "is writable and has space"
         ) from error
+
+
+def checked_waveform(waveform: npt.ArrayLike) -> Float32:
+    """Return samples as float32 [shape=(S,)].
+
+    Raises
+    ------
+    AudioError
+        If they are no row of finite samples, or none at all.
+    """
+    samples = np.asarray(waveform, dtype=np.float32)
+    if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
+        raise AudioError(
+            f"a waveform of shape {samples.shape} cannot be used; give one row of finite samples "
+            "at 16 kHz"
+        )
+    return samples
 
 
 class _MonoReader:

@@ -145,7 +145,7 @@ def predict_mesh(
 
     Raises
     ------
-    DataError
+    AudioError
         If the waveform is not one row of finite samples.
     EmotionError
         If the model has no emotion and the direction is not neutral.

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from deitalk.audio.frames import frame_count, frame_times
+from deitalk.audio.load import checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.emotions import EMOTIONS, Direction
-from deitalk.errors import DataError
 from deitalk.models.curve_model import Analysis
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
@@ -51,15 +51,10 @@ class Speech:
 
         Raises
         ------
-        DataError
+        AudioError
             If it is not one row of finite samples.
         """
-        samples = np.asarray(waveform, dtype=np.float32)
-        if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
-            raise DataError(
-                f"a waveform of shape {samples.shape} cannot be used; give one row of finite "
-                "samples at 16 kHz"
-            )
+        samples = checked_waveform(waveform)
         return cls(samples, speech_activity(samples))
 
     @property

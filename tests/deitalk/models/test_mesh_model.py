@@ -22,7 +22,7 @@ from deitalk.config import (
 )
 from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
 from deitalk.data.mesh_sources import head_lips, head_templates
-from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.errors import AudioError, CheckpointError, ConfigError, DataError
 from deitalk.evaluation.mesh import lip_gap
 from deitalk.frontends.windows import window_index
 from deitalk.models import mesh_model as sdfa_module
@@ -325,7 +325,7 @@ def test_prediction_does_not_depend_on_the_level():
     "bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)]
 )
 def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
-    with pytest.raises(DataError, match="16 kHz"):
+    with pytest.raises(AudioError, match="16 kHz"):
         predict_mesh(model(), bad)
 
 

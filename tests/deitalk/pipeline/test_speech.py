@@ -6,7 +6,7 @@ import torch
 
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.emotions import Direction, IntensityCurve
-from deitalk.errors import DataError
+from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.curve_model import Analysis
 from deitalk.pipeline.speech import Speech, measure_intensities, read_twice
@@ -41,7 +41,7 @@ def test_sound_has_its_speech_at_the_level_of_the_training(speech):
 
 @pytest.mark.parametrize("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])
 def test_speech_rejects_what_is_no_row_of_finite_samples(bad):
-    with pytest.raises(DataError, match="one row of finite samples at 16 kHz"):
+    with pytest.raises(AudioError, match="one row of finite samples at 16 kHz"):
         Speech.of(bad)
 
 
