@@ -7,17 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
-from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
-from deitalk.audio.mel import nearest_spectra
 from deitalk.config import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.figures.attention import AttentionMap, attention_at
-from deitalk.frontends.mel_bilstm import MelFrontend
-from deitalk.models.mesh_model import SDFA
+from deitalk.frontends.mel_bilstm import NO_ATTENTION
 from deitalk.phones import PLOSIVES, VOWELS
 from deitalk.pipeline.speech import Speech
 from rig.arrays import Float32
@@ -49,11 +45,9 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
     CheckpointError
         If the model has no temporal attention.
     """
-    rate, speech = spectra_per_second(network), Speech.of(waveform)
-    if isinstance(network, SDFA):
-        return Attention(network.attention_weights(speech.sound), network.fps, rate)
-    weights = frontend_attention(network.frontend, speech.sound, speech.n_frames)
-    return Attention(weights.cpu().numpy(), FRAME_RATE, rate)
+    rate = spectra_per_second(network)
+    weights = network.attention_weights(Speech.of(waveform).sound)
+    return Attention(weights.cpu().numpy(), network.fps, rate)
 
 
 def spectra_per_second(network: Any) -> float:
@@ -66,52 +60,8 @@ def spectra_per_second(network: Any) -> float:
     """
     config = network.config.frontend
     if not isinstance(config, MelConfig):
-        raise CheckpointError(
-            "this model has no temporal attention; choose one with a mel frontend, such as default"
-        )
+        raise CheckpointError(NO_ATTENTION)
     return config.frame_rate / config.time_stack
-
-
-@torch.no_grad()
-def frontend_attention(
-    frontend: MelFrontend, waveform: torch.Tensor, n_frames: int
-) -> torch.Tensor:
-    """Attention weights of a mel frontend [shape=(T, L)]; 0 outside the recording.
-
-    Parameters
-    ----------
-    frontend : MelFrontend
-        With `recurrence: segment`: its Time-BiLSTM runs along the clip.
-    waveform : Tensor [shape=(S,)]
-        16 kHz, level-normalised.
-    n_frames : int
-        T.
-
-    Raises
-    ------
-    CheckpointError
-        If the Time-BiLSTM runs once per window.
-    """
-    config = frontend.config
-    if config.recurrence == "window":
-        raise CheckpointError("maps are drawn for recurrence: segment; this model has window")
-    device = next(frontend.parameters()).device
-    centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
-    length = int(centres[-1]) + 1
-    mel = frontend.mel(waveform.unsqueeze(0).to(device), length * config.time_stack, 0)
-    spectral = frontend.spectral(mel)
-    memory = frontend.recurrent(spectral.reshape(1, length, -1))[0][0]  # (K, D)
-    window, half = config.window_frames // config.time_stack, config.query_frames // 2
-    index = centres.unsqueeze(1) + torch.arange(window) - window // 2
-    about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
-    silent = torch.nn.functional.pad(memory, (0, 0, half, half))  # keys are 0 outside the recording
-    inside = (index >= 0) & (index < length)
-    rows = [
-        frontend.attention.windows(memory[part.clamp(0, length - 1)], silent[queries + half])[1]
-        for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
-    ]
-    weights = torch.cat(rows) * inside.to(device)
-    return weights / weights.sum(dim=1, keepdim=True)
 
 
 def corpus_attention(

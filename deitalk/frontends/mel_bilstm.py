@@ -4,7 +4,7 @@ Deviation: convolutions and Spec-BiLSTM depend on one spectrum at a time, so the
 spectrum and windows are gathered afterwards; the result is the same. With ``recurrence: segment``
 the Time-BiLSTM runs along the clip instead of once per window (some ten times less work).
 
-N windows.
+N windows, W spectra of a window.
 """
 
 from collections.abc import Callable
@@ -16,6 +16,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from deitalk.audio.mel import SAMPLE_RATE, MelSpectrogram, nearest_spectra
 from deitalk.config import MelConfig
+from deitalk.errors import CheckpointError
 from deitalk.frontends.chunking import encode_in_segments, phase_shifts
 
 SEGMENT_FRAMES = 960
@@ -24,6 +25,11 @@ CONTEXT_FRAMES = 256
 """Rig frames of context on either side of a segment, computed and not kept (8.5 s). The memory of
 the default weights is longer, so two ways to divide a clip differ by some hundredths of a range in
 places; a slow test holds the step between two segments below the usual motion in a frame."""
+
+
+NO_ATTENTION = (
+    "this model has no temporal attention; choose one with a mel frontend, such as default"
+)
 
 
 class FrequencyConv(nn.Conv1d):
@@ -247,6 +253,43 @@ class MelFrontend(nn.Module):
         return encode_in_segments(
             self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
         )
+
+    @torch.no_grad()
+    def attention_weights(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Attention of each frame over its window [shape=(T, W)]; 0 outside the recording.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(S,)]
+            16 kHz, level-normalised.
+        n_frames : int
+            T.
+
+        Raises
+        ------
+        CheckpointError
+            If the Time-BiLSTM runs once per window.
+        """
+        config = self.config
+        if config.recurrence == "window":
+            raise CheckpointError("maps are drawn for recurrence: segment; this model has window")
+        device = next(self.parameters()).device
+        centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
+        length = int(centres[-1]) + 1
+        mel = self.mel(waveform.unsqueeze(0).to(device), length * config.time_stack, 0)
+        spectral = self.spectral(mel)
+        memory = self.recurrent(spectral.reshape(1, length, -1))[0][0]  # (K, D)
+        window, half = config.window_frames // config.time_stack, config.query_frames // 2
+        index = centres.unsqueeze(1) + torch.arange(window) - window // 2
+        about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
+        silent = F.pad(memory, (0, 0, half, half))  # keys are 0 outside the recording
+        inside = (index >= 0) & (index < length)
+        rows = [
+            self.attention.windows(memory[part.clamp(0, length - 1)], silent[queries + half])[1]
+            for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
+        ]
+        weights = torch.cat(rows) * inside.to(device)
+        return weights / weights.sum(dim=1, keepdim=True)
 
     def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""

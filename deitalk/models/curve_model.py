@@ -6,9 +6,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.frames import FRAME_RATE, frame_count
 from deitalk.config import ModelConfig
 from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
+from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.positions import dynamic_positions
 from deitalk.models.rig_decoder import RigDecoder
@@ -56,6 +59,9 @@ class DEITalk(nn.Module):
     pretrained : bool
         Read the wav2vec 2.0 checkpoint that the configuration names.
     """
+
+    fps = float(FRAME_RATE)
+    """Frames per second of the curves."""
 
     def __init__(
         self, config: ModelConfig, controls: ControlSet | None = None, *, pretrained: bool = True
@@ -179,6 +185,23 @@ class DEITalk(nn.Module):
             parts.append(tuple(row[0, inner] for row in rows))
         guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
         return Analysis(speech, guidance, saliency, strength)
+
+    def attention_weights(self, sound: Tensor) -> Tensor:
+        """Temporal attention of the frontend [shape=(T, W)]; rows sum to 1 (SDFA Fig. 9).
+
+        Parameters
+        ----------
+        sound : Tensor [shape=(S,)]
+            16 kHz, level-normalised.
+
+        Raises
+        ------
+        CheckpointError
+            If the frontend has no temporal attention.
+        """
+        if not isinstance(self.frontend, MelFrontend):
+            raise CheckpointError(NO_ATTENTION)
+        return self.frontend.attention_weights(sound, frame_count(len(sound)))
 
     @torch.no_grad()
     def decode(self, analysis: Analysis, emotion: Tensor) -> Tensor:

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from deitalk.audio.load import SAMPLE_RATE
 from deitalk.config import SDFAMelConfig, SDFAModelConfig
 from deitalk.errors import CheckpointError
+from deitalk.frontends.mel_bilstm import NO_ATTENTION
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.frontends.windows import Encoder, nearest_places
 from deitalk.models.curve_features import DEITalkFeatures
@@ -186,7 +187,7 @@ class SDFA(MeshModel):
             yield FeatureChunk(features, (places - first).to(self.device), kept)
 
     @torch.no_grad()
-    def attention_weights(self, sound: Tensor) -> Float32:
+    def attention_weights(self, sound: Tensor) -> Tensor:
         """Attention of each frame over its window [shape=(T, W)]; rows sum to 1 (Fig. 9).
 
         Parameters
@@ -203,12 +204,12 @@ class SDFA(MeshModel):
         if not isinstance(self.encoder, SDFAEncoder) or (
             isinstance(config, SDFAMelConfig) and config.summary != "attention"
         ):
-            raise CheckpointError("this model has no attention; choose one with SDFA's encoder")
+            raise CheckpointError(NO_ATTENTION)
         rows = [
             self.encoder.attention_weights(features, places)[kept]
             for features, places, kept in self.feature_chunks(sound)
         ]
-        return np.asarray(torch.cat(rows).cpu().numpy(), dtype=np.float32)
+        return torch.cat(rows)
 
 
 @lru_cache(maxsize=16)

@@ -14,7 +14,7 @@ from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.cli import app
 from deitalk.config import ConformerConfig, ModelConfig, parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
-from deitalk.evaluation.attention import attention_of, corpus_attention, frontend_attention
+from deitalk.evaluation.attention import attention_of, corpus_attention
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from rig.errors import RigError
@@ -55,7 +55,7 @@ def test_weights_equal_those_of_the_frontend(stack):
     """Applied to the memory they give the result of `along`, including the first and last frame."""
     frontend = network(time_stack=stack, spectral_size=8).frontend
     waveform, n_frames = torch.from_numpy(speech()), 42
-    weights = frontend_attention(frontend, waveform, n_frames)
+    weights = frontend.attention_weights(waveform, n_frames)
     centres = nearest_spectra(n_frames, 60, stack)
     length, window = int(centres[-1]) + 1, 16 // stack
     with torch.no_grad():
@@ -75,7 +75,7 @@ def test_rows_are_at_rig_frames():
     assert (result.fps, result.frame_rate) == (30, 60)
     np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
     sound = normalise_level(speech(), activity=speech_activity(speech()))
-    again = frontend_attention(network().frontend, torch.from_numpy(sound), 42)
+    again = network().frontend.attention_weights(torch.from_numpy(sound), 42)
     np.testing.assert_allclose(result.weights, again, atol=1e-6)
 
 

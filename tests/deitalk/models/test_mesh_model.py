@@ -478,7 +478,7 @@ def test_attention_rows_sum_to_one():
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
         assert (weights >= 0).all()
     for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
-        with pytest.raises(CheckpointError, match="no attention"):
+        with pytest.raises(CheckpointError, match="no temporal attention"):
             model(frontend=other).attention_weights(Speech.of(noise(0.5)).sound)
 
 
