@@ -66,6 +66,13 @@ def lips(
     test: Annotated[
         list[str] | None, typer.Option(help="Speaker to test on; may be given several times.")
     ] = None,
+    corpus: Annotated[
+        Path | None,
+        typer.Option(help="Dataset folder whose clips are added, their lips corrected."),
+    ] = None,
+    corpus_clips: Annotated[
+        int, typer.Option(min=1, max=MAX_COUNT, help="Clips of the corpus.")
+    ] = 1000,
     most: Most = None,
     force: Force = False,
 ) -> None:
@@ -77,8 +84,11 @@ def lips(
     Examples
     --------
     deitalk data lips grid_lips/ --validation s02 --test s03 -o lips_data/
+
+    deitalk data lips grid_lips/ --corpus corpus/ -o lips_data/
     """
-    reserve_folder(out, kind="dataset", force=force, inputs=(folder,))
+    inputs = (folder,) if corpus is None else (folder, corpus)
+    reserve_folder(out, kind="dataset", force=force, inputs=inputs)
     with console().status("loading"):
         from deitalk.data.lips.dataset import write_lip_dataset
         from deitalk.models.checkpoint import require_model
@@ -93,6 +103,8 @@ def lips(
             validation=validation or (),
             test=test or (),
             most=most,
+            corpus=corpus,
+            corpus_clips=corpus_clips,
             force=force,
             progress=progress,
         )

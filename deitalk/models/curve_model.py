@@ -220,26 +220,6 @@ class DEITalk(nn.Module):
         """
         return self._by_pieces(self.decoder, analysis, emotion, len(self.controls.names))
 
-    def predict(self, waveform: Tensor, n_frames: int, emotion: int) -> Tensor:
-        """Curves of a whole clip in one emotion, as the network gives them.
-
-        Parameters
-        ----------
-        waveform : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
-        n_frames : int
-            Rig frames T of the clip.
-        emotion : int
-            Index in `deitalk.emotions.EMOTIONS`.
-
-        Returns
-        -------
-        Tensor [shape=(T, C)]
-            No rule is applied; values may leave the ranges of the controls.
-        """
-        style = torch.eye(len(EMOTIONS), device=waveform.device)[emotion]
-        return self.decode(self.analyse(waveform, n_frames), style.expand(n_frames, -1))
-
     @torch.no_grad()
     def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
         """Input of the decoder's last layer, from which a mesh can be decoded.

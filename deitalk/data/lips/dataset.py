@@ -1,25 +1,39 @@
 """Measured lips as a dataset folder: recordings, and curves that repeat the lips on the head."""
 
 import csv
+import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import soundfile
 import torch
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, load_audio
-from deitalk.data.clips import SPLITS
-from deitalk.data.lips.fit import fit_curves, network_curves
+from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.data.clips import SPLITS, Clip, read_clips
+from deitalk.data.lips.fit import fit_curves, neutral_reading
 from deitalk.data.lips.head import HeadLips
 from deitalk.data.lips.measured import LipClip, read_lips
+from deitalk.data.lips.transfer import LipTransfer
+from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
 from rig import RigCurves, write_curves
+from rig.arrays import Float32
 from rig.errors import quoted
 from rig.face.head import build_head
 from rig.files import output_folder
 
-HEADER = ("clip", "audio", "curves", "emotion", "speaker", "split", "source")
+HEADER = (
+    "clip", "audio", "curves", "emotion", "speaker", "split", "voice", "source", "phones",
+    "intensity",
+)  # fmt: skip
+MEASURED = "measured"
+"""Source of clips whose lips were measured."""
+VALIDATION_SHARE = 0.1
+"""Of the corpus clips; they come from its validation speakers."""
 
 
 def write_lip_dataset(
@@ -30,6 +44,8 @@ def write_lip_dataset(
     validation: Sequence[str] = (),
     test: Sequence[str] = (),
     most: int | None = None,
+    corpus: Path | None = None,
+    corpus_clips: int = 1000,
     force: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> int:
@@ -47,6 +63,11 @@ def write_lip_dataset(
         Speakers of these splits; the others train.
     most : int or None
         At most so many recordings of every speaker, the first ones.
+    corpus : Path or None
+        A dataset folder whose clips are added with corrected lips (`LipTransfer`, fitted to the
+        training speakers).
+    corpus_clips : int
+        How many of its clips, evenly spread.
     force : bool
         Replace a dataset folder that this function wrote.
     progress : callable
@@ -60,28 +81,41 @@ def write_lip_dataset(
     Raises
     ------
     DataError
-        If the measured lips are not as described, or a named speaker is not among them.
+        If the measured lips or the corpus are not as described, or a named speaker is not among
+        them.
     rig.errors.TargetError, rig.errors.ExistsError
         If `out` may not be written.
     """
     lips = HeadLips(build_head())
     clips = _first(read_lips(folder, lips.eye_distance), most)
+    _check_speakers(folder, clips, (*validation, *test))
+    acted = [] if corpus is None else _spread(corpus, corpus_clips)
+    inputs = (folder,) if corpus is None else (folder, corpus)
+    total = len(clips) + len(acted)
+    with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
+        writer = _Writer(stage, model, lips)
+        for clip in clips:
+            split = SPLITS[1 if clip.speaker in validation else 2 if clip.speaker in test else 0]
+            writer.measured(clip, split)
+            progress(len(writer.rows) / total)
+        transfer = LipTransfer.fit(writer.training) if acted else None
+        for example in acted:
+            assert transfer is not None
+            writer.corrected(example, transfer)
+            progress(len(writer.rows) / total)
+        with (stage / "clips.csv").open("w", encoding="utf-8", newline="") as file:
+            table = csv.DictWriter(file, HEADER, lineterminator="\n", restval="")
+            table.writeheader()
+            table.writerows(writer.rows)
+    return total
+
+
+def _check_speakers(folder: Path, clips: Sequence[LipClip], names: Sequence[str]) -> None:
     speakers = {clip.speaker for clip in clips}
-    for name in (*validation, *test):
+    for name in names:
         if name not in speakers:
             known = ", ".join(sorted(speakers))
             raise DataError(f"{folder}: no speaker {quoted(name)}; has {known}")
-    with output_folder(out, kind="dataset", force=force, inputs=(folder,)) as stage:
-        for name in ("audio", "curves"):
-            (stage / name).mkdir()
-        rows = []
-        for i, clip in enumerate(clips):
-            split = SPLITS[1 if clip.speaker in validation else 2 if clip.speaker in test else 0]
-            rows.append(_write(stage, clip, split, model, lips))
-            progress((i + 1) / len(clips))
-        with (stage / "clips.csv").open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows([HEADER, *rows])
-    return len(clips)
 
 
 def _first(clips: Sequence[LipClip], most: int | None) -> list[LipClip]:
@@ -95,15 +129,83 @@ def _first(clips: Sequence[LipClip], most: int | None) -> list[LipClip]:
     return chosen
 
 
-def _write(
-    stage: Path, clip: LipClip, split: str, model: DEITalk, lips: HeadLips
-) -> tuple[str, ...]:
-    """Write sound and curves of one clip; returns its row."""
-    recording = load_audio(clip.sound)
-    prior = network_curves(model, recording)
-    n = min(len(prior), len(clip.measures))
-    values = fit_curves(prior[:n], torch.from_numpy(clip.measures[:n]), lips, model.controls)
-    audio, curves = f"audio/{clip.name}.flac", f"curves/{clip.name}.npz"
-    soundfile.write(stage / audio, recording.waveform, SAMPLE_RATE, subtype="PCM_16")
-    write_curves(stage / curves, RigCurves(values.numpy(), model.controls.names, fps=FRAME_RATE))
-    return clip.name, audio, curves, "neutral", f"lips:{clip.speaker}", split, "recording"
+def _spread(corpus: Path, most: int) -> list[Clip]:
+    """Clips of a dataset folder, evenly spread, from its training and validation speakers."""
+    chosen = []
+    for split, share in (("train", 1 - VALIDATION_SHARE), ("validation", VALIDATION_SHARE)):
+        clips = read_clips(corpus, split)
+        count = min(len(clips), round(share * most))
+        chosen += [clips[i] for i in np.linspace(0, len(clips) - 1, count).round().astype(int)]
+    return chosen
+
+
+@dataclass
+class _Writer:
+    """Writes clips into a stage and keeps their rows."""
+
+    stage: Path
+    model: DEITalk
+    lips: HeadLips
+    rows: list[dict[str, str]] = field(default_factory=list)
+    training: list[tuple[str, Float32, Float32, Float32]] = field(default_factory=list)
+    """Speaker, features, own lips and measured lips of the training clips."""
+
+    def measured(self, clip: LipClip, split: str) -> None:
+        """Write a recording with curves that repeat its lips."""
+        recording = load_audio(clip.sound)
+        n = min(recording.n_frames, len(clip.measures))
+        sound = torch.tensor(normalise_level(recording.waveform))
+        features, prior = neutral_reading(self.model, sound, recording.n_frames)
+        measures = clip.measures[:n]
+        values = fit_curves(prior[:n], torch.tensor(measures), self.lips, self.model.controls)
+        if split == SPLITS[0]:
+            own = self.lips.displacements(prior[:n]).numpy()
+            self.training.append((clip.speaker, features[:n].numpy(), own, measures))
+        self._write(
+            clip.name,
+            recording.waveform,
+            values.numpy(),
+            emotion="neutral",
+            speaker=f"lips:{clip.speaker}",
+            split=split,
+            source=MEASURED,
+        )
+
+    def corrected(self, clip: Clip, transfer: LipTransfer) -> None:
+        """Write a clip of a corpus with corrected lips."""
+        material = load_material(clip, self.model.controls)
+        n_frames = n_clip_frames(len(material.waveform))
+        sound, curves, _, _ = cut(material, 0, n_frames)
+        speaking = speech_activity(sound)[:n_frames] > 0
+        values = transfer.correct(self.model, self.lips, torch.tensor(sound), curves, speaking)
+        copied = {
+            kind: self._copy(kind, path, clip.name)
+            for kind, path in (("phones", clip.phones), ("intensity", clip.intensity))
+            if path is not None
+        }
+        self._write(
+            clip.name,
+            load_audio(clip.audio).waveform,
+            values,
+            emotion=clip.emotion,
+            speaker=clip.speaker,
+            split=clip.split,
+            voice=clip.voice,
+            source=clip.source,
+            **copied,
+        )
+
+    def _copy(self, kind: str, path: Path, name: str) -> str:
+        (self.stage / kind).mkdir(exist_ok=True)
+        copy = f"{kind}/{name}{path.suffix}"
+        shutil.copyfile(path, self.stage / copy)
+        return copy
+
+    def _write(self, name: str, waveform: Float32, values: Float32, **columns: str) -> None:
+        audio, curves = f"audio/{name}.flac", f"curves/{name}.npz"
+        for path in (audio, curves):
+            (self.stage / path).parent.mkdir(parents=True, exist_ok=True)
+        soundfile.write(self.stage / audio, waveform, SAMPLE_RATE, subtype="PCM_16")
+        names = self.model.controls.names
+        write_curves(self.stage / curves, RigCurves(values, names, fps=FRAME_RATE))
+        self.rows.append({"clip": name, "audio": audio, "curves": curves, **columns})

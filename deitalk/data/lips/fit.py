@@ -37,27 +37,36 @@ ITERATIONS = 8
 
 
 @torch.no_grad()
-def network_curves(model: DEITalk, recording: Recording, emotion: str = "neutral") -> Tensor:
-    """Curves of the network alone, no rule applied, within the ranges of the controls.
+def neutral_reading(model: DEITalk, sound: Tensor, n_frames: int) -> tuple[Tensor, Tensor]:
+    """Speech features of a recording and the network's neutral curves, no rule applied.
 
     Parameters
     ----------
     model : DEITalk
         In evaluation mode.
-    recording : Recording
-        What is said.
-    emotion : str
-        One of `deitalk.emotions.EMOTIONS`.
+    sound : Tensor [shape=(S,)]
+        16 kHz, level-normalised.
+    n_frames : int
+        Rig frames T.
 
     Returns
     -------
-    Tensor [shape=(T, C)]
+    features : Tensor [shape=(T, D)]
+    curves : Tensor [shape=(T, C)]
+        Within the ranges of the controls.
     """
-    sound = torch.from_numpy(normalise_level(recording.waveform))
     controls = model.controls
+    analysis = model.analyse(sound, n_frames)
+    style = torch.eye(len(EMOTIONS))[EMOTIONS.index("neutral")]
+    curves = model.decode(analysis, style.expand(n_frames, -1))
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    curves = model.predict(sound, recording.n_frames, EMOTIONS.index(emotion))
-    return curves.clamp(low, high).float()
+    return analysis.speech, curves.clamp(low, high).float()
+
+
+def network_curves(model: DEITalk, recording: Recording) -> Tensor:
+    """Neutral curves of the network alone [shape=(T, C)] (`neutral_reading`)."""
+    sound = torch.tensor(normalise_level(recording.waveform))
+    return neutral_reading(model, sound, recording.n_frames)[1]
 
 
 def looseness(controls: ControlSet) -> Tensor:
@@ -96,7 +105,6 @@ def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: Contro
         Within the ranges of the controls.
     """
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    rest = lips(torch.tensor(controls.rest).float())
     loose = looseness(controls).square()
     noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
     known = torch.isfinite(measures).all(dim=1, keepdim=True)
@@ -107,9 +115,7 @@ def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: Contro
         slope = slope * free[:, None]
         back = (slope @ (curves - prior)[..., None])[..., 0]
         moved = slope * loose
-        solved = torch.linalg.solve(
-            moved @ slope.transpose(1, 2) + noise, wanted - (given - rest) + back
-        )
+        solved = torch.linalg.solve(moved @ slope.transpose(1, 2) + noise, wanted - given + back)
         step = (solved[:, None] @ moved)[:, 0]
         aim = torch.where(free > 0, prior + step * known, curves)
         curves = aim.clamp(low, high)
@@ -118,10 +124,10 @@ def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: Contro
 
 
 def _linearised(lips: HeadLips, curves: Tensor) -> tuple[Tensor, Tensor]:
-    """Measures (T, M) of curves, and their slopes (T, M, C)."""
+    """Displacements (T, M) of the lips by curves, and their slopes (T, M, C)."""
     with torch.enable_grad():
         point = curves.detach().requires_grad_(True)
-        given = lips(point)
+        given = lips.displacements(point)
         slopes = [
             torch.autograd.grad(given[:, i].sum(), point, retain_graph=i + 1 < len(MEASURES))[0]
             for i in range(len(MEASURES))

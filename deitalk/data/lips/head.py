@@ -54,6 +54,7 @@ class HeadLips(nn.Module):
     seals: Tensor
     zips: Tensor
     central: Tensor
+    rest: Tensor
 
     def __init__(self, head: Head) -> None:
         super().__init__()
@@ -68,6 +69,7 @@ class HeadLips(nn.Module):
         gains[arrays["bind.control"], arrays["bind.input"]] = arrays["bind.gain"]
         self._keep("gains", gains)
         self._keep("shapes", self._point_shapes(arrays, facts, np.array(points)))
+        self._keep("rest", facts["rest"])
         self._keep("neutral", head.skin.vertices[points])
         self._keep("share", arrays["jaw.weight"][points])
         along = arrays["seal.u"]
@@ -149,6 +151,11 @@ class HeadLips(nn.Module):
             (nose - (left + right) / 2)[..., 1],
         )
         return torch.stack(measures, dim=-1)
+
+    def displacements(self, curves: Tensor) -> Tensor:
+        """Measures less those of the face at rest [shape=(..., M), cm]; arguments as `forward`."""
+        measures: Tensor = self(curves) - self(self.rest)
+        return measures
 
     def _open(self, points: Tensor, inputs: Tensor) -> Tensor:
         """Rotate and slide the points (..., N, 3) with the jaw (`rig.face.motion.jaw`)."""

@@ -14,6 +14,9 @@ from deitalk.data.lips.dataset import write_lip_dataset
 from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import COLUMNS, read_lips
+from deitalk.data.lips.regression import LipRidge
+from deitalk.data.lips.transfer import LipTransfer
+from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
 from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
 from deitalk.models.checkpoint import require_model
@@ -23,6 +26,7 @@ from rig.errors import ExistsError
 from rig.face.geometry.topology import MOUTH
 from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks
+from tests.dataset import write_dataset
 
 CONTROLS = default_controls()
 PLACE = {name: i for i, name in enumerate(CONTROLS.names)}
@@ -264,6 +268,67 @@ def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips)
     with pytest.raises(DataError, match="no speaker 'x'"):
         write_lip_dataset(measured, tmp_path / "new", model, test=["x"])
     assert not (tmp_path / "new").exists()
+
+
+# what measured lips teach about other speech
+
+
+def test_ridge_finds_a_linear_law_of_features_in_context(rng):
+    weights = rng.normal(size=(6, 3))
+    recordings = []
+    for who, n in (("one", 30), ("two", 2), ("three", 2)):
+        for _ in range(n):
+            features = rng.normal(size=(80, 3)).astype(np.float32)
+            features = np.cumsum(features, axis=0) * 0.2
+            measures = (np.roll(features, -2, axis=0) @ weights.T + 0.3).astype(np.float32)
+            measures[-2:] = np.nan  # rolled over the end
+            recordings.append((who, features, measures))
+    ridge = LipRidge.fit(recordings, ridge=0.01)
+    _, features, measures = recordings[-1]
+    np.testing.assert_allclose(ridge(features)[:-4], measures[:-4], atol=0.02)
+
+
+def test_speakers_count_alike_in_the_ridge(rng):
+    """200 recordings of one speaker do not outvote three of another."""
+    recordings = [
+        (who, np.ones((20, 2), np.float32) * (1 if k % 2 else -1), np.full((20, 6), value))
+        for who, value, n in (("many", 0.0, 200), ("few", 1.0, 40))
+        for k in range(n)
+    ]
+    ridge = LipRidge.fit([(w, f, m.astype(np.float32)) for w, f, m in recordings])
+    assert ridge(np.zeros((3, 2), np.float32)) == pytest.approx(np.full((3, 6), 0.5), abs=1e-6)
+
+
+def test_transfer_brings_lips_to_the_measured_amplitude(rng):
+    own = rng.normal(size=(400, 6)).astype(np.float32)
+    real = 2 * own + 0.1
+    features = own @ rng.normal(size=(6, 5)).astype(np.float32)
+    transfer = LipTransfer.fit([("a", features, own, real)])
+    np.testing.assert_allclose(transfer.gain, 2, rtol=1e-3)
+    np.testing.assert_allclose(transfer.offset, 0.1, atol=1e-3)
+
+
+def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
+    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    out, model = tmp_path / "data", require_model("default", DEITalk)
+    count = write_lip_dataset(measured, out, model, corpus=corpus, corpus_clips=3)
+    clips = read_clips(out)
+    assert len(clips) == count == 3 + len([c for c in clips if c.source != "measured"])
+    originals = {clip.name: clip for clip in read_clips(corpus)}
+    loose = looseness(CONTROLS).numpy() > 0
+    for clip in clips:
+        if clip.source == "measured":
+            continue
+        old, new = (load_material(c, CONTROLS) for c in (originals[clip.name], clip))
+        n = min(len(old.values), len(new.values))
+        old_values = cut(old, 0, n)[1].astype(np.float32)
+        new_values = new.values[:n].astype(np.float32)
+        np.testing.assert_allclose(new_values[:, ~loose], old_values[:, ~loose], atol=2e-3)
+        assert (clip.emotion, clip.speaker, clip.split) == (
+            originals[clip.name].emotion,
+            originals[clip.name].speaker,
+            originals[clip.name].split,
+        )
 
 
 # scores
