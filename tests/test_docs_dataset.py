@@ -11,7 +11,7 @@ from deitalk.corpus.build import COLUMNS
 from deitalk.data import clips as reader
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones
-from deitalk.data.windows import Batches
+from deitalk.data.windows import WindowBatches
 from deitalk.evaluation.curves import ADULT_YEARS
 from rig import default_controls
 
@@ -70,7 +70,7 @@ def test_example_has_no_errors(example):
 
 def test_example_gives_training_windows(example):
     config = load_config(ROOT / "configs/tiny.yaml")
-    batches = Batches(read_clips(example, "train"), default_controls(), config.data, 0, 2)
+    batches = WindowBatches(read_clips(example, "train"), default_controls(), config.data, 0, 2)
     window = next(iter(batches))
     assert window.curves.shape == (2, 32, 185)
     assert window.curves[..., default_controls().index("CTRL_C_jaw.ty")].max() > 0.3
@@ -79,7 +79,7 @@ def test_example_gives_training_windows(example):
 
 @pytest.mark.slow
 def test_example_trains(example, tmp_path):
-    from deitalk.training.curves import train
+    from deitalk.training.curves import train_curves
 
-    best = train(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
+    best = train_curves(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
     assert best["step"] in (3, 6)

@@ -49,7 +49,7 @@ def test_imports_point_down_only(path):
 def test_walk_finds_imports_inside_functions(tmp_path):
     path = tmp_path / "x.py"
     path.write_text(
-        "def f():\n    import torch.nn\n    from deitalk.training.curves import train\n"
+        "def f():\n    import torch.nn\n    from deitalk.training.curves import train_curves\n"
     )
     assert imported(path) == {"torch", "deitalk"}
 

@@ -64,6 +64,6 @@ def ablate(
             split=split,
             most=most,
             overrides=overrides or (),
-            says=lambda name, share: progress((order.index(name) + share) / len(order)),
+            progress=lambda name, share: progress((order.index(name) + share) / len(order)),
         )
     emit(as_markdown(table, split, seeds))

@@ -1,6 +1,8 @@
 """`deitalk train`: fit a model to a dataset folder."""
 
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,8 +12,8 @@ from deitalk.cli.console import bar, console
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
-    from deitalk.config import SDFAConfig
-    from deitalk.training.curves import Progress
+    from deitalk.config import AnyConfig
+    from deitalk.training.trainer import Progress
 
 
 def train(
@@ -41,32 +43,36 @@ def train(
 
     deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
     """
-    from deitalk.config import SDFAConfig, load_config
+    from deitalk.config import load_config
 
     settings = load_config(config, overrides or ())
-    if isinstance(settings, SDFAConfig):
-        _refuse_for_sdfa(start_from, tensorboard=tensorboard)
-        _train_sdfa(settings, data, out, resume=resume)
-        return
     with console().status("loading"):
         from deitalk.figures.canvas import can_draw
-        from deitalk.models.folder import model_folder
-        from deitalk.training.curves import train as fit
 
+        fit = _training(settings, start_from)
         if not can_draw():
             console().print("without pictures in OUT/curves: pip install matplotlib")
-        start = None if start_from is None else model_folder(start_from)
-    with bar("training") as progress:
-        best = fit(
-            settings,
-            data,
-            out,
-            resume=resume,
-            start_from=start,
-            tensorboard=tensorboard,
-            progress=_shown_on(progress),
-        )
+    with bar("training") as advance:
+        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=_shown_on(advance))
     _report(out, best)
+
+
+def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
+    """The training of the configuration's kind of model."""
+    from deitalk.config import SDFAConfig
+    from deitalk.errors import ConfigError
+    from deitalk.models.folder import model_folder
+
+    if isinstance(settings, SDFAConfig):
+        from deitalk.training.mesh import train_mesh
+
+        if start_from is not None:
+            raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
+        return partial(train_mesh, settings)
+    from deitalk.training.curves import train_curves
+
+    start = None if start_from is None else model_folder(start_from)
+    return partial(train_curves, settings, start_from=start)
 
 
 def _shown_on(advance: "Advance") -> "Progress":
@@ -79,29 +85,6 @@ def _shown_on(advance: "Advance") -> "Progress":
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress
-
-
-def _refuse_for_sdfa(start_from: str | None, *, tensorboard: bool) -> None:
-    from deitalk.errors import ConfigError
-
-    if start_from is not None:
-        raise ConfigError("--from: not for SDFA; leave it out, or use --resume")
-    if tensorboard:
-        raise ConfigError("--tensorboard: SDFA writes metrics.csv only; leave it out")
-
-
-def _train_sdfa(settings: "SDFAConfig", data: Path, out: Path, *, resume: bool) -> None:
-    with console().status("loading"):
-        from deitalk.training.mesh import train_sdfa as fit
-    with bar("training") as progress:
-        best = fit(
-            settings,
-            data,
-            out,
-            resume=resume,
-            progress=_shown_on(progress),
-        )
-    _report(out, best)
 
 
 def _report(out: Path, best: dict[str, Any]) -> None:

@@ -2,21 +2,15 @@
 
 from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    ValidationInfo,
-    field_validator,
-)
+from pydantic import Field, ValidationInfo, field_validator
 
 from deitalk.config.frontends import ConformerConfig, MelConfig, Wav2VecConfig
 from deitalk.config.section import (
     Dilation,
     Odd,
+    Optimisation,
     Section,
-    Seed,
-    Steps,
     Width,
-    Workers,
 )
 from rig import limits
 
@@ -100,32 +94,18 @@ class DataConfig(Section):
     )
 
 
-class TrainConfig(Section):
+class TrainConfig(Optimisation):
     """Optimiser and schedule (DEITalk §4.1)."""
 
-    learning_rate: float = Field(default=1e-4, gt=0)
-    optimizer: Literal["adam", "adamw"] = "adam"
-    weight_decay: float = Field(default=0.0, ge=0)
-    schedule: Literal["constant", "one_cycle"] = "constant"
-    batch_size: int = Field(default=32, ge=1, le=limits.BATCH)
+    batch_size: int = Field(default=32, ge=1, le=limits.BATCH, description="windows")
     epochs: float = Field(
         default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training windows"
     )
-    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
-    gradient_clip: float | None = Field(default=None, gt=0)
-    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    optimizer: Literal["adam", "adamw"] = "adam"
+    weight_decay: float = Field(default=0.0, ge=0)
     frozen_frontend: str | None = Field(
         default=None, description="model whose frontend is taken and does not learn"
     )
-    evaluate_every: Steps = Field(
-        default=500, description="steps between evaluations and checkpoints"
-    )
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32",
-        description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
-    )
-    seed: Seed = 0
-    workers: Workers = Field(default=0, description="processes that prepare windows")
     teacher: str | None = Field(
         default=None,
         description="model (name or folder) whose speech features are learnt; not in the paper",

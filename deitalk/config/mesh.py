@@ -2,21 +2,14 @@
 
 from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
 from deitalk.config.section import (
+    Optimisation,
     Positive,
     Section,
-    Seed,
-    Steps,
     Width,
-    Workers,
 )
 from rig import limits
 
@@ -73,26 +66,21 @@ class MeshDataConfig(Section):
     )
 
 
-class MeshTrainConfig(Section):
+class MeshTrainConfig(Optimisation):
     """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and our additions."""
 
-    learning_rate: float = Field(default=1e-4, gt=0)
-    schedule: Literal["constant", "one_cycle"] = "constant"
-    segment_frames: int = Field(
-        default=2,
-        ge=2,
-        le=limits.BATCH,
-        description="adjacent frames drawn together; 2: the paper's pairs",
-    )
     batch_size: int = Field(
         default=100, ge=2, le=limits.BATCH, description="frames; a multiple of segment_frames"
     )
     epochs: float = Field(
         default=50, gt=0, le=limits.TRAINING_PASSES, description="passes over all training frames"
     )
-    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
-    gradient_clip: float | None = Field(default=None, gt=0)
-    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    segment_frames: int = Field(
+        default=2,
+        ge=2,
+        le=limits.BATCH,
+        description="adjacent frames drawn together; 2: the paper's pairs",
+    )
     loss_decay: float = Field(
         default=0.99, gt=0, lt=1, description="of the loss terms' second moments"
     )
@@ -108,21 +96,13 @@ class MeshTrainConfig(Section):
     lip_weight: float = Field(
         default=0.0, ge=0, description="weight of the lips' rims; not in the paper"
     )
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32", description="bfloat16: faster on CPUs with AMX, far slower elsewhere"
-    )
-    evaluate_every: Steps = Field(
-        default=500, description="steps between evaluations and checkpoints"
-    )
-    seed: Seed = 0
-    workers: Workers = Field(default=0, description="processes that prepare segments")
 
-    @field_validator("batch_size")
+    @field_validator("segment_frames")
     @classmethod
     def _whole_segments(cls, value: int, info: ValidationInfo) -> int:
-        segment = info.data.get("segment_frames", 1)
-        if value % segment:
-            raise ValueError(f"must be a multiple of segment_frames, {segment}")
+        batch = info.data.get("batch_size", value)
+        if batch % value:
+            raise ValueError(f"must divide batch_size, {batch}")
         return value
 
 

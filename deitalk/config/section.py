@@ -1,7 +1,7 @@
 """Types and limits of the fields of a configuration."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -78,3 +78,28 @@ class Section(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
     )
+
+
+class Optimisation(Section):
+    """How any model is trained: steps, batches, learning rate and what is kept."""
+
+    learning_rate: float = Field(default=1e-4, gt=0)
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    batch_size: int = Field(default=32, ge=1, le=limits.BATCH)
+    epochs: float = Field(
+        default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training data"
+    )
+    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
+    gradient_clip: float | None = Field(
+        default=None, gt=0, description="largest norm of the gradient of all weights"
+    )
+    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
+    evaluate_every: Steps = Field(
+        default=500, description="steps between evaluations and checkpoints"
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32",
+        description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
+    )
+    seed: Seed = 0
+    workers: Workers = Field(default=0, description="processes that prepare batches")

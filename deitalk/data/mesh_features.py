@@ -4,6 +4,7 @@ Letters: T frames of a clip or a segment, D features.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,27 +46,27 @@ class FeatureSegments(SegmentBatches):
         clips: Sequence[MeshClip],
         speakers: tuple[str, ...],
         encoder: DEITalkFeatures,
-        **drawing: int,
+        **drawing: Any,
     ) -> None:
-        spoken = [
+        in_memory = [
             ClipInMemory(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
             for clip in clips
         ]
-        super().__init__(spoken, len(speakers), **drawing)
+        super().__init__(in_memory, len(speakers), **drawing)
         self.places = torch.arange(self.n_frames)
 
     @property
     def rows(self) -> torch.Tensor:
         """Features of all clips, one after the other [shape=(T, D)]."""
-        return torch.from_numpy(np.concatenate([clip.heard for clip in self.clips])).float()
+        return torch.from_numpy(np.concatenate([clip.speech for clip in self.clips])).float()
 
-    def segment(self, number: int) -> Segment:
-        """The segment of one number."""
-        _, clip, first = self.drawn(number)
+    def item(self, number: int) -> Segment:
+        """Cut the segment of a number."""
+        clip, first = self.draw(self.rng(number))
         frames = first + np.arange(self.n_frames, dtype=np.float64)
-        rows = clip.heard[np.clip(frames.astype(np.int64), 0, len(clip.heard) - 1)]
+        rows = clip.speech[np.clip(frames.astype(np.int64), 0, len(clip.speech) - 1)]
         features = torch.from_numpy(rows.astype(np.float32)).T.unsqueeze(0)  # (1, D, T)
-        return self.completed(features, clip, frames)
+        return self.with_targets(features, clip, frames)
 
 
 @torch.no_grad()

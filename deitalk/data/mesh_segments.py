@@ -4,20 +4,18 @@ Letters: T frames of a segment, C channels and F bins of a spectrum, L spectra, 
 P speakers. The paper draws pairs: T = 2.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from itertools import count
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
 
 from deitalk.audio.mel import SAMPLE_RATE, derivative
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
 from deitalk.data.mesh_folder import MOTION, MeshClip
+from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.frontends.windows import Encoder
 from rig.arrays import Float32, Float64
@@ -87,13 +85,13 @@ class Spectra:
 class ClipInMemory(NamedTuple):
     """A clip in memory."""
 
-    heard: Float32
+    speech: Float32
     """Waveform (S,), or features (T, D)."""
     motion: dict[str, Float32]
     speaker: int
 
 
-class SegmentBatches(ABC, IterableDataset[Segment]):
+class SegmentBatches(SeededBatches[Segment]):
     """Endless batches of random segments of adjacent frames, each as likely as another.
 
     Parameters
@@ -102,17 +100,20 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
         Those of one split.
     n_speakers : int
         P.
-    n_segments, n_frames : int
-        Segments of a batch, T.
-    seed : int
-        Segment k depends on the seed and k alone, whatever the number of workers.
-    skip : int
-        First batch: where an interrupted training goes on.
+    n_frames : int
+        Frames T of a segment.
+    seed, batch_size, share
+        As for `SeededBatches`; an item is a segment.
 
     Attributes
     ----------
     places : Tensor [shape=(T,)]
         Where in a segment's features each frame is.
+
+    Raises
+    ------
+    DataError
+        If there are no clips.
     """
 
     places: Tensor
@@ -122,49 +123,34 @@ class SegmentBatches(ABC, IterableDataset[Segment]):
         clips: Sequence[ClipInMemory],
         n_speakers: int,
         *,
-        n_segments: int,
         n_frames: int,
         seed: int,
-        skip: int = 0,
+        batch_size: int,
+        share: Share = Share(),
     ) -> None:
         if not clips:
             raise DataError("no mesh sequences to train on; the data has none in this split")
-        self.clips, self.n_speakers = list(clips), n_speakers
-        self.n_segments, self.n_frames = n_segments, n_frames
-        self.seed, self.skip = seed, skip
+        super().__init__(seed, batch_size, share)
+        self.clips, self.n_speakers, self.n_frames = list(clips), n_speakers, n_frames
         counts = [max(len(c.motion["stretch"]) - n_frames, 0) + 1 for c in self.clips]
         self.starts_before = np.cumsum([0, *counts])
 
     @property
     def n_frames_total(self) -> int:
-        """Frames that an epoch passes over."""
+        """Frames of all clips: those of an epoch."""
         return sum(len(clip.motion["stretch"]) for clip in self.clips)
 
-    def __iter__(self) -> Iterator[Segment]:
-        """Yield this worker's batches, stacked."""
-        worker = get_worker_info()
-        step, lane = (worker.num_workers, worker.id) if worker else (1, 0)
-        for batch in count(self.skip + lane, step):
-            numbers = range(batch * self.n_segments, (batch + 1) * self.n_segments)
-            segments = [self.segment(number) for number in numbers]
-            yield Segment(*(torch.stack(field) for field in zip(*segments, strict=True)))
-
-    @abstractmethod
-    def segment(self, number: int) -> Segment:
-        """The segment of one number."""
-
-    def drawn(self, number: int) -> tuple[np.random.Generator, ClipInMemory, int]:
-        """What the segment of a number is made with: chance, its clip and its first frame."""
-        rng = np.random.default_rng((self.seed, number))
+    def draw(self, rng: np.random.Generator) -> tuple[ClipInMemory, int]:
+        """Draw a clip and the first frame of a segment in it."""
         drawn = int(rng.integers(self.starts_before[-1]))
         which = int(np.searchsorted(self.starts_before, drawn, side="right")) - 1
-        return rng, self.clips[which], drawn - int(self.starts_before[which])
+        return self.clips[which], drawn - int(self.starts_before[which])
 
-    def completed(self, features: Tensor, clip: ClipInMemory, places: Float64) -> Segment:
-        """A segment of features whose frames are at fractional places of a clip."""
+    def with_targets(self, features: Tensor, clip: ClipInMemory, frames: Float64) -> Segment:
+        """Make the segment of features whose frames are at fractional frame numbers of a clip."""
         empty = np.zeros((len(clip.motion["stretch"]), 0, 3), np.float32)
         targets = {
-            name: torch.from_numpy(between_frames(clip.motion.get(name, empty), places))
+            name: torch.from_numpy(between_frames(clip.motion.get(name, empty), frames))
             for name in MOTION
         }
         label = torch.zeros(self.n_speakers)
@@ -205,13 +191,13 @@ class Segments(SegmentBatches):
         encoder: Encoder,
         *,
         augment: bool,
-        **drawing: int,
+        **drawing: Any,
     ) -> None:
-        spoken = [
+        in_memory = [
             ClipInMemory(normalise_level(c.waveform()), c.motion(), speakers.index(c.speaker))
             for c in clips
         ]
-        super().__init__(spoken, len(speakers), **drawing)
+        super().__init__(in_memory, len(speakers), **drawing)
         self.fps, self.augment = fps, augment
         after = torch.arange(self.n_frames, dtype=torch.float64) - (self.n_frames - 1) / 2
         around = torch.round(after / fps * encoder.frame_rate).long()
@@ -220,28 +206,28 @@ class Segments(SegmentBatches):
         self.spectra = Spectra(encoder, 2 * half)
         self.places = around + half
 
-    def segment(self, number: int) -> Segment:
-        """The segment of one number."""
-        rng, clip, first = self.drawn(number)
+    def item(self, number: int) -> Segment:
+        """Cut the segment of a number."""
+        rng = self.rng(number)
+        clip, first = self.draw(rng)
         frames = first + np.arange(self.n_frames, dtype=np.float64)
-        waveform, warp, began = clip.heard, MelWarp(), 0.0
+        waveform, warp, start = clip.speech, MelWarp(), 0.0
         if self.augment:
             frames = frames + frame_shift(rng)
-            waveform, began = self._surroundings(waveform, float(frames.mean()) / self.fps)
+            waveform, start = self._surroundings(waveform, float(frames.mean()) / self.fps)
             waveform = augment_audio(waveform, rng)
             if self.spectra.encoder.warps:
                 warp = MelWarp.draw(int(self._bins), rng)
         middle = float(frames.mean())
-        features = self.spectra(waveform, middle / self.fps - began, warp)
-        places = middle + (frames - middle) / warp.stretch
-        return self.completed(features, clip, places)
+        features = self.spectra(waveform, middle / self.fps - start, warp)
+        return self.with_targets(features, clip, middle + (frames - middle) / warp.stretch)
 
     @property
     def _bins(self) -> Any:
         return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
 
     def _surroundings(self, waveform: Float32, time: float) -> tuple[Float32, float]:
-        """What is near a moment, for the noise's sake, and the second that it begins at."""
+        """Cut out what is near a moment, all that is augmented; with the second it begins at."""
         reach = round(self.spectra.n_wide * self.spectra.hop)
         start = max(round(time * SAMPLE_RATE) - reach, 0)
         stop = max(round(time * SAMPLE_RATE) + reach, 1)
@@ -249,7 +235,7 @@ class Segments(SegmentBatches):
 
 
 def between_frames(rows: Float32, places: Float64) -> Float32:
-    """Rows at fractional places, linear, held beyond the ends.
+    """Float32 at fractional places, linear, held beyond the ends.
 
     Parameters
     ----------

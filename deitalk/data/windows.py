@@ -4,16 +4,14 @@ Letters: S samples, T frames of a window (128), C controls.
 """
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache, lru_cache
-from itertools import count
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
 
 from deitalk.audio.load import frame_count, load_audio
 from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
@@ -21,6 +19,7 @@ from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import Clip, read_intensity
+from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
@@ -173,7 +172,7 @@ def _curves_at(material: Material, times: Float64) -> tuple[Float32, Float32]:
     return curves, intensity
 
 
-class Batches(IterableDataset[Window]):
+class WindowBatches(SeededBatches[Window]):
     """Endless batches of random windows of many clips.
 
     Every clip is as likely as another, whatever its length (recorded ones by
@@ -192,20 +191,18 @@ class Batches(IterableDataset[Window]):
         Columns of the curves.
     config : DataConfig
         Window, stride and augmentation.
-    seed : int
-        Window k depends on the seed and k alone, whatever the number of workers.
-    batch_size : int
-        Windows of a batch, over all processes.
-    skip : int
-        First batch: where an interrupted training goes on.
+    seed, batch_size, share
+        As for `SeededBatches`; an item is a window.
     frozen_features : FrozenFeatures or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
     clean : bool
         Windows carry the sound before augmentation too.
-    rank, world : int
-        Share of this process when several train together: batch b is the same windows whatever
-        the number of processes and workers.
+
+    Raises
+    ------
+    DataError
+        If there are no clips.
     """
 
     def __init__(
@@ -215,35 +212,23 @@ class Batches(IterableDataset[Window]):
         config: DataConfig,
         seed: int,
         batch_size: int,
-        skip: int = 0,
-        rank: int = 0,
-        world: int = 1,
+        share: Share = Share(),
+        *,
         frozen_features: "FrozenFeatures | None" = None,
         clean: bool = False,
     ) -> None:
         if not clips:
             raise DataError("no clips to train on; the dataset has none in this split")
+        super().__init__(seed, batch_size, share)
         self.clips, self.controls, self.config = list(clips), controls, config
-        self.seed, self.batch_size, self.skip = seed, batch_size, skip
-        self.rank, self.world = rank, world
         self.frozen_features, self.clean = None if config.augment else frozen_features, clean
         self.recorded = np.array([clip.source == "recording" for clip in self.clips])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
         self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
 
-    def __iter__(self) -> Iterator[Window]:
-        """Yield this worker's batches, stacked."""
-        worker = get_worker_info()
-        step, lane = (worker.num_workers, worker.id) if worker else (1, 0)
-        for batch in count(self.skip + lane, step):
-            first = batch * self.batch_size
-            numbers = range(first + self.rank, first + self.batch_size, self.world)
-            windows = [self.window(number) for number in numbers]
-            yield Window(*(torch.stack(field) for field in zip(*windows, strict=True)))
-
-    def window(self, number: int) -> Window:
-        """The window of one number."""
-        rng = np.random.default_rng((self.seed, number))
+    def item(self, number: int) -> Window:
+        """Cut the window of a number."""
+        rng = self.rng(number)
         clip = self._draw(rng)
         material = self.cache.read(clip)
         config = self.config

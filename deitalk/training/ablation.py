@@ -25,7 +25,7 @@ from deitalk.evaluation.curves import evaluate
 from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.training.curves import train
+from deitalk.training.curves import train_curves
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
@@ -39,7 +39,7 @@ FULL = "full"
 """The variant that comes first in the table."""
 KIND = "ablations"
 """What the manifest calls the folder."""
-Says = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def ablate(
     most: int | None = None,
     probes: int = 2,
     overrides: Sequence[str] = (),
-    says: Says = lambda run, share: None,
+    progress: Progress = lambda run, share: None,
 ) -> dict[str, Any]:
     """Train and evaluate every variant with every seed; what is done is not done again.
 
@@ -118,8 +118,8 @@ def ablate(
         As for `deitalk.evaluation.curves.evaluate`.
     overrides : sequence of str
         For all variants, such as ``data.noise_folder=noise``.
-    says : callable
-        Told the run and the share of its training that is done.
+    progress : callable
+        Called with the run and the share of its training that is done.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def ablate(
     with claim(out):
         begin_folder(out, kind=KIND)
         asked = {"split": split, "most": most, "probes": probes}
-        return _ablate(variants, data, out, steps, seeds, asked, overrides, says)
+        return _ablate(variants, data, out, steps, seeds, asked, overrides, progress)
 
 
 def _ablate(
@@ -148,7 +148,7 @@ def _ablate(
     seeds: int,
     asked: dict[str, Any],
     overrides: Sequence[str],
-    says: Says,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Every run and the table, in a folder that is held."""
     table = {}
@@ -159,7 +159,7 @@ def _ablate(
         for seed in range(seeds):
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
-            reports.append(_report(folder, config, data, asked, says, lend))
+            reports.append(_report(folder, config, data, asked, progress, lend))
         table[variant.name] = _summary(reports)
         _write(out, table, asked["split"], seeds)
     return table
@@ -170,7 +170,7 @@ def _report(
     config: Config,
     data: Path,
     asked: dict[str, Any],
-    says: Says,
+    progress: Progress,
     lend: Callable[[str], FrozenFeatures],
 ) -> dict[str, Any]:
     """The evaluation of one run: read, or made."""
@@ -180,7 +180,7 @@ def _report(
         return _finished(path, config, asked)
     frozen = config.train.frozen_frontend
     frozen_features = None if frozen is None else lend(frozen)
-    _train(folder, config, data, frozen_features, lambda share: says(name, share))
+    _train(folder, config, data, frozen_features, lambda share: progress(name, share))
     options = {key: asked[key] for key in ("split", "most", "probes")}
     report = evaluate(require_model(folder / "best", DEITalk), data, **options)
     with atomic_write(path) as beside:
@@ -208,15 +208,15 @@ def _train(
     config: Config,
     data: Path,
     frozen_features: FrozenFeatures | None,
-    says: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> None:
-    train(
+    train_curves(
         config,
         data,
         folder,
         resume=True,
         frozen_features=frozen_features,
-        progress=lambda step, total, values: says(step / total),
+        progress=lambda step, total, values: progress(step / total),
     )
 
 

@@ -4,11 +4,16 @@ Letters: B batch, T frames, C controls, E width of the joint embedding.
 """
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config import LossConfig
+from deitalk.data.windows import Window
+from deitalk.errors import ConfigError
 from deitalk.models.curve_model import Output
+from deitalk.training.distillation import Teacher
+from deitalk.training.processes import gather_rows
+from rig import ControlSet
 
 
 def contrast_loss(speech: Tensor, motion: Tensor, temperature: float) -> Tensor:
@@ -145,3 +150,91 @@ def total_loss(
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
+
+
+class CurveLoss:
+    """The configured loss on one device.
+
+    Parameters
+    ----------
+    config : LossConfig
+        Weights of the parts.
+    controls : ControlSet
+        Columns of the curves.
+    device : torch.device
+        Where batches are.
+    teacher : Teacher or None
+        Whose features are a second target.
+
+    Raises
+    ------
+    ConfigError
+        If a control weight's name is unknown.
+    """
+
+    def __init__(
+        self,
+        config: LossConfig,
+        controls: ControlSet,
+        device: torch.device,
+        teacher: Teacher | None = None,
+    ) -> None:
+        self.config, self.teacher = config, teacher
+        self.weights = control_weights(config.control_weights, controls).to(device)
+        self.contact = torch.tensor(
+            [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
+        )
+
+    def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
+        """Every part of the loss of one batch, and their weighted sum as ``total``."""
+        curves = batch.curves if self.config.contrast else None
+        output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
+        parts = total_loss(
+            _across_processes(output),
+            batch.curves,
+            batch.voice,
+            batch.intensity,
+            config=self.config,
+            weights=self.weights,
+            contact_controls=self.contact,
+        )
+        if self.teacher is not None:
+            distance = self.teacher.distance(batch.clean, output.speech)
+            parts["distillation"] = distance
+            parts["total"] = parts["total"] + self.config.distillation * distance
+        return parts
+
+
+def _across_processes(output: Output) -> Output:
+    """Embeddings of all processes' clips: contrast (Eq. 9-10) is of the whole batch."""
+    if output.intensity is None or output.motion_embedding is None:
+        return output
+    speech, motion = gather_rows(output.intensity.embedding), gather_rows(output.motion_embedding)
+    return output._replace(
+        intensity=output.intensity._replace(embedding=speech), motion_embedding=motion
+    )
+
+
+def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:
+    """Weight of every control from names of controls and of subsets; later entries win.
+
+    Raises
+    ------
+    ConfigError
+        If a name is neither.
+    """
+    out = torch.ones(len(controls.names))
+    for name, value in weights.items():
+        if name in controls.names:
+            out[controls.index(name)] = value
+        elif name in controls.subset_names:
+            out[torch.as_tensor(controls.subset(name).copy())] = value
+        else:
+            matching = [i for i, control in enumerate(controls.names) if name in control]
+            if not matching:
+                raise ConfigError(
+                    f"loss.control_weights: {name!r} is no control, part of one, or subset; "
+                    f"subsets are {', '.join(controls.subset_names)}"
+                )
+            out[matching] = value
+    return out

@@ -11,14 +11,13 @@ Not in the papers, which begin with published wav2vec 2.0 weights where we begin
 Letters: B batch, S samples, T rig frames, D width of the features.
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.processes import in_precision
 
 
 def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
@@ -83,13 +82,16 @@ class Teacher:
     ----------
     model : DEITalk
         From `read_teacher`.
-    accelerator : accelerate.Accelerator
-        Its device and precision are the teacher's too.
+    device : torch.device
+        Where batches are.
+    precision : str
+        ``float32`` or ``bfloat16``, as the student's.
     """
 
-    def __init__(self, model: DEITalk, accelerator: Any) -> None:
+    def __init__(self, model: DEITalk, device: torch.device, precision: str = "float32") -> None:
         # require_model gave it in evaluation mode: no dropout while it teaches.
-        self.frontend = accelerator.prepare_model(model.frontend, evaluation_mode=True)
+        frontend = model.get_submodule("frontend").to(device)
+        self.frontend = in_precision(frontend, precision, device)
 
     def distance(self, clean: Tensor, speech: Tensor) -> Tensor:
         """Mean squared distance of the student's features and the teacher's, and of their motion.

@@ -9,7 +9,13 @@ from types import MappingProxyType
 import torch
 from torch import Tensor, nn
 
+from deitalk.config import MeshTrainConfig
+from deitalk.data.mesh_folder import MeshFolder
+from deitalk.data.mesh_segments import Segment, SegmentBatches
 from deitalk.models.deformation_decoder import Coefficients
+from deitalk.models.mesh_model import MeshModel
+from deitalk.training.lip_regression import LipRegression
+from deitalk.training.processes import mean_over_processes
 
 LIPS = "lips"
 """Name of the term that the paper does not have."""
@@ -127,8 +133,9 @@ class AutomaticWeights(nn.Module):
         terms that shall not weigh 1 (not in the paper).
         """
         terms = torch.stack([parts[name] for name in self.names])
-        if self.training and bool(terms.isfinite().all()):
-            squared = terms.detach().double().square().to(self.second_moment.device)
+        sizes = mean_over_processes(terms.detach())  # one scale for the whole batch
+        if self.training and bool(sizes.isfinite().all()):
+            squared = sizes.double().square().to(self.second_moment.device)
             self.second_moment.lerp_(squared, 1 - self.decay)
             self.steps += 1
         weights = self.weights().to(terms)
@@ -141,3 +148,56 @@ class AutomaticWeights(nn.Module):
             return torch.ones_like(self.second_moment)
         moment = self.second_moment / (1 - self.decay ** int(self.steps))
         return 1 / (moment.sqrt() + self.epsilon)
+
+
+class MeshLoss(nn.Module):
+    """The terms of §4.2, those of the lips where they are asked for, and their scaled sum.
+
+    Parameters
+    ----------
+    model : SDFA or MeshHead
+        What is trained.
+    settings : MeshTrainConfig
+        Weight of the lips, decay of the automatic weights.
+    folder : MeshFolder
+        Says where the lips are.
+    segments : SegmentBatches
+        The training clips.
+    """
+
+    def __init__(
+        self,
+        model: MeshModel,
+        settings: MeshTrainConfig,
+        folder: MeshFolder,
+        segments: SegmentBatches,
+    ) -> None:
+        super().__init__()
+        self.lip_weight, self.places = settings.lip_weight, segments.places
+        names = term_names(list(model.decoder.deviations), lips=self.lip_weight > 0)
+        self.balance = AutomaticWeights(names, decay=settings.loss_decay)
+        self.lips: LipRegression | None = None
+        if self.lip_weight:
+            clips = [(clip.motion, clip.speaker) for clip in segments.clips]
+            self.lips = LipRegression.fit(clips, folder, motion=model.config.motion)
+
+    def forward(self, model: MeshModel, network: nn.Module, batch: Segment) -> dict[str, Tensor]:
+        """Every term of one batch, not yet scaled, and the sum of the scaled terms as ``total``.
+
+        Parameters
+        ----------
+        model : SDFA or MeshHead
+            What is trained.
+        network : Module
+            Called in its place.
+        batch : Segment
+            On the device.
+        """
+        rows = network(batch.features, self.places.to(batch.features.device), batch.speaker)
+        target = {name: getattr(batch, name) for name in rows}
+        parts = motion_terms(rows, target, model.decoder.deviations)
+        if self.lips is not None:
+            predicted = self.lips(rows, batch.speaker)
+            wanted = batch.lips * model.unit_mm
+            parts[LIPS] = lip_loss(predicted, wanted, self.lips.rest_parting(batch.speaker))
+        return parts | {"total": self.balance(parts, {LIPS: self.lip_weight})}

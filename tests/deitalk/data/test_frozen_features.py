@@ -10,12 +10,12 @@ from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
 from deitalk.config import Config, load_config
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import FrozenFeatures
-from deitalk.data.windows import Batches, load_material
+from deitalk.data.windows import WindowBatches, load_material
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.training.ablation import Variant, ablate
-from deitalk.training.curves import train
+from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -29,7 +29,7 @@ def data(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def lender(data, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "lender"
-    train(tiny("train.seed=7"), data, out)
+    train_curves(tiny("train.seed=7"), data, out)
     return out / "last"
 
 
@@ -47,7 +47,7 @@ def frontend(folder: Path) -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize("augment", [False, True])
 def test_the_frontend_stays_and_the_rest_learns(data, lender, tmp_path, augment):
     asked = tiny(f"train.frozen_frontend={lender}", f"data.augment={augment}", "train.ema=0.5")
-    train(asked, data, tmp_path / "run")
+    train_curves(asked, data, tmp_path / "run")
     before, after = frontend(lender), frontend(tmp_path / "run" / "last")
     assert all(torch.equal(before[name], after[name]) for name in before)
     torch.manual_seed(asked.train.seed)
@@ -61,11 +61,11 @@ def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
     config = tiny(f"train.frozen_frontend={lender}")
     model = load_model(lender)
     frozen_features = FrozenFeatures(str(lender))
-    plain = Batches(clips, model.controls, config.data, seed=3, batch_size=2)
-    heard = Batches(
+    plain = WindowBatches(clips, model.controls, config.data, seed=3, batch_size=2)
+    heard = WindowBatches(
         clips, model.controls, config.data, seed=3, batch_size=2, frozen_features=frozen_features
     )
-    window, same = heard.window(5), plain.window(5)
+    window, same = heard.item(5), plain.item(5)
     assert torch.equal(window.curves, same.curves) and torch.equal(window.frames, same.frames)
     places = window.frames.tolist()
     materials = [load_material(clip, model.controls) for clip in clips]
@@ -89,11 +89,11 @@ def test_a_clip_is_heard_once(data, lender, monkeypatch):
     monkeypatch.setattr(
         frozen_features._owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
     )
-    batches = Batches(
+    batches = WindowBatches(
         clips, load_model(lender).controls, tiny().data, 0, 2, frozen_features=frozen_features
     )
     for number in range(12):
-        batches.window(number)
+        batches.item(number)
     assert 1 <= len(calls) <= 2  # again only for a window that reaches further beyond the end
     first = frozen_features.features(clips[0], np.zeros(16_000, np.float32), 10)
     assert np.isfinite(first).all() and len(calls) <= 2
@@ -102,7 +102,7 @@ def test_a_clip_is_heard_once(data, lender, monkeypatch):
 def test_a_model_of_other_ears_is_refused_in_one_line(data, lender, tmp_path):
     asked = tiny(f"train.frozen_frontend={lender}", "model.frontend.time_hidden=8")
     with pytest.raises(ConfigError, match=r"built otherwise than model\.frontend") as refused:
-        train(asked, data, tmp_path / "run")
+        train_curves(asked, data, tmp_path / "run")
     assert "\n" not in str(refused.value)
 
 

@@ -21,6 +21,7 @@ from deitalk.data.mesh_sources import (
     head_templates,
     open_meshes,
 )
+from deitalk.data.seeded_batches import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa import SDFAEncoder
 from rig import default_controls
@@ -75,7 +76,7 @@ def written(tmp_path, rng, n_frames=30):
 
 
 def segments(folder, augment=False, **options):
-    options = {"n_segments": 4, "n_frames": 2, "seed": 0} | options
+    options = {"batch_size": 4, "n_frames": 2, "seed": 0} | options
     return Segments(
         folder.split("train"),
         folder.training_speakers,
@@ -364,7 +365,7 @@ def test_segments_are_adjacent_frames_of_one_clip(tmp_path, rng):
     known = {c.speaker: c.motion() for c in folder.split("train")}
     drawn = []
     for number in range(300):
-        segment = source.segment(number)
+        segment = source.item(number)
         speaker = folder.training_speakers[int(segment.speaker.argmax())]
         rows = known[speaker]["offsets"]
         at = int(np.abs(rows - segment.offsets[0].numpy()).sum(axis=1).argmin())
@@ -382,7 +383,7 @@ def test_sound_belongs_to_the_frames(tmp_path, rng):
     sounds = {q.speaker: normalise_level(q.load()[0]) for q in sequences[:2]}
     source = segments(folder, n_frames=5)
     for number in range(5):
-        segment = source.segment(number)
+        segment = source.item(number)
         speaker = folder.training_speakers[int(segment.speaker.argmax())]
         at = int(np.abs(rows[speaker] - segment.offsets[0].numpy()).sum(axis=1).argmin())
         alone = Spectra(ENCODER, 2)
@@ -406,9 +407,9 @@ def test_augmented_segments_keep_one_shift_and_linear_targets(tmp_path):
     slope = float(rows[21] - rows[20])
     places, stretches = [], []
     for number in range(200):
-        segment = shifted.segment(number)
+        segment = shifted.item(number)
         place = (float(segment.offsets[:, 0].mean()) - rows[0]) / slope - 0.5
-        whole = (float(plain.segment(number).offsets[0, 0]) - rows[0]) / slope
+        whole = (float(plain.item(number).offsets[0, 0]) - rows[0]) / slope
         places.append(place - whole)
         if 1 < whole < 37:
             stretches.append(slope / float(segment.offsets[1, 0] - segment.offsets[0, 0]))
@@ -422,7 +423,7 @@ def test_augmentation_changes_the_sound(tmp_path, rng):
     folder, _ = written(tmp_path, rng)
     changed = 0
     for number in range(20):
-        plain, rich = (segments(folder, augment=a).segment(number) for a in (False, True))
+        plain, rich = (segments(folder, augment=a).item(number) for a in (False, True))
         assert torch.isfinite(rich.features).all()
         changed += bool((plain.features - rich.features).abs().amax() > 0.1)
     assert changed >= 18
@@ -433,7 +434,7 @@ def test_batches_are_the_same_for_any_number_of_workers_and_go_on(tmp_path, rng)
     first = [b for b, _ in zip(segments(folder, augment=True), range(4), strict=False)]
     assert first[0].features.shape[:3] == (4, 3, 16)
     assert first[0].stretch.shape[:2] == (4, 2)
-    later = next(iter(segments(folder, augment=True, skip=2)))
+    later = next(iter(segments(folder, augment=True, share=Share(skip=2))))
     assert torch.equal(later.features, first[2].features)
     loader = torch.utils.data.DataLoader(
         segments(folder, augment=True), batch_size=None, num_workers=2
@@ -445,13 +446,13 @@ def test_batches_are_the_same_for_any_number_of_workers_and_go_on(tmp_path, rng)
 
 def test_a_clip_shorter_than_a_segment_holds_its_end(tmp_path, rng):
     folder, _ = written(tmp_path, rng, n_frames=4)
-    segment = segments(folder, n_frames=12).segment(0)
+    segment = segments(folder, n_frames=12).item(0)
     assert torch.equal(segment.offsets[-1], segment.offsets[-2])
 
 
 def test_no_clips_is_one_line():
     with pytest.raises(DataError, match="no mesh sequences"):
-        Segments([], (), 30, ENCODER, n_segments=1, n_frames=2, augment=False, seed=0)
+        Segments([], (), 30, ENCODER, n_frames=2, seed=0, batch_size=1, augment=False)
 
 
 def test_between_frames_by_hand():

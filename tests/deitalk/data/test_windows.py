@@ -12,10 +12,11 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.clips import read_clips
+from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import (
-    Batches,
     Material,
     MaterialCache,
+    WindowBatches,
     count_windows,
     cut,
     load_material,
@@ -132,11 +133,11 @@ def config(**changes: object) -> DataConfig:
     return DataConfig(window_frames=32, stride_frames=5, **changes)  # type: ignore[arg-type]
 
 
-def batches(folder: Path, **changes: object) -> Batches:
+def batches(folder: Path, **changes: object) -> WindowBatches:
     clips = read_clips(folder, "train")
     options: dict[str, object] = {"seed": 3, "batch_size": 4} | changes
     settings = options.pop("config", config(augment=True))
-    return Batches(clips, CONTROLS, settings, **options)  # type: ignore[arg-type]
+    return WindowBatches(clips, CONTROLS, settings, **options)  # type: ignore[arg-type]
 
 
 def take(iterable, n: int) -> list:
@@ -160,7 +161,7 @@ def test_a_batch_is_the_same_for_any_number_of_workers(folder):
 
 def test_processes_share_the_batch_that_one_would_make(folder):
     whole = take(batches(folder), 2)
-    parts = [take(batches(folder, rank=rank, world=2), 2) for rank in range(2)]
+    parts = [take(batches(folder, share=Share(0, rank, 2)), 2) for rank in range(2)]
     for k in range(2):
         for field in range(len(whole[k])):
             assert torch.equal(whole[k][field][0::2], parts[0][k][field])
@@ -168,13 +169,13 @@ def test_processes_share_the_batch_that_one_would_make(folder):
 
 
 def test_an_interrupted_training_meets_the_batches_it_would_have_met(folder):
-    assert same(take(batches(folder), 5)[3], take(batches(folder, skip=3), 1)[0])
+    assert same(take(batches(folder), 5)[3], take(batches(folder, share=Share(skip=3)), 1)[0])
 
 
 def test_a_window_knows_its_place(folder):
     plain = batches(folder, config=config())
     for number in range(12):
-        window = plain.window(number)
+        window = plain.item(number)
         first = int(window.frames[0])
         assert first % 5 == 0 and int(window.total) == SECONDS * 30
         assert window.frames.tolist() == list(range(first, first + 32))
@@ -199,13 +200,13 @@ def test_a_teacher_is_given_the_sound_before_augmentation(folder, monkeypatch):
     monkeypatch.setattr(module, "speed_factor", lambda rng: 1.25)
     drawn = batches(folder, clean=True)
     for number in range(4):
-        window = drawn.window(number)
+        window = drawn.item(number)
         first, name = int(window.frames[0]), drawn._draw(np.random.default_rng((3, number))).name
         clip = next(clip for clip in drawn.clips if clip.name == name)
         sound = cut(load_material(clip, CONTROLS), first, 32, 1.25)[0]
         np.testing.assert_array_equal(window.clean.numpy(), sound)
         assert not torch.equal(window.waveform, window.clean)
-    assert len(batches(folder).window(0).clean) == 0, "nobody asked for it"
+    assert len(batches(folder).item(0).clean) == 0, "nobody asked for it"
 
 
 def test_real_speech_has_the_share_it_is_given(folder):
@@ -216,7 +217,7 @@ def test_real_speech_has_the_share_it_is_given(folder):
 
 def test_no_clips_is_one_line():
     with pytest.raises(DataError, match="no clips to train on"):
-        Batches([], CONTROLS, config(), 0, 4)
+        WindowBatches([], CONTROLS, config(), 0, 4)
 
 
 def test_windows_are_counted_from_the_recordings_lengths(folder):

@@ -20,7 +20,7 @@ from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline import speech as speech_module
 from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients, predict_mesh
 from deitalk.training import mesh as train_module
-from deitalk.training.mesh import train_sdfa
+from deitalk.training.mesh import train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
 
@@ -144,7 +144,7 @@ def test_training_separates_emotions_of_one_sound(network, tmp_path, no_gates):
     config = tiny(
         network, steps=250, learning_rate=3e-3, evaluate_every=250, lip_weight=1.0, ema=0.9
     )
-    train_sdfa(config, data, tmp_path / "run")
+    train_mesh(config, data, tmp_path / "run")
     model = load_model(tmp_path / "run/best")
     template = model.template(0)
     for emotion, style in STYLES.items():
@@ -168,7 +168,7 @@ def test_fitted_features_have_mean_0_and_deviation_1(network):
 def test_training_rejects_clips_without_an_emotion(network, tmp_path):
     data = emotional_sheets(tmp_path / "meshes", emotions=["happy", ""])
     with pytest.raises(DataError, match=r"does not say which emotion sad acts; fill"):
-        train_sdfa(tiny(network), data, tmp_path / "run")
+        train_mesh(tiny(network), data, tmp_path / "run")
 
 
 def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
@@ -242,4 +242,4 @@ def test_lip_weight_rejects_data_without_lips_before_building(tmp_path, monkeypa
     monkeypatch.setattr(train_module, "open_meshes", lambda *a: pytest.fail("built first"))
     config = load_config(CONFIGS / "sdfa_small.yaml")
     with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
-        train_sdfa(config, tmp_path / "vocaset", tmp_path / "run")
+        train_mesh(config, tmp_path / "vocaset", tmp_path / "run")

@@ -37,8 +37,9 @@ from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.lip_seal import seal_lips
 from deitalk.training import mesh as train_module
+from deitalk.training import trainer as trainer_module
 from deitalk.training.lip_regression import LipRegression
-from deitalk.training.mesh import mesh_scores, train_sdfa
+from deitalk.training.mesh import train_mesh, validate_mesh
 from rig.face.identity import IDENTITIES
 from rig.mesh import TriMesh
 from tests.dataset import write_dataset
@@ -187,7 +188,7 @@ def test_configuration_sdfa_is_the_paper():
     [
         ({"model": {"frontend": SEGMENT | {"time_stack": 2}}}, "uses every spectrum"),
         ({"model": {"frontend": {"kind": "deepspeech"}}}, "model.frontend"),
-        ({"train": {"batch_size": 7}}, "a multiple of segment_frames, 2"),
+        ({"train": {"batch_size": 7}}, "train.segment_frames=2: must divide batch_size, 7"),
         ({"train": {"momentum": 0.9}}, "unknown key"),
         ({"data": {"identities": []}}, "data.identities=[]"),
     ],
@@ -349,7 +350,7 @@ def test_a_tiny_model_learns_two_speakers_by_heart(
 ):
     """The sound is the same, so the motion can follow from the label only."""
     config = tiny(frontend, motion, steps=steps, learning_rate=1e-2, evaluate_every=steps, **more)
-    best = train_sdfa(config, sequences, tmp_path / "run")
+    best = train_mesh(config, sequences, tmp_path / "run")
     sdfa, errors_mm = load_model(tmp_path / "run/best"), []
     for speaker, style in STYLES.items():
         template = sdfa.template(speaker)
@@ -369,19 +370,19 @@ def test_a_tiny_model_learns_two_speakers_by_heart(
 def test_resumed_is_as_uninterrupted(sequences, tmp_path):
     whole, halved = tmp_path / "whole", tmp_path / "halved"
     config = tiny(ema=0.9, schedule="one_cycle", lip_weight=0.5)
-    train_sdfa(config, sequences, whole)
-    step = train_module._step
+    train_mesh(config, sequences, whole)
+    update = trainer_module.Trainer.update
 
-    def killed(run, *rest):
-        if run.step == 3:  # after the evaluation and save of step 2, and one step more
+    def killed(trainer, *rest):
+        if trainer.step == 3:  # after the evaluation and save of step 2, and one step more
             raise KeyboardInterrupt
-        return step(run, *rest)
+        return update(trainer, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(train_module, "_step", killed)
+        patch.setattr(trainer_module.Trainer, "update", killed)
         with pytest.raises(KeyboardInterrupt):
-            train_sdfa(config, sequences, halved)
-    train_sdfa(config, sequences, halved, resume=True)
+            train_mesh(config, sequences, halved)
+    train_mesh(config, sequences, halved, resume=True)
     one, two = (load_model(run / "last").state_dict() for run in (whole, halved))
     assert all(torch.equal(one[name], two[name]) for name in one)
 
@@ -493,7 +494,7 @@ def test_command_trains_on_our_heads(tmp_path):
     assert result.exit_code == 0, result.output
     sdfa = load_model(run / "best")
     assert sdfa.speakers == tuple(sorted(IDENTITIES[i].name for i in (0, 3)))
-    scores = mesh_scores(sdfa, read_mesh_folder(run / "meshes"))
+    scores, _ = validate_mesh(sdfa, read_mesh_folder(run / "meshes"))
     assert math.isfinite(scores["lively_mm"]) and scores["lively_mm"] > scores["mean_mm"] > 0
     assert load_config(run / "config.yaml").train.seed == 1
 
@@ -513,12 +514,12 @@ def test_lips_that_are_not_known_cannot_be_weighed(tmp_path):
     one = MeshSequence("a", "ann", "train", partial(spoken, template))
     write_mesh_folder(tmp_path / "m", {"ann": template}, [one], fps=30, unit_mm=10)
     with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
-        train_sdfa(tiny(lip_weight=1.0), tmp_path / "m", tmp_path / "run")
+        train_mesh(tiny(lip_weight=1.0), tmp_path / "m", tmp_path / "run")
 
 
 def test_a_start_encoder_must_fit(sequences, tmp_path):
     with pytest.raises(ConfigError, match="its encoder is not of"):
-        train_sdfa(tiny(start_encoder="default"), sequences, tmp_path / "run")
+        train_mesh(tiny(start_encoder="default"), sequences, tmp_path / "run")
 
 
 def test_parts_that_an_ablation_replaces_start_new(tmp_path):
@@ -526,7 +527,7 @@ def test_parts_that_an_ablation_replaces_start_new(tmp_path):
     start = load_config(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump() | {"rig_layers": 0}  # which SDFA has none of
-    copy, name = train_module._copy_encoder, str(tmp_path / "m")
+    copy, name = train_module.copy_encoder, str(tmp_path / "m")
     wanted = load_model(name).frontend.state_dict()
     sdfa = model(frontend=sizes)
     before = {k: v.clone() for k, v in sdfa.encoder.frontend.state_dict().items()}

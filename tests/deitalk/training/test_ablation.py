@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 import deitalk.training.ablation
-import deitalk.training.curves
+import deitalk.training.trainer
 from deitalk.config import Config, load_config
 from deitalk.errors import ConfigError, DataError
 from deitalk.training.ablation import Variant, ablate, as_markdown, read_variants
@@ -102,13 +102,13 @@ def fails(*_: object) -> None:
 def test_train_score_and_go_on(data, tmp_path, monkeypatch):
     out = tmp_path / "runs"
     monkeypatch.setattr(
-        deitalk.training.curves, "save_checkpoints", fails
+        deitalk.training.trainer, "save_checkpoints", fails
     )  # after the rows of the first evaluation
     with pytest.raises(KeyboardInterrupt):
         ablate(VARIANTS, data, out, **ASKED)
     monkeypatch.undo()
     runs: list[str] = []
-    scores = ablate(VARIANTS, data, out, **ASKED, says=lambda run, _: runs.append(run))
+    scores = ablate(VARIANTS, data, out, **ASKED, progress=lambda run, _: runs.append(run))
     assert list(dict.fromkeys(runs)) == [
         "full seed0", "full seed1", "still seed0", "still seed1"
     ]  # fmt: skip
@@ -124,8 +124,8 @@ def test_train_score_and_go_on(data, tmp_path, monkeypatch):
         trained.append(resume)
         return real(*arguments, resume=resume, **options)
 
-    real = deitalk.training.ablation.train
-    monkeypatch.setattr("deitalk.training.ablation.train", spy)
+    real = deitalk.training.ablation.train_curves
+    monkeypatch.setattr("deitalk.training.ablation.train_curves", spy)
     before = (out / "ablations.json").read_text()
     ablate(VARIANTS, data, out, **ASKED)
     assert (out / "ablations.json").read_text() == before

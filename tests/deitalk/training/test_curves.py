@@ -1,4 +1,4 @@
-"""Training, end to end on seconds of data: files, learning, resuming, guards, two processes."""
+"""Training of DEITalk models on seconds of data: files, learning, starts, pictures, processes."""
 
 import os
 import subprocess
@@ -10,14 +10,15 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config import Config, load_config, parse_config
+from deitalk.config import Config, load_config
 from deitalk.data.clips import read_clips
 from deitalk.errors import ConfigError, DataError
 from deitalk.figures.canvas import can_draw
 from deitalk.models.checkpoint import load_model
-from deitalk.models.curve_model import DEITalk
-from deitalk.training.curve_loss import Loss, control_weights
-from deitalk.training.curves import _accelerator, _start, _step, n_steps, train
+from deitalk.models.curve_model import Analysis, DEITalk
+from deitalk.training.curve_losses import CurveLoss, control_weights
+from deitalk.training.curves import CurveTask, clip_rows, shown_examples, train_curves
+from deitalk.training.trainer import Trainer
 from rig import default_controls
 from tests.dataset import write_dataset
 
@@ -39,7 +40,7 @@ def tiny(*overrides: str) -> Config:
 @pytest.fixture(scope="module")
 def finished(data, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
-    train(tiny("model.dropout=0.1"), data, out)
+    train_curves(tiny("model.dropout=0.1"), data, out)
     return out
 
 
@@ -77,23 +78,21 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(
 ):
     out = tmp_path / "killed"
     whole = tiny("model.dropout=0.1")
-    import deitalk.training.curves as module
+    update = Trainer.update
 
-    steps = {"n": 0}
-    original = module._step
-
-    def dies_at_5(*args: object) -> dict[str, float]:
-        steps["n"] += 1
-        if steps["n"] == 5:
+    def killed_at_5(trainer, *rest: object) -> object:
+        if trainer.step == 4:
             raise Killed
-        return original(*args)  # type: ignore[arg-type]
+        return update(trainer, *rest)
 
-    monkeypatch.setattr(module, "_step", dies_at_5)
+    monkeypatch.setattr(Trainer, "update", killed_at_5)
     with pytest.raises(Killed):
-        train(whole, data, out)
+        train_curves(whole, data, out)
     monkeypatch.undo()
     told: list[int] = []
-    best = train(whole, data, out, resume=True, progress=lambda step, total, _: told.append(step))
+    best = train_curves(
+        whole, data, out, resume=True, progress=lambda step, total, _: told.append(step)
+    )
     assert told == [3, 6, 6], "from the saved state to the last step and its evaluation"
     for kind in ("best", "last"):
         assert equal(out / kind, finished / kind), kind
@@ -102,31 +101,19 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(
     assert set(best) == {"step", "development"}
 
 
-def test_resuming_a_finished_run_says_what_it_found(data, finished):
-    before = (finished / "state.pt").stat().st_mtime_ns
-    best = train(tiny("model.dropout=0.1"), data, finished, resume=True)
-    assert best["step"] in (3, 6) and "score" in best["development"]
-    assert (finished / "state.pt").stat().st_mtime_ns == before
-
-
-def test_a_used_folder_or_other_settings_are_refused(data, finished):
-    with pytest.raises(DataError, match="holds a run already; set resume"):
-        train(tiny(), data, finished)
-    with pytest.raises(ConfigError, match=r"begun with another model\.dropout, train\.seed"):
-        train(tiny("train.seed=9"), data, finished, resume=True)
-
-
 def test_a_damaged_state_is_one_line(data, finished, tmp_path):
     (tmp_path / "config.yaml").write_text((finished / "config.yaml").read_text())
     (tmp_path / "state.pt").write_bytes(b"not a state")
     with pytest.raises(DataError, match=r"state\.pt: damaged"):
-        train(tiny("model.dropout=0.1"), data, tmp_path, resume=True)
+        train_curves(tiny("model.dropout=0.1"), data, tmp_path, resume=True)
 
 
 def test_the_loss_falls_where_there_is_little_to_learn(data, tmp_path):
     config = tiny("train.steps=50", "train.evaluate_every=50", "train.learning_rate=3e-3")
     lines: list[float] = []
-    train(config, data, tmp_path / "run", progress=lambda s, n, v: lines.append(v.get("total", 0)))
+    train_curves(
+        config, data, tmp_path / "run", progress=lambda s, n, v: lines.append(v.get("total", 0))
+    )
     lines = [line for line in lines if line]  # without the start and the evaluation
     metrics = pd.read_csv(tmp_path / "run" / "metrics.csv")
     assert metrics["step"].tolist() == [25, 50] and len(lines) == 2
@@ -136,15 +123,17 @@ def test_the_loss_falls_where_there_is_little_to_learn(data, tmp_path):
 
 
 def batches(config: Config, data: Path):
-    from deitalk.data.windows import Batches
+    from deitalk.data.windows import WindowBatches
 
     clips = read_clips(data, "train")
-    return iter(Batches(clips, CONTROLS, config.data, config.train.seed, config.train.batch_size))
+    return iter(
+        WindowBatches(clips, CONTROLS, config.data, config.train.seed, config.train.batch_size)
+    )
 
 
 def first_loss(config: Config, data: Path) -> dict[str, float]:
     torch.manual_seed(config.train.seed)
-    loss = Loss(config, CONTROLS, torch.device("cpu"))
+    loss = CurveLoss(config.loss, CONTROLS, torch.device("cpu"))
     with torch.no_grad():
         parts = loss(DEITalk(config.model), next(batches(config, data)))
     return {name: float(part) for name, part in parts.items()}
@@ -152,17 +141,19 @@ def first_loss(config: Config, data: Path) -> dict[str, float]:
 
 def test_fine_tuning_begins_with_the_given_weights(data, finished, tmp_path):
     config = tiny("model.dropout=0.1", "train.steps=1", "train.learning_rate=1e-12")
-    train(config, data, tmp_path / "tuned", start_from=finished / "last")
+    train_curves(config, data, tmp_path / "tuned", start_from=finished / "last")
     tuned, start = weights(tmp_path / "tuned" / "last"), weights(finished / "last")
     learnt = [k for k in start if "running" not in k and start[k].dtype.is_floating_point]
     assert all(torch.allclose(tuned[k], start[k], atol=1e-6) for k in learnt)
     with pytest.raises(ConfigError, match="do not fit the configuration's model"):
-        train(tiny("model.style_size=3"), data, tmp_path / "other", start_from=finished / "last")
+        train_curves(
+            tiny("model.style_size=3"), data, tmp_path / "other", start_from=finished / "last"
+        )
 
 
 def test_without_validation_clips_the_last_weights_are_the_best(data, tmp_path):
     folder = write_dataset(tmp_path / "data", n_validation=0)
-    best = train(tiny(), folder, tmp_path / "run")
+    best = train_curves(tiny(), folder, tmp_path / "run")
     assert best["step"] == 6 and equal(tmp_path / "run" / "best", tmp_path / "run" / "last")
 
 
@@ -170,7 +161,7 @@ def test_tensorboard_is_written_where_it_is_asked_for(data, tmp_path):
     pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    train(tiny("train.steps=3"), data, tmp_path / "run", tensorboard=True)
+    train_curves(tiny("train.steps=3"), data, tmp_path / "run", tensorboard=True)
     events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
     events.Reload()
     for table, column, tag in (
@@ -185,43 +176,77 @@ def test_tensorboard_is_written_where_it_is_asked_for(data, tmp_path):
 def test_no_training_clips_is_one_line(tmp_path):
     folder = write_dataset(tmp_path / "data", n_train=0)
     with pytest.raises(DataError, match="no clips to train on"):
-        train(tiny(), folder, tmp_path / "run")
+        train_curves(tiny(), folder, tmp_path / "run")
 
 
-def test_a_bad_batch_is_left_out_and_many_in_a_row_end_the_run(data, monkeypatch):
-    config = tiny()
-    model = DEITalk(config.model)
-    run = _start(config, model, 6)
-    accelerator = _accelerator(config.train)
-    network, run.optimizer = accelerator.prepare(run.model, run.optimizer)
-    loss = Loss(config, CONTROLS, torch.device("cpu"))
-    good = next(batches(config, data))
-    bad = good._replace(waveform=good.waveform * torch.nan)
-    before = {k: v.clone() for k, v in model.state_dict().items() if v.dtype.is_floating_point}
-    values = _step(run, network, loss, bad, config.train, accelerator)
-    assert not np.isfinite(values["gradient_norm"]) and run.bad_steps == 1
-    assert all(torch.equal(model.state_dict()[k], v) for k, v in before.items())
-    _step(run, network, loss, good, config.train, accelerator)
-    assert run.bad_steps == 0
-    assert any(not torch.equal(model.state_dict()[k], v) for k, v in before.items())
-    with pytest.raises(DataError, match="20 gradients in a row are not finite; lower train"):
-        for _ in range(20):
-            _step(run, network, loss, bad, config.train, accelerator)
-    for mean, value in zip(run.average.buffers(), run.model.buffers(), strict=True):
-        assert mean.isfinite().all() and value.isfinite().all()
-
-
-def test_steps_come_from_epochs_over_the_real_windows(data):
-    clips = read_clips(data, "train")
-    config = parse_config(
-        {
-            "train": {"epochs": 10, "batch_size": 4},
-            "data": {"window_frames": 40, "stride_frames": 5},
-        }
-    )
+def test_epoch_is_all_windows_of_all_clips(data):
+    settings = {"window_frames": 40, "stride_frames": 5}
+    config = load_config(TINY, [f"data={settings}"])
     # 4 clips of 90 frames: (90 - 40) / 5 + 1 = 11 windows each.
-    assert n_steps(config, clips) == 110
-    assert n_steps(tiny(), clips) == 6
+    assert CurveTask(config, data).epoch_size() == 44
+
+
+def test_frozen_frontend_stays_in_evaluation_mode(data, finished):
+    config = tiny("model.dropout=0.1", f"train.frozen_frontend={finished / 'last'}")
+    task = CurveTask(config, data)
+    task.build(torch.device("cpu"))
+    task.set_training()
+    frontend = task.model.get_submodule("frontend")
+    assert task.model.training and not any(m.training for m in frontend.modules())
+    learning = {id(p) for group in task.optimizer().param_groups for p in group["params"]}
+    assert learning and not learning & {id(p) for p in frontend.parameters()}
+
+
+def test_optimiser_and_weight_decay_are_those_of_the_settings(data):
+    for overrides, kind, decay in (
+        ((), torch.optim.Adam, 0),
+        (("train.optimizer=adamw", "train.weight_decay=0.1"), torch.optim.AdamW, 0.1),
+    ):
+        task = CurveTask(tiny(*overrides), data)
+        task.build(torch.device("cpu"))
+        optimizer = task.optimizer()
+        assert type(optimizer) is kind and optimizer.param_groups[0]["weight_decay"] == decay
+
+
+class Constant(torch.nn.Module):
+    """A model whose every control and intensity has one value."""
+
+    def __init__(self, value: float, has_intensity: bool = True) -> None:
+        super().__init__()
+        self.value = torch.nn.Parameter(torch.tensor(value))
+        self.controls, self.has_intensity = CONTROLS, has_intensity
+
+    def analyse(self, waveform: torch.Tensor, n_frames: int, **_: object) -> Analysis:
+        strength = torch.full((n_frames,), float(self.value.detach()))
+        return Analysis(
+            torch.zeros(n_frames, 1), None, None, strength if self.has_intensity else None
+        )
+
+    def decode(self, analysis: Analysis, emotion: torch.Tensor) -> torch.Tensor:
+        return torch.full((len(emotion), len(CONTROLS.names)), float(self.value.detach()))
+
+
+def test_first_and_last_recorded_clip_are_shown(tmp_path):
+    clips = read_clips(write_dataset(tmp_path, 4, 4), "validation")
+    assert [clip.source for clip in clips] == ["espeak", "recording"] * 2
+    assert list(shown_examples(clips, CONTROLS)) == ["clip5", "clip7"]
+    assert list(shown_examples(clips[:2], CONTROLS)) == ["clip5"]
+    assert list(shown_examples(clips[:1], CONTROLS)) == ["clip4"], "synthetic, if all are"
+    assert shown_examples([], CONTROLS) == {}
+
+
+def test_shown_rows_are_targets_and_predictions(data):
+    ((name, example), *_) = shown_examples(read_clips(data, "validation"), CONTROLS).items()
+    shown = clip_rows(name, example, Constant(0.25))  # type: ignore[arg-type]
+    assert shown.title == f"{name} ({example.emotion})" and shown.fps == 30
+    assert [row.label for row in shown.rows] == ["jaw", "lips together", "intensity"]
+    assert all((row.predicted == 0.25).all() for row in shown.rows)
+    jaw, lips, intensity = (row.target for row in shown.rows)
+    np.testing.assert_array_equal(jaw, example.curves[:, CONTROLS.index("CTRL_C_jaw.ty")])
+    np.testing.assert_array_equal(intensity, example.intensity)
+    assert lips.shape == jaw.shape and 0.4 < lips.max() <= 1
+    without = clip_rows(name, example, Constant(0.25, has_intensity=False))  # type: ignore[arg-type]
+    assert without.rows[2].predicted is None
 
 
 def test_weights_of_controls_are_named_by_control_part_or_subset():

@@ -10,8 +10,9 @@ from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.training.curves import _accelerator, _start, train
+from deitalk.training.curves import CurveTask, train_curves
 from deitalk.training.distillation import Teacher, read_teacher, start_as
+from deitalk.training.trainer import Trainer
 from tests.dataset import write_dataset
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -48,7 +49,7 @@ def teacher(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def finished(data, teacher, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
-    train(student(teacher), data, out)
+    train_curves(student(teacher), data, out)
     return out
 
 
@@ -56,7 +57,7 @@ def test_distance_is_that_of_places_and_of_motion_and_teaches_the_student_alone(
     config = student(teacher)
     model = read_teacher(str(teacher), DEITalk(config.model))
     assert model is not None and not any(p.requires_grad for p in model.parameters())
-    taught = Teacher(model, _accelerator(config.train))
+    taught = Teacher(model, torch.device("cpu"))
     waveform = torch.randn(2, 16000) * 0.07
     target = model.frontend(waveform, 30)
     speech = (target + 3).requires_grad_()
@@ -98,7 +99,7 @@ def test_the_student_comes_nearer_and_the_teacher_stays(data, teacher, tmp_path)
     before = weights(teacher)
     out = tmp_path / "run"
     options = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=3e-3")
-    train(student(teacher, *options), data, out)
+    train_curves(student(teacher, *options), data, out)
     metrics = pd.read_csv(out / "metrics.csv")
     assert metrics["distillation"].iloc[-1] < 0.8 * metrics["distillation"].iloc[0]
     after = weights(teacher)
@@ -109,7 +110,7 @@ def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
     totals = []
     for weight in (0, 2):
         out = tmp_path / str(weight)
-        train(student(teacher, "train.steps=1", f"loss.distillation={weight}"), data, out)
+        train_curves(student(teacher, "train.steps=1", f"loss.distillation={weight}"), data, out)
         totals.append(pd.read_csv(out / "metrics.csv").iloc[0])
     assert totals[0]["distillation"] == totals[1]["distillation"]
     added = totals[1]["total"] - totals[0]["total"]
@@ -133,39 +134,39 @@ def test_a_saved_model_holds_no_teacher_and_needs_none(finished, teacher):
 
 
 def test_a_killed_run_goes_on_to_the_same_weights(data, teacher, finished, tmp_path, monkeypatch):
-    import deitalk.training.curves as module
-
     class Killed(Exception):
         pass
 
-    out, original, steps = tmp_path / "killed", module._step, iter(range(6))
+    out, original, steps = tmp_path / "killed", Trainer.update, iter(range(6))
 
     def dies_at_5(*args: object) -> dict[str, float]:
         if next(steps) == 4:
             raise Killed
         return original(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "_step", dies_at_5)
+    monkeypatch.setattr(Trainer, "update", dies_at_5)
     with pytest.raises(Killed):
-        train(student(teacher), data, out)
+        train_curves(student(teacher), data, out)
     monkeypatch.undo()
-    train(student(teacher), data, out, resume=True)
+    train_curves(student(teacher), data, out, resume=True)
     first, second = weights(out / "last"), weights(finished / "last")
     assert all(torch.equal(first[name], second[name]) for name in first)
     assert (out / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
 
 
-def test_what_began_as_the_teachers_learns_at_a_third(teacher):
-    config = student(teacher)
-    model = DEITalk(config.model)
-    groups = _start(config, model, 6, is_taught=True).optimizer.param_groups
+def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
+    task = CurveTask(student(teacher), data)
+    task.build(torch.device("cpu"))
+    groups = task.optimizer().param_groups
     rates = {id(p): group["lr"] for group in groups for p in group["params"]}
-    assert len(rates) == sum(p.requires_grad for p in model.parameters())
-    for name, parameter in model.named_parameters():
+    assert len(rates) == sum(p.requires_grad for p in task.model.parameters())
+    for name, parameter in task.model.named_parameters():
         if parameter.requires_grad:
             share = 1 if name.startswith("frontend.") else 1 / 3
-            assert rates[id(parameter)] == pytest.approx(share * config.train.learning_rate)
-    assert len(_start(config, model, 6).optimizer.param_groups) == 1
+            assert rates[id(parameter)] == pytest.approx(share * task.config.train.learning_rate)
+    alone = CurveTask(load_config(TINY), data)
+    alone.build(torch.device("cpu"))
+    assert len(alone.optimizer().param_groups) == 1
 
 
 def test_a_teacher_that_cannot_teach_is_one_line(data, teacher, tmp_path):
@@ -173,7 +174,7 @@ def test_a_teacher_that_cannot_teach_is_one_line(data, teacher, tmp_path):
     with pytest.raises(
         ConfigError, match=r"32 features a frame, the model 48; set .*\.hidden_size=32"
     ):
-        train(wide, data, tmp_path / "wide")
+        train_curves(wide, data, tmp_path / "wide")
     assert not (tmp_path / "wide" / "metrics.csv").exists()
     with pytest.raises(CheckpointError, match="nobody: no model there"):
-        train(student("nobody"), data, tmp_path / "nobody")
+        train_curves(student("nobody"), data, tmp_path / "nobody")

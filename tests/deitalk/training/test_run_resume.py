@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file
 
-import deitalk.training.curves
+import deitalk.training.trainer
 from deitalk.config import Config, load_config
 from deitalk.data.mesh_folder import MeshSequence, write_mesh_folder
 from deitalk.errors import ConfigError, DataError
-from deitalk.training.curves import train
-from deitalk.training.mesh import train_sdfa
+from deitalk.training.curves import train_curves
+from deitalk.training.mesh import train_mesh
 from deitalk.training.run_tables import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
@@ -51,15 +51,15 @@ def meshes(tmp_path_factory) -> Path:
 def fit(request, data, meshes):
     """Train in a folder, with the same arguments every time."""
     if request.param == "curves":
-        return partial(train, tiny(), data, resume=True)
+        return partial(train_curves, tiny(), data, resume=True)
     config = tiny_sdfa(steps=2, evaluate_every=1)
-    return partial(train_sdfa, config, meshes, resume=True)
+    return partial(train_mesh, config, meshes, resume=True)
 
 
 @pytest.fixture(scope="module")
 def finished(data, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "run"
-    train(tiny(), data, out)
+    train_curves(tiny(), data, out)
     return out
 
 
@@ -108,7 +108,7 @@ def test_a_run_killed_at_any_write_is_the_uninterrupted_one_after_resuming(fit, 
 def test_resume_begins_a_run_where_there_is_none(data, finished, tmp_path):
     (tmp_path / "empty").mkdir()
     for name in ("new", "empty"):
-        train(tiny(), data, tmp_path / name, resume=True)
+        train_curves(tiny(), data, tmp_path / name, resume=True)
         assert contents(tmp_path / name) == contents(finished)
 
 
@@ -117,19 +117,19 @@ def test_a_kill_before_the_first_evaluation_leaves_a_run_that_begins_again(
 ):
     config = tiny("train.steps=26", "train.evaluate_every=26")
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    train(config, data, whole)
+    train_curves(config, data, whole)
 
     def fails(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(deitalk.training.curves, "_evaluate", fails)
+    monkeypatch.setattr(deitalk.training.trainer.Trainer, "evaluate", fails)
     with pytest.raises(KeyboardInterrupt):
-        train(config, data, killed)
+        train_curves(config, data, killed)
     monkeypatch.undo()
     assert (killed / "metrics.csv").is_file() and not (killed / "state.pt").exists()
     with pytest.raises(DataError, match=r"holds a run already; set resume to go on with it"):
-        train(config, data, killed)
-    train(config, data, killed, resume=True)
+        train_curves(config, data, killed)
+    train_curves(config, data, killed, resume=True)
     assert contents(killed) == contents(whole)
 
 
@@ -140,7 +140,7 @@ def test_files_of_the_user_are_refused_before_any_work_and_stay(data, tmp_path):
         (tmp_path / name).write_text(text)
     for resume in (False, True):
         with pytest.raises(TargetError, match=r"holds files that deitalk did not write \(best, "):
-            train(tiny(), data, tmp_path, resume=resume)
+            train_curves(tiny(), data, tmp_path, resume=resume)
     assert contents(tmp_path) == {
         "best/model.bin": None, "config.yaml": "my: notes\n", "metrics.csv": "a,b\n"
     }  # fmt: skip
@@ -152,29 +152,29 @@ def test_an_edited_file_of_a_run_stops_it_from_going_on(data, run, name):
     path = run / name
     path.write_text(path.read_text() + " ")
     with pytest.raises(TargetError, match=r"was changed since deitalk wrote it; move it away"):
-        train(tiny(), data, run, resume=True)
+        train_curves(tiny(), data, run, resume=True)
     assert path.read_text().endswith(" ")
 
 
 def test_a_file_beside_the_weights_stays(data, run):
     (run / "best" / "notes.txt").write_text("mine")
     (run / "state.pt").unlink()
-    train(tiny(), data, run, resume=True)
+    train_curves(tiny(), data, run, resume=True)
     assert (run / "best" / "notes.txt").read_text() == "mine"
 
 
 def test_a_run_of_an_earlier_version_goes_on(data, finished, run):
     for manifest in run.rglob(".deitalk-manifest.json"):
         manifest.unlink()
-    train(tiny(), data, run, resume=True)
+    train_curves(tiny(), data, run, resume=True)
     assert contents(run) == contents(finished)
 
 
 def test_settings_that_may_change_are_written_down(data, run):
-    train(tiny("name=other"), data, run, resume=True)
+    train_curves(tiny("name=other"), data, run, resume=True)
     assert load_config(run / "config.yaml").name == "other"
     with pytest.raises(ConfigError, match=r"was begun with another train\.seed"):
-        train(tiny("train.seed=4"), data, run, resume=True)
+        train_curves(tiny("train.seed=4"), data, run, resume=True)
 
 
 def test_two_trainings_in_one_folder_do_not_mix(data, run):
@@ -184,9 +184,9 @@ def test_two_trainings_in_one_folder_do_not_mix(data, run):
             from concurrent.futures import ThreadPoolExecutor
 
             with ThreadPoolExecutor(1) as pool:
-                pool.submit(train, tiny(), data, run, resume=True).result()
+                pool.submit(train_curves, tiny(), data, run, resume=True).result()
 
-    train(tiny(), data, run, resume=True, progress=again)
+    train_curves(tiny(), data, run, resume=True, progress=again)
 
 
 @pytest.mark.parametrize(
@@ -241,11 +241,11 @@ def test_tensorboard_shows_every_step_once_after_a_kill(data, tmp_path, monkeypa
         "save_checkpoints",
         "picture_path",
     ):  # after the rows of step 1, then after those of step 1
-        monkeypatch.setattr(deitalk.training.curves, name, fails)
+        monkeypatch.setattr(deitalk.training.trainer, name, fails)
         with pytest.raises(KeyboardInterrupt):
-            train(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
+            train_curves(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
         monkeypatch.undo()
-    train(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
+    train_curves(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
     events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
     events.Reload()
     assert [event.step for event in events.Scalars("development/score")] == [1, 2]

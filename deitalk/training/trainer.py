@@ -1,0 +1,345 @@
+"""The training loop of every model: step, average, evaluate, save, resume, log.
+
+It knows a `Task` and no product; the tasks are `deitalk.training.curves` and
+`deitalk.training.mesh`. The main path is `run_training`, then `Trainer.fit`, then `Trainer.update`;
+`deitalk.training.run_folder` writes the files.
+"""
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Generic
+
+import torch
+from torch import Tensor, nn
+from torch.utils.data import DataLoader
+
+from deitalk.config import AnyConfig
+from deitalk.data.seeded_batches import Item, SeededBatches, Share
+from deitalk.errors import DataError
+from deitalk.figures.canvas import can_draw
+from deitalk.figures.validation import ClipRows, draw_clips
+from deitalk.models.folder import describe_model
+from deitalk.training.optimiser import new_scheduler, restore_buffers, update_average
+from deitalk.training.processes import in_precision, mean_over_processes, new_accelerator
+from deitalk.training.run_folder import open_folder, picture_path, resume_run, save_checkpoints
+from deitalk.training.run_tables import Journal, summary_writer
+from deitalk.workers import end_with_parent
+
+LOG_EVERY = 25
+"""Steps between rows of ``metrics.csv``."""
+MAX_BAD_STEPS = 20
+"""A run ends after so many gradients in a row that are not finite."""
+
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+def silent(step: int, total: int, values: dict[str, float]) -> None:
+    """Report no progress."""
+
+
+class Task(ABC, Generic[Item]):
+    """What is trained: a model, its batches, its loss and its scores.
+
+    The trainer calls `read`, then `build`, then everything else.
+
+    Attributes
+    ----------
+    config : Config or SDFAConfig
+        All settings; the trainer itself uses ``config.train``.
+    model : Module
+        What is trained; set by `build`.
+    item_size : int
+        What one item counts in ``train.batch_size``.
+    frozen : set of str
+        Names in the model's state dict that never change.
+    state : mapping of str to Module
+        What ``state.pt`` keeps beside the model.
+    """
+
+    config: AnyConfig
+    model: nn.Module
+    item_size: int = 1
+    frozen: Set[str] = frozenset()
+    state: Mapping[str, nn.Module] = MappingProxyType({})
+
+    def read(self, out: Path) -> None:
+        """Read the data, or build it in the run folder; the first process does so before others."""
+
+    @abstractmethod
+    def build(self, device: torch.device) -> None:
+        """Build the model, from the seed that is set, and what the loss needs on the device."""
+
+    @abstractmethod
+    def epoch_size(self) -> int:
+        """Size of an epoch in the unit of ``train.batch_size``."""
+
+    @abstractmethod
+    def optimizer(self) -> torch.optim.Optimizer:
+        """Make the optimiser of the model's weights."""
+
+    @abstractmethod
+    def batches(self, share: Share) -> SeededBatches[Item]:
+        """Make the training batches."""
+
+    @abstractmethod
+    def loss(self, network: nn.Module, batch: Item) -> dict[str, Tensor]:
+        """Compute every part of the loss, and their sum as ``total``.
+
+        Parameters
+        ----------
+        network : Module
+            The model, perhaps wrapped; to be called in its place.
+        batch : Item
+            On the device.
+        """
+
+    @abstractmethod
+    def validate(self, model: nn.Module) -> tuple[dict[str, float], Sequence[ClipRows]]:
+        """Scores on the validation clips, and two of these to draw.
+
+        The weights with the highest ``score`` are kept.
+        """
+
+    @abstractmethod
+    def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
+        """Write a model folder; `summary` describes the training."""
+
+    def set_training(self) -> None:
+        """Put the model in training mode."""
+        self.model.train()
+
+
+def run_training(
+    task: Task[Item],
+    out: Path,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Train to the end of a run.
+
+    Two validation clips are drawn at every evaluation if matplotlib is installed.
+
+    Parameters
+    ----------
+    task : Task
+        What is trained.
+    out : Path
+        Run folder (see `deitalk.training.run_folder`); new or empty unless `resume`.
+    resume : bool
+        Go on from the run folder's ``state.pt``: on a CPU the weights become those of an
+        uninterrupted run, bit for bit. Where there is none yet the run begins, so that one and
+        the same call may be repeated until it ends.
+    tensorboard : bool
+        Write TensorBoard's events to the run folder too.
+    progress : callable
+        Called by one process with the step, the number of steps and the values that were logged.
+
+    Returns
+    -------
+    dict
+        Step and development scores of the best model.
+
+    Raises
+    ------
+    DataError
+        If the data or the run folder is not as it must be, or gradients stay not finite.
+    ConfigError
+        If the configuration differs from the run that is resumed, or the batch cannot be shared
+        among the processes.
+    MissingError
+        If `tensorboard` is set and TensorBoard is not installed.
+    rig.errors.TargetError
+        If the run folder holds what no run wrote, or edited files, or is in use.
+    """
+    if tensorboard:
+        summary_writer()  # known before anything is read
+    accelerator = new_accelerator(task.config.train, task.item_size)
+    is_main = accelerator.is_main_process
+    with open_folder(out, task.config, resume=resume, writes=is_main):
+        accelerator.wait_for_everyone()  # all see what was there before the first step
+        with accelerator.main_process_first():
+            task.read(out)
+        trainer = Trainer(task, accelerator, progress if is_main else silent)
+        if resume:
+            trainer.resume(out)
+        journal = Journal(out, step=trainer.step, tensorboard=tensorboard and is_main)
+        try:
+            trainer.fit(journal)
+        finally:
+            journal.close()
+        return dict(describe_model(out / "best")["training"])
+
+
+class Trainer(Generic[Item]):
+    """One run of a task.
+
+    Parameters
+    ----------
+    task : Task
+        Its data are read.
+    accelerator : accelerate.Accelerator
+        From `new_accelerator`.
+    progress : callable
+        As for `run_training`.
+
+    Attributes
+    ----------
+    step, total : int
+        Steps done, and steps of the whole run.
+    average : Module
+        The averaged weights, which are scored and saved.
+    gradient_norm : float
+        Of the last step, before clipping.
+    """
+
+    def __init__(self, task: Task[Item], accelerator: Any, progress: Progress = silent) -> None:
+        self.task, self.accelerator, self.progress = task, accelerator, progress
+        self.settings = task.config.train
+        torch.manual_seed(self.settings.seed)
+        task.build(accelerator.device)
+        self.total = self._n_steps()
+        self.average = copy.deepcopy(task.model).eval().requires_grad_(False)
+        self.optimizer = task.optimizer()
+        self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
+        self.step, self.best_score = 0, -math.inf
+        self.gradient_norm, self.bad_steps = 0.0, 0
+
+    def _n_steps(self) -> int:
+        settings = self.settings
+        if settings.steps is not None:
+            return settings.steps
+        return max(math.ceil(settings.epochs * self.task.epoch_size() / settings.batch_size), 1)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What ``state.pt`` keeps."""
+        names = ("average", "optimizer", "scheduler")
+        own = {name: getattr(self, name) for name in names}
+        return {"model": self.task.model, **own, **self.task.state}
+
+    def resume(self, out: Path) -> None:
+        """Go on where the run of a folder stopped."""
+        self.step, self.best_score = resume_run(
+            out, self.parts, truncate_logs=self.accelerator.is_main_process
+        )
+
+    def fit(self, journal: Journal) -> None:
+        """Step to the end of the run; log, evaluate and save on the way."""
+        self.progress(self.step, self.total, {})
+        network = self.prepare()
+        batches = self._batches()
+        while self.step < self.total:
+            parts = self.update(network, next(batches))
+            is_last = self.step == self.total
+            if self.step % LOG_EVERY == 0 or is_last:
+                self._log(parts, journal)
+            if self.step % self.settings.evaluate_every == 0 or is_last:
+                if self.accelerator.is_main_process:
+                    self.progress(self.step, self.total, self.evaluate(journal))
+                self.accelerator.wait_for_everyone()
+
+    def prepare(self) -> nn.Module:
+        """Move all to the device; return the network as the processes share it.
+
+        ``task.model`` stays the plain one.
+        """
+        device = self.accelerator.device
+        network = in_precision(self.task.model, self.settings.precision, device)
+        shared: nn.Module
+        shared, self.optimizer = self.accelerator.prepare(network, self.optimizer)
+        self.average.to(device)
+        return shared
+
+    def _batches(self) -> Iterator[Item]:
+        """Yield the process's share of the batches, from the run's step on."""
+        if self.step == self.total:
+            return
+        share = Share(self.step, self.accelerator.process_index, self.accelerator.num_processes)
+        loader: DataLoader[Item] = DataLoader(
+            self.task.batches(share),
+            batch_size=None,
+            num_workers=self.settings.workers,
+            worker_init_fn=end_with_parent,
+        )
+        for batch in loader:
+            yield type(batch)(*(part.to(self.accelerator.device) for part in batch))
+
+    def update(self, network: nn.Module, batch: Item) -> dict[str, Tensor]:
+        """One step; a batch whose gradient is not finite is left out.
+
+        The norm is that of the averaged gradient, so that all processes leave out the same batches.
+
+        Returns
+        -------
+        dict
+            Every part of the loss.
+
+        Raises
+        ------
+        DataError
+            If `MAX_BAD_STEPS` gradients in a row are not finite.
+        """
+        # Dropout depends on the step alone, so that a resumed run meets the same.
+        seed = (self.settings.seed * 2**20 + self.step) * 64 + self.accelerator.process_index
+        torch.manual_seed(seed)
+        self.task.set_training()
+        parts = self.task.loss(network, batch)
+        self.optimizer.zero_grad(set_to_none=True)
+        self.accelerator.backward(parts["total"])
+        limit = self.settings.gradient_clip or math.inf
+        self.gradient_norm = float(self.accelerator.clip_grad_norm_(network.parameters(), limit))
+        if math.isfinite(self.gradient_norm):
+            self._accept()
+        else:
+            self._leave_out()
+        self.step += 1
+        return parts
+
+    def _accept(self) -> None:
+        self.bad_steps = 0
+        self.optimizer.step()
+        self.scheduler.step()
+        model, decay = self.task.model, self.settings.ema
+        update_average(self.average, model, self.step, decay, self.task.frozen)
+
+    def _leave_out(self) -> None:
+        restore_buffers(self.task.model, self.average)
+        self.bad_steps += 1
+        if self.bad_steps >= MAX_BAD_STEPS:
+            raise DataError(
+                f"step {self.step}: {self.bad_steps} gradients in a row are not finite; lower "
+                "train.learning_rate, set train.gradient_clip, or check the data"
+            )
+
+    def _log(self, parts: dict[str, Tensor], journal: Journal) -> None:
+        """Log the parts of the loss, averaged over the processes, the gradient and the rate."""
+        mean = mean_over_processes(torch.stack([part.detach() for part in parts.values()]))
+        values = dict(zip(parts, mean.tolist(), strict=True))
+        values["gradient_norm"] = self.gradient_norm
+        values["learning_rate"] = float(max(self.scheduler.get_last_lr()))
+        if self.accelerator.is_main_process:
+            journal.write("metrics", self.step, values)
+        self.progress(self.step, self.total, values)
+
+    def evaluate(self, journal: Journal) -> dict[str, float]:
+        """Score and draw the averaged weights, keep them if none were better, save the state."""
+        scores, clips = self.task.validate(self.average.eval())
+        named = {f"dev_{name}": value for name, value in scores.items()}
+        journal.write("development", self.step, named)
+        if clips and can_draw():
+            draw_clips(picture_path(journal.out, self.step), clips)
+        self.best_score = save_checkpoints(
+            journal.out,
+            self.parts,
+            self.step,
+            scores,
+            self.best_score,
+            lambda folder, summary: self.task.save(folder, self.average, summary),
+        )
+        return named

@@ -1,0 +1,278 @@
+"""The training loop on the task of a line: what is stepped, averaged, logged, saved, resumed."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from torch import Tensor, nn
+
+from deitalk.config import Config, parse_config
+from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.errors import ConfigError, DataError
+from deitalk.figures.canvas import can_draw
+from deitalk.figures.validation import ClipRows, Row
+from deitalk.training import trainer as module
+from deitalk.training.processes import new_accelerator
+from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, run_training
+from rig.files import output_folder
+
+SLOPE = 2.0
+"""Of the line that is learnt."""
+
+
+class Point(NamedTuple):
+    x: Tensor
+    y: Tensor
+
+
+class Line(SeededBatches[Point]):
+    """Points of y = 2 x; those of `bad` batches are not finite."""
+
+    def __init__(self, seed: int, batch_size: int, share: Share, bad: Sequence[int]) -> None:
+        super().__init__(seed, batch_size, share)
+        self.bad = bad
+
+    def item(self, number: int) -> Point:
+        x = torch.tensor([self.rng(number).standard_normal()], dtype=torch.float32)
+        return Point(x, SLOPE * x * (torch.nan if number // self.batch_size in self.bad else 1))
+
+
+class LineTask(Task[Point]):
+    """A network with batch statistics and dropout; a module beside it that counts."""
+
+    def __init__(self, config: Config, bad: Sequence[int] = (), scores: Sequence[float] = ()):
+        self.config, self.bad, self.scores = config, bad, iter(scores)
+        self.seen: list[Any] = []
+
+    def build(self, device: torch.device) -> None:
+        layers = nn.Linear(1, 8), nn.BatchNorm1d(8), nn.Dropout(0.1), nn.Linear(8, 1)
+        self.model = nn.Sequential(*layers)
+        self.count = nn.Module()
+        self.count.register_buffer("calls", torch.zeros((), dtype=torch.int64))
+        self.state = {"count": self.count}
+
+    def epoch_size(self) -> int:
+        return 21
+
+    def optimizer(self) -> torch.optim.Optimizer:
+        return torch.optim.Adam(self.model.parameters(), lr=self.config.train.learning_rate)
+
+    def batches(self, share: Share) -> Line:
+        settings = self.config.train
+        return Line(settings.seed, settings.batch_size, share, self.bad)
+
+    def loss(self, network: nn.Module, batch: Point) -> dict[str, Tensor]:
+        self.count.calls += 1
+        self.seen.append(batch.x[0].item())
+        error = (network(batch.x) - batch.y).square().mean()
+        return {"error": error, "total": 3 * error}
+
+    def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
+        assert not model.training
+        with torch.no_grad():
+            error = float((model(torch.ones(1, 1)) - SLOPE).abs())
+        rows = [Row("y", np.ones(60), np.full(60, error))]
+        score = next(self.scores, -error)
+        return {"score": score, "error": error}, [ClipRows("one", np.zeros(32_000), rows, 30)]
+
+    def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
+        with output_folder(folder, kind="model", force=True) as beside:
+            torch.save(model.state_dict(), beside / "weights.pt")
+            (beside / "summary.json").write_text(json.dumps(summary))
+
+
+@pytest.fixture(autouse=True)
+def small_model_folders(monkeypatch):
+    """The task's model folders hold weights and a summary alone."""
+
+    def describe(folder: Path) -> dict[str, Any]:
+        return {"training": json.loads((folder / "summary.json").read_text())}
+
+    monkeypatch.setattr(module, "describe_model", describe)
+
+
+def config(**train: Any) -> Config:
+    settings = {"learning_rate": 0.05, "batch_size": 4, "steps": 6, "evaluate_every": 2, **train}
+    return parse_config({"train": settings})
+
+
+def trained(out: Path, task: LineTask | None = None, /, **options: Any) -> LineTask:
+    task = task or LineTask(config())
+    run_training(task, out, **options)
+    return task
+
+
+def same_state(a: Path, b: Path) -> bool:
+    first, second = (torch.load(run / "state.pt", weights_only=True) for run in (a, b))
+    return str(first) == str(second)
+
+
+def test_line_is_learnt_and_the_loss_is_logged(tmp_path):
+    settings = config(steps=200, evaluate_every=100, batch_size=32, ema=0.9)
+    trained(tmp_path / "run", LineTask(settings))
+    metrics = pd.read_csv(tmp_path / "run/metrics.csv")
+    assert metrics["step"].tolist() == [25, 50, 75, 100, 125, 150, 175, 200]
+    assert list(metrics) == ["step", "error", "total", "gradient_norm", "learning_rate"]
+    np.testing.assert_allclose(metrics["total"], 3 * metrics["error"], rtol=1e-4)
+    scores = pd.read_csv(tmp_path / "run/development.csv")
+    assert scores["dev_error"].iloc[-1] < 0.2 * SLOPE
+    assert (metrics["learning_rate"] == 0.05).all()
+
+
+def test_evaluations_write_scores_pictures_and_the_best_weights(tmp_path):
+    best = run_training(LineTask(config(), scores=(0.1, 0.3, 0.2)), tmp_path / "run")
+    assert (best["step"], best["development"]["score"]) == (4, 0.3)
+    scores = pd.read_csv(tmp_path / "run/development.csv")
+    assert scores["step"].tolist() == [2, 4, 6]
+    assert scores["dev_score"].tolist() == [0.1, 0.3, 0.2]
+    states = [torch.load(tmp_path / "run" / k / "weights.pt") for k in ("best", "last")]
+    assert any(not torch.equal(states[0][k], states[1][k]) for k in states[0])
+    if can_draw():
+        pictures = sorted(path.name for path in (tmp_path / "run/curves").iterdir())
+        assert pictures == ["000002.png", "000004.png", "000006.png"]
+
+
+def test_without_validation_clips_nothing_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(LineTask, "validate", lambda self, model: ({"score": 0.0}, []))
+    trained(tmp_path / "run")
+    assert not (tmp_path / "run/curves").exists()
+
+
+def test_progress_reports_the_start_every_log_and_every_evaluation(tmp_path):
+    calls: list[tuple[int, int, set[str]]] = []
+    trained(tmp_path / "run", progress=lambda s, n, values: calls.append((s, n, set(values))))
+    scores, losses = {"dev_score", "dev_error"}, {"error", "total"}
+    assert [(step, total) for step, total, _ in calls] == [(0, 6), (2, 6), (4, 6), (6, 6), (6, 6)]
+    assert calls[0][2] == set() and calls[1][2] == scores
+    assert calls[3][2] == {*losses, "gradient_norm", "learning_rate"}
+
+
+class Killed(Exception):
+    pass
+
+
+def kill_at(step: int, patch: pytest.MonkeyPatch) -> None:
+    update = Trainer.update
+
+    def killed(trainer: Trainer[Any], *rest: Any) -> Any:
+        if trainer.step == step:
+            raise Killed
+        return update(trainer, *rest)
+
+    patch.setattr(Trainer, "update", killed)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(tmp_path, workers):
+    """The order of batches, dropout, averages, running means and the state beside the model."""
+    settings = config(ema=0.8, schedule="one_cycle", workers=workers)
+    trained(tmp_path / "whole", LineTask(config(ema=0.8, schedule="one_cycle")))
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        kill_at(5, patch)
+        trained(tmp_path / "run", LineTask(settings))
+    task = trained(tmp_path / "run", LineTask(settings), resume=True)
+    assert len(task.seen) == 2, "from step 4, the last that was saved"
+    assert same_state(tmp_path / "run", tmp_path / "whole")
+    for name in ("metrics.csv", "development.csv"):
+        assert (tmp_path / "run" / name).read_text() == (tmp_path / "whole" / name).read_text()
+
+
+def test_finished_run_is_left_as_it_is(tmp_path):
+    trained(tmp_path / "run")
+    before = (tmp_path / "run/state.pt").stat().st_mtime_ns
+    task = trained(tmp_path / "run", resume=True)
+    assert not task.seen and (tmp_path / "run/state.pt").stat().st_mtime_ns == before
+
+
+def test_used_folder_or_other_settings_are_refused(tmp_path):
+    trained(tmp_path / "run")
+    with pytest.raises(DataError, match="holds a run already; set resume"):
+        trained(tmp_path / "run")
+    with pytest.raises(ConfigError, match=r"begun with another train\.seed"):
+        trained(tmp_path / "run", LineTask(config(seed=9)), resume=True)
+
+
+def test_steps_come_from_epochs_where_none_are_given(tmp_path):
+    task = trained(tmp_path / "run", LineTask(config(steps=None, epochs=2)))
+    assert len(task.seen) == 11  # 2 epochs of 21 in batches of 4
+    few = trained(tmp_path / "few", LineTask(config(steps=None, epochs=0.01)))
+    assert len(few.seen) == 1
+
+
+def prepared(task: LineTask) -> tuple[Trainer[Point], nn.Module]:
+    trainer = Trainer(task, new_accelerator(task.config.train))
+    return trainer, trainer.prepare()
+
+
+def test_bad_batch_is_left_out_and_the_next_one_is_taken():
+    task = LineTask(config(), bad=(0,))
+    trainer, network = prepared(task)
+    before = {name: value.clone() for name, value in task.model.state_dict().items()}
+    batches = iter(task.batches(Share()))
+    trainer.update(network, next(batches))
+    assert not np.isfinite(trainer.gradient_norm) and trainer.bad_steps == 1
+    learnt = [name for name, _ in task.model.named_parameters()]
+    assert all(torch.equal(task.model.state_dict()[name], before[name]) for name in learnt)
+    trainer.update(network, next(batches))
+    assert trainer.bad_steps == 0 and trainer.step == 2
+    assert any(not torch.equal(task.model.state_dict()[name], before[name]) for name in learnt)
+
+
+def test_running_means_that_a_bad_batch_spoils_are_restored():
+    task = LineTask(config())
+    trainer, network = prepared(task)
+    good = next(iter(task.batches(Share())))
+    trainer.update(network, good._replace(x=good.x * torch.nan))
+    assert all(buffer.isfinite().all() for buffer in task.model.buffers())
+    assert all(buffer.isfinite().all() for buffer in trainer.average.buffers())
+
+
+def test_many_bad_batches_in_a_row_end_the_run(tmp_path):
+    task = LineTask(config(steps=100), bad=range(100))
+    with pytest.raises(DataError, match="20 gradients in a row are not finite; lower train"):
+        trained(tmp_path / "run", task)
+    assert len(task.seen) == MAX_BAD_STEPS
+
+
+def test_gradient_is_clipped_and_its_norm_before_is_logged():
+    task = LineTask(config(gradient_clip=1e-3))
+    trainer, network = prepared(task)
+    trainer.update(network, next(iter(task.batches(Share()))))
+    left = torch.stack([p.grad.norm() for p in task.model.parameters()]).norm()
+    assert float(left) == pytest.approx(1e-3, rel=1e-3)
+    assert trainer.gradient_norm > 0.1
+
+
+def test_two_precisions_train_in_one_process(tmp_path):
+    """Accelerate's own mixed precision is fixed by the first training of a process."""
+    losses = []
+    for precision in ("float32", "bfloat16"):
+        trained(tmp_path / precision, LineTask(config(precision=precision)))
+        losses.append(pd.read_csv(tmp_path / precision / "metrics.csv")["error"].iloc[0])
+    assert losses[0] != losses[1] and losses[0] == pytest.approx(losses[1], rel=0.1)
+
+
+def test_other_processes_neither_write_nor_evaluate(tmp_path, monkeypatch):
+    """The second of two, by its accelerator alone: nothing is exchanged here."""
+    real = new_accelerator(config().train)
+    second = SimpleNamespace(
+        **{name: getattr(real, name) for name in ("device", "prepare", "backward")},
+        clip_grad_norm_=real.clip_grad_norm_, wait_for_everyone=lambda: None,
+        main_process_first=real.main_process_first, is_main_process=False, process_index=1,
+        num_processes=2,
+    )  # fmt: skip
+    monkeypatch.setattr(module, "new_accelerator", lambda *_: second)
+    monkeypatch.setattr(module, "describe_model", lambda folder: {"training": {}})
+    (tmp_path / "run").mkdir()
+    task = LineTask(config())
+    task.validate = lambda model: pytest.fail("evaluated")  # type: ignore[method-assign]
+    trained(tmp_path / "run", task, progress=lambda *_: pytest.fail("reported"))
+    assert list((tmp_path / "run").iterdir()) == []
+    whole = next(iter(task.batches(Share())))
+    assert task.seen[0] == whole.x[1].item(), "its share of the first batch"
