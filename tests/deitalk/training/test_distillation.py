@@ -118,7 +118,7 @@ def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
 
 
 def test_a_frozen_frontend_has_no_teacher():
-    with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend learns"):
+    with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend cannot be"):
         load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
 
 
