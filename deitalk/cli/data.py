@@ -58,13 +58,13 @@ def lips(
     folder: Annotated[Path, typer.Argument(help="Measured lips (docs/dataset.md).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder.")],
     model: Annotated[
-        str, typer.Option(help="Model that predicts what the measures leave open.")
+        str, typer.Option(help="Model whose curves are fitted to the measures.")
     ] = "default",
     validation: Annotated[
-        list[str] | None, typer.Option(help="Speaker to choose by; may be given several times.")
+        list[str] | None, typer.Option(help="Speaker of the validation split; repeatable.")
     ] = None,
     test: Annotated[
-        list[str] | None, typer.Option(help="Speaker to test on; may be given several times.")
+        list[str] | None, typer.Option(help="Speaker of the test split; repeatable.")
     ] = None,
     corpus: Annotated[
         Path | None,
@@ -76,10 +76,10 @@ def lips(
     most: Most = None,
     force: Force = False,
 ) -> None:
-    """Write measured lips as a dataset folder: curves that repeat them on the embedded head.
+    """Write a dataset folder of measured lips: curves fitted to them on the embedded head.
 
-    The curves of the model are moved as little as is needed for opening, jaw, width, lips and
-    corners to be those that were measured. Speakers train unless they are named for another split.
+    The curves of the model are changed by the smallest amount with which opening, jaw, width, lips
+    and corners of the head equal the measures. Other speakers are in the training split.
 
     Examples
     --------

@@ -39,11 +39,11 @@ def evaluate(
     ] = False,
     lips: Annotated[
         Path | None,
-        typer.Option(help="Measured lips of people to score instead of a dataset folder."),
+        typer.Option(help="Folder of measured lips to score on, instead of a dataset folder."),
     ] = None,
     speaker: Annotated[
         list[str] | None,
-        typer.Option(help="Of measured lips, only this one; may be given several times."),
+        typer.Option(help="Speaker of measured lips to score; repeatable."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")

@@ -1,9 +1,9 @@
-"""Predicted lips against lips of people: ``deitalk evaluate MODEL --lips FOLDER``.
+"""Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
 
-Every recording is read in the neutral emotion; the curves move the embedded head, whose lip
-measures (`deitalk.data.lips.head`) are compared with those of the speaker while he speaks. Three
-predictions are scored: the network alone, the curves as `deitalk.animate` returns them, and the
-level of the recording as a baseline. No label is made by a rule of ours.
+Every recording is animated in the neutral emotion; the lip measures of the embedded head
+(`deitalk.data.lips.head`) are compared with those of the speaker during speech. Three predictions
+are scored: the network alone, the curves of `deitalk.animate`, and the level of the recording as a
+baseline.
 
 Letters: T frames at 30 per second, M measures.
 """
@@ -30,7 +30,7 @@ from rig.face.head import build_head
 
 PREDICTIONS = ("network", "animated", "loudness")
 LOW, HIGH = 5, 95
-"""Percentiles between which a range is measured."""
+"""Percentiles of a range."""
 
 
 def evaluate_lips(
@@ -50,16 +50,16 @@ def evaluate_lips(
     folder : Path
         Measured lips (`deitalk.data.lips.measured`).
     speakers : sequence of str
-        Only these; all if empty.
+        Speakers to score; all if empty.
     most : int or None
-        At most so many recordings of every speaker, evenly spread.
+        Most recordings of every speaker, evenly spread.
     progress : callable
-        Given the share done.
+        Called with the share done, 0 to 1.
 
     Returns
     -------
     dict
-        Of every prediction, and speaker or ``mean`` (all speakers alike): ``r`` of each measure
+        By prediction, and speaker or ``mean`` (over speakers): ``r`` of each measure
         (mean over recordings), and for predicted curves ``range`` (5th to 95th percentile) and
         ``speed`` (mean absolute velocity) over those measured.
 
@@ -139,7 +139,7 @@ def _scores(pairs: Sequence[tuple[Float32, Float32]], *, ranges: bool) -> dict[s
 
 
 def _ratio(given: float, measured: float) -> float:
-    """NaN where the measured lips do not move."""
+    """`given` over `measured`; NaN if the measured lips are constant."""
     return float(given / measured) if measured > 0 else float("nan")
 
 
@@ -150,7 +150,7 @@ def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """A table for each prediction; columns are speakers."""
+    """A Markdown table per prediction; columns are speakers."""
     parts: list[str] = []
     for name in PREDICTIONS:
         parts += [f"Measured lips, {name}:", "", *table("", report[name]), ""]
