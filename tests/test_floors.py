@@ -128,7 +128,7 @@ def _is_typing(node: ast.stmt) -> bool:
 
 
 @pytest.mark.parametrize(("package", "most"), [("deitalk", 20), ("rig", 16)])
-def test_packages_hold_few_entries_side_by_side(package, most):
+def test_packages_have_few_entries(package, most):
     entries = [
         p.name for p in (ROOT / package).iterdir() if p.name not in ("__pycache__", "py.typed")
     ]

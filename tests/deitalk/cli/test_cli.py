@@ -195,7 +195,7 @@ def test_silence_gives_a_face_at_rest(tmp_path, model):
         (["convert", "a.csv"], "a target"),
     ],
 )
-def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected):
+def test_wrong_command_line_is_one_line_with_exit_code_2(arguments, expected):
     assert expected in refused(*arguments, code=2)
 
 

@@ -47,7 +47,7 @@ def test_curves_become_a_live_link_take_at_60_fps(curves_file, tmp_path):
     assert read_take(out).fps == 60 and len(read_take(out).ticks) == 60
 
 
-def test_take_folder_gain_mirror_and_range(curves_file, tmp_path):
+def test_take_folder_is_converted_with_gain_mirror_and_range(curves_file, tmp_path):
     out = tmp_path / "out.npz"
     result = run(
         "convert",

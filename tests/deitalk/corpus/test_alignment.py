@@ -33,7 +33,7 @@ def _named(phones, names):
     return [p for p in phones if p.name in names]
 
 
-def test_words_of_a_text():
+def test_words_of_a_text_are_lower_case_without_punctuation():
     assert text_words("Don’t -- it's 1,000 or 3.5, O'Neill's & co!") == [
         "don't", "it's", "1000", "or", "3.5", "o'neill's", "and", "co",
     ]  # fmt: skip

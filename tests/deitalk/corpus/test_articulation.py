@@ -90,7 +90,7 @@ def test_a_bilabial_is_a_contact_of_two_frames_with_a_shut_jaw(name, seconds, of
 
 
 @pytest.mark.parametrize("name", sorted(LABIODENTALS))
-def test_a_labiodental_bites_and_the_lips_stay_apart(name):
+def test_labiodental_is_a_bite_with_open_lips(name):
     channels, _ = channels_of(f"AA {name} AA", 0.07)
     bitten = channels[:, BITE] >= 0.9
     assert longest_run(bitten) >= 2

@@ -12,7 +12,7 @@ from tests.closeness import SHARE
 
 
 @pytest.mark.slow  # the recogniser's 123 million weights
-def test_table_4_of_a_short_clip():
+def test_table_4_of_a_short_clip_has_every_stage():
     report = table_4(threads=1, repeats=1, seconds=0.3)
     assert report["frames"] == 18
     assert list(report["milliseconds"]) == list(PUBLISHED)

@@ -98,7 +98,7 @@ def test_lag_is_interpolated_between_frames(late_ms):
 
 
 @pytest.mark.parametrize("emotion", EMOTIONS)
-def test_rule_names_the_prototypes_and_half_of_them(emotion):
+def test_rule_recognises_prototypes_at_full_and_half_strength(emotion):
     pose = style_poses(CONTROLS)[EMOTIONS.index(emotion)].astype(np.float32)
     speaking = np.array([True, True, False])
     for strength in (0.5, 1.0):
@@ -107,7 +107,7 @@ def test_rule_names_the_prototypes_and_half_of_them(emotion):
         assert recognise(curves, speaking, CONTROLS) == emotion
 
 
-def test_a_trace_of_a_smile_is_neutral_and_a_grin_is_not():
+def test_weak_smile_is_neutral_and_strong_smile_is_not():
     curves = np.tile(CONTROLS.rest, (2, 1))
     for size, name in ((0.09, "neutral"), (0.5, "happy")):
         for side in "LR":

@@ -70,7 +70,7 @@ def test_closure_is_held_from_two_frames_in_a_row():
     assert held_closures(curve({9: 1.0, 10: 1.0}), [(0.3, 0.4, "F")]) == []
 
 
-def test_summary_of_two_clips():
+def test_summary_of_two_clips_by_hand():
     # closures 1 and 0.2; vowel 0.5: one of two is found, and one of two pairs is in order
     one = closure_scores(curve({9: 1.0, 10: 1.0, 20: 0.5}), [B, (0.6, 0.8, "AA")])
     other = closure_scores(curve({9: 0.2}), [B])

@@ -93,7 +93,7 @@ def test_unsuitable_models_and_folders_are_refused(tmp_path):
         evaluate_mesh(still(), data, split="train", transitions=True)
 
 
-def test_command(tmp_path):
+def test_command_writes_a_report_and_refuses_other_options(tmp_path):
     data = write_dataset(tmp_path / "d", 1, 5)
     config = parse_config(
         {

@@ -157,7 +157,7 @@ def test_detector_rejects_an_unknown_name():
 
 @pytest.mark.parametrize(("name", "package"), [("silero", "onnxruntime"), ("webrtc", "webrtcvad")])
 @pytest.mark.parametrize("n_samples", [1, 159, 512, 16_001, 40_000])
-def test_other_detectors_give_one_value_a_frame(name, package, n_samples, rng):
+def test_other_detectors_give_one_value_per_frame(name, package, n_samples, rng):
     pytest.importorskip(package)
     if name == "silero":
         pytest.importorskip("silero_vad")
@@ -254,7 +254,7 @@ def write_dataset(folder, splits):
     (folder / "clips.csv").write_text("\n".join(rows) + "\n")
 
 
-def test_examples_are_read_once_a_recording_by_split(tmp_path):
+def test_examples_are_read_once_per_recording_by_split(tmp_path):
     write_dataset(tmp_path, ["train", "test", "validation", "test"])
     examples = read_examples(tmp_path, ("validation", "test"), 10)
     assert [example.group for example in examples] == ["tone"] * 3

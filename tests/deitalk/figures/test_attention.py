@@ -44,7 +44,7 @@ def test_missing_kind_of_phone_is_refused():
         attention_maps(weights(), PHONES[:2], 30)
 
 
-def test_picture(tmp_path):
+def test_picture_shows_the_peak_of_plosives(tmp_path):
     pytest.importorskip("matplotlib")
     from matplotlib.image import imread
 

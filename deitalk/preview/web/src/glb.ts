@@ -46,7 +46,7 @@ function readDocument(data: ArrayBuffer, name: string): Record<string, any> {
 
 function checkDocument(document: Record<string, any>, name: string): void {
   const list = (key: string): any[] => (Array.isArray(document[key]) ? document[key] : []);
-  if (!list("meshes").length || !list("scenes").length) throw new Error(`${name} has no mesh in a scene`);
+  if (!list("meshes").length || !list("scenes").length) throw new Error(`${name} holds no mesh in a scene`);
   const isOutside = (part: any) => part?.uri !== undefined && !String(part.uri).startsWith("data:");
   if ([...list("buffers"), ...list("images")].some(isOutside)) {
     throw new Error(`${name} keeps its data in other files; export one .glb`);
