@@ -63,6 +63,12 @@ class LossConfig(Section):
     contact: float = Field(
         default=0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
     )
+    lips: float = Field(
+        default=0.0,
+        ge=0,
+        description="weight of the lips of the embedded head, which the curves move; not in the "
+        "paper",
+    )
     distillation: float = Field(
         default=1.0,
         ge=0,
@@ -88,6 +94,12 @@ class DataConfig(Section):
         ge=0,
         le=1,
         description="share of windows from recorded (not synthetic) speech",
+    )
+    measured_fraction: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="share of windows from clips whose lips were measured, their speakers alike",
     )
     cache_gigabytes: float = Field(
         default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"

@@ -28,6 +28,8 @@ from rig.arrays import Float32, Float64
 SPLITS = ("train", "validation", "test")
 MAX_BYTES = 512 * 1024**2
 MAX_OFFSET_SECONDS = 3600.0
+MEASURED = "measured"
+"""Source of clips whose lips were measured on people."""
 REQUIRED = ("clip", "audio", "curves", "emotion", "speaker", "split")
 
 
@@ -43,7 +45,7 @@ class Clip:
     split: str
     voice: str
     source: str
-    """Where the speech is from: an engine's name, or ``recording``."""
+    """Where the speech is from: an engine's name, ``recording``, or ``measured``."""
     offset_seconds: float
     """Curves start this long after the audio."""
     phones: Path | None

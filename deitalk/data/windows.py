@@ -18,7 +18,7 @@ from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.data.clips import Clip, read_intensity
+from deitalk.data.clips import MEASURED, Clip, read_intensity
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
@@ -175,7 +175,8 @@ def _curves_at(material: Material, times: Float64) -> tuple[Float32, Float32]:
 class WindowBatches(SeededBatches[Window]):
     """Endless batches of random windows of many clips.
 
-    Every clip is as likely as another, whatever its length (recorded ones by
+    Every clip is as likely as another, whatever its length (those with measured lips by
+    `DataConfig.measured_fraction`, their speakers alike; recorded ones by
     `DataConfig.real_fraction`); within a clip the first frame is a random multiple of the stride.
     The clips used last stay in memory, `DataConfig.cache_gigabytes`
     of them.
@@ -222,9 +223,21 @@ class WindowBatches(SeededBatches[Window]):
         super().__init__(seed, batch_size, share)
         self.clips, self.controls, self.config = list(clips), controls, config
         self.frozen_features, self.clean = None if config.augment else frozen_features, clean
-        self.recorded = np.array([clip.source == "recording" for clip in self.clips])
+        self.measured, self.others = self._divided()
+        self.recorded = np.array([clip.source == "recording" for clip in self.others])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
         self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9))
+
+    def _divided(self) -> tuple[list[list[Clip]], list[Clip]]:
+        """Measured clips by speaker, if they have a share of their own, and the other clips."""
+        speakers: dict[str, list[Clip]] = {}
+        for clip in self.clips:
+            if clip.source == MEASURED:
+                speakers.setdefault(clip.speaker, []).append(clip)
+        others = [clip for clip in self.clips if clip.source != MEASURED]
+        if self.config.measured_fraction is None or not others:
+            return [], self.clips
+        return list(speakers.values()), others
 
     def item(self, number: int) -> Window:
         """Cut the window of a number."""
@@ -264,12 +277,15 @@ class WindowBatches(SeededBatches[Window]):
         ).float()
 
     def _draw(self, rng: np.random.Generator) -> Clip:
+        if self.measured and rng.random() < (self.config.measured_fraction or 0.0):
+            clips = self.measured[rng.integers(len(self.measured))]
+            return clips[rng.integers(len(clips))]
         fraction = self.config.real_fraction
-        if fraction is None or not (0 < self.recorded.sum() < len(self.clips)):
-            return self.clips[rng.integers(len(self.clips))]
+        if fraction is None or not (0 < self.recorded.sum() < len(self.others)):
+            return self.others[rng.integers(len(self.others))]
         wanted = rng.random() < fraction
         places = np.flatnonzero(self.recorded == wanted)
-        return self.clips[int(places[rng.integers(len(places))])]
+        return self.others[int(places[rng.integers(len(places))])]
 
 
 class MaterialCache:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.clips import Clip, read_phones
+from deitalk.data.clips import MEASURED, Clip, read_phones
 from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
@@ -65,7 +65,7 @@ class ValidationSet:
     @classmethod
     def of(cls, clips: list[Clip], controls: ControlSet) -> "ValidationSet":
         """Choose up to 60 clips: recorded ones first, evenly spread over the list."""
-        recorded = [clip for clip in clips if clip.source == "recording"]
+        recorded = [clip for clip in clips if clip.source in ("recording", MEASURED)]
         chosen = recorded or clips
         places = np.linspace(0, len(chosen) - 1, min(MAX_CLIPS, len(chosen))).round().astype(int)
         return cls(tuple(load_example(chosen[i], controls) for i in places), controls)

@@ -1,4 +1,4 @@
-"""The four-part loss (DEITalk §3.5, Eq. 8-13) and the two parts we add.
+"""The four-part loss (DEITalk §3.5, Eq. 8-13) and the parts we add.
 
 Letters: B batch, T frames, C controls, E width of the joint embedding.
 """
@@ -8,12 +8,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config import LossConfig
+from deitalk.data.lips.head import HeadLips
 from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
 from deitalk.models.curve_model import Output
 from deitalk.training.distillation import Teacher
 from deitalk.training.processes import gather_rows
 from rig import ControlSet
+from rig.face.head import build_head
 
 
 def contrast_loss(speech: Tensor, motion: Tensor, temperature: float) -> Tensor:
@@ -103,6 +105,32 @@ def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
     return shut.mean() + 0.1 * decided
 
 
+LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
+"""Standard deviation of each lip measure of people who read aloud, on the embedded head."""
+LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
+"""Of `deitalk.data.lips.head.MEASURES`."""
+
+
+def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:
+    """Distance of lips: squared error, squared error of the velocity, and lack of correlation.
+
+    Not in the paper, whose controls are equal in the loss whatever they move.
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, 6)]
+        Lip measures, cm.
+    """
+    spread, weights = target.new_tensor(LIP_SPREAD_CM), target.new_tensor(LIP_WEIGHTS)
+    a, b = target / spread, predicted / spread
+    square = (a - b).square().mean(dim=1)
+    velocity = (a - b).diff(dim=1).square().mean(dim=1)
+    a, b = a - a.mean(dim=1, keepdim=True), b - b.mean(dim=1, keepdim=True)
+    norm = (a.square().sum(dim=1) * b.square().sum(dim=1) + 1e-3).sqrt()
+    lack = 1 - (a * b).sum(dim=1) / norm
+    return ((square + 2 * velocity + lack) * weights).sum(dim=-1).mean()
+
+
 def total_loss(
     output: Output,
     curves: Tensor,
@@ -112,6 +140,7 @@ def total_loss(
     config: LossConfig,
     weights: Tensor | None,
     contact_controls: Tensor,
+    lips: HeadLips | None = None,
 ) -> dict[str, Tensor]:
     """Every part, and their weighted sum as ``total`` (Eq. 8).
 
@@ -131,6 +160,8 @@ def total_loss(
         Of the controls, in Eq. 12-13.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
+    lips : HeadLips or None
+        The head whose lips are compared; None if `config.lips` is 0.
     """
     parts = {
         "position": position_loss(curves, output.curves, weights),
@@ -147,6 +178,8 @@ def total_loss(
         parts["contact"] = contact_loss(
             curves[..., contact_controls], output.curves[..., contact_controls]
         )
+    if lips is not None:
+        parts["lips"] = lip_loss(lips(curves), lips(output.curves))
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -184,6 +217,7 @@ class CurveLoss:
         self.contact = torch.tensor(
             [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
         )
+        self.lips = HeadLips(build_head()).to(device) if config.lips else None
 
     def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
         """Every part of the loss of one batch, and their weighted sum as ``total``."""
@@ -197,6 +231,7 @@ class CurveLoss:
             config=self.config,
             weights=self.weights,
             contact_controls=self.contact,
+            lips=self.lips,
         )
         if self.teacher is not None:
             distance = self.teacher.distance(batch.clean, output.speech)

@@ -12,7 +12,7 @@ import torch
 
 from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
-from deitalk.data.clips import SPLITS, Clip, read_clips
+from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
 from deitalk.data.lips.fit import fit_curves, neutral_reading
 from deitalk.data.lips.head import HeadLips
 from deitalk.data.lips.measured import LipClip, read_lips
@@ -30,8 +30,6 @@ HEADER = (
     "clip", "audio", "curves", "emotion", "speaker", "split", "voice", "source", "phones",
     "intensity",
 )  # fmt: skip
-MEASURED = "measured"
-"""Source of clips whose lips were measured."""
 VALIDATION_SHARE = 0.1
 """Of the corpus clips; they come from its validation speakers."""
 

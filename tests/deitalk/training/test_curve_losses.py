@@ -1,4 +1,4 @@
-"""Closed forms of the four-part loss (Eq. 8-13) and of the two parts we add."""
+"""Closed forms of the four-part loss (Eq. 8-13) and of the parts we add."""
 
 import math
 
@@ -9,14 +9,19 @@ from deitalk.config import LossConfig
 from deitalk.models.curve_model import Output
 from deitalk.models.intensity import Intensity
 from deitalk.training.curve_losses import (
+    LIP_SPREAD_CM,
+    LIP_WEIGHTS,
+    CurveLoss,
     classification_loss,
     contact_loss,
     contrast_loss,
     intensity_loss,
+    lip_loss,
     position_loss,
     total_loss,
     velocity_loss,
 )
+from rig import default_controls
 
 
 def test_contrast_of_a_batch_of_two_by_hand():
@@ -149,3 +154,37 @@ def test_network_without_intensity_has_two_parts():
     parts = total(LossConfig(), Output(PREDICTED, None, None, None), *example()[1:])
     assert set(parts) == {"position", "velocity", "total"}
     assert float(parts["total"]) == 6.5 + 4 * 13
+
+
+def test_lip_loss_by_hand():
+    """Opening alternates by one spread; a prediction twice as wide errs by half a spread."""
+    target = torch.zeros(1, 4, 6)
+    target[0, :, 0] = torch.tensor([0.0, 1.0, 0.0, 1.0]) * LIP_SPREAD_CM[0]
+    assert float(lip_loss(target, target)) == pytest.approx(sum(LIP_WEIGHTS[1:]), abs=0.01)
+    # squares 0 1 0 1 over 4, velocities 1 1 1 over 3 twice, correlation 1
+    expected = LIP_WEIGHTS[0] * (0.5 + 2 * 1.0) + sum(LIP_WEIGHTS[1:])
+    assert float(lip_loss(target, 2 * target)) == pytest.approx(expected, abs=0.01)
+    # measures that do not move correlate with nothing: each lacks 1 by its weight
+
+
+def test_lips_of_the_head_join_the_loss_where_they_have_a_weight():
+    config = LossConfig(lips=0.5, contrast=0, position=0, velocity=0)
+    controls = default_controls()
+    loss = CurveLoss(config, controls, torch.device("cpu"))
+    rest = torch.tensor(controls.rest).float()
+    curves = rest.repeat(2, 16, 1)
+    curves[..., controls.index("CTRL_C_jaw.ty")] = torch.linspace(0, 0.5, 16)
+    output, _, _, _ = example()
+    parts = total_loss(
+        output._replace(curves=rest.repeat(2, 16, 1), intensity=None, emotion_logits=None),
+        curves,
+        torch.zeros(2, 5),
+        torch.zeros(2, 16),
+        config=config,
+        weights=None,
+        contact_controls=loss.contact,
+        lips=loss.lips,
+    )
+    assert float(parts["lips"]) > 3
+    assert float(parts["total"]) == pytest.approx(0.5 * float(parts["lips"]))
+    assert CurveLoss(LossConfig(), controls, torch.device("cpu")).lips is None
