@@ -16,12 +16,15 @@ from safetensors.torch import save
 from deitalk.config import (
     AnyConfig,
     Config,
+    ConformerConfig,
     DEITalkFeaturesConfig,
     KarrasConfig,
+    MelConfig,
     SDFAConfig,
     SDFAMelConfig,
     SDFAModelConfig,
     VocaConfig,
+    Wav2VecConfig,
     load_config,
 )
 from deitalk.errors import CheckpointError
@@ -251,13 +254,13 @@ def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -
 
 
 def _read_mesh_head(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
-    parts, features = _mesh_parts(folder, config, about), new_encoder(config.model.frontend)
-    assert isinstance(features, DEITalkFeatures)
+    parts, frontend = _mesh_parts(folder, config, about), config.model.frontend
+    features = new_encoder(frontend)
+    assert isinstance(frontend, DEITalkFeaturesConfig) and isinstance(features, DEITalkFeatures)
     if features.fingerprint != about.get("decodes_sha256"):
-        name = getattr(config.model.frontend, "model", None)
         raise CheckpointError(
-            f"{folder}: decodes the features of other weights than those of {name!r} now; train "
-            "it again"
+            f"{folder}: decodes the features of other weights than those of {frontend.model!r} "
+            "now; train it again"
         )
     return lambda: MeshHead(config.model, features, empty_layers(shapes), **parts)
 
@@ -287,7 +290,8 @@ class Kind(NamedTuple):
     """One kind of model."""
 
     config: type[AnyConfig]
-    """Class of its configuration."""
+    frontends: tuple[type, ...]
+    """Classes of its configuration, and of `model.frontend` in it."""
     model: type[Model]
     read: Callable[[Path, Any, About, Shapes], Build]
     """Folder, configuration, ``model.json`` and weight shapes to what builds the network."""
@@ -295,16 +299,17 @@ class Kind(NamedTuple):
     """The kind's own entries of ``model.json``."""
 
 
-KINDS = {
-    "curves": Kind(Config, DEITalk, _read_curves, _about_curves),
-    "sdfa": Kind(SDFAConfig, SDFA, _read_sdfa, about_mesh),
-    "mesh_head": Kind(SDFAConfig, MeshHead, _read_mesh_head, _about_mesh_head),
-}
+KINDS = (
+    Kind(Config, (MelConfig, Wav2VecConfig, ConformerConfig), DEITalk, _read_curves, _about_curves),
+    Kind(SDFAConfig, (SDFAMelConfig, KarrasConfig, VocaConfig), SDFA, _read_sdfa, about_mesh),
+    Kind(SDFAConfig, (DEITalkFeaturesConfig,), MeshHead, _read_mesh_head, _about_mesh_head),
+)
 
 
 def kind_of(config: AnyConfig) -> Kind:
     """Kind of the model that a configuration describes."""
-    if isinstance(config, Config):
-        return KINDS["curves"]
-    is_head = isinstance(config.model.frontend, DEITalkFeaturesConfig)
-    return KINDS["mesh_head" if is_head else "sdfa"]
+    return next(
+        kind
+        for kind in KINDS
+        if isinstance(config, kind.config) and isinstance(config.model.frontend, kind.frontends)
+    )

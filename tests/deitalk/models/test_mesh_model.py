@@ -21,21 +21,14 @@ from deitalk.config import (
     parse_config,
 )
 from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
-from deitalk.data.mesh_sources import head_lips, head_templates
 from deitalk.errors import AudioError, CheckpointError, ConfigError, DataError
-from deitalk.evaluation.mesh import lip_gap
 from deitalk.frontends.windows import window_index
 from deitalk.models import mesh_model as sdfa_module
-from deitalk.models.checkpoint import load_model, new_mesh_model, require_model, save_model
+from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
-from deitalk.models.folder import describe_model
-from deitalk.models.mesh_model import SDFA, MeshModel
-from deitalk.models.trim import main as trim_main
-from deitalk.models.trim import trimmed
 from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
 from deitalk.pipeline.speech import Speech
-from deitalk.postprocess.lip_seal import seal_lips
 from deitalk.training import mesh as train_module
 from deitalk.training import trainer as trainer_module
 from deitalk.training.lip_regression import LipRegression
@@ -387,91 +380,6 @@ def test_resumed_is_as_uninterrupted(sequences, tmp_path):
     assert all(torch.equal(one[name], two[name]) for name in one)
 
 
-def test_saved_model_read_again_predicts_the_same(tmp_path):
-    sdfa = model()
-    save_model(tmp_path / "m", sdfa, tiny(), {"step": 3}, half_bases=False)
-    back = load_model(tmp_path / "m")
-    assert back.speakers == ("ann", "bob")
-    assert (back.fps, back.unit_mm) == (60, 10)
-    sound = noise(0.3)
-    np.testing.assert_array_equal(predict_mesh(back, sound, 1), predict_mesh(sdfa, sound, 1))
-    about = describe_model(tmp_path / "m")
-    assert about["training"] == {"step": 3}
-    assert about["parameters"] == sum(p.numel() for p in sdfa.parameters())
-    save_model(tmp_path / "h", sdfa, tiny(), {})
-    small = (tmp_path / "h/model.safetensors").stat().st_size
-    whole = (tmp_path / "m/model.safetensors").stat().st_size
-    basis = sum(b.numel() for n, b in sdfa.named_buffers() if "inverse_pca" in n)
-    assert whole - small == pytest.approx(2 * basis, abs=64)
-    save_model(tmp_path / "s", sdfa, tiny(), {}, half=True)
-    smallest = (tmp_path / "s/model.safetensors").stat().st_size
-    assert smallest < 0.6 * whole
-    loaded = load_model(tmp_path / "s")
-    assert next(loaded.parameters()).dtype == torch.float32
-    np.testing.assert_allclose(predict_mesh(loaded, sound), predict_mesh(sdfa, sound), atol=2e-2)
-
-
-def test_numbers_that_never_move_are_not_stored(tmp_path):
-    sdfa = model()
-    layer = sdfa.decoder.branches["stretch"].inverse_pca
-    save_model(tmp_path / "a", sdfa, tiny(), {}, half_bases=False)
-    layer.components[:, 10:100] = 0
-    save_model(tmp_path / "b", sdfa, tiny(), {}, half_bases=False)
-    one, other = ((tmp_path / n / "model.safetensors").stat().st_size for n in "ab")
-    assert one - other == pytest.approx(4 * 90 * (3 + 1), abs=64)  # components and mean
-    back = load_model(tmp_path / "b").decoder.branches["stretch"].inverse_pca
-    assert torch.equal(back.components, layer.components)
-
-
-def test_trimmed_bases_keep_their_first_components():
-    """Components are ordered: two of three are the first two."""
-    sdfa = model()
-    small = trimmed(sdfa, {"stretch": 2})
-    assert small.decoder.branches["stretch"].inverse_pca.components.shape == (2, 108)
-    (rows,), (fewer,) = (list(mesh_coefficients(m, noise(0.3))) for m in (sdfa, small))
-    torch.testing.assert_close(fewer["stretch"], rows["stretch"][:, :2])
-    torch.testing.assert_close(fewer["rotation"], rows["rotation"])
-    for sizes, said in (({"stretch": 4}, "4 of 3"), ({"offsets": 1}, "no branch")):
-        with pytest.raises(CheckpointError, match=said):
-            trimmed(sdfa, sizes)
-
-
-def test_trim_command_writes_a_model_once(tmp_path):
-    sdfa = model()
-    save_model(tmp_path / "m", sdfa, tiny(), {"step": 3})
-    arguments = [str(tmp_path / "m"), str(tmp_path / "t"), "stretch=2", "rotation=4"]
-    trim_main(arguments)
-    back = load_model(tmp_path / "t")
-    assert len(back.decoder.deviations["stretch"]) == 2
-    assert describe_model(tmp_path / "t")["training"]["components"]["stretch"] == 2
-    moved, whole = (predict_mesh(m, noise(0.3)) for m in (trimmed(sdfa, {"stretch": 2}), back))
-    np.testing.assert_allclose(moved, whole, atol=2e-2)
-    with pytest.raises(CheckpointError, match="exists already"):
-        trim_main(arguments)
-
-
-def test_require_model_rejects_another_kind(tmp_path):
-    save_model(tmp_path / "m", model(), tiny(), {})
-    assert isinstance(load_model(tmp_path / "m"), SDFA)
-    needed = r"m: an SDFA model \(mesh\); a DEITalk model \(curves\) is needed, such as default"
-    with pytest.raises(CheckpointError, match=needed):
-        require_model(tmp_path / "m", DEITalk)
-    with pytest.raises(CheckpointError, match="is an SDFA model"):
-        require_model(model(), DEITalk)
-
-
-def test_load_model_rejects_damaged_templates(tmp_path):
-    save_model(tmp_path / "m", model(), tiny(), {})
-    (tmp_path / "m/templates.npz").write_bytes(b"no")
-    with pytest.raises(CheckpointError, match="no archive of numpy arrays"):
-        load_model(tmp_path / "m")
-    (tmp_path / "m/config.yaml").write_text("name: other\n")
-    with pytest.raises(CheckpointError, match="made for control set 'none"):
-        load_model(tmp_path / "m")
-    with pytest.raises(CheckpointError, match="no model there"):
-        require_model(tmp_path / "nothing", MeshModel)
-
-
 def test_attention_rows_sum_to_one():
     for recurrence in ("window", "segment"):
         weights = model(recurrence=recurrence).attention_weights(Speech.of(noise(0.5)).sound)
@@ -558,41 +466,3 @@ def test_lip_reader_is_exact_where_motion_is_linear(sequences):
     rest = folder.templates["ann"].vertices
     parting = 10 * (rest[LIPS.upper] - rest[LIPS.lower])
     np.testing.assert_allclose(reader.rest_parting(torch.eye(2)[:1])[0, 0], parting, atol=1e-4)
-
-
-# Lips that nearly meet
-
-
-def parted(gap_mm):
-    """A head's skin in three frames: closed, parted by `gap_mm`, wide open."""
-    template = next(iter(head_templates((0,)).values()))
-    lips, frames = head_lips(), np.tile(template.vertices.astype(np.float32), (3, 1, 1))
-    middle = 0.5 * (frames[:, lips.upper] + frames[:, lips.lower])
-    half = np.array([0, gap_mm, 20.0])[:, None] / 20  # cm, half a gap
-    for rim, sign in ((lips.upper, 1), (lips.lower, -1)):
-        frames[:, rim] = middle
-        frames[:, rim, 1] += sign * half
-    return frames, lips
-
-
-@pytest.mark.parametrize(("gap_mm", "left_mm"), [(0.9, 0), (1.0, 0), (1.5, 0.75), (2.0, 2.0)])
-def test_seal_lips_by_hand(gap_mm, left_mm):
-    frames, lips = parted(gap_mm)
-    sealed = seal_lips(frames, 2.0, 10)
-    gaps = lip_gap(sealed, lips, 10)
-    np.testing.assert_allclose(gaps, [0, left_mm, 20], atol=1e-3)
-    far = np.linalg.norm(sealed - frames, axis=-1)[1] * 10
-    assert far.max() == pytest.approx((gap_mm - left_mm) * 0.62, abs=1e-3)  # the lower lip's part
-    assert (far > 0).mean() < 0.2  # of the head
-    np.testing.assert_array_equal(sealed[2], frames[2])
-
-
-def test_new_mesh_model_rejects_a_seal_of_other_faces():
-    with pytest.raises(ConfigError, match=r"seal_mm=2: only the embedded heads"):
-        new_mesh_model(
-            SDFAModelConfig(frontend=VOCA, motion="offsets", seal_mm=2),
-            {"offsets": InversePCA(1, 48)},
-            {"ann": sheet(4)},
-            fps=30,
-            unit_mm=10,
-        )

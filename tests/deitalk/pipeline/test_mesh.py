@@ -12,7 +12,8 @@ from deitalk.emotions import IntensityCurve
 from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.folder import embedded_models
-from deitalk.pipeline.mesh import animate_mesh, predict_mesh
+from deitalk.pipeline import mesh as module
+from deitalk.pipeline.mesh import animate_mesh, predict_mesh, retarget_speech
 from rig.errors import ExistsError, MeshError, RigError, TargetError
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH
@@ -21,6 +22,7 @@ from rig.mesh import read_ply_sequence
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
 from rig.mesh.obj import write_obj
+from rig.retarget.retarget_files import RetargetReport
 from tests.rig.retarget.test_retarget_files import ict
 
 SAMPLE = "docs/samples/promise.flac"
@@ -174,6 +176,43 @@ def test_sdfa_rejects_emotion_and_other_rates(sdfa_folder, speech):
         animate_mesh(speech, model=sdfa_folder, fps=60)
     with pytest.raises(CheckpointError, match=r"speaker 'eve' is unknown.*ann, bob"):
         animate_mesh(speech, model=sdfa_folder, speaker="eve")
+
+
+@pytest.mark.parametrize("kind", ["curves", "mesh"])
+def test_retarget_speech_follows_the_product_of_the_model(
+    kind, sdfa_folder, network, speech, tmp_path, monkeypatch
+):
+    """Curves drive the mesh; a mesh model's sequence is carried to it."""
+    calls = {}
+    report = RetargetReport(tmp_path / "out.npz", "neutral", 3, 30, None, ("a note",))
+
+    def curves(curves, mesh, out, **options):
+        calls["curves"] = curves
+        return report
+
+    def sequence(template, vertices, mesh, out, **options):
+        calls["mesh"] = vertices, options["fps"]
+        return report
+
+    monkeypatch.setattr(module, "retarget_curves", curves)
+    monkeypatch.setattr(module, "retarget_sequence", sequence)
+    monkeypatch.setattr(module, "load_model", lambda name, device: network)
+    options = {"model": "default", "fps": 60}
+    if kind == "mesh":
+        monkeypatch.setattr(module, "load_model", load_model)
+        options = {"model": sdfa_folder, "speaker": "bob"}
+    found, fps, notes = retarget_speech(
+        speech, tmp_path / "own.obj", tmp_path / "out.npz", **options
+    )
+    assert found is report and notes[-1] == "a note" and list(calls) == [kind]
+    if kind == "mesh":
+        vertices, rate = calls["mesh"]
+        assert (rate, fps) == (30, 30)
+        np.testing.assert_array_equal(
+            vertices, animate_mesh(speech, model=sdfa_folder, speaker="bob").vertices
+        )
+    else:
+        assert (calls["curves"].fps, fps) == (60, 60)
 
 
 # --- the command
