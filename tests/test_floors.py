@@ -1,6 +1,7 @@
 """The floors of both packages: a file imports from lower floors or its own folder only."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -155,3 +156,17 @@ def test_functions_are_short():
                     body = node.body[1:] if ast.get_docstring(node) else node.body
                     n_lines = (body[-1].end_lineno - body[0].lineno + 1) if body else 0
                     assert n_lines <= 40, f"{path}:{node.lineno} {node.name}: {n_lines} lines"
+
+
+def test_array_types_have_one_home():
+    """`rig.arrays` names them by their numbers; no module has a name of its own."""
+    plain = re.compile(r"NDArray\[np\.(float32|float64|int32|int64|bool_)\]")
+    wrong = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for package in FLOORS
+        for path in files(package)
+        if path.relative_to(ROOT) != Path("rig/arrays.py") and "unreal" not in path.parts
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if plain.search(line)
+    ]
+    assert not wrong, "\n".join(wrong)

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-SAMPLE_RATE = 16_000
-RIG_RATE = 30
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+
 FLOOR = 1e-5
 """Added to mel power before the logarithm; speech at -23 dB has cells of 1e-4 to 10."""
 
@@ -26,7 +26,7 @@ def spectra_centres(n_spectra: int, frame_rate: float) -> Tensor:
 def nearest_spectra(n_frames: int, frame_rate: float, stack: int = 1) -> Tensor:
     """Index of the (stacked) spectrum nearest to every rig frame [shape=(T,)]."""
     return torch.round(
-        torch.arange(n_frames, dtype=torch.float64) * frame_rate / RIG_RATE / stack
+        torch.arange(n_frames, dtype=torch.float64) * frame_rate / FRAME_RATE / stack
     ).long()
 
 

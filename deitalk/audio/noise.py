@@ -121,7 +121,7 @@ def named_noises(source: str) -> dict[str, Float32]:
         If the folder is missing or holds no recording.
     """
     if source == "pink":
-        return {source: pink_noise(16_000 * 30)}
+        return {source: pink_noise(30 * SAMPLE_RATE)}
     if source == "synthetic":
         return {source: synthetic_music(30)}
     if not Path(source).is_dir():

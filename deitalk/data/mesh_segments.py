@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deitalk.audio.mel import SAMPLE_RATE, derivative
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import derivative
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.augment_mel import STRETCH, MelWarp, augment_audio, frame_shift
 from deitalk.data.mesh_folder import MOTION, MeshClip

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import frame_count, load_audio
-from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
@@ -82,7 +82,7 @@ def _recorded_frames(path: str) -> int:
     import soundfile
 
     try:
-        return max(int(np.ceil(soundfile.info(path).duration * RIG_RATE)), 1)
+        return max(int(np.ceil(soundfile.info(path).duration * FRAME_RATE)), 1)
     except soundfile.LibsndfileError:
         return n_clip_frames(len(load_audio(path).waveform))
 
@@ -142,12 +142,12 @@ def cut(
     waveform [shape=(S,)], curves [shape=(T, C)], intensity [shape=(T,)], total frames
         Beyond the clip's end the audio is silent and the curves hold.
     """
-    start = round(first * speed / RIG_RATE * SAMPLE_RATE)
-    length = round(n_frames / RIG_RATE * SAMPLE_RATE)
+    start = round(first * speed / FRAME_RATE * SAMPLE_RATE)
+    length = round(n_frames / FRAME_RATE * SAMPLE_RATE)
     steps = material.waveform[start : start + round(length * speed) + 8]
     piece = change_speed(steps.astype(np.float32) * np.float32(material.unit), speed)[:length]
     waveform = np.pad(piece, (0, length - len(piece)))
-    times = (first + np.arange(n_frames)) / RIG_RATE * speed
+    times = (first + np.arange(n_frames)) / FRAME_RATE * speed
     curves, intensity = _curves_at(material, times)
     return waveform, curves, intensity, n_clip_frames(len(material.waveform), speed)
 
@@ -156,7 +156,7 @@ def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
     """Rig frames of a clip that is played at another speed; at least 1."""
     if speed == 1.0:
         return max(frame_count(n_samples), 1)
-    return max(int(np.ceil(n_samples / SAMPLE_RATE * RIG_RATE / speed)), 1)
+    return max(int(np.ceil(n_samples / SAMPLE_RATE * FRAME_RATE / speed)), 1)
 
 
 def _curves_at(material: Material, times: Float64) -> tuple[Float32, Float32]:

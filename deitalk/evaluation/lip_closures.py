@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.mel import RIG_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES, Phones
 from rig.arrays import Float32
@@ -53,14 +53,14 @@ def closure_scores(lips: Float32, phones: Phones) -> ClosureScores:
     phones : sequence of (start, end, name)
         Seconds.
     """
-    times = np.arange(len(lips)) / RIG_RATE
+    times = np.arange(len(lips)) / FRAME_RATE
     busy = [(start, end) for start, end, name in phones if name in NEAR_LIPS]
     closures, vowels = [], []
     inside, outside = np.zeros(len(lips), bool), np.zeros(len(lips), bool)
     for start, end, name in phones:
         within = (times >= start) & (times < end)
         if name in BILABIALS:
-            slack = WIDEN_FRAMES / RIG_RATE
+            slack = WIDEN_FRAMES / FRAME_RATE
             window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
             if window.any():
                 closures.append(lips[window].max())
@@ -98,9 +98,9 @@ def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = (
 
 def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[bool]:
     """For every bilabial, whether the curve is at least `level` for two frames of its window."""
-    times = np.arange(len(lips)) / RIG_RATE
+    times = np.arange(len(lips)) / FRAME_RATE
     out = []
-    slack = WIDEN_FRAMES / RIG_RATE + 1e-9
+    slack = WIDEN_FRAMES / FRAME_RATE + 1e-9
     for start, end, name in phones:
         window = (times >= start - slack) & (times <= end + slack)
         if name in BILABIALS and window.any():

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deitalk.audio.mel import RIG_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
 from deitalk.phones import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
 from rig import ControlSet
@@ -65,10 +65,10 @@ def gesture_peaks(curve: Float32, phones: Phones, gesture: Gesture) -> Peaks:
     gesture : Gesture
         Gesture to find.
     """
-    times = np.arange(len(curve)) / RIG_RATE
+    times = np.arange(len(curve)) / FRAME_RATE
     busy = [(start, end) for start, end, name in phones if name in gesture.near]
     peaks: Peaks = defaultdict(list)
-    slack = gesture.widen / RIG_RATE + 1e-9
+    slack = gesture.widen / FRAME_RATE + 1e-9
     for start, end, name in phones:
         if name in gesture.phones:
             window = curve[(times >= start - slack) & (times <= end + slack)]
@@ -135,4 +135,4 @@ def global_lag_ms(scores: Sequence[Float64]) -> float:
         before, top, after = mean[best - 1 : best + 2]
         bend = before - 2 * top + after
         offset = 0.5 * float(before - after) / float(bend) if bend < 0 else 0.0
-    return 1000 * (best - MAX_LAG_FRAMES + offset) / RIG_RATE
+    return 1000 * (best - MAX_LAG_FRAMES + offset) / FRAME_RATE

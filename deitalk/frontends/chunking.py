@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from torch import Tensor
 
-from deitalk.audio.mel import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 
 
 def phase_shifts(phases: int, frame_rate: float) -> list[int]:

@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.mel import RIG_RATE, MelSpectrogram
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.mel import MelSpectrogram
 from deitalk.config import ConformerConfig
 from deitalk.errors import ConfigError
 from deitalk.frontends.chunking import encode_in_segments, phase_shifts
@@ -48,8 +49,8 @@ class ConformerFrontend(nn.Module):
     def __init__(self, config: ConformerConfig) -> None:
         super().__init__()
         self.output_size = config.hidden_size
-        self.mel = MelSpectrogram(config.window_seconds, SPECTRA * RIG_RATE, config.n_mels)
-        self.shifts = phase_shifts(config.phases, SPECTRA * RIG_RATE)
+        self.mel = MelSpectrogram(config.window_seconds, SPECTRA * FRAME_RATE, config.n_mels)
+        self.shifts = phase_shifts(config.phases, SPECTRA * FRAME_RATE)
         self.stem = nn.Sequential(
             nn.Conv1d(3 * config.n_mels, config.stem_channels, 3, padding=1),
             nn.GELU(),

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.mel import SAMPLE_RATE, spectra_centres
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import spectra_centres
 from deitalk.config import KarrasConfig
 from deitalk.frontends.windows import Encoder, window_index
 

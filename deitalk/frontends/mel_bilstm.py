@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.nn.utils.parametrizations import weight_norm
 
-from deitalk.audio.mel import SAMPLE_RATE, MelSpectrogram, nearest_spectra
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config import MelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.chunking import encode_in_segments, phase_shifts

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.mel import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 
 
 class Encoder(ABC, nn.Module):

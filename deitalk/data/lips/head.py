@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from rig.arrays import Float32, Float64, Int64
 from rig.face.geometry.mesh import smoothstep
 from rig.face.head import Head
 from rig.face.web_export import head_arrays
@@ -86,8 +87,8 @@ class HeadLips(nn.Module):
         self.register_buffer(name, torch.from_numpy(np.asarray(values, np.float32)))
 
     def _point_shapes(
-        self, arrays: dict[str, NDArray[Any]], facts: dict[str, Any], points: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
+        self, arrays: dict[str, NDArray[Any]], facts: dict[str, Any], points: Int64
+    ) -> Float64:
         """Displacements (K, 3 N) of the points by the inputs that are linear shapes."""
         start, place = arrays["shape.start"], {int(v): n for n, v in enumerate(points)}
         out = np.zeros((len(self._inputs), len(points), 3))
@@ -101,9 +102,7 @@ class HeadLips(nn.Module):
                     out[self._inputs[name], place[vertex]] = delta
         return out.reshape(len(out), -1)
 
-    def _seal_gains(
-        self, along: NDArray[np.float32], left: NDArray[np.float32]
-    ) -> NDArray[np.float64]:
+    def _seal_gains(self, along: Float32, left: Float32) -> Float64:
         """Closing (2, K, P) of upper and lower lip by the inputs that seal linearly."""
         far = np.abs(along)
         spread = {

@@ -5,14 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.audio.mel import (
-    FLOOR,
-    SAMPLE_RATE,
-    MelSpectrogram,
-    derivative,
-    nearest_spectra,
-    spectra_centres,
-)
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import FLOOR, MelSpectrogram, derivative, nearest_spectra, spectra_centres
 from deitalk.config import MelConfig
 
 SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80)]

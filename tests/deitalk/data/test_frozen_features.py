@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.audio.mel import RIG_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Config, load_config
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import FrozenFeatures
@@ -72,8 +72,8 @@ def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
     offered = []
     for material in materials:
         waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
-        frames = max(int(np.ceil(len(waveform) / SAMPLE_RATE * RIG_RATE)), places[-1] + 1)
-        padded = np.pad(waveform, (0, max(frames * SAMPLE_RATE // RIG_RATE - len(waveform), 0)))
+        frames = max(int(np.ceil(len(waveform) / SAMPLE_RATE * FRAME_RATE)), places[-1] + 1)
+        padded = np.pad(waveform, (0, max(frames * SAMPLE_RATE // FRAME_RATE - len(waveform), 0)))
         offered.append(model.frontend.encode(torch.from_numpy(padded), frames)[places])
     nearest = min(float((window.waveform - features).abs().max()) for features in offered)
     assert nearest < 2e-3  # half precision

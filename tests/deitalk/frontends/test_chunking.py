@@ -5,7 +5,8 @@ from fractions import Fraction
 import pytest
 import torch
 
-from deitalk.audio.mel import SAMPLE_RATE, MelSpectrogram
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import MelSpectrogram
 from deitalk.config import ConformerConfig, MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.chunking import phase_shifts

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from deitalk.audio.mel import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import ConformerConfig, load_config, parse_config
 from deitalk.errors import ConfigError
 from deitalk.frontends import build_frontend

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from deitalk.audio.mel import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import SEGMENT_FRAMES, MelFrontend, TemporalAttention
