@@ -1,18 +1,12 @@
 """Mesh models from waveform to vertices: sizes, windows, training, folders, the lip seal."""
 
-import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-import yaml
-from typer.testing import CliRunner
 
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.cli import app
 from deitalk.config import (
     SDFAConfig,
     SDFAMelConfig,
@@ -20,22 +14,15 @@ from deitalk.config import (
     load_config,
     parse_config,
 )
-from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
-from deitalk.errors import AudioError, CheckpointError, ConfigError, DataError
+from deitalk.data.mesh_folder import Lips
+from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.frontends.windows import window_index
 from deitalk.models import mesh_model as sdfa_module
-from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
 from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
 from deitalk.pipeline.speech import Speech
-from deitalk.training import mesh as train_module
-from deitalk.training import trainer as trainer_module
-from deitalk.training.lip_regression import LipRegression
-from deitalk.training.mesh import train_mesh, validate_mesh
-from rig.face.identity import IDENTITIES
 from rig.mesh import TriMesh
-from tests.dataset import write_dataset
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 CONFIG = CONFIGS / "sdfa.yaml"
@@ -112,22 +99,6 @@ def spoken(template, style=1.0, seconds=1.0, fps=30):
     middle = np.exp(-((x - 5) ** 2 + (y - 5) ** 2) / 6)
     shift = np.stack([0.3 * middle * (y - 5), -0.5 * middle, 1.5 * middle], axis=1)
     return waveform, (template.vertices + style * opening[:, None, None] * shift).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def sequences(tmp_path_factory):
-    """A mesh folder of two speakers with one sound and opposite motion."""
-    out = tmp_path_factory.mktemp("meshes") / "folder"
-    template = sheet()
-    both = [
-        MeshSequence(speaker, speaker, "train", partial(spoken, template, style))
-        for speaker, style in STYLES.items()
-    ]
-    write_mesh_folder(
-        out, dict.fromkeys(STYLES, template), both, fps=30, unit_mm=10, lips=LIPS,
-        basis_frames=24, basis_error_mm=0.2,
-    )  # fmt: skip
-    return out
 
 
 def model(fps=60, frontend=FRONTEND, motion="gradients", **changes):
@@ -328,58 +299,6 @@ def test_prediction_rejects_an_unknown_speaker():
         predict_mesh(model(), noise(0.1), "eve")
 
 
-@pytest.mark.parametrize(
-    ("frontend", "motion", "steps", "more"),
-    [
-        (FRONTEND, "gradients", 400, {"schedule": "one_cycle"}),
-        (SEGMENT, "gradients", 200, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
-        (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
-        (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),
-    ],
-    ids=["as printed", "segment", "karras", "voca"],
-)
-def test_a_tiny_model_learns_two_speakers_by_heart(
-    sequences, tmp_path, frontend, motion, steps, more
-):
-    """The sound is the same, so the motion can follow from the label only."""
-    config = tiny(frontend, motion, steps=steps, learning_rate=1e-2, evaluate_every=steps, **more)
-    best = train_mesh(config, sequences, tmp_path / "run")
-    sdfa, errors_mm = load_model(tmp_path / "run/best"), []
-    for speaker, style in STYLES.items():
-        template = sdfa.template(speaker)
-        waveform, truth = spoken(template, style)
-        error_mm = 10 * np.linalg.norm(predict_mesh(sdfa, waveform, speaker) - truth, axis=-1)
-        motion_mm = 10 * np.linalg.norm(truth - template.vertices, axis=-1)
-        assert error_mm.mean() < 0.5
-        assert error_mm.mean() < 0.25 * motion_mm.mean()  # standing still would cost all of it
-        errors_mm.append(error_mm.mean())
-    assert best["development"]["mean_mm"] == pytest.approx(np.mean(errors_mm), rel=0.1, abs=0.05)
-    losses = pd.read_csv(tmp_path / "run/metrics.csv")
-    value = "stretch_value" if motion == "gradients" else "offsets_value"
-    assert losses[value].iloc[-1] < 0.3 * losses[value].iloc[0]
-    assert ("lips" in losses) == ("lip_weight" in more)
-
-
-def test_resumed_is_as_uninterrupted(sequences, tmp_path):
-    whole, halved = tmp_path / "whole", tmp_path / "halved"
-    config = tiny(ema=0.9, schedule="one_cycle", lip_weight=0.5)
-    train_mesh(config, sequences, whole)
-    update = trainer_module.Trainer.update
-
-    def killed(trainer, *rest):
-        if trainer.step == 3:  # after the evaluation and save of step 2, and one step more
-            raise KeyboardInterrupt
-        return update(trainer, *rest)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer_module.Trainer, "update", killed)
-        with pytest.raises(KeyboardInterrupt):
-            train_mesh(config, sequences, halved)
-    train_mesh(config, sequences, halved, resume=True)
-    one, two = (load_model(run / "last").state_dict() for run in (whole, halved))
-    assert all(torch.equal(one[name], two[name]) for name in one)
-
-
 def test_attention_rows_sum_to_one():
     for recurrence in ("window", "segment"):
         weights = model(recurrence=recurrence).attention_weights(Speech.of(noise(0.5)).sound)
@@ -389,80 +308,3 @@ def test_attention_rows_sum_to_one():
     for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
         with pytest.raises(CheckpointError, match="no temporal attention"):
             model(frontend=other).attention_weights(Speech.of(noise(0.5)).sound)
-
-
-def test_command_trains_on_our_heads(tmp_path):
-    data = write_dataset(tmp_path / "data", 2, 1)  # both train on what one emotion has
-    settings = tmp_path / "tiny.yaml"
-    settings.write_text(yaml.safe_dump(tiny(steps=2).model_dump(mode="json")))
-    run = tmp_path / "run"
-    result = CliRunner().invoke(
-        app, ["train", str(settings), "--data", str(data), "-o", str(run), "--set", "train.seed=1"]
-    )
-    assert result.exit_code == 0, result.output
-    sdfa = load_model(run / "best")
-    assert sdfa.speakers == tuple(sorted(IDENTITIES[i].name for i in (0, 3)))
-    scores, _ = validate_mesh(sdfa, read_mesh_folder(run / "meshes"))
-    assert math.isfinite(scores["lively_mm"]) and scores["lively_mm"] > scores["mean_mm"] > 0
-    assert load_config(run / "config.yaml").train.seed == 1
-
-
-def test_command_refuses_weights_to_start_from(tmp_path):
-    arguments = ["train", str(CONFIG), "--data", str(tmp_path), "-o", str(tmp_path / "run")]
-    result = CliRunner().invoke(app, [*arguments, "--from", "default"])
-    assert isinstance(result.exception, ConfigError | CheckpointError)
-    result = CliRunner().invoke(app, arguments)
-    assert isinstance(result.exception, DataError)
-    assert "neither" in str(result.exception)
-    assert not (tmp_path / "run/metrics.csv").exists()
-
-
-def test_lips_that_are_not_known_cannot_be_weighed(tmp_path):
-    template = sheet()
-    one = MeshSequence("a", "ann", "train", partial(spoken, template))
-    write_mesh_folder(tmp_path / "m", {"ann": template}, [one], fps=30, unit_mm=10)
-    with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
-        train_mesh(tiny(lip_weight=1.0), tmp_path / "m", tmp_path / "run")
-
-
-def test_a_start_encoder_must_fit(sequences, tmp_path):
-    with pytest.raises(ConfigError, match="its encoder is not of"):
-        train_mesh(tiny(start_encoder="default"), sequences, tmp_path / "run")
-
-
-def test_parts_that_an_ablation_replaces_start_new(tmp_path):
-    """All else is the start's; a part of another kind must be named."""
-    start = load_config(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
-    save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
-    sizes = start.model.frontend.model_dump() | {"rig_layers": 0}  # which SDFA has none of
-    copy, name = train_module.copy_encoder, str(tmp_path / "m")
-    wanted = load_model(name).frontend.state_dict()
-    sdfa = model(frontend=sizes)
-    before = {k: v.clone() for k, v in sdfa.encoder.frontend.state_dict().items()}
-    copy(sdfa, name, ("attention",))
-    for key, value in sdfa.encoder.frontend.state_dict().items():
-        is_new = key.startswith("attention.")
-        assert torch.equal(value, (before if is_new else wanted)[key]), key
-    convolved = model(frontend=sizes, gathering="convolution")
-    copy(convolved, name, ("spectral",))
-    with pytest.raises(ConfigError, match=r"name what differs in train\.start_new"):
-        copy(convolved, name, ())
-    without = model(frontend=sizes, centre=False)
-    copy(without, name, ())
-    recurrent = without.encoder.frontend.recurrent.state_dict()
-    assert all(torch.equal(v, wanted[f"recurrent.{k}"]) for k, v in recurrent.items())
-
-
-def test_lip_reader_is_exact_where_motion_is_linear(sequences):
-    """Offsets to lips is linear by definition; what is left is float16 and the basis."""
-    folder = read_mesh_folder(sequences)
-    clips = [(c.motion(), folder.training_speakers.index(c.speaker)) for c in folder.clips]
-    reader = LipRegression.fit(clips, folder, motion="offsets")
-    assert reader.residual_mm < 0.1
-    motion, place = clips[1]
-    rows = torch.from_numpy(motion["offsets"])[None]
-    read = reader({"offsets": rows}, torch.eye(2)[[place]])[0]
-    np.testing.assert_allclose(read, 10 * motion["lips"], atol=0.5)  # mm
-    rest = folder.templates["ann"].vertices
-    parting = 10 * (rest[LIPS.upper] - rest[LIPS.lower])
-    np.testing.assert_allclose(reader.rest_parting(torch.eye(2)[:1])[0, 0], parting, atol=1e-4)
