@@ -84,7 +84,9 @@ def open_folder(
         is_ours = kind_of(out) == KIND
         if is_ours and not resume and any((out / name).exists() for name in _BEGUN):
             raise DataError(
-                f"{out}: holds a run already; set resume to go on with it, or name another folder"
+                f"{out}: holds a run already; set `resume=True` to continue it, or name another "
+                "folder",
+                parameter="resume",
             )
         if resume:
             _adopt(out)

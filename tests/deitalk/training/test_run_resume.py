@@ -127,7 +127,7 @@ def test_a_kill_before_the_first_evaluation_leaves_a_run_that_begins_again(
         train_curves(config, data, killed)
     monkeypatch.undo()
     assert (killed / "metrics.csv").is_file() and not (killed / "state.pt").exists()
-    with pytest.raises(DataError, match=r"holds a run already; set resume to go on with it"):
+    with pytest.raises(DataError, match=r"holds a run already; set `resume=True`"):
         train_curves(config, data, killed)
     train_curves(config, data, killed, resume=True)
     assert contents(killed) == contents(whole)

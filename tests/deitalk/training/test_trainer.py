@@ -192,7 +192,7 @@ def test_finished_run_is_left_as_it_is(tmp_path):
 
 def test_used_folder_or_other_settings_are_refused(tmp_path):
     trained(tmp_path / "run")
-    with pytest.raises(DataError, match="holds a run already; set resume"):
+    with pytest.raises(DataError, match="holds a run already; set `resume=True`"):
         trained(tmp_path / "run")
     with pytest.raises(ConfigError, match=r"begun with another train\.seed"):
         trained(tmp_path / "run", LineTask(config(seed=9)), resume=True)
