@@ -73,7 +73,7 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
     phones = tuple(_moved(phone, time_map) for phone in padded.phones)
     n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
     source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
-    z = _liveliness(padded.waveform, contour, source_times)
+    z = _prosody_label(padded.waveform, contour, source_times)
     return Take(
         padded,
         waveform,
@@ -98,7 +98,7 @@ def _moved(phone: Phone, time_map: tuple[Float64, Float64]) -> Phone:
     return replace(phone, start=float(start), end=float(end))
 
 
-def _liveliness(waveform: Float32, contour: Contour, times: Float64) -> Float64:
+def _prosody_label(waveform: Float32, contour: Contour, times: Float64) -> Float64:
     """Sum of the applied contour and the measured prosody, at seconds of the source."""
     natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
     own = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)

@@ -17,7 +17,7 @@ from rig.arrays import Float32, Float64
 __all__ = ["SMOOTHING_SECONDS", "apply_contour", "contour_at", "prosody_index", "random_contour"]
 
 Contour = tuple[Float64, Float64]
-"""Knots: seconds, and standard deviations of liveliness."""
+"""Knots: seconds, and standard deviations of prosody."""
 
 GAIN_DB_PER_Z, SHELF_DB_PER_Z, SPEED_PER_Z = 4.5, 2.5, 0.05
 """Change of gain, treble and speed (with pitch) per standard deviation of an applied contour."""

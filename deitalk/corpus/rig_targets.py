@@ -146,11 +146,11 @@ def _gained(channels: Float64, weights: Float64, intensity: Float64) -> Float64:
     gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
     gains = 1 + (gains - 1) * intensity[:, None]
     present = np.clip(intensity / FAINT_INTENSITY, 0, 1)  # at 0 articulation is plain
-    lively = 1 + LOUDNESS_GAIN * present * (intensity - USUAL_INTENSITY)
+    opening_gain = 1 + LOUDNESS_GAIN * present * (intensity - USUAL_INTENSITY)
     moved = channels.copy()
     contact = np.maximum(moved[:, TOGETHER], moved[:, BITE])
-    moved[:, JAW] *= 1 + (gains[:, 0] * lively - 1) * (1 - contact)
-    moved[:, [UPPER, LOWER, STRETCH]] *= (gains[:, 1] * lively)[:, None]
+    moved[:, JAW] *= 1 + (gains[:, 0] * opening_gain - 1) * (1 - contact)
+    moved[:, [UPPER, LOWER, STRETCH]] *= (gains[:, 1] * opening_gain)[:, None]
     moved[:, [FUNNEL, PURSE]] *= gains[:, [2]]
     return np.clip(moved, 0, 1.6)
 
