@@ -107,21 +107,21 @@ def _class_signature(kind: type) -> str:
 
 
 def _plain(annotation: Any) -> Any:
-    """An annotation without the quotes that put off its import."""
+    """An annotation without the quotes of a forward reference."""
     if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
         return ast.parse(annotation.value, mode="eval").body
     return annotation
 
 
 def _default(value: Any) -> Any:
-    """A default as a reader needs it: ``...`` for what is made anew."""
+    """Default value of a signature; ``...`` for values created per call."""
     if isinstance(value, ast.Lambda | ast.Call):
         return ast.Constant(...)
     return value
 
 
 def _code(text: str) -> str:
-    """A signature as code, an argument to a line where it is long."""
+    """A signature as code, with one argument per line if it is long."""
     if not text:
         return ""
     if len(text) > 88:
