@@ -10,7 +10,7 @@ import pytest
 from deitalk.audio.load import Recording
 from deitalk.audio.noise import mix, pink_noise, read_noises
 from deitalk.audio.voice_activity import active_level_db
-from deitalk.corpus.performance import _liveliness
+from deitalk.corpus.performance import _prosody_label
 from deitalk.corpus.prosody_contours import apply_contour, random_contour
 from deitalk.corpus.rig_targets import style_poses
 from deitalk.emotions import EMOTIONS
@@ -264,7 +264,7 @@ def test_label_equals_that_of_the_corpus():
     contour = random_contour(recording().duration, np.random.default_rng(3))
     moved = apply_contour(recording().waveform, contour)[1]
     times = np.interp(np.arange(take.n_frames) / 30, moved[1], moved[0])
-    expected = _liveliness(recording().waveform, contour, times)
+    expected = _prosody_label(recording().waveform, contour, times)
     np.testing.assert_allclose(lively, expected, atol=1e-4)
     assert np.abs(z - lively).max() > 0.02
 
