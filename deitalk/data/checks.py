@@ -1,6 +1,6 @@
-"""Is a dataset folder fit to train on? ``deitalk data check DIR``.
+"""Checks of a dataset folder before training: ``deitalk data check DIR``.
 
-Every clip is read once; what is wrong is said in a line with the clips it concerns. Files that
+Every clip is read once; a fault is one line with the clips it concerns. Files that
 training could not read (values out of their control's range among them) are unreadable here.
 
 The offset between sound and curves is the lag at which the jaw follows the level of the vowels
@@ -25,10 +25,10 @@ from deitalk.data.clips import SPLITS, Clip, read_clips, read_intensity, read_ph
 from deitalk.data.offset import (
     JAW,
     RATE,
-    heard_lags,
     is_shifted,
     lag_correlations,
     loudness,
+    model_lags,
     peak,
     vowel_band,
 )
@@ -52,7 +52,7 @@ Level = Literal["ok", "warning", "error"]
 
 @dataclass(frozen=True)
 class Check:
-    """One row of the table: what was looked at, and what was found."""
+    """One row of the table: what was checked, and the result."""
 
     name: str
     level: Level
@@ -60,7 +60,7 @@ class Check:
 
 
 class Measured(NamedTuple):
-    """What one clip says of itself."""
+    """Measurements of one clip."""
 
     name: str
     fps: float
@@ -74,8 +74,8 @@ class Measured(NamedTuple):
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is missing."""
     lags: Float64
     """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
-    heard_lags: Float64 | None
-    """The same of the jaw that the embedded model hears; None where `lags` raise no suspicion."""
+    model_lags: Float64 | None
+    """The same with the embedded model's jaw instead of the level; None if `lags` are near 0."""
     speech_share: float
     open_share: float
     """Mean jaw in silence by its 95th percentile in speech; NaN where unknown."""
@@ -88,7 +88,7 @@ def check_dataset(
     most: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Check]:
-    """Look at every clip of a dataset folder.
+    """Check every clip of a dataset folder.
 
     Parameters
     ----------
@@ -97,12 +97,12 @@ def check_dataset(
     most : int or None
         Read at most so many clips, evenly spread.
     progress : callable
-        Told the share done.
+        Called with the share done.
 
     Returns
     -------
     list of Check
-        One for every question, those that are well too.
+        One for every check, also those without a fault.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         low,
         high,
         lags,
-        heard_lags(recording, lags, jaw),
+        model_lags(recording, lags, jaw),
         float(speaking.mean()),
         _open_in_silence(jaw, speaking),
         recording.clipped_fraction,
@@ -175,14 +175,14 @@ def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Float64:
 
 def _open_in_silence(jaw: Float64, speaking: Bool) -> float:
     frames = np.minimum(np.arange(len(jaw)) * FRAME_RATE // RATE, len(speaking) - 1)
-    heard = speaking[frames]
-    if not heard.any() or heard.all():
+    speech = speaking[frames]
+    if not speech.any() or speech.all():
         return float("nan")
-    return float(jaw[~heard].mean() / max(float(np.percentile(jaw[heard], 95)), 1e-3))
+    return float(jaw[~speech].mean() / max(float(np.percentile(jaw[speech], 95)), 1e-3))
 
 
 def _verdict(name: str, level: Level, wrong: Sequence[str], well: str, fault: str) -> Check:
-    """A row that is well, or names the first few that are not."""
+    """A row without a fault, or with the first few clips that have it."""
     if not wrong:
         return Check(name, "ok", well)
     more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
@@ -247,11 +247,11 @@ def _offset(clips: Sequence[Measured]) -> Check:
     lag = peak(pooled) / RATE
     text = f"curves {lag * 1000:+.0f} ms after the sound (r {pooled.max():.2f})"
     if abs(lag) > SHIFTED_SECONDS:
-        return Check("offset", "warning", f"{text}; set offset_s to mend it")
+        return Check("offset", "warning", f"{text}; set offset_s to correct it")
     shifted = [
-        f"{clip.name} ({peak(clip.heard_lags) / RATE * 1000:+.0f} ms)"
+        f"{clip.name} ({peak(clip.model_lags) / RATE * 1000:+.0f} ms)"
         for clip in known
-        if clip.heard_lags is not None and is_shifted(clip.heard_lags)
+        if clip.model_lags is not None and is_shifted(clip.model_lags)
     ]
     return _verdict("offset", "warning", shifted, text, f"clips seem shifted; all: {text}")
 

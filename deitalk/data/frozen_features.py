@@ -1,8 +1,8 @@
-"""A frontend that is borrowed and left as it is: only what lies behind it learns.
+"""The frozen frontend of another model: only the layers behind it are trained.
 
-The paper trains behind a published encoder; ours can train behind that of another model. Such a
-frontend says the same of a clip every time, so where nothing augments the sound it is asked once a
-clip, and a step costs a fraction: captures can be fitted, or variants compared, in minutes.
+The paper trains behind a published encoder, ours may train behind that of another model. Without
+augmentation the features of a clip never change, so that they are computed once per clip and a step
+costs a fraction: captures can be fitted, or variants compared, in minutes.
 
 Letters: S samples, T rig frames, D width of the features.
 """
@@ -20,7 +20,7 @@ from rig.arrays import Float32
 
 
 class FrozenFeatures:
-    """The frontend of a trained model, and what it heard of each clip.
+    """The frontend of a trained model, and its features of each clip.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ class FrozenFeatures:
     def __init__(self, name: str) -> None:
         self.name = name
         self._owner = require_model(name, DEITalk)
-        self._heard: dict[Clip, NDArray[np.float16]] = {}
+        self._features: dict[Clip, NDArray[np.float16]] = {}
 
     def copy_into(self, model: DEITalk) -> None:
-        """Give `model` a copy of the frontend that no gradient reaches.
+        """Copy the frontend into `model`; no gradient reaches it there.
 
         Raises
         ------
@@ -49,7 +49,7 @@ class FrozenFeatures:
         if model.config.frontend != self._owner.config.frontend:
             raise ConfigError(
                 f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
-                "begin with that model's own config.yaml"
+                "use that model's own config.yaml"
             )
         frontend = model.get_submodule("frontend").requires_grad_(False)
         frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
@@ -60,7 +60,7 @@ class FrozenFeatures:
         Parameters
         ----------
         clip : Clip
-            What is remembered.
+            Key of the cache.
         waveform : ndarray [shape=(S,)]
             16 kHz, level-normalised.
         n_frames : int
@@ -70,10 +70,10 @@ class FrozenFeatures:
         -------
         ndarray [shape=(T, D)]
         """
-        known = self._heard.get(clip)
+        known = self._features.get(clip)
         if known is None or len(known) < n_frames:
             length = n_frames * SAMPLE_RATE // FRAME_RATE
             padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
             features = self._owner.frontend.encode(torch.from_numpy(padded), n_frames)
-            known = self._heard[clip] = features.numpy().astype(np.float16)
+            known = self._features[clip] = features.numpy().astype(np.float16)
         return known

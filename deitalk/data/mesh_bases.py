@@ -98,7 +98,9 @@ def fit_mesh_bases(
         Of the smallest share of variance within `error_mm`, for gradients and for offsets apart;
         else of the largest share tried.
 
-    Notes ----- Deviation: the paper keeps 97 % of the variance of unweighted numbers; see
+    Notes
+    -----
+    Deviation: the paper keeps 97 % of the variance of unweighted numbers; see
     `rig.deformation.basis`. All speakers share the bases, and the weights are from the mean of
     their triangles' areas.
     """

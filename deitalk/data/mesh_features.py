@@ -1,4 +1,4 @@
-"""Segments of features that were computed once: what a frozen DEITalk model made of each clip.
+"""Segments of features that are computed once per clip, by a frozen DEITalk model.
 
 Letters: T frames of a clip or a segment, D features.
 """
@@ -22,7 +22,7 @@ from rig.arrays import Float32
 class FeatureSegments(SegmentBatches):
     """Segments of a frozen model's features and the motion that belongs to them.
 
-    The recordings are heard as they are: the model has met noise and rooms in its own training.
+    The recordings are not augmented: the model was trained with noise and rooms.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ class FeatureSegments(SegmentBatches):
     speakers : tuple of str
         Places of the one-hot label.
     encoder : DEITalkFeatures
-        What hears them.
+        The frozen model.
     **drawing
         As for `SegmentBatches`.
 
     Raises
     ------
     DataError
-        If a clip's emotion is not known.
+        If a clip has no emotion.
     """
 
     def __init__(
@@ -71,10 +71,10 @@ class FeatureSegments(SegmentBatches):
 
 @torch.no_grad()
 def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
-    """Features of a clip in the emotion it is acted in [shape=(T, D), float16]."""
+    """Features of a clip in its emotion [shape=(T, D), float16]."""
     if not clip.emotion:
         raise DataError(
-            f"{clip.folder}: clips.csv does not say which emotion {clip.name} acts; fill the "
+            f"{clip.folder}: clips.csv has no emotion for {clip.name}; fill the "
             "column emotion, or build the folder again from a dataset folder"
         )
     n_frames = len(clip.motion()["stretch"])

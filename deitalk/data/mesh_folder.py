@@ -170,7 +170,7 @@ def write_mesh_folder(
     basis_frames: int = 400,
     basis_error_mm: float = 0.5,
 ) -> None:
-    """Fit bases to the training sequences and write everyone's coefficients, all or nothing.
+    """Fit bases to the training sequences and write the coefficients of all, or nothing.
 
     Parameters
     ----------

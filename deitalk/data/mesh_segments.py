@@ -26,7 +26,7 @@ _EDGE = 2
 
 
 class Segment(NamedTuple):
-    """Adjacent frames and what is heard about them; a batch has a leading axis B."""
+    """Adjacent frames and the speech features around them; a batch has a leading axis B."""
 
     features: Tensor
     """[shape=(C, F, L)]; frame j is at spectrum `Segments.places` [j]."""
@@ -228,7 +228,7 @@ class Segments(SegmentBatches):
         return self.spectra.encoder.config.n_mels  # type: ignore[union-attr]
 
     def _surroundings(self, waveform: Float32, time: float) -> tuple[Float32, float]:
-        """Cut out what is near a moment, all that is augmented; with the second it begins at."""
+        """Cut the waveform around a time, with the second at which the piece begins."""
         reach = round(self.spectra.n_wide * self.spectra.hop)
         start = max(round(time * SAMPLE_RATE) - reach, 0)
         stop = max(round(time * SAMPLE_RATE) + reach, 1)

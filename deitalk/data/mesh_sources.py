@@ -76,7 +76,7 @@ def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
 
 
 def knows_lips(data: Path, built: Path) -> bool:
-    """Whether `open_meshes` will say where the lips are: in embedded heads, before they are built.
+    """Whether `open_meshes` will find lips: those of embedded heads, before they are built.
 
     What is neither kind of folder is left for `open_meshes` to refuse.
     """
@@ -197,7 +197,7 @@ def head_lips() -> Lips:
 def head_sequences(data: Path, config: MeshDataConfig) -> list[MeshSequence]:
     """Curves of a dataset folder acted by the embedded heads' skins.
 
-    Clip k of a split is acted by identity k, then round again: every head speaks as much. SDFA has
+    Clip k of a split is acted by identity k modulo their number, so that all act as much. SDFA has
     no input for emotions, so `config.emotions` had best name one; the mesh head takes all.
     """
     sequences = []

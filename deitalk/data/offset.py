@@ -2,8 +2,8 @@
 
 Speech opens the jaw. Two signals are compared with the jaw at lags of -0.5 to 0.5 s: the level of
 the band that vowels fill, which costs nothing, and the jaw that the embedded model gives the
-recording, which knows closed vowels from open ones. A clip is called shifted only where both say
-so: loud consonants, short clips and long pauses deceive the level alone.
+recording, which differs between closed and open vowels. A clip is called shifted only if both are
+shifted: loud consonants, short clips and long pauses mislead the level alone.
 
 Letters: T frames at 60 per second, L lags.
 """
@@ -24,15 +24,15 @@ REACH = 30
 """Frames of the largest lag, 0.5 s."""
 VOWEL_BAND_HZ = (100.0, 1870.0)
 SUSPECT_FRAMES = 3
-"""Lag of the level from which on the model is asked."""
+"""Lag of the level from which on the model is used."""
 SHIFTED_FRAMES = 5
 """Lag from which on a clip may be called shifted: 83 ms."""
 GAIN = (0.03, 0.7)
 """Correlation that the lag must gain: a part for all clips, and a share of what is missing to 1.
 Of 268 clips of the corpus none is called shifted, and 91 % or more of those moved by 100 ms or more
 are; of 128 real mouths (GRID, video) 2 are."""
-HEARD_SECONDS = 60.0
-"""Of a longer clip the model hears the beginning."""
+MODEL_SECONDS = 60.0
+"""Of a longer clip the model gets the beginning."""
 JAW = "CTRL_C_jaw.ty"
 
 
@@ -70,7 +70,7 @@ def lag_correlations(signal: Float64, jaw: Float64) -> Float64:
     return lags
 
 
-def heard_lags(recording: Recording, level_lags: Float64, jaw: Float64) -> Float64 | None:
+def model_lags(recording: Recording, level_lags: Float64, jaw: Float64) -> Float64 | None:
     """Correlation of the jaw with that of the embedded model by lag; None without suspicion.
 
     Parameters
@@ -132,7 +132,7 @@ def _predicted_jaw(key: _Key) -> Float64 | None:
     if network is None:
         return None
     recording = key.recording
-    short = replace(recording, waveform=recording.waveform[: int(HEARD_SECONDS * SAMPLE_RATE)])
+    short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
     curves = animate(short, "neutral", model=network).curves
     at = np.arange(int(len(short.waveform) / SAMPLE_RATE * RATE)) / RATE
     jaw: Float64 = np.interp(at, curves.times, curves[JAW].astype(np.float64))

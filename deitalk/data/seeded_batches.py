@@ -1,7 +1,7 @@
 """Endless batches of numbered items: item k depends on the seed and on k alone.
 
 Hence batch b is the same for any number of loading workers and of processes that share it, and an
-interrupted training goes on with the batch that would have come next.
+interrupted training continues with the batch that would have come next.
 """
 
 from abc import ABC, abstractmethod
@@ -21,7 +21,7 @@ class Share(NamedTuple):
     """Where to begin, and this process's part of every batch."""
 
     skip: int = 0
-    """Number of the first batch: where an interrupted training goes on."""
+    """Number of the first batch, for a training that is resumed."""
     rank: int = 0
     """Number of this process; it makes the items rank, rank + world, ... of every batch."""
     world: int = 1

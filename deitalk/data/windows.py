@@ -1,4 +1,4 @@
-"""Clips to training windows that know their place in the clip (DEITalk §3.2, §4.1).
+"""Training windows of clips, with their position in the clip (DEITalk §3.2, §4.1).
 
 Letters: S samples, T frames of a window (128), C controls.
 """
@@ -251,10 +251,10 @@ class WindowBatches(SeededBatches[Window]):
         waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
         clean = torch.from_numpy(waveform if self.clean else waveform[:0])
         if config.augment:
-            waveform = augment(waveform, rng, self.surroundings, _recent(self.clips, rng))
+            waveform = augment(waveform, rng, self.surroundings, _other_voices(self.clips, rng))
         sound = torch.from_numpy(waveform)
         if self.frozen_features is not None:
-            sound = self._heard(clip, material, first)
+            sound = self._frozen(clip, material, first)
         return Window(
             sound,
             torch.from_numpy(curves),
@@ -266,7 +266,7 @@ class WindowBatches(SeededBatches[Window]):
             clean,
         )
 
-    def _heard(self, clip: Clip, material: Material, first: int) -> Tensor:
+    def _frozen(self, clip: Clip, material: Material, first: int) -> Tensor:
         """Features of a window at the clip's own speed [shape=(T, D)]."""
         assert self.frozen_features is not None
         waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
@@ -317,8 +317,8 @@ class MaterialCache:
         return material
 
 
-def _recent(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float32]:
-    """Four other voices for babble, now and then; reading them costs time."""
+def _other_voices(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float32]:
+    """Draw four other recordings for babble, in 6 % of the windows: reading them costs time."""
     if rng.random() > 0.06:
         return []
     chosen = [_waveform(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]

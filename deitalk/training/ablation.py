@@ -1,7 +1,7 @@
-"""What does each part earn? Train variants with several seeds and score them: ``deitalk ablate``.
+"""Ablations: variants of a configuration, trained with several seeds and scored.
 
 A variant is a file of a few lines: a base configuration and overrides (``configs/ablations/``).
-Every run has its own folder and goes on where it stopped::
+``deitalk ablate`` trains every variant in a folder of its own and resumes what was interrupted::
 
     OUT/<variant>/seed0/      a run folder (see `deitalk.training.run_folder`)
     OUT/<variant>/seed0/report.json    its evaluation; a run that has one is done
@@ -34,11 +34,11 @@ METRICS = {
     "articulation_r": "mean r", "intensity_rho": "intensity Spearman",
     "jerk_per_speed": "jerk / speed", "recognised": "emotions named",
 }  # fmt: skip
-"""Rows of the evaluation that the table shows, and what it calls them."""
+"""Rows of the evaluation that are in the table, and their titles there."""
 FULL = "full"
 """The variant that comes first in the table."""
 KIND = "ablations"
-"""What the manifest calls the folder."""
+"""Kind of the folder in its manifest."""
 Progress = Callable[[str, float], None]
 
 
@@ -83,7 +83,7 @@ def _variant(path: Path) -> Variant:
     if not isinstance(base, str) or not isinstance(overrides, list):
         raise ConfigError(f"{path}: base={base!r} must be a file, overrides={overrides!r} a list")
     variant = Variant(path.stem, path.parent / base, tuple(map(str, overrides)))
-    variant.config(0, None)  # a wrong key is known before hours of training
+    variant.config(0, None)  # a wrong key is an error before hours of training
     return variant
 
 
@@ -100,7 +100,7 @@ def ablate(
     overrides: Sequence[str] = (),
     progress: Progress = lambda run, share: None,
 ) -> dict[str, Any]:
-    """Train and evaluate every variant with every seed; what is done is not done again.
+    """Train and evaluate every variant with every seed; finished runs are not repeated.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def ablate(
     """
     with claim(out):
         begin_folder(out, kind=KIND)
-        asked = {"split": split, "most": most, "probes": probes}
-        return _ablate(variants, data, out, steps, seeds, asked, overrides, progress)
+        options = {"split": split, "most": most, "probes": probes}
+        return _ablate(variants, data, out, steps, seeds, options, overrides, progress)
 
 
 def _ablate(
@@ -146,22 +146,22 @@ def _ablate(
     out: Path,
     steps: int | None,
     seeds: int,
-    asked: dict[str, Any],
+    options: dict[str, Any],
     overrides: Sequence[str],
     progress: Progress,
 ) -> dict[str, Any]:
     """Every run and the table, in a folder that is held."""
     table = {}
-    lend = lru_cache(FrozenFeatures)  # what a frozen frontend heard serves all runs
-    asked = {"data": str(data.resolve()), **asked}
+    frozen_features = lru_cache(FrozenFeatures)  # computed once for all runs
+    options = {"data": str(data.resolve()), **options}
     for variant in variants:
         reports = []
         for seed in range(seeds):
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
-            reports.append(_report(folder, config, data, asked, progress, lend))
+            reports.append(_report(folder, config, data, options, progress, frozen_features))
         table[variant.name] = _summary(reports)
-        _write(out, table, asked["split"], seeds)
+        _write(out, table, options["split"], seeds)
     return table
 
 
@@ -169,36 +169,36 @@ def _report(
     folder: Path,
     config: Config,
     data: Path,
-    asked: dict[str, Any],
+    options: dict[str, Any],
     progress: Progress,
-    lend: Callable[[str], FrozenFeatures],
+    frozen_features: Callable[[str], FrozenFeatures],
 ) -> dict[str, Any]:
     """The evaluation of one run: read, or made."""
     path = folder / "report.json"
     name = f"{folder.parent.name} {folder.name}"
     if path.is_file():
-        return _finished(path, config, asked)
+        return _finished(path, config, options)
     frozen = config.train.frozen_frontend
-    frozen_features = None if frozen is None else lend(frozen)
-    _train(folder, config, data, frozen_features, lambda share: progress(name, share))
-    options = {key: asked[key] for key in ("split", "most", "probes")}
-    report = evaluate(require_model(folder / "best", DEITalk), data, **options)
+    features = None if frozen is None else frozen_features(frozen)
+    _train(folder, config, data, features, lambda share: progress(name, share))
+    chosen = {key: options[key] for key in ("split", "most", "probes")}
+    report = evaluate(require_model(folder / "best", DEITalk), data, **chosen)
     with atomic_write(path) as beside:
-        beside.write_text(as_json(report | {"asked": asked}), encoding="utf-8")
+        beside.write_text(as_json(report | {"asked": options}), encoding="utf-8")
     loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return loaded
 
 
-def _finished(path: Path, config: Config, asked: dict[str, Any]) -> dict[str, Any]:
-    """A report that is there, if it answers what is asked now."""
+def _finished(path: Path, config: Config, options: dict[str, Any]) -> dict[str, Any]:
+    """Read a finished report; check that it is of the same settings."""
     try:
         report: dict[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, TypeError, RecursionError):
-        raise DataError(f"{path}: no evaluation; remove it, and it is made again") from None
-    if load_config(path.parent / "config.yaml") != config or report.get("asked") != asked:
+        raise DataError(f"{path}: no evaluation; remove it to evaluate the run again") from None
+    if load_config(path.parent / "config.yaml") != config or report.get("asked") != options:
         raise DataError(
             f"{path.parent}: was trained or evaluated with other settings; "
-            "ask for the same, or name another folder"
+            "use the same settings, or name another folder"
         )
     return report
 

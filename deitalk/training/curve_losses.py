@@ -73,7 +73,7 @@ def velocity_loss(target: Tensor, predicted: Tensor, weights: Tensor | None = No
 def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
     """Squared error of the predicted intensity where one is labelled.
 
-    Not in the paper, which has no labels; a corpus that knows what prosody it applied does.
+    Not in the paper, which has no labels; a corpus of synthesised prosody has.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
 
 
 def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
-    """Punish lips that fail to meet: a bilabial is a contact, not a correlation.
+    """Penalise lips that do not meet in bilabials.
 
     Not in the paper. Where the target's lips are closed (> 0.9), falling short of 0.95 costs the
     square of what is missing;
@@ -151,7 +151,7 @@ def total_loss(
     curves : Tensor [shape=(B, T, C)]
         Captured.
     emotion : Tensor [shape=(B, 5)]
-        Captured emotion that the classifier is to hear.
+        Captured emotion, the target of the classifier.
     intensity : Tensor [shape=(B, T)]
         NaN where unknown.
     config : LossConfig

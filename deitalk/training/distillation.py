@@ -1,12 +1,12 @@
-"""Learning what a trained model hears: its speech features are a second target.
+"""Feature distillation: the speech features of a trained model, the teacher, as a second target.
 
-Curves say little about a waveform, so an encoder that begins from nothing needs many hours of them.
-A trained model's frontend says what of a sound moves a face: the squared distance to its features
-(feature distillation, as FitNets, Romero et al. 2015) is added to the loss. The student hears the
-sound through rooms and noise, the teacher without them, so that a student of the teacher's own kind
-learns too: to hear in noise. It begins with the teacher's weights wherever they fit.
+Curves constrain an encoder weakly, so that one with random weights needs many hours of them. The
+squared distance to the features of the teacher's frontend (as FitNets, Romero et al. 2015) is added
+to the loss. The student's input is augmented by rooms and noise, the teacher's is not, so that a
+student of the teacher's own kind becomes robust to them. The student is initialised with the
+teacher's weights of equal name and shape.
 
-Not in the papers, which begin with published wav2vec 2.0 weights where we begin with these.
+Not in the papers, which initialise with published wav2vec 2.0 weights.
 
 Letters: B batch, S samples, T rig frames, D width of the features.
 """
@@ -21,7 +21,7 @@ from deitalk.training.processes import in_precision
 
 
 def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
-    """Read the model that teaches `student`; None without a name.
+    """Read the teacher of `student`; None without a name.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
             "wav2vec": f"encoder.hidden_size={wanted}",
         }
         raise ConfigError(
-            f"train.teacher={name!r} hears {wanted} features a frame, the model {width}; set "
+            f"train.teacher={name!r} has {wanted} features a frame, the model {width}; set "
             f"model.frontend.{way_out[student.config.frontend.kind]}"
         )
     return teacher
@@ -49,7 +49,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
 
 @torch.no_grad()
 def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
-    """Copy the teacher's weights to all places where they fit; a frontend's to its own kind.
+    """Copy the teacher's weights of equal name and shape; the frontend's if it is of one kind.
 
     Returns
     -------
@@ -71,8 +71,8 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
 
 
 MOTION_WEIGHT = 4.0
-"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Features say much that
-changes slowly (who speaks, where); lips move faster."""
+"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Much of the features
+changes slowly (speaker, room); lips move faster."""
 
 
 class Teacher:
@@ -89,20 +89,19 @@ class Teacher:
     """
 
     def __init__(self, model: DEITalk, device: torch.device, precision: str = "float32") -> None:
-        # require_model gave it in evaluation mode: no dropout while it teaches.
+        # require_model returns it in evaluation mode, without dropout.
         frontend = model.get_submodule("frontend").to(device)
         self.frontend = in_precision(frontend, precision, device)
 
     def distance(self, clean: Tensor, speech: Tensor) -> Tensor:
         """Mean squared distance of the student's features and the teacher's, and of their motion.
 
-        The teacher hears the sound before it was augmented: what it hears there is what the
-        student is to hear through rooms and noise.
+        The teacher's features are those of the sound before augmentation.
 
         Parameters
         ----------
         clean : Tensor [shape=(B, S)]
-            What the student heard, before augmentation.
+            The student's input before augmentation.
         speech : Tensor [shape=(B, T, D)]
             The student's features; gradients flow into them alone.
 

@@ -1,8 +1,8 @@
-"""The lips' rims from coefficients of motion: a linear map that training sees through.
+"""The lips' rims from coefficients of motion: a linear map for the loss.
 
-Between the coefficients of gradients and the lips lies a sparse solve of the whole face. Over what
-a speaker does it is nearly linear, so least squares stands in for it in the loss; what is predicted
-is solved in full. Letters: B segments, T frames, K coefficients, P facing pairs of the rims.
+The lips follow from coefficients of gradients by a sparse solve of the whole face. Over the motion
+of a speaker it is nearly linear, so that the loss uses a least-squares fit of it; predictions are
+solved in full. Letters: B segments, T frames, K coefficients, P facing pairs of the rims.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class LipRegression(nn.Module):
         clips : sequence of (dict, int)
             What `MeshClip.motion` gives, and the speaker's place.
         folder : MeshFolder
-            Templates and lips, which it must know.
+            Templates and lips; these must be known.
         motion : str
             ``gradients`` or ``offsets``.
         """

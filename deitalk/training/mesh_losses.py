@@ -62,7 +62,7 @@ def motion_terms(
 
 
 def term_names(branches: list[str], *, lips: bool) -> tuple[str, ...]:
-    """Names of `motion_terms`, and of the lips' where it is asked for."""
+    """Names of `motion_terms`, and of the lips' term if `lips`."""
     names = [f"{name}_{kind}" for name in branches for kind in ("value", "difference")]
     return (*names, LIPS) if lips else tuple(names)
 
@@ -101,7 +101,7 @@ class AutomaticWeights(nn.Module):
     sum of the scaled terms, so that each weighs about 1 whatever its unit, and keeps that weight
     as it falls.
 
-    Paper silent: SDFA §4.2 says no more than "the dynamic scalars proposed by Karras et al."; it
+    Paper silent: SDFA §4.2 has no more than "the dynamic scalars proposed by Karras et al."; it
     prints no formula, decay or epsilon. The form is that of Karras et al.'s loss normalisation as
     remembered: their paper is not at hand to check it against.
 
@@ -151,7 +151,7 @@ class AutomaticWeights(nn.Module):
 
 
 class MeshLoss(nn.Module):
-    """The terms of §4.2, those of the lips where they are asked for, and their scaled sum.
+    """The terms of §4.2, that of the lips where it has a weight, and their scaled sum.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class MeshLoss(nn.Module):
     settings : MeshTrainConfig
         Weight of the lips, decay of the automatic weights.
     folder : MeshFolder
-        Says where the lips are.
+        Templates and lips.
     segments : SegmentBatches
         The training clips.
     """

@@ -1,4 +1,4 @@
-"""The folder of a training run, and how an interrupted one goes on.
+"""The folder of a training run, and how an interrupted run is resumed.
 
 ::
 
@@ -6,12 +6,12 @@
     metrics.csv          losses, gradient norm and learning rate, a row every 25 steps
     development.csv      development scores, a row an evaluation
     curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
-    tensorboard/         both tables as TensorBoard's events, where they are asked for
+    tensorboard/         both tables as TensorBoard's events, optional
     best/, last/         model folders
-    state.pt             everything a killed run needs to go on exactly
+    state.pt             everything that an exact continuation needs
 
 A kill at any moment leaves whole files; ``state.pt`` is the last that an evaluation writes, and
-what is beyond it is made again by the run that goes on.
+what is beyond it is made again by a resumed run.
 """
 
 import errno
@@ -44,9 +44,9 @@ from rig.files import (
 MAY_CHANGE = ("name", "train.workers", "train.evaluate_every")
 """Settings that a resumed run may have changed."""
 KIND = "run"
-"""What the manifest calls the folder."""
+"""Kind of the folder in its manifest."""
 _BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
-"""What shows that a run has done something."""
+"""Files of a run that has done something."""
 _MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "templates.npz")
 
 
@@ -54,16 +54,16 @@ _MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "templates.npz
 def open_folder(
     out: Path, config: AnyConfig, *, resume: bool, writes: bool = True
 ) -> Iterator[None]:
-    """Keep a run folder for this run until the block ends, and write the configuration there.
+    """Hold a run folder until the block ends, and write the configuration there.
 
     Parameters
     ----------
     out : Path
         Run folder.
     config : Config or SDFAConfig
-        Settings of the run that begins or goes on.
+        Settings of the run.
     resume : bool
-        Go on with the run that is there; where there is none, begin it.
+        Continue the run that is there; where there is none, begin it.
     writes : bool
         Whether this is the process that writes; for others nothing is done.
 
@@ -72,7 +72,7 @@ def open_folder(
     DataError
         If a run is there and `resume` is not set.
     ConfigError
-        If the run that goes on was begun with other settings.
+        If the run that is resumed was begun with other settings.
     rig.errors.TargetError
         If the folder holds what no run wrote, files of the run were edited, or another process
         trains there.
@@ -227,7 +227,7 @@ def save_checkpoints(
     best_score : float
         The highest before.
     save : callable
-        Writes the weights to a model folder, with what is said of the training.
+        Writes the weights to a model folder, with a summary of the training.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """The numbers of a training run: rows of CSV files, and TensorBoard's events.
 
-A killed run leaves rows beyond its last state, and a full disk half of a row; `forget` drops them,
-so that the run that goes on writes every row once.
+A killed run leaves rows beyond its last state, and a full disk half of a row; `truncate_log` drops
+them, so that a resumed run writes every row once.
 """
 
 import math
@@ -13,7 +13,7 @@ from rig.files import atomic_write
 
 
 class Journal:
-    """The numbers of a run: rows of CSV files, and TensorBoard's events where asked for.
+    """The numbers of a run: rows of CSV files, and TensorBoard's events if `tensorboard`.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Journal:
     Raises
     ------
     MissingError
-        If TensorBoard is asked for and not installed.
+        If `tensorboard` is set and TensorBoard is not installed.
     """
 
     def __init__(self, out: Path, *, step: int = 0, tensorboard: bool = False) -> None:
@@ -82,7 +82,7 @@ def log(path: Path, step: int, values: dict[str, float]) -> None:
 
 
 def truncate_log(path: Path, step: int) -> None:
-    """Drop a log's rows beyond a step: the run that goes on writes them again.
+    """Drop a log's rows beyond a step; a resumed run writes them again.
 
     Half a row at the end is dropped too; a log that holds no row is removed.
 
@@ -116,5 +116,5 @@ def _step_of(path: Path, number: int, row: str) -> int:
         return int(row.split(",", 1)[0])
     except ValueError:
         raise DataError(
-            f"{path}: line {number} does not begin with a step; mend it, or move the file away"
+            f"{path}: line {number} does not begin with a step; correct it, or move the file away"
         ) from None

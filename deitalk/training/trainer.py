@@ -1,6 +1,6 @@
 """The training loop of every model: step, average, evaluate, save, resume, log.
 
-It knows a `Task` and no product; the tasks are `deitalk.training.curves` and
+It depends on a `Task` and on no product; the tasks are `deitalk.training.curves` and
 `deitalk.training.mesh`. The main path is `run_training`, then `Trainer.fit`, then `Trainer.update`;
 `deitalk.training.run_folder` writes the files.
 """
@@ -132,7 +132,7 @@ def run_training(
     out : Path
         Run folder (see `deitalk.training.run_folder`); new or empty unless `resume`.
     resume : bool
-        Go on from the run folder's ``state.pt``: on a CPU the weights become those of an
+        Continue from the run folder's ``state.pt``: on a CPU the weights become those of an
         uninterrupted run, bit for bit. Where there is none yet the run begins, so that one and
         the same call may be repeated until it ends.
     tensorboard : bool
@@ -158,11 +158,11 @@ def run_training(
         If the run folder holds what no run wrote, or edited files, or is in use.
     """
     if tensorboard:
-        summary_writer()  # known before anything is read
+        summary_writer()  # an error before anything is read
     accelerator = new_accelerator(task.config.train, task.item_size)
     is_main = accelerator.is_main_process
     with open_folder(out, task.config, resume=resume, writes=is_main):
-        accelerator.wait_for_everyone()  # all see what was there before the first step
+        accelerator.wait_for_everyone()  # before the first process writes
         with accelerator.main_process_first():
             task.read(out)
         trainer = Trainer(task, accelerator, progress if is_main else silent)
@@ -224,7 +224,7 @@ class Trainer(Generic[Item]):
         return {"model": self.task.model, **own, **self.task.state}
 
     def resume(self, out: Path) -> None:
-        """Go on where the run of a folder stopped."""
+        """Continue the run of a folder from its last state."""
         self.step, self.best_score = resume_run(
             out, self.parts, truncate_logs=self.accelerator.is_main_process
         )
@@ -285,7 +285,7 @@ class Trainer(Generic[Item]):
         DataError
             If `MAX_BAD_STEPS` gradients in a row are not finite.
         """
-        # Dropout depends on the step alone, so that a resumed run meets the same.
+        # Dropout depends on the step alone, and is the same in a resumed run.
         seed = (self.settings.seed * 2**20 + self.step) * 64 + self.accelerator.process_index
         torch.manual_seed(seed)
         self.task.set_training()

@@ -1,4 +1,4 @@
-"""Augmentations of SDFA §4.3: what each leaves alone, and how much it changes the rest."""
+"""Augmentations of SDFA §4.3: what each keeps, and how much it changes the rest."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_shift_fills_half_a_frame_each_way(rng):
 
 @pytest.mark.parametrize("pink", [False, True])
 @pytest.mark.parametrize("snr_db", [5.0, 30.0])
-def test_noise_has_the_level_that_was_asked(rng, pink, snr_db):
+def test_noise_has_the_given_level(rng, pink, snr_db):
     x = tone()
     noise = add_noise(x, snr_db, rng, pink=pink) - x
     assert 10 * np.log10(np.mean(x**2) / np.mean(noise**2)) == pytest.approx(snr_db, abs=0.05)
@@ -113,7 +113,7 @@ def test_time_unchanged_is_a_cut():
     assert torch.equal(stretch_time(mel, 1.0, 8), mel[:, 6:14])
 
 
-def test_zeroed_bins_are_silent_and_others_are_not_touched():
+def test_zeroed_bins_are_silent_and_others_are_unchanged():
     mel = ramp()
     out = zero_bins(mel, (2, 5))
     assert (out[[2, 5]] == SILENCE).all()
@@ -122,7 +122,7 @@ def test_zeroed_bins_are_silent_and_others_are_not_touched():
     assert torch.equal(mel, ramp())
 
 
-def test_sine_gain_is_what_an_equaliser_of_as_many_decibels_does():
+def test_sine_gain_equals_an_equaliser_of_as_many_decibels():
     """Six decibels more power everywhere is the waveform times 10^(6/20)."""
     x = torch.from_numpy(tone(0.5) + 0.1 * np.random.default_rng(0).standard_normal(8000)).float()
     spectrogram = MelSpectrogram(0.064, 125, 64)
@@ -135,7 +135,7 @@ def test_sine_gain_is_what_an_equaliser_of_as_many_decibels_does():
     assert one_period.argmax() == 16 and one_period.argmin() == 48
 
 
-def test_a_warp_of_nothing_is_a_cut():
+def test_empty_warp_is_a_cut():
     mel = ramp(width=30)
     assert torch.equal(MelWarp()(mel, 16), mel[:, 7:23])
 
@@ -153,6 +153,6 @@ def test_drawn_warps_use_every_kind_and_every_other_time(rng):
     assert all(w(mel, 64).shape == (128, 64) for w in warps[:20])
 
 
-def test_one_seed_one_warp():
+def test_warps_of_one_seed_are_equal():
     one, two = (MelWarp.draw(64, np.random.default_rng(7)) for _ in range(2))
     assert one == two

@@ -1,4 +1,4 @@
-"""Augmentation: other voices, rooms and noise, but the same moments."""
+"""Augmentation: other voices, rooms and noise at unchanged times."""
 
 from itertools import pairwise
 
@@ -37,7 +37,7 @@ def rooms() -> Surroundings:
 
 
 @pytest.mark.parametrize("seed", range(25))
-def test_the_sound_stays_where_it_is(seed):
+def test_augmented_sound_keeps_its_time(seed):
     x = burst()
     y = augment(x, np.random.default_rng(seed), rooms(), [burst(at=0.3)] * 4)
     assert y.shape == x.shape and y.dtype == np.float32 and np.isfinite(y).all()
@@ -48,7 +48,7 @@ def test_the_sound_stays_where_it_is(seed):
     assert not np.array_equal(y, x)
 
 
-def test_the_input_is_not_changed_and_the_generator_decides():
+def test_augmentation_keeps_its_input_and_depends_on_the_generator():
     x = burst()
     before = x.copy()
     first, again, other = (
@@ -59,7 +59,7 @@ def test_the_input_is_not_changed_and_the_generator_decides():
     assert not np.array_equal(first, other)
 
 
-def test_silence_and_nothing_are_survived():
+def test_augmentation_accepts_silence_and_empty_waveforms():
     silent = augment(np.zeros(RATE, np.float32), np.random.default_rng(0), Surroundings())
     assert np.isfinite(silent).all() and np.abs(silent).max() < 0.01
     assert len(augment(np.zeros(0, np.float32), np.random.default_rng(0), Surroundings())) == 0
@@ -109,7 +109,7 @@ def test_noise_of_every_kind_has_power_one(seed):
     assert noise.shape == (RATE + 17,) and noise.std() == pytest.approx(1, abs=1e-6)
 
 
-def test_hisses_are_of_many_colours():
+def test_hisses_have_many_spectra():
     """From brown over white to violet: octaves fall by up to 6 dB each, or rise, hills and all."""
     levels = np.array([bands(_hiss(4 * RATE, np.random.default_rng(seed))) for seed in range(60)])
     assert np.ptp(levels, axis=1).min() < 10
@@ -119,14 +119,14 @@ def test_hisses_are_of_many_colours():
 
 
 @pytest.mark.parametrize("slope", [-6.0, 0.0, 4.5])
-def test_a_coloured_noise_turns_by_its_slope(slope):
+def test_coloured_noise_has_the_given_slope(slope):
     white = np.random.default_rng(1).standard_normal(8 * RATE)
     turned = bands(_coloured(white, slope)) - bands(white)
     # a little more than the slope where octaves are tilted within themselves
     np.testing.assert_allclose(np.diff(turned), slope, atol=0.4)
 
 
-def test_a_hill_stands_where_it_should():
+def test_coloured_noise_has_a_hill_at_the_given_octave():
     white = np.random.default_rng(2).standard_normal(8 * RATE)
     # two octaves below 8 kHz, 2 kHz: half an octave to either side within its octaves
     raised = bands(_coloured(white, 0.0, [(2.0, 0.3, 12.0)])) - bands(white)
@@ -134,7 +134,7 @@ def test_a_hill_stands_where_it_should():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_tone_has_a_pitch_and_no_overtone_folds_back(seed):
+def test_tone_has_a_pitch_and_no_overtone_folds_back(seed):
     tone = _tone(2 * RATE, np.random.default_rng(seed))
     power = np.square(np.abs(np.fft.rfft(tone * np.hanning(len(tone)))))
     assert power[len(power) * 39 // 40 :].sum() < 1e-4 * power.sum()  # above 7.8 kHz

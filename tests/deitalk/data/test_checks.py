@@ -1,4 +1,4 @@
-"""`deitalk data check`: a good dataset passes; every fault that is put in is found and named."""
+"""`deitalk data check`: a good dataset passes; every inserted fault is reported."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def edit(folder: Path, column: str, row: int, value: str) -> None:
     frame.to_csv(folder / "clips.csv", index=False)
 
 
-def test_a_good_dataset_has_no_errors_and_its_offset_is_0(folder):
+def test_good_dataset_has_no_errors_and_its_offset_is_0(folder):
     found = checks(folder)
     assert not [name for name, (level, _) in found.items() if level == "error"]
     assert found["files"] == ("ok", "7 clips can be read")
@@ -76,7 +76,7 @@ def test_one_shifted_clip_among_many_is_named(folder):
     assert level == "warning" and text.startswith("1 clips seem shifted") and "clip3 (+2" in text
 
 
-def test_a_speaker_in_two_splits_is_an_error(folder):
+def test_speaker_in_two_splits_is_an_error(folder):
     edit(folder, "speaker", 6, "test:0")
     assert checks(folder)["speakers"] == (
         "error",
@@ -93,7 +93,7 @@ def test_missing_controls_are_an_error(folder):
     assert "clip2" in found["controls"][1] + found["files"][1]
 
 
-def test_an_unreadable_file_is_an_error_and_the_rest_is_checked(folder):
+def test_unreadable_file_is_an_error_and_the_rest_is_checked(folder):
     (folder / "audio/1.flac").write_bytes(b"no sound")
     (folder / "phones/4.csv").write_text("start,end\n0,1\n")
     level, text = checks(folder)["files"]
@@ -117,7 +117,7 @@ def test_lengths_rates_silence_speech_and_clipping_are_warned_of(folder):
     assert found["sample rates"] == ("warning", "1 below 16 kHz: clip4 (8000 Hz)")
 
 
-def test_a_mouth_that_stays_open_and_values_out_of_range_are_warned_of(folder):
+def test_mouth_that_stays_open_and_values_out_of_range_are_warned_of(folder):
     jaw = CONTROLS.index(JAW)
 
     def gape(values: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ def test_rare_emotions_are_named(folder):
     assert level == "warning" and text.startswith("4 of 5 are rare in train: neutral 0%, angry 0%")
 
 
-def test_only_some_clips_are_read_where_that_is_asked(folder):
+def test_most_limits_the_clips_that_are_read(folder):
     assert checks(folder, most=3)["files"] == ("ok", "3 clips can be read")
 
 
@@ -156,7 +156,7 @@ def test_loudness_is_1_at_the_loudest_and_falls_in_decibels():
     np.testing.assert_allclose(level[35:55], 0.5, atol=0.02)
 
 
-def test_the_command_prints_a_table_or_json_and_fails_on_errors(folder):
+def test_command_prints_a_table_or_json_and_fails_on_errors(folder):
     runner = CliRunner()
     good = runner.invoke(app, ["check", str(folder)])
     assert good.exit_code == 0
@@ -169,6 +169,6 @@ def test_the_command_prints_a_table_or_json_and_fails_on_errors(folder):
     assert {"check": "speakers", "level": "error"}.items() <= rows[2].items()
 
 
-def test_a_folder_that_is_no_dataset_is_one_line(tmp_path):
+def test_check_rejects_a_folder_that_is_no_dataset(tmp_path):
     with pytest.raises(DataError, match=r"holds no clips\.csv"):
         check_dataset(tmp_path)

@@ -1,4 +1,4 @@
-"""Dataset folders: what is right is read, what is wrong is one line that says how to mend it."""
+"""Dataset folders: correct tables are read, faults are errors of one line."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def written(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def folder(written, tmp_path) -> Path:
-    """A copy whose clips.csv may be spoilt; the files are linked."""
+    """A copy whose clips.csv may be changed; the files are linked."""
     for part in ("audio", "curves", "phones", "intensity"):
         (tmp_path / part).symlink_to(written / part)
     (tmp_path / "clips.csv").write_bytes((written / "clips.csv").read_bytes())
@@ -47,7 +47,7 @@ def test_every_row_is_a_clip_with_its_files(folder):
     assert len(read_clips(folder, "train")) == 4 and read_clips(folder, "test") == []
 
 
-def test_columns_that_may_be_missing_have_their_meaning(folder):
+def test_optional_columns_have_defaults(folder):
     frame = pd.read_csv(folder / "clips.csv", dtype=str)
     frame.drop(columns=["voice", "source", "phones", "intensity"]).to_csv(
         folder / "clips.csv", index=False
@@ -57,13 +57,13 @@ def test_columns_that_may_be_missing_have_their_meaning(folder):
     assert clip.offset_seconds == 0 and clip.phones is None and clip.intensity is None
 
 
-def test_a_byte_order_mark_of_a_spreadsheet_is_no_column_name(folder):
+def test_byte_order_mark_of_a_spreadsheet_is_no_column_name(folder):
     text = (folder / "clips.csv").read_text()
     (folder / "clips.csv").write_text(text, encoding="utf-8-sig")
     assert len(read_clips(folder)) == 6
 
 
-def test_a_folder_without_clips_csv_is_refused(tmp_path):
+def test_folder_without_clips_csv_is_refused(tmp_path):
     one_line(tmp_path, r"holds no clips\.csv")
 
 
@@ -71,12 +71,12 @@ def test_a_folder_without_clips_csv_is_refused(tmp_path):
     "content",
     [b"", b"\xff\xfe\x00\x01\x80", b'clip,audio\n"unclosed,1\n', b"a,b\n1,2,3\n4,5,6,7\n"],
 )
-def test_a_file_that_is_no_table_is_refused(folder, content):
+def test_file_that_is_no_table_is_refused(folder, content):
     (folder / "clips.csv").write_bytes(content)
     one_line(folder, r"clips\.csv: (cannot be read as CSV|lacks the column)")
 
 
-def test_a_missing_column_is_named(folder):
+def test_missing_column_is_named(folder):
     frame = pd.read_csv(folder / "clips.csv").drop(columns="speaker")
     frame.to_csv(folder / "clips.csv", index=False)
     one_line(folder, r"lacks the column speaker; needs clip, audio")
@@ -100,12 +100,12 @@ def test_a_missing_column_is_named(folder):
         ("offset_s", "1e9", "within ±3600"),
     ],
 )
-def test_a_bad_value_is_named_with_the_rule(folder, column, value, match):
+def test_bad_value_is_named_with_the_rule(folder, column, value, match):
     spoil(folder, column, value)
     one_line(folder, match)
 
 
-def test_an_offset_is_read_in_seconds(folder):
+def test_offset_is_read_in_seconds(folder):
     spoil(folder, "offset_s", "-0.25", row=2)
     assert [clip.offset_seconds for clip in read_clips(folder)][1:4] == [0, -0.25, 0]
 
@@ -129,7 +129,7 @@ def test_intensity_is_linear_between_its_rows_and_held_beyond(folder):
         "",
     ],
 )
-def test_a_spoilt_intensity_file_is_one_line(tmp_path, text):
+def test_read_intensity_rejects_damaged_files(tmp_path, text):
     path = tmp_path / "i.csv"
     path.write_text(text)
     with pytest.raises(DataError, match=r"i\.csv: ") as caught:
@@ -140,7 +140,7 @@ def test_a_spoilt_intensity_file_is_one_line(tmp_path, text):
 @pytest.mark.parametrize(
     "text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""]
 )
-def test_a_spoilt_phone_file_is_one_line(tmp_path, text):
+def test_read_phones_rejects_damaged_files(tmp_path, text):
     path = tmp_path / "p.csv"
     path.write_text(text)
     with pytest.raises(DataError, match=r"p\.csv: ") as caught:
@@ -148,7 +148,7 @@ def test_a_spoilt_phone_file_is_one_line(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-def test_a_phone_named_like_a_missing_value_stays_a_phone(tmp_path):
+def test_phone_named_like_a_missing_value_stays_a_phone(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("start,end,phone\n0,0.5,NA\n0.5,1,N\n")
     assert read_phones(path) == [(0, 0.5, "NA"), (0.5, 1, "N")]

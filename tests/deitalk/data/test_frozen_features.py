@@ -1,4 +1,4 @@
-"""A borrowed frontend: it stays as it is, is asked once a clip, and says what it always says."""
+"""A frozen frontend: its weights stay, and its features are computed once per clip."""
 
 from pathlib import Path
 
@@ -27,8 +27,8 @@ def data(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def lender(data, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("runs") / "lender"
+def source(data, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "source"
     train_curves(tiny("train.seed=7"), data, out)
     return out / "last"
 
@@ -45,27 +45,27 @@ def frontend(folder: Path) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("augment", [False, True])
-def test_the_frontend_stays_and_the_rest_learns(data, lender, tmp_path, augment):
-    asked = tiny(f"train.frozen_frontend={lender}", f"data.augment={augment}", "train.ema=0.5")
-    train_curves(asked, data, tmp_path / "run")
-    before, after = frontend(lender), frontend(tmp_path / "run" / "last")
+def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, augment):
+    config = tiny(f"train.frozen_frontend={source}", f"data.augment={augment}", "train.ema=0.5")
+    train_curves(config, data, tmp_path / "run")
+    before, after = frontend(source), frontend(tmp_path / "run" / "last")
     assert all(torch.equal(before[name], after[name]) for name in before)
-    torch.manual_seed(asked.train.seed)
-    fresh = DEITalk(asked.model).decoder.state_dict()
+    torch.manual_seed(config.train.seed)
+    fresh = DEITalk(config.model).decoder.state_dict()
     learnt = load_model(tmp_path / "run" / "last").decoder.state_dict()
     assert any(not torch.equal(fresh[name], learnt[name]) for name in fresh)
 
 
-def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
+def test_windows_hold_the_features_of_the_whole_clip(data, source):
     clips = read_clips(data, "train")
-    config = tiny(f"train.frozen_frontend={lender}")
-    model = load_model(lender)
-    frozen_features = FrozenFeatures(str(lender))
+    config = tiny(f"train.frozen_frontend={source}")
+    model = load_model(source)
+    frozen_features = FrozenFeatures(str(source))
     plain = WindowBatches(clips, model.controls, config.data, seed=3, batch_size=2)
-    heard = WindowBatches(
+    frozen = WindowBatches(
         clips, model.controls, config.data, seed=3, batch_size=2, frozen_features=frozen_features
     )
-    window, same = heard.item(5), plain.item(5)
+    window, same = frozen.item(5), plain.item(5)
     assert torch.equal(window.curves, same.curves) and torch.equal(window.frames, same.frames)
     places = window.frames.tolist()
     materials = [load_material(clip, model.controls) for clip in clips]
@@ -78,19 +78,19 @@ def test_windows_carry_what_the_frontend_says_of_the_whole_clip(data, lender):
     nearest = min(float((window.waveform - features).abs().max()) for features in offered)
     assert nearest < 2e-3  # half precision
     moved = model.frontend.encode(torch.zeros(SAMPLE_RATE * 9), places[-1] + 1)[places]
-    assert float((window.waveform - moved).abs().max()) > 10 * nearest, "silence is heard otherwise"
+    assert float((window.waveform - moved).abs().max()) > 10 * nearest, "silence has other features"
 
 
-def test_a_clip_is_heard_once(data, lender, monkeypatch):
+def test_features_of_a_clip_are_computed_once(data, source, monkeypatch):
     clips = read_clips(data, "train")[:1]
-    frozen_features = FrozenFeatures(str(lender))
+    frozen_features = FrozenFeatures(str(source))
     calls = []
     encode = frozen_features._owner.frontend.encode
     monkeypatch.setattr(
         frozen_features._owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
     )
     batches = WindowBatches(
-        clips, load_model(lender).controls, tiny().data, 0, 2, frozen_features=frozen_features
+        clips, load_model(source).controls, tiny().data, 0, 2, frozen_features=frozen_features
     )
     for number in range(12):
         batches.item(number)
@@ -99,21 +99,21 @@ def test_a_clip_is_heard_once(data, lender, monkeypatch):
     assert np.isfinite(first).all() and len(calls) <= 2
 
 
-def test_a_model_of_other_ears_is_refused_in_one_line(data, lender, tmp_path):
-    asked = tiny(f"train.frozen_frontend={lender}", "model.frontend.time_hidden=8")
+def test_training_rejects_a_frontend_of_another_configuration(data, source, tmp_path):
+    config = tiny(f"train.frozen_frontend={source}", "model.frontend.time_hidden=8")
     with pytest.raises(ConfigError, match=r"built otherwise than model\.frontend") as refused:
-        train_curves(asked, data, tmp_path / "run")
+        train_curves(config, data, tmp_path / "run")
     assert "\n" not in str(refused.value)
 
 
-def test_variants_share_what_was_heard(data, lender, tmp_path, monkeypatch):
+def test_variants_share_the_features(data, source, tmp_path, monkeypatch):
     made = []
     original = FrozenFeatures.__init__
     monkeypatch.setattr(
         FrozenFeatures, "__init__", lambda self, name: made.append(name) or original(self, name)
     )
     variants = [Variant("full", TINY, ()), Variant("still", TINY, ("loss.velocity=0",))]
-    overrides = [f"train.frozen_frontend={lender}", "train.batch_size=2", "train.workers=0"]
+    overrides = [f"train.frozen_frontend={source}", "train.batch_size=2", "train.workers=0"]
     table = ablate(
         variants, data, tmp_path / "runs", steps=2, seeds=2, split="validation", probes=0,
         overrides=overrides,

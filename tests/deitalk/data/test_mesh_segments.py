@@ -109,7 +109,7 @@ def test_vertices_come_back_through_the_folder(tmp_path, rng):
         np.testing.assert_allclose(clip.waveform(), waveform, atol=1e-4)
 
 
-def test_triangles_that_stay_are_left_out_and_cost_nothing(tmp_path, rng):
+def test_triangles_at_rest_are_skipped_with_equal_results(tmp_path, rng):
     """The sheet's first row stays: its numbers must be those of the whole computation, zero."""
     folder, sequences = written(tmp_path, rng)
     template, (_, vertices) = folder.templates["ann"], sequences[0].load()
@@ -141,7 +141,7 @@ def test_triangles_that_stay_are_left_out_and_cost_nothing(tmp_path, rng):
         ({"name": ""}, "must be usable as a file's"),
     ],
 )
-def test_bad_sequence_leaves_nothing(tmp_path, rng, change, said):
+def test_write_mesh_folder_rejects_a_bad_sequence_and_writes_nothing(tmp_path, rng, change, said):
     template = sheet()
     values = {"name": "a", "speaker": "ann", "split": "train"} | change
     one = sequence(**values, template=template, rng=rng)
@@ -150,7 +150,7 @@ def test_bad_sequence_leaves_nothing(tmp_path, rng, change, said):
     assert not list(tmp_path.iterdir())
 
 
-def test_other_bad_sources(tmp_path, rng):
+def test_write_mesh_folder_rejects_other_bad_sources(tmp_path, rng):
     template = sheet()
     one = sequence("a", "ann", "train", template, rng)
     sound, vertices = one.load()
@@ -172,7 +172,7 @@ def test_other_bad_sources(tmp_path, rng):
         write_mesh_folder(tmp_path, {"ann": template}, [one], fps=30, unit_mm=1)
 
 
-def test_damaged_folders(tmp_path, rng):
+def test_read_mesh_folder_rejects_damaged_files(tmp_path, rng):
     folder, _ = written(tmp_path, rng)
     path = tmp_path / "m"
     rows = np.zeros((3, 1), np.float16)
@@ -229,7 +229,7 @@ def vocaset(root, rng, speakers=("ann", "bob", "cyd"), n_frames=6):
     return vertices
 
 
-def test_vocaset_layout(tmp_path, rng):
+def test_vocaset_folder_is_read(tmp_path, rng):
     vertices = vocaset(tmp_path / "v", rng)
     folder = open_meshes(tmp_path / "v", MeshDataConfig(), tmp_path / "built")
     assert folder.unit_mm == 1000
@@ -245,7 +245,7 @@ def test_vocaset_layout(tmp_path, rng):
         assert len(clip.waveform()) == pytest.approx(6 / 60 * RATE, abs=2)  # 22 kHz to 16
 
 
-def test_vocaset_splits_may_be_given(tmp_path, rng):
+def test_vocaset_splits_follow_splits_csv(tmp_path, rng):
     root = tmp_path / "v"
     vocaset(root, rng, ("ann", "bob"), 2)
     (root / "splits.csv").write_text("speaker,split\nann,test\nbob,train\n")
@@ -257,7 +257,7 @@ def test_vocaset_splits_may_be_given(tmp_path, rng):
         build_meshes(root, MeshDataConfig(), tmp_path / "n")
 
 
-def test_vocaset_that_lacks_something(tmp_path, rng):
+def test_build_meshes_rejects_an_incomplete_vocaset(tmp_path, rng):
     root = tmp_path / "v"
     vocaset(root, rng, ("ann",), 2)
     recording = root / "audio/ann/sentence02.wav"
@@ -315,7 +315,7 @@ def test_clips_are_chosen_by_emotion_and_spread(tmp_path):
 # Spectra
 
 
-def test_the_middle_is_the_moment():
+def test_middle_spectrum_is_of_the_given_time():
     waveform = np.zeros(RATE, np.float32)
     waveform[int(0.4 * RATE)] = 1
     spectra = Spectra(ENCODER, 16)
@@ -325,8 +325,8 @@ def test_the_middle_is_the_moment():
         assert features[0].sum(dim=0).argmax() == place
 
 
-def test_pieces_are_cut_from_the_clip_s_spectrogram():
-    """Derivatives too: a piece must not know where it was cut."""
+def test_pieces_equal_the_spectrogram_of_the_clip():
+    """Derivatives too: a piece does not depend on where it was cut."""
     rng = np.random.default_rng(1)
     waveform = (0.1 * rng.standard_normal(RATE)).astype(np.float32)
     whole = MelSpectrogram(0.032, 125, 16)(torch.from_numpy(waveform)[None], 125)[0]
@@ -376,7 +376,7 @@ def test_segments_are_adjacent_frames_of_one_clip(tmp_path, rng):
     assert drawn.count("bob") / 300 == pytest.approx(58 / 86, abs=0.09)  # by frames, not clips
 
 
-def test_sound_belongs_to_the_frames(tmp_path, rng):
+def test_features_are_of_the_time_of_their_frames(tmp_path, rng):
     """Each frame's spectrum is the one of its time, whatever the segment about it."""
     folder, sequences = written(tmp_path, rng)
     rows = {c.speaker: c.motion()["offsets"] for c in folder.split("train")}
@@ -393,7 +393,7 @@ def test_sound_belongs_to_the_frames(tmp_path, rng):
         assert (ends - source.places[2]).tolist() == [-8, 8]  # 2 frames: 67 ms, 8 spectra of 8 ms
 
 
-def test_augmented_segments_keep_one_shift_and_linear_targets(tmp_path):
+def test_augmented_segments_have_one_shift_and_linear_targets(tmp_path):
     """Motion that is linear in time keeps its difference, but for the stretch of time."""
     template = sheet()
     step = 0.01 * np.abs(template.vertices[:, :1]) * [1.0, 0, 0]
@@ -429,7 +429,7 @@ def test_augmentation_changes_the_sound(tmp_path, rng):
     assert changed >= 18
 
 
-def test_batches_are_the_same_for_any_number_of_workers_and_go_on(tmp_path, rng):
+def test_batches_do_not_depend_on_workers_or_interruptions(tmp_path, rng):
     folder, _ = written(tmp_path, rng)
     first = [b for b, _ in zip(segments(folder, augment=True), range(4), strict=False)]
     assert first[0].features.shape[:3] == (4, 3, 16)
@@ -444,13 +444,13 @@ def test_batches_are_the_same_for_any_number_of_workers_and_go_on(tmp_path, rng)
         assert torch.equal(one.rotation, other.rotation)
 
 
-def test_a_clip_shorter_than_a_segment_holds_its_end(tmp_path, rng):
+def test_clip_shorter_than_a_segment_holds_its_end(tmp_path, rng):
     folder, _ = written(tmp_path, rng, n_frames=4)
     segment = segments(folder, n_frames=12).item(0)
     assert torch.equal(segment.offsets[-1], segment.offsets[-2])
 
 
-def test_no_clips_is_one_line():
+def test_segments_reject_no_clips():
     with pytest.raises(DataError, match="no mesh sequences"):
         Segments([], (), 30, ENCODER, n_frames=2, seed=0, batch_size=1, augment=False)
 

@@ -1,4 +1,4 @@
-"""Lag of curves behind their sound: by hand, on a built corpus, on real mouths on video."""
+"""Lag of curves behind their sound: by hand, on a built corpus, on lips measured on video."""
 
 import json
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from deitalk.data.checks import check_dataset, jaw_motion
 from deitalk.data.clips import read_clips
 from deitalk.data.offset import (
     REACH,
-    heard_lags,
     is_clear,
     is_shifted,
     lag_correlations,
     loudness,
+    model_lags,
     peak,
     vowel_band,
 )
@@ -40,7 +40,7 @@ def corpus(tmp_path_factory) -> Path:
 
 
 def lags_of(recording: Recording, jaw: np.ndarray) -> np.ndarray | None:
-    return heard_lags(
+    return model_lags(
         recording, lag_correlations(loudness(vowel_band(recording.waveform)), jaw), jaw
     )
 

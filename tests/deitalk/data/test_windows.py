@@ -1,4 +1,4 @@
-"""Windows: sound and curves stay together, and a batch is the same whoever makes it."""
+"""Windows: sound and curves stay in time, and batches do not depend on workers and processes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +47,7 @@ def step_material(at: float = 1.0, seconds: float = 2.0) -> Material:
 
 @pytest.mark.parametrize("speed", [0.82, 1.0, 1.1, 1.25])
 @pytest.mark.parametrize("first", [0, 7, 20])
-def test_a_click_stays_with_the_step_of_the_curves(speed, first):
+def test_click_stays_with_the_step_of_the_curves(speed, first):
     material = step_material()
     waveform, curves, _, total = cut(material, first, 45, speed)
     expected = 1.0 / speed - first / 30
@@ -57,7 +57,7 @@ def test_a_click_stays_with_the_step_of_the_curves(speed, first):
     assert total == int(np.ceil(60 / speed))
 
 
-def test_the_middle_of_a_clip_is_the_middle_of_the_whole():
+def test_middle_of_a_clip_is_the_middle_of_the_whole():
     material = step_material()
     whole_wave, whole_curves, whole_intensity, _ = cut(material, 0, 60)
     wave, curves, intensity, _ = cut(material, 21, 20)
@@ -77,7 +77,7 @@ def test_beyond_the_end_there_is_silence_and_the_curves_hold():
     assert not outside.any()
 
 
-def test_a_window_begins_before_curves_that_start_late():
+def test_window_begins_before_curves_that_start_late():
     material = step_material()
     late = material._replace(times=material.times + 0.5)
     _, curves, _, _ = cut(late, 0, 60)
@@ -89,7 +89,7 @@ def test_frames_of_a_clip_are_counted_in_integers():
     assert n_clip_frames(1) == 1 and n_clip_frames(0) == 1 and n_clip_frames(16_000, 1.25) == 24
 
 
-def test_a_clip_in_memory_is_the_recording_to_16_bits(folder):
+def test_clip_in_memory_is_the_recording_to_16_bits(folder):
     clip = read_clips(folder, "train")[0]
     material = load_material(clip, CONTROLS)
     assert material.waveform.dtype == np.int16 and material.values.dtype == np.float16
@@ -152,7 +152,7 @@ def same(a, b) -> bool:
     )
 
 
-def test_a_batch_is_the_same_for_any_number_of_workers(folder):
+def test_batch_is_the_same_for_any_number_of_workers(folder):
     here = take(batches(folder), 4)
     for workers in (1, 2):
         there = take(DataLoader(batches(folder), batch_size=None, num_workers=workers), 4)
@@ -160,7 +160,7 @@ def test_a_batch_is_the_same_for_any_number_of_workers(folder):
     assert not same(here[0], here[1]) and not same(here[0], take(batches(folder, seed=4), 1)[0])
 
 
-def test_processes_share_the_batch_that_one_would_make(folder):
+def test_processes_share_the_batch_of_one(folder):
     whole = take(batches(folder), 2)
     parts = [take(batches(folder, share=Share(0, rank, 2)), 2) for rank in range(2)]
     for k in range(2):
@@ -169,11 +169,11 @@ def test_processes_share_the_batch_that_one_would_make(folder):
             assert torch.equal(whole[k][field][1::2], parts[1][k][field])
 
 
-def test_an_interrupted_training_meets_the_batches_it_would_have_met(folder):
+def test_interrupted_training_continues_with_the_next_batch(folder):
     assert same(take(batches(folder), 5)[3], take(batches(folder, share=Share(skip=3)), 1)[0])
 
 
-def test_a_window_knows_its_place(folder):
+def test_window_holds_its_position_in_the_clip(folder):
     plain = batches(folder, config=config())
     for number in range(12):
         window = plain.item(number)
@@ -195,7 +195,7 @@ def test_a_window_knows_its_place(folder):
         assert 0 <= window.intensity.min() and window.intensity.max() <= 0.8 + 1e-6
 
 
-def test_a_teacher_is_given_the_sound_before_augmentation(folder, monkeypatch):
+def test_windows_for_a_teacher_hold_the_sound_before_augmentation(folder, monkeypatch):
     import deitalk.data.windows as module
 
     monkeypatch.setattr(module, "speed_factor", lambda rng: 1.25)
@@ -207,16 +207,16 @@ def test_a_teacher_is_given_the_sound_before_augmentation(folder, monkeypatch):
         sound = cut(load_material(clip, CONTROLS), first, 32, 1.25)[0]
         np.testing.assert_array_equal(window.clean.numpy(), sound)
         assert not torch.equal(window.waveform, window.clean)
-    assert len(batches(folder).item(0).clean) == 0, "nobody asked for it"
+    assert len(batches(folder).item(0).clean) == 0, "without a teacher"
 
 
-def test_real_speech_has_the_share_it_is_given(folder):
+def test_recorded_speech_has_the_configured_share(folder):
     drawn = batches(folder, config=config(real_fraction=0.8))
     sources = [drawn._draw(np.random.default_rng(i)).source for i in range(400)]
     assert np.mean([s == "recording" for s in sources]) == pytest.approx(0.8, abs=0.06)
 
 
-def test_measured_clips_have_the_share_they_are_given_and_their_speakers_are_alike(folder):
+def test_measured_clips_have_the_configured_share_and_equal_speakers(folder):
     clips = read_clips(folder, "train")
     some = [replace(c, source="measured", speaker="few") for c in clips[:1]]
     many = [replace(c, source="measured", speaker="many", name=f"{c.name}+") for c in clips * 5]
@@ -230,7 +230,7 @@ def test_measured_clips_have_the_share_they_are_given_and_their_speakers_are_ali
     assert only._draw(np.random.default_rng(0)).speaker == "many"
 
 
-def test_no_clips_is_one_line():
+def test_window_batches_reject_no_clips():
     with pytest.raises(DataError, match="no clips to train on"):
         WindowBatches([], CONTROLS, config(), 0, 4)
 
@@ -242,7 +242,7 @@ def test_windows_are_counted_from_the_recordings_lengths(folder):
     assert count_windows(clips[:1], DataConfig(window_frames=128, stride_frames=5)) == 1
 
 
-def test_curves_without_frames_or_of_other_controls_are_one_line(folder, tmp_path):
+def test_load_material_rejects_curves_without_frames_or_controls(folder, tmp_path):
     clip = read_clips(folder)[0]
     curves = read_curves(clip.curves)
     short = tmp_path / "short.csv"

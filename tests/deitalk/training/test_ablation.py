@@ -1,4 +1,4 @@
-"""Ablations: variants are read, trained, scored and gone on with."""
+"""Ablations: variants are read, trained, scored and resumed."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def differences(variant: Variant) -> set[str]:
     return {key for key in base if base[key] != ours[key]} - {"name", "train.steps"}
 
 
-def test_every_variant_changes_what_its_name_says():
+def test_variants_change_the_settings_in_their_names():
     variants = {variant.name: variant for variant in read_variants(CONFIGS / "ablations")}
     assert next(iter(variants)) == "full"
     changed = {name: differences(variant) for name, variant in variants.items()}
@@ -46,7 +46,7 @@ def test_every_variant_changes_what_its_name_says():
     assert variants["compact"].config(2, 7).model.frontend.kind == "conformer"
     run = variants["no_dei"].config(2, 7, ["train.batch_size=8", "loss.contrast=3"])
     assert (run.train.seed, run.train.steps, run.train.batch_size) == (2, 7, 8)
-    assert run.loss.contrast == 0  # what the variant says wins
+    assert run.loss.contrast == 0  # the overrides of the variant come last
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_every_variant_changes_what_its_name_says():
         (": :", "cannot be read as YAML"),
     ],
 )
-def test_a_wrong_variant_is_one_line(tmp_path, text, message):
+def test_read_variants_rejects_a_wrong_file(tmp_path, text, message):
     (tmp_path / "base.yaml").write_text("")
     (tmp_path / "sdfa.yaml").write_text("kind: sdfa")
     folder = tmp_path / "variants"
@@ -74,12 +74,12 @@ def test_a_wrong_variant_is_one_line(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_folder_without_variants_is_refused(tmp_path):
+def test_read_variants_rejects_an_empty_folder(tmp_path):
     with pytest.raises(ConfigError, match="holds no"):
         read_variants(tmp_path)
 
 
-ASKED = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
+OPTIONS = {"steps": 2, "seeds": 2, "most": 1, "probes": 0}
 VARIANTS = [
     Variant("full", CONFIGS / "tiny.yaml", ()),
     Variant("still", CONFIGS / "tiny.yaml", ("loss.velocity=0",)),
@@ -99,16 +99,16 @@ def fails(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_train_score_and_go_on(data, tmp_path, monkeypatch):
+def test_ablation_resumes_after_a_kill_and_repeats_no_finished_run(data, tmp_path, monkeypatch):
     out = tmp_path / "runs"
     monkeypatch.setattr(
         deitalk.training.trainer, "save_checkpoints", fails
     )  # after the rows of the first evaluation
     with pytest.raises(KeyboardInterrupt):
-        ablate(VARIANTS, data, out, **ASKED)
+        ablate(VARIANTS, data, out, **OPTIONS)
     monkeypatch.undo()
     runs: list[str] = []
-    scores = ablate(VARIANTS, data, out, **ASKED, progress=lambda run, _: runs.append(run))
+    scores = ablate(VARIANTS, data, out, **OPTIONS, progress=lambda run, _: runs.append(run))
     assert list(dict.fromkeys(runs)) == [
         "full seed0", "full seed1", "still seed0", "still seed1"
     ]  # fmt: skip
@@ -127,34 +127,34 @@ def test_train_score_and_go_on(data, tmp_path, monkeypatch):
     real = deitalk.training.ablation.train_curves
     monkeypatch.setattr("deitalk.training.ablation.train_curves", spy)
     before = (out / "ablations.json").read_text()
-    ablate(VARIANTS, data, out, **ASKED)
+    ablate(VARIANTS, data, out, **OPTIONS)
     assert (out / "ablations.json").read_text() == before
     assert trained == [True]  # only the run without a report, from where it was
 
 
-def test_other_settings_and_edited_files_are_refused(data, tmp_path):
-    out, asked = tmp_path / "runs", ASKED | {"seeds": 1}
-    ablate(VARIANTS[:1], data, out, **asked)
+def test_ablation_rejects_other_settings_and_edited_files(data, tmp_path):
+    out, options = tmp_path / "runs", OPTIONS | {"seeds": 1}
+    ablate(VARIANTS[:1], data, out, **options)
     with pytest.raises(DataError, match="other settings"):
-        ablate(VARIANTS[:1], data, out, **(asked | {"steps": 3}))
+        ablate(VARIANTS[:1], data, out, **(options | {"steps": 3}))
     (out / "ablations.md").write_text("my notes")
     with pytest.raises(TargetError, match=r"ablations\.md was changed since deitalk wrote it"):
-        ablate(VARIANTS[:1], data, out, **asked)
+        ablate(VARIANTS[:1], data, out, **options)
     assert (out / "ablations.md").read_text() == "my notes"
     (out / "ablations.md").unlink()
     (out / "full/seed0/report.json").write_text("[")
     with pytest.raises(DataError, match=r"report\.json: no evaluation; remove it"):
-        ablate(VARIANTS[:1], data, out, **asked)
+        ablate(VARIANTS[:1], data, out, **options)
 
 
-def test_a_folder_of_the_user_is_refused_before_any_training(tmp_path):
+def test_ablation_rejects_a_folder_of_the_user(tmp_path):
     (tmp_path / "ablations.md").write_text("mine")
     with pytest.raises(TargetError, match="holds files that deitalk did not write"):
         ablate([], tmp_path, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["ablations.md"]
 
 
-def test_table_by_hand():
+def test_markdown_table_by_hand():
     score = {"mean": 0.5, "sd": 0.01, "n": 3}
     text = as_markdown({"full": {"a": {"lpe": score}}, "no_dei": {"a": {}}}, "test", 3)
     assert "| full | 0.5 ± 0.01 | – |" in text

@@ -82,7 +82,7 @@ def test_intensity_counts_labelled_frames_only():
     assert torch.isfinite(strength.grad).all()
 
 
-def test_intensity_without_a_label_is_nothing():
+def test_intensity_without_labels_is_zero():
     strength = torch.rand(2, 3, requires_grad=True)
     loss = intensity_loss(torch.full((2, 3), math.nan), strength)
     loss.backward()
@@ -98,7 +98,7 @@ def test_contact_by_hand():
     assert float(contact_loss(shut, shut)) == pytest.approx(0.1 * math.log1p(math.exp(-4)))
 
 
-def test_contact_prefers_a_decision():
+def test_contact_penalises_values_near_one_half():
     shut = torch.ones(1, 1, 1)
     costs = [float(contact_loss(shut, torch.full((1, 1, 1), x))) for x in (0.0, 0.3, 0.6, 0.9)]
     assert costs == sorted(costs, reverse=True)
@@ -139,7 +139,7 @@ def test_every_weight_multiplies_its_part(name, value):
     assert float(parts["total"]) == pytest.approx(3 * value)
 
 
-def test_contact_looks_at_its_controls_only():
+def test_contact_depends_on_its_controls_only():
     config = LossConfig(contact=2.0)
     output, curves, emotion, intensity = example()
     parts = total(config, output, curves, emotion, intensity)
@@ -167,7 +167,7 @@ def test_lip_loss_by_hand():
     # measures that do not move correlate with nothing: each lacks 1 by its weight
 
 
-def test_lips_of_the_head_join_the_loss_where_they_have_a_weight():
+def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
     config = LossConfig(lips=0.5, contrast=0, position=0, velocity=0)
     controls = default_controls()
     loss = CurveLoss(config, controls, torch.device("cpu"))

@@ -53,7 +53,7 @@ def equal(a: Path, b: Path) -> bool:
     return first.keys() == second.keys() and all(torch.equal(first[k], second[k]) for k in first)
 
 
-def test_a_run_leaves_exactly_its_files(finished):
+def test_run_leaves_exactly_its_files(finished):
     files = sorted(str(p.relative_to(finished)) for p in finished.rglob("[!.]*") if p.is_file())
     model = ["config.yaml", "model.json", "model.safetensors"]
     pictures = [f"curves/{step:06d}.png" for step in (3, 6)] if can_draw() else []
@@ -73,9 +73,7 @@ class Killed(Exception):
     pass
 
 
-def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(
-    data, finished, tmp_path, monkeypatch
-):
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, finished, tmp_path, monkeypatch):
     out = tmp_path / "killed"
     whole = tiny("model.dropout=0.1")
     update = Trainer.update
@@ -89,11 +87,11 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(
     with pytest.raises(Killed):
         train_curves(whole, data, out)
     monkeypatch.undo()
-    told: list[int] = []
+    reported: list[int] = []
     best = train_curves(
-        whole, data, out, resume=True, progress=lambda step, total, _: told.append(step)
+        whole, data, out, resume=True, progress=lambda step, total, _: reported.append(step)
     )
-    assert told == [3, 6, 6], "from the saved state to the last step and its evaluation"
+    assert reported == [3, 6, 6], "from the saved state to the last step and its evaluation"
     for kind in ("best", "last"):
         assert equal(out / kind, finished / kind), kind
     for name in ("metrics.csv", "development.csv"):
@@ -101,14 +99,14 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(
     assert set(best) == {"step", "development"}
 
 
-def test_a_damaged_state_is_one_line(data, finished, tmp_path):
+def test_resuming_rejects_a_damaged_state(data, finished, tmp_path):
     (tmp_path / "config.yaml").write_text((finished / "config.yaml").read_text())
     (tmp_path / "state.pt").write_bytes(b"not a state")
     with pytest.raises(DataError, match=r"state\.pt: damaged"):
         train_curves(tiny("model.dropout=0.1"), data, tmp_path, resume=True)
 
 
-def test_the_loss_falls_where_there_is_little_to_learn(data, tmp_path):
+def test_loss_falls_on_a_small_dataset(data, tmp_path):
     config = tiny("train.steps=50", "train.evaluate_every=50", "train.learning_rate=3e-3")
     lines: list[float] = []
     train_curves(
@@ -157,7 +155,7 @@ def test_without_validation_clips_the_last_weights_are_the_best(data, tmp_path):
     assert best["step"] == 6 and equal(tmp_path / "run" / "best", tmp_path / "run" / "last")
 
 
-def test_tensorboard_is_written_where_it_is_asked_for(data, tmp_path):
+def test_tensorboard_holds_the_numbers_of_the_tables(data, tmp_path):
     pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -169,11 +167,11 @@ def test_tensorboard_is_written_where_it_is_asked_for(data, tmp_path):
         ("development", "dev_score", "development/score"),
     ):
         rows = pd.read_csv(tmp_path / "run" / f"{table}.csv")
-        told = [(event.step, event.value) for event in events.Scalars(tag)]
-        assert told == [(3, pytest.approx(rows[column].iloc[0], rel=1e-5))]
+        reported = [(event.step, event.value) for event in events.Scalars(tag)]
+        assert reported == [(3, pytest.approx(rows[column].iloc[0], rel=1e-5))]
 
 
-def test_no_training_clips_is_one_line(tmp_path):
+def test_training_rejects_a_dataset_without_training_clips(tmp_path):
     folder = write_dataset(tmp_path / "data", n_train=0)
     with pytest.raises(DataError, match="no clips to train on"):
         train_curves(tiny(), folder, tmp_path / "run")
@@ -249,7 +247,7 @@ def test_shown_rows_are_targets_and_predictions(data):
     assert without.rows[2].predicted is None
 
 
-def test_weights_of_controls_are_named_by_control_part_or_subset():
+def test_control_weights_are_set_by_control_part_or_subset():
     out = control_weights({"lip": 2.0, "lipsTogether": 3.0, "CTRL_C_jaw.ty": 4.0}, CONTROLS)
     assert out[CONTROLS.index("CTRL_C_jaw.ty")] == 4
     assert out[CONTROLS.index("CTRL_L_mouth_lipsTogetherU.ty")] == 3, "later entries win"
@@ -261,7 +259,7 @@ def test_weights_of_controls_are_named_by_control_part_or_subset():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("contrast", ["0.1", "0"])
-def test_two_processes_make_the_model_that_one_makes(data, tmp_path, contrast):
+def test_two_processes_make_the_weights_of_one(data, tmp_path, contrast):
     # Batch statistics differ between half batches, so the frontend here has none.
     config = tmp_path / "config.yaml"
     config.write_text(WITHOUT_BATCH_STATISTICS)

@@ -1,4 +1,4 @@
-"""Learning from a teacher: what is copied, what is learnt, what stays as it was."""
+"""Feature distillation: which weights are copied, what is trained, what stays unchanged."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def finished(data, teacher, tmp_path_factory) -> Path:
     return out
 
 
-def test_distance_is_that_of_places_and_of_motion_and_teaches_the_student_alone(teacher):
+def test_distance_by_hand_with_gradients_for_the_student_only(teacher):
     config = student(teacher)
     model = read_teacher(str(teacher), DEITalk(config.model))
     assert model is not None and not any(p.requires_grad for p in model.parameters())
@@ -71,7 +71,7 @@ def test_distance_is_that_of_places_and_of_motion_and_teaches_the_student_alone(
     assert taught.distance(waveform, shaken).item() == pytest.approx(17, rel=1e-4)
 
 
-def test_all_that_fits_behind_the_frontend_is_the_teachers(teacher):
+def test_weights_of_equal_shape_behind_the_frontend_are_copied(teacher):
     theirs = load_model(teacher)
     model = DEITalk(student(teacher, "model.style_size=3").model)
     before = {name: value.clone() for name, value in model.state_dict().items()}
@@ -86,7 +86,7 @@ def test_all_that_fits_behind_the_frontend_is_the_teachers(teacher):
     assert set(start_as(whole, theirs)) == behind
 
 
-def test_a_student_of_the_teachers_kind_hears_as_it_does_and_may_have_more_layers(teacher):
+def test_student_of_the_same_kind_has_equal_features_even_with_more_layers(teacher):
     theirs = load_model(teacher)
     deep = DEITalk(load_config(TINY, ["model.frontend.rig_layers=1"]).model).eval()
     assert set(start_as(deep, theirs)) == set(theirs.state_dict())
@@ -95,7 +95,7 @@ def test_a_student_of_the_teachers_kind_hears_as_it_does_and_may_have_more_layer
         torch.testing.assert_close(deep.frontend(sound, 30), theirs.frontend(sound, 30))
 
 
-def test_the_student_comes_nearer_and_the_teacher_stays(data, teacher, tmp_path):
+def test_training_reduces_the_distance_and_leaves_the_teacher(data, teacher, tmp_path):
     before = weights(teacher)
     out = tmp_path / "run"
     options = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=3e-3")
@@ -106,7 +106,7 @@ def test_the_student_comes_nearer_and_the_teacher_stays(data, teacher, tmp_path)
     assert all(torch.equal(before[name], after[name]) for name in before)
 
 
-def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
+def test_total_contains_the_weighted_distance(data, teacher, tmp_path):
     totals = []
     for weight in (0, 2):
         out = tmp_path / str(weight)
@@ -117,23 +117,25 @@ def test_the_total_counts_the_distance_with_its_weight(data, teacher, tmp_path):
     assert added == pytest.approx(2 * totals[1]["distillation"], rel=1e-4)
 
 
-def test_a_frozen_frontend_has_no_teacher():
+def test_configuration_rejects_a_teacher_of_a_frozen_frontend():
     with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend cannot be"):
         load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
 
 
-def test_a_saved_model_holds_no_teacher_and_needs_none(finished, teacher):
+def test_saved_model_contains_no_teacher_and_loads_without_it(finished, teacher):
     config = student(teacher)
     names = set(DEITalk(config.model).state_dict())
     assert set(weights(finished / "best")) == names
     text = (finished / "best" / "config.yaml").read_text()
-    assert str(teacher) in text, "it says who taught it"
+    assert str(teacher) in text, "the configuration names the teacher"
     (finished / "best" / "config.yaml").write_text(text.replace(str(teacher), "gone"))
     assert set(weights(finished / "best")) == names
     (finished / "best" / "config.yaml").write_text(text)
 
 
-def test_a_killed_run_goes_on_to_the_same_weights(data, teacher, finished, tmp_path, monkeypatch):
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
+    data, teacher, finished, tmp_path, monkeypatch
+):
     class Killed(Exception):
         pass
 
@@ -169,7 +171,7 @@ def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
     assert len(alone.optimizer().param_groups) == 1
 
 
-def test_a_teacher_that_cannot_teach_is_one_line(data, teacher, tmp_path):
+def test_training_rejects_a_teacher_of_another_width_or_none(data, teacher, tmp_path):
     wide = student(teacher, "model.frontend.hidden_size=48")
     with pytest.raises(
         ConfigError, match=r"32 features a frame, the model 48; set .*\.hidden_size=32"

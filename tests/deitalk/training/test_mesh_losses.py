@@ -1,4 +1,4 @@
-"""Eq. 7-8 in closed form, the lips' term, and weights that give every term the same say."""
+"""Eq. 7-8 in closed form, the lips' term, and the automatic weights of the terms."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_losses_by_hand():
     assert difference_loss(predicted, target, deviations) == 4 * 4
 
 
-def test_coefficients_stand_for_the_triangles():
+def test_value_loss_of_coefficients_equals_that_of_triangles():
     """The value loss is the area-weighted squared error of the numbers themselves (Eq. 7)."""
     rng = np.random.default_rng(0)
     areas = rng.uniform(0.1, 3, 10)
@@ -49,7 +49,7 @@ def test_coefficients_stand_for_the_triangles():
 
 
 @given(st.floats(-100, 100), st.integers(0, 1000))
-def test_difference_does_not_see_a_constant_offset(offset, seed):
+def test_difference_loss_ignores_a_constant_offset(offset, seed):
     torch.manual_seed(seed)
     a, b = torch.randn(2, 3, 2, 4, dtype=torch.float64)
     deviations = torch.rand(4, dtype=torch.float64)
@@ -60,7 +60,7 @@ def test_difference_does_not_see_a_constant_offset(offset, seed):
         assert value_loss(a + shift, b, deviations) > value_loss(a, b, deviations)
 
 
-def test_each_term_sees_its_own_branch():
+def test_terms_depend_on_their_own_branch():
     zero = {"stretch": torch.zeros(1, 2, 6), "rotation": torch.zeros(1, 2, 3)}
     constant = zero | {"stretch": torch.ones(1, 2, 6)}
     jump = zero | {"rotation": torch.tensor([[[0.0] * 3, [2.0] * 3]])}
@@ -73,7 +73,7 @@ def test_each_term_sees_its_own_branch():
     assert term_names(["offsets"], lips=True) == ("offsets_value", "offsets_difference", LIPS)
 
 
-def test_lips_by_hand():
+def test_lip_loss_by_hand():
     """One frame, one pair that touches: both 3 mm aside is 9; 1 mm apart costs 4 times 1 more."""
     rest = torch.zeros(1, 1, 1, 3)
     shut = torch.zeros(1, 1, 2, 3)
@@ -86,13 +86,13 @@ def test_lips_by_hand():
     assert lip_loss(shut, shut, rest + 5) == 0
 
 
-def test_factors_weigh_scaled_terms():
+def test_factors_multiply_scaled_terms():
     balance = AutomaticWeights(("a", "b"))
     parts = {"a": torch.tensor(4.0), "b": torch.tensor(0.3)}
     assert balance(parts, {"b": 0.5}).item() == pytest.approx(1.5, rel=1e-6)
 
 
-def test_weights_follow_the_stated_form():
+def test_automatic_weights_follow_the_stated_formula():
     balance = AutomaticWeights(("a", "b"), decay=0.9)
     history = [(2.0, 0.1), (4.0, 0.3), (1.0, 0.2)]
     moment = np.zeros(2)
@@ -103,7 +103,7 @@ def test_weights_follow_the_stated_form():
         assert total.item() == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_steady_term_weighs_one_whatever_its_unit():
+def test_constant_terms_weigh_one_in_any_unit():
     balance = AutomaticWeights(("small", "large"))
     for _ in range(5):
         small = torch.tensor(1e-5, requires_grad=True)
@@ -117,7 +117,7 @@ def test_a_steady_term_weighs_one_whatever_its_unit():
     assert float(large.grad * large.detach()) == pytest.approx(1, rel=1e-3)
 
 
-def test_evaluation_and_bad_steps_leave_the_means():
+def test_evaluation_and_bad_steps_do_not_change_the_moments():
     balance = AutomaticWeights(("a",))
     balance({"a": torch.tensor(3.0)})
     before = balance.second_moment.clone()
@@ -128,7 +128,7 @@ def test_evaluation_and_bad_steps_leave_the_means():
     assert balance({"a": torch.tensor(6.0)}).item() == pytest.approx(2, rel=1e-6)
 
 
-def test_state_goes_with_a_checkpoint():
+def test_automatic_weights_are_restored_from_their_state():
     one, two = AutomaticWeights(("a",)), AutomaticWeights(("a",))
     for value in (1.0, 5.0):
         one({"a": torch.tensor(value)})

@@ -1,4 +1,4 @@
-"""What a run leaves: numbers for two readers, the best weights, pictures no older than its state."""
+"""Files of a run: tables, events, the best weights, the state and pictures."""
 
 import errno
 import sys
@@ -19,7 +19,7 @@ def parts() -> dict[str, torch.nn.Module]:
     return {"model": torch.nn.Linear(2, 1)}
 
 
-def test_the_best_is_the_latest_of_the_highest_and_the_last_is_the_last(tmp_path):
+def test_best_weights_are_the_latest_of_the_highest_score(tmp_path):
     best, saved = -np.inf, []
     for step, score in ((3, 0.4), (6, 0.7), (9, 0.7), (12, 0.5)):
         best = save_checkpoints(
@@ -36,7 +36,7 @@ def test_the_best_is_the_latest_of_the_highest_and_the_last_is_the_last(tmp_path
     assert restore_state(tmp_path, parts()) == {"step": 12, "best_score": 0.7}
 
 
-def test_going_on_drops_what_is_beyond_the_state(tmp_path):
+def test_resuming_drops_rows_and_pictures_beyond_the_state(tmp_path):
     journal = Journal(tmp_path)
     for step in (3, 6, 9):
         journal.write("metrics", step, {"total": 1 / step})
@@ -53,7 +53,7 @@ def test_going_on_drops_what_is_beyond_the_state(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full (Linux)")
-def test_a_state_on_a_full_disk_is_an_error_of_the_system_that_names_it(tmp_path, monkeypatch):
+def test_state_on_a_full_disk_is_an_os_error_with_its_path(tmp_path, monkeypatch):
     @contextmanager
     def full(path):
         yield Path("/dev/full")
@@ -65,7 +65,7 @@ def test_a_state_on_a_full_disk_is_an_error_of_the_system_that_names_it(tmp_path
     assert caught.value.filename == str(tmp_path / "state.pt")
 
 
-def test_an_interrupt_while_a_state_is_written_stays_one(tmp_path, monkeypatch):
+def test_interrupt_while_a_state_is_written_is_raised(tmp_path, monkeypatch):
     def save(*_: object) -> None:
         try:
             raise KeyboardInterrupt
@@ -89,7 +89,7 @@ def scalars(folder) -> dict[str, list[tuple[int, float]]]:
     }
 
 
-def test_tensorboard_reads_what_the_tables_say(tmp_path):
+def test_tensorboard_holds_the_rows_of_the_tables(tmp_path):
     pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
     first = Journal(tmp_path, tensorboard=True)
     for step in (25, 50, 75):
@@ -106,7 +106,7 @@ def test_tensorboard_reads_what_the_tables_say(tmp_path):
     }
 
 
-def test_without_tensorboard_the_extra_is_named(tmp_path, monkeypatch):
+def test_journal_without_tensorboard_gives_the_install_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(MissingError, match=r"pip install 'deitalk\[tensorboard\]'"):
         Journal(tmp_path, tensorboard=True)

@@ -1,4 +1,4 @@
-"""A run that is killed at any of its writes: the same call again makes the same run."""
+"""Runs killed at any write: the same call, repeated, completes the same run."""
 
 import shutil
 from functools import partial
@@ -94,27 +94,25 @@ def check_kills(fit, tmp_path: Path, choose) -> None:
         shutil.rmtree(out)
 
 
-def test_a_run_killed_at_some_writes_is_the_uninterrupted_one_after_resuming(fit, tmp_path):
+def test_run_killed_at_some_writes_and_resumed_equals_the_uninterrupted_one(fit, tmp_path):
     check_kills(
         fit, tmp_path, lambda total: np.random.default_rng(0).choice(total, 4, replace=False) + 1
     )
 
 
 @pytest.mark.slow
-def test_a_run_killed_at_any_write_is_the_uninterrupted_one_after_resuming(fit, tmp_path):
+def test_run_killed_at_any_write_and_resumed_equals_the_uninterrupted_one(fit, tmp_path):
     check_kills(fit, tmp_path, lambda total: range(1, total + 1))
 
 
-def test_resume_begins_a_run_where_there_is_none(data, finished, tmp_path):
+def test_resume_begins_a_run_in_an_empty_folder(data, finished, tmp_path):
     (tmp_path / "empty").mkdir()
     for name in ("new", "empty"):
         train_curves(tiny(), data, tmp_path / name, resume=True)
         assert contents(tmp_path / name) == contents(finished)
 
 
-def test_a_kill_before_the_first_evaluation_leaves_a_run_that_begins_again(
-    data, tmp_path, monkeypatch
-):
+def test_run_killed_before_its_first_evaluation_begins_again(data, tmp_path, monkeypatch):
     config = tiny("train.steps=26", "train.evaluate_every=26")
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     train_curves(config, data, whole)
@@ -133,7 +131,7 @@ def test_a_kill_before_the_first_evaluation_leaves_a_run_that_begins_again(
     assert contents(killed) == contents(whole)
 
 
-def test_files_of_the_user_are_refused_before_any_work_and_stay(data, tmp_path):
+def test_training_rejects_a_folder_of_the_user_and_leaves_it(data, tmp_path):
     mine = {"config.yaml": "my: notes\n", "best/model.bin": "weights", "metrics.csv": "a,b\n"}
     for name, text in mine.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -148,7 +146,7 @@ def test_files_of_the_user_are_refused_before_any_work_and_stay(data, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["config.yaml", "best/model.json", "last/config.yaml"])
-def test_an_edited_file_of_a_run_stops_it_from_going_on(data, run, name):
+def test_resuming_rejects_an_edited_file(data, run, name):
     path = run / name
     path.write_text(path.read_text() + " ")
     with pytest.raises(TargetError, match=r"was changed since deitalk wrote it; move it away"):
@@ -156,28 +154,28 @@ def test_an_edited_file_of_a_run_stops_it_from_going_on(data, run, name):
     assert path.read_text().endswith(" ")
 
 
-def test_a_file_beside_the_weights_stays(data, run):
+def test_other_files_beside_the_weights_stay(data, run):
     (run / "best" / "notes.txt").write_text("mine")
     (run / "state.pt").unlink()
     train_curves(tiny(), data, run, resume=True)
     assert (run / "best" / "notes.txt").read_text() == "mine"
 
 
-def test_a_run_of_an_earlier_version_goes_on(data, finished, run):
+def test_run_without_manifests_is_resumed(data, finished, run):
     for manifest in run.rglob(".deitalk-manifest.json"):
         manifest.unlink()
     train_curves(tiny(), data, run, resume=True)
     assert contents(run) == contents(finished)
 
 
-def test_settings_that_may_change_are_written_down(data, run):
+def test_settings_that_may_change_are_updated(data, run):
     train_curves(tiny("name=other"), data, run, resume=True)
     assert load_config(run / "config.yaml").name == "other"
     with pytest.raises(ConfigError, match=r"was begun with another train\.seed"):
         train_curves(tiny("train.seed=4"), data, run, resume=True)
 
 
-def test_two_trainings_in_one_folder_do_not_mix(data, run):
+def test_training_rejects_a_folder_in_use(data, run):
     def again(*_: object) -> None:
         with pytest.raises(TargetError, match="is being written by another process"):
             # Another thread stands for another process.
@@ -201,7 +199,7 @@ def test_two_trainings_in_one_folder_do_not_mix(data, run):
         ("step,total\n25,1.5\n50,1.2\n75,0.9\n", "step,total\n25,1.5\n50,1.2\n"),
     ],
 )
-def test_half_written_rows_are_forgotten(tmp_path, text, kept):
+def test_truncated_log_drops_half_rows_and_rows_beyond_the_step(tmp_path, text, kept):
     path = tmp_path / "metrics.csv"
     path.write_text(text)
     truncate_log(path, 50)
@@ -210,7 +208,7 @@ def test_half_written_rows_are_forgotten(tmp_path, text, kept):
     assert path.read_text() == (kept or "step,total\n") + "75,0.9\n"
 
 
-def test_a_log_is_never_without_a_row(tmp_path):
+def test_killed_log_has_no_header_without_a_row(tmp_path):
     total = count_writes(tmp_path, lambda: log(tmp_path / "a.csv", 25, {"total": 1.0}))
     for number in range(1, total + 1):
         path = tmp_path / f"{number}.csv"
@@ -222,7 +220,7 @@ def test_a_log_is_never_without_a_row(tmp_path):
     ("data", "message"),
     [(b"step,total\nmine,1\n", "line 2 does not begin with a step"), (b"\xff\n", "no UTF-8 text")],
 )
-def test_a_log_that_no_run_wrote_is_one_line(tmp_path, data, message):
+def test_truncation_rejects_a_log_that_no_run_wrote(tmp_path, data, message):
     path = tmp_path / "metrics.csv"
     path.write_bytes(data)
     with pytest.raises(DataError, match=message):
@@ -230,7 +228,7 @@ def test_a_log_that_no_run_wrote_is_one_line(tmp_path, data, message):
     assert path.read_bytes() == data
 
 
-def test_tensorboard_shows_every_step_once_after_a_kill(data, tmp_path, monkeypatch):
+def test_tensorboard_holds_every_step_once_after_a_kill(data, tmp_path, monkeypatch):
     pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
