@@ -167,7 +167,7 @@ def test_fitted_features_have_mean_0_and_deviation_1(network):
 
 def test_training_rejects_clips_without_an_emotion(network, tmp_path):
     data = emotional_sheets(tmp_path / "meshes", emotions=["happy", ""])
-    with pytest.raises(DataError, match=r"does not say which emotion sad acts; fill"):
+    with pytest.raises(DataError, match=r"clips\.csv has no emotion for sad; fill"):
         train_mesh(tiny(network), data, tmp_path / "run")
 
 
