@@ -13,19 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.decoding import SoundSource, open_sound
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, frame_times
+from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.audio.notes import describe
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 from rig.files import atomic_write
 
 __all__ = [
-    "FRAME_RATE",
-    "SAMPLE_RATE",
     "Recording",
     "checked_waveform",
-    "frame_count",
-    "frame_times",
     "load_audio",
     "read_sound",
     "write_wav",

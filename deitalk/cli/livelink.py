@@ -267,10 +267,11 @@ def _player(audio: Path | None) -> Callable[[], None]:
             f"playing audio needs the package sounddevice and PortAudio ({error}); "
             "pip install sounddevice, or leave --play out"
         ) from error
+    from deitalk.audio.frames import SAMPLE_RATE
     from deitalk.audio.load import load_audio
 
     recording = load_audio(audio)
-    return lambda: sounddevice.play(recording.waveform, 16_000)
+    return lambda: sounddevice.play(recording.waveform, SAMPLE_RATE)
 
 
 def _signal(address: str) -> Callable[[], None]:

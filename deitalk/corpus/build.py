@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.corpus.aligned_recordings import aligned_utterances
 from deitalk.corpus.performance import CURVE_RATE, Take, perform, split_of
 from deitalk.corpus.recordings import Recording

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.prosody import level_db
 from deitalk.corpus.articulation import articulate
 from deitalk.corpus.prosody_contours import (

@@ -9,7 +9,7 @@ Letters: S samples, N frames at 30 per second.
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.prosody import SMOOTHING_SECONDS, measure_prosody
 from deitalk.audio.prosody import prosody_index as index_of
 from rig.arrays import Float32, Float64

@@ -19,7 +19,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, Recording, load_audio
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import SPLITS, Clip, read_clips, read_intensity, read_phones
 from deitalk.data.offset import (

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model

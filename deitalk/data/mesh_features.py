@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deitalk.audio.load import frame_times
+from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.mesh_folder import MeshClip
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches

@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from deitalk.audio.load import SAMPLE_RATE, load_audio
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.load import load_audio
 from deitalk.data.clips import SPLITS
 from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError

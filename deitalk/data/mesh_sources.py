@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deitalk.audio.load import SAMPLE_RATE, load_audio
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.load import load_audio
 from deitalk.config import MeshDataConfig
 from deitalk.data.clips import SPLITS, Clip, read_clips
 from deitalk.data.mesh_folder import (
@@ -33,14 +34,13 @@ from deitalk.errors import DataError
 from rig import default_controls, read_curves
 from rig.arrays import Float32
 from rig.face import build_head
+from rig.face.head import UNIT_MM
 from rig.face.identity import resolve_identity
 from rig.mesh import TriMesh, read_ply, read_ply_sequence
 
 VOCASET_FRAMES = "unposedcleaneddata"
 VOCASET_UNIT_MM = 1000.0
 """VOCASET is in metres."""
-HEAD_UNIT_MM = 10.0
-"""The embedded head is in centimetres."""
 
 
 def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
@@ -95,7 +95,7 @@ def build_meshes(data: Path, config: MeshDataConfig, out: Path) -> None:
         sequences, unit = vocaset_sequences(data, templates), VOCASET_UNIT_MM
     elif (data / "clips.csv").is_file():
         templates = head_templates(config.identities)
-        sequences, unit, lips = head_sequences(data, config), HEAD_UNIT_MM, head_lips()
+        sequences, unit, lips = head_sequences(data, config), UNIT_MM, head_lips()
     else:
         raise DataError(
             f"{data}: holds neither mesh.json, {VOCASET_FRAMES}/ nor clips.csv; "

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.audio.load import SAMPLE_RATE, Recording
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.load import Recording
 from deitalk.audio.prosody import level_db
 from deitalk.metrics import correlation
 from rig.arrays import Float32, Float64

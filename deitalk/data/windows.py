@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.load import frame_count, load_audio
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor

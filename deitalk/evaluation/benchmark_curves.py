@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from deitalk.audio.frames import SAMPLE_RATE
 from rig.arrays import Float32
 
 TABLE_4_SECONDS = 5.1
@@ -28,9 +29,9 @@ def speechlike(seconds: float, seed: int = 0) -> Float32:
     One minute is made and repeated, so that long clips are made quickly.
     """
     rng = np.random.default_rng(seed)
-    n = int(seconds * 16_000)
-    times = np.arange(min(n, 60 * 16_000)) / 16_000
-    tone = np.sin(2 * np.pi * np.cumsum(120 + 20 * np.sin(2 * np.pi * 0.7 * times)) / 16_000)
+    n = int(seconds * SAMPLE_RATE)
+    times = np.arange(min(n, 60 * SAMPLE_RATE)) / SAMPLE_RATE
+    tone = np.sin(2 * np.pi * np.cumsum(120 + 20 * np.sin(2 * np.pi * 0.7 * times)) / SAMPLE_RATE)
     noise = rng.standard_normal(len(times))
     rhythm = np.maximum(np.sin(2 * np.pi * 4 * times), 0) * (
         np.sin(2 * np.pi * 0.23 * times) > -0.8
@@ -56,7 +57,7 @@ def measure(model: str, seconds: float, threads: int, repeats: int) -> dict[str,
 
     torch.set_num_threads(threads)
     network = require_model(model, DEITalk)
-    recording = Recording(speechlike(seconds), "speechlike noise", 16_000, 1, 0.0, ())
+    recording = Recording(speechlike(seconds), "speechlike noise", SAMPLE_RATE, 1, 0.0, ())
     animate(recording, "happy", model=network)
     runs: list[dict[str, Any]] = []
     for _ in range(repeats):

@@ -18,8 +18,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
-from deitalk.data.mesh_sources import HEAD_UNIT_MM, head_templates
+from deitalk.data.mesh_sources import head_templates
 from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.frontends.windows import window_index
@@ -29,6 +30,7 @@ from deitalk.models.mesh_model import SDFA
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.pipeline.speech import Speech
 from rig.deformation.reconstruct import mesh_solver
+from rig.face.head import UNIT_MM
 
 FPS = 60
 SPEAKERS = 8
@@ -108,7 +110,7 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
         assert spent is not None
         out["recogniser_ms"] = spent
         out["per_window"] = per_window(models["SDFA"], sound, repeats)
-        out["frames"] = -(-len(sound) * FPS // 16_000)
+        out["frames"] = -(-len(sound) * FPS // SAMPLE_RATE)
         return out
     finally:
         torch.set_num_threads(before)
@@ -182,7 +184,7 @@ def _models() -> dict[str, SDFA]:
         for layer in layers.values():
             layer.components.normal_(std=1e-3)
         model = new_mesh_model(
-            config, layers, dict.fromkeys(speakers, template), fps=FPS, unit_mm=HEAD_UNIT_MM
+            config, layers, dict.fromkeys(speakers, template), fps=FPS, unit_mm=UNIT_MM
         )
         assert isinstance(model, SDFA)
         models[key] = model.eval()

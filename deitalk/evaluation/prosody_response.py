@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import spearmanr
 
-from deitalk.audio.frames import frame_centres
-from deitalk.audio.load import FRAME_RATE, Recording
+from deitalk.audio.frames import FRAME_RATE, frame_centres
+from deitalk.audio.load import Recording
 from deitalk.audio.prosody import level_db
 from deitalk.corpus.performance import NATURAL_WEIGHT
 from deitalk.corpus.prosody_contours import (

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError

@@ -8,8 +8,6 @@ from torch import Tensor, nn
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
 
-FPS = 30.0
-"""Feature rows per second."""
 LEAST_DEVIATION = 1e-3
 
 

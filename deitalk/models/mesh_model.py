@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import SDFAMelConfig, SDFAModelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.mel_bilstm import NO_ATTENTION

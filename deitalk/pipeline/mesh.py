@@ -38,6 +38,7 @@ from deitalk.postprocess.lip_seal import seal_lips
 from rig.arrays import Float32
 from rig.curves import snap_fps
 from rig.face import build_head
+from rig.face.head import UNIT_MM
 from rig.face.identity import IDENTITIES
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
@@ -48,8 +49,6 @@ from rig.retarget.source_head import head_landmarks
 
 Progress: TypeAlias = Callable[[float], None]
 
-HEAD_UNIT_MM = 10.0
-"""The embedded head is in centimetres."""
 NO_EMOTION = (
     "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk model such as "
     "default"
@@ -216,7 +215,7 @@ def _by_curves(
         TriMesh(head.mesh.vertices, head.mesh.faces),
         head.pose((curves if fps is None else curves.resample(fps)).values),
         rate,
-        HEAD_UNIT_MM,
+        UNIT_MM,
         recording,
         head_landmarks(head),
         srgb_to_linear(head.mesh.colors),

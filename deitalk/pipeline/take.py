@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from deitalk import __version__
-from deitalk.audio.load import frame_times, write_wav
+from deitalk.audio.frames import frame_times
+from deitalk.audio.load import write_wav
 from deitalk.emotions import write_intensity_csv
 from deitalk.pipeline.performance import Performance
 from rig import write_curves

@@ -54,7 +54,7 @@ def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> F
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return strength
-    z = _smoothed(_liveliness(strength), speaking)
+    z = _smoothed(_deviation(strength), speaking)
     z -= z[speaking].mean()  # labels of training have one mean per take
     z += INDEX_WEIGHT * prosody_index(prosody) + vocal_effort_z(prosody)
     corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
@@ -75,8 +75,8 @@ def vocal_effort_z(prosody: Prosody) -> float:
     return MOST_EFFORT * float(np.tanh(above / MOST_EFFORT))
 
 
-def _liveliness(strength: Float32) -> Float64:
-    """Liveliness z of an intensity."""
+def _deviation(strength: Float32) -> Float64:
+    """Standard deviations from the usual intensity; inverse of the curve of the labels."""
     share = np.clip((strength.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
     z: Float64 = np.log(share / (1 - share)) / STEEPNESS
     return z

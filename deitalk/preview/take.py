@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.pipeline.performance import Performance
 from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page

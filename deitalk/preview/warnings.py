@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.load import SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.data import checks as check
 from deitalk.data import offset
 from deitalk.preview.source import PreviewSource

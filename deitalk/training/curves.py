@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.load import FRAME_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Config
 from deitalk.data.clips import Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures

@@ -26,6 +26,8 @@ from rig.face.motion.shapes_other import neck_shapes, side_shapes
 from rig.face.motion.tongue import Tongue
 
 Inputs = dict[str, Float64]
+UNIT_MM = 10.0
+"""The head is in centimetres."""
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
 """Full gaze (MetaHuman's board: 40 degrees sideways and down, 30 up)."""
 CONVERGENCE_DEGREES = 2.0

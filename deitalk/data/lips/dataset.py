@@ -10,7 +10,8 @@ import numpy as np
 import soundfile
 import torch
 
-from deitalk.audio.load import FRAME_RATE, SAMPLE_RATE, load_audio
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
 from deitalk.data.lips.fit import fit_curves, neutral_reading

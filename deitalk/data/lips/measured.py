@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.audio.load import FRAME_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import DataError
 from rig import limits
 from rig.arrays import Bool, Float32, Float64

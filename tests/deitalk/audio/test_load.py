@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deitalk.audio import load as audio
-from deitalk.audio.load import frame_count, frame_times, load_audio, write_wav
+from deitalk.audio.frames import frame_count, frame_times
+from deitalk.audio.load import load_audio, write_wav
 from deitalk.errors import AudioError
 from tests.media import write_silent_video, write_sound
 
