@@ -3,6 +3,8 @@
 Letters: T frames at 30 per second, C controls, M measures.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -69,19 +71,25 @@ def network_curves(model: DEITalk, recording: Recording) -> Tensor:
     return neutral_reading(model, sound, recording.n_frames)[1]
 
 
-def looseness(controls: ControlSet) -> Tensor:
+def looseness(controls: ControlSet, kept: Sequence[str] = ()) -> Tensor:
     """How far `fit_curves` readily moves every control [shape=(C,)]; 0 keeps it."""
     return torch.tensor(
         [
             0.0
-            if any(part in name for part in KEPT)
+            if any(part in name for part in (*KEPT, *kept))
             else next((far for part, far in LOOSENESS.items() if part in name), 0.0)
             for name in controls.names
         ]
     )
 
 
-def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: ControlSet) -> Tensor:
+def fit_curves(
+    prior: Tensor,
+    measures: Tensor,
+    lips: HeadLips,
+    controls: ControlSet,
+    kept: Sequence[str] = (),
+) -> Tensor:
     """Curves near a prediction whose lips on the head do what was measured.
 
     Bounded least squares by Gauss-Newton steps: every frame minimises the squared errors of the
@@ -98,6 +106,8 @@ def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: Contro
         The head.
     controls : ControlSet
         Columns of `prior`.
+    kept : sequence of str
+        Controls that stay too, by parts of their names.
 
     Returns
     -------
@@ -105,7 +115,7 @@ def fit_curves(prior: Tensor, measures: Tensor, lips: HeadLips, controls: Contro
         Within the ranges of the controls.
     """
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    loose = looseness(controls).square()
+    loose = looseness(controls, kept).square()
     noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
     known = torch.isfinite(measures).all(dim=1, keepdim=True)
     wanted = torch.where(known, measures, 0.0)

@@ -23,6 +23,8 @@ from rig.arrays import Bool, Float32
 
 MIX = 0.5
 """Share of the regression; the rest is the model's own lips at the measured amplitude."""
+CONTACT = "lipsTogether"
+"""Controls that close the lips, by a part of their names."""
 EDGE_FRAMES = 9
 """The correction fades in and out over so many frames at the edges of speech."""
 
@@ -109,11 +111,12 @@ class LipTransfer:
         wanted = given + fade * self.change(features.numpy(), own)
         opening = MEASURES.index("opening")
         wanted[:, opening] = np.maximum(wanted[:, opening], 0) * (1 - shut[:, 0])
-        fitted = fit_curves(start, torch.from_numpy(wanted).float(), lips, controls).numpy()
+        target = torch.from_numpy(wanted).float()
+        fitted = fit_curves(start, target, lips, controls, kept=(CONTACT,)).numpy()
         kept = np.where(fade > 0, fitted, curves)
         return np.asarray(kept, np.float32)
 
 
 def _together(curves: Float32, controls: ControlSet) -> Float32:
-    places = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
+    places = [i for i, name in enumerate(controls.names) if CONTACT in name]
     return np.asarray(curves[:, places].mean(axis=1))

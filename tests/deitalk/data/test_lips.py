@@ -15,7 +15,7 @@ from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import COLUMNS, read_lips
 from deitalk.data.lips.regression import LipRidge
-from deitalk.data.lips.transfer import LipTransfer
+from deitalk.data.lips.transfer import CONTACT, LipTransfer
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
 from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
@@ -315,7 +315,7 @@ def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
     clips = read_clips(out)
     assert len(clips) == count == 3 + len([c for c in clips if c.source != "measured"])
     originals = {clip.name: clip for clip in read_clips(corpus)}
-    loose = looseness(CONTROLS).numpy() > 0
+    loose = looseness(CONTROLS, [CONTACT]).numpy() > 0
     for clip in clips:
         if clip.source == "measured":
             continue
