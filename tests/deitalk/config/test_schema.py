@@ -99,7 +99,9 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
     assert unlike <= set(kind.model_fields)
 
 
-@pytest.mark.parametrize(("recipe", "model"), [("mel", "default"), ("compact", "compact")])
+@pytest.mark.parametrize(
+    ("recipe", "model"), [("measured_lips", "default"), ("compact", "compact")]
+)
 def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = FOLDER.parent / "deitalk/models/weights" / model / "config.yaml"
     assert load_config(FOLDER / f"{recipe}.yaml").model == load_config(embedded).model
