@@ -80,15 +80,9 @@ def animate(
     network = require_model(model, DEITalk)
     clock.lap("model")
     speech = Speech.of(recording.waveform)
-    analysis = network.analyse(speech.sound, speech.n_frames, progress)
-
-    def decode(weights: Tensor) -> Float32:
-        return np.asarray(network.decode(analysis, weights).cpu().numpy())
-
     weights = direction.emotion.at(speech.times)
-    neutral, emotional = read_twice(decode, weights, network.device)
+    neutral, emotional, intensities = _read(network, speech, weights, direction, progress)
     clock.lap("network")
-    intensities = measure_intensities(speech, analysis, direction)
     controls = network.controls
     values = _apply_rules(controls, neutral, emotional, intensities, speech)
     if idle and speech.activity.any():
@@ -108,6 +102,23 @@ def animate(
         _settings(emotion, direction.intensity, intensity_curve, idle, seed),
         str(model) if isinstance(model, str | Path) else "",
     )
+
+
+def _read(
+    network: DEITalk,
+    speech: Speech,
+    weights: Float32,
+    direction: Direction,
+    progress: Callable[[float], None],
+) -> tuple[Float32, Float32, Intensities]:
+    """Neutral and emotional reading [shape=(T, C)], and intensities; the analysis is freed."""
+    analysis = network.analyse(speech.sound, speech.n_frames, progress)
+
+    def decode(weights: Tensor) -> Float32:
+        return np.asarray(network.decode(analysis, weights).cpu().numpy())
+
+    neutral, emotional = read_twice(decode, weights, network.device)
+    return neutral, emotional, measure_intensities(speech, analysis, direction)
 
 
 def _apply_rules(
