@@ -75,7 +75,7 @@ def open_meshes(data: Path, config: MeshDataConfig, built: Path) -> MeshFolder:
     return folder
 
 
-def knows_lips(data: Path, built: Path) -> bool:
+def has_lips(data: Path, built: Path) -> bool:
     """Whether `open_meshes` will find lips: those of embedded heads, before they are built.
 
     What is neither kind of folder is left for `open_meshes` to refuse.

@@ -17,7 +17,7 @@ from deitalk.data.mesh_bases import MeshBases
 from deitalk.data.mesh_features import FeatureSegments
 from deitalk.data.mesh_folder import MeshClip, MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
-from deitalk.data.mesh_sources import knows_lips, open_meshes
+from deitalk.data.mesh_sources import has_lips, open_meshes
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import Direction
 from deitalk.errors import ConfigError
@@ -100,7 +100,7 @@ class MeshTask(Task[Segment]):
     def read(self, out: Path) -> None:
         """Open the mesh folder; build it in the run folder where `data` is none."""
         weight = self.config.train.lip_weight
-        if weight and not knows_lips(self.data, out / "meshes"):
+        if weight and not has_lips(self.data, out / "meshes"):
             raise ConfigError(
                 f"train.lip_weight={weight:g}: {self.data} does not say where the lips are; set "
                 "train.lip_weight=0"

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ from rig.arrays import Float32
 from rig.errors import quoted
 from rig.face.head import build_head
 from rig.files import output_folder
+from rig.files.manifest import is_inside
 
 HEADER = (
     "clip", "audio", "curves", "emotion", "speaker", "split", "voice", "source", "phones",
@@ -89,6 +91,9 @@ def write_lip_dataset(
     clips = _first(read_lips(folder, lips.eye_distance), most)
     _check_speakers(folder, clips, (*validation, *test))
     acted = [] if corpus is None else _spread(corpus, corpus_clips)
+    if acted and {clip.speaker for clip in clips} <= {*validation, *test}:
+        raise DataError(f"{folder}: no speaker is left to train on; hold out fewer")
+    _check_names([*clips, *acted])
     inputs = (folder,) if corpus is None else (folder, corpus)
     total = len(clips) + len(acted)
     with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
@@ -115,6 +120,17 @@ def _check_speakers(folder: Path, clips: Sequence[LipClip], names: Sequence[str]
         if name not in speakers:
             known = ", ".join(sorted(speakers))
             raise DataError(f"{folder}: no speaker {quoted(name)}; has {known}")
+
+
+def _check_names(clips: Sequence[LipClip | Clip]) -> None:
+    """Names become file names: plain ones, each once."""
+    names = [clip.name for clip in clips]
+    for name in names:
+        if not is_inside(name) or "/" in name or "\\" in name:
+            raise DataError(f"clip {quoted(name)}: its name is no file name; rename the clip")
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise DataError(f"clip {quoted(name)} appears {count} times; names must differ")
 
 
 def _first(clips: Sequence[LipClip], most: int | None) -> list[LipClip]:

@@ -1,8 +1,8 @@
 """Lip measures of an embedded head as a differentiable function of the 185 curves.
 
 The measures are those that video and articulographs take of people: opening, jaw, width, and the
-heights of the lips and of the corners. So curves can be compared with measured lips, and be taught
-by them.
+heights of the lips and of the corners. Curves can be compared with measured lips and be fitted to
+them.
 
 The rims of the lips, the corners, the chin and the base of the nose move as in
 `rig.face.head.Head.pose`: linear shapes, rotation of the jaw, seal of the lips. Left out is the
@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from rig.arrays import Float32, Float64, Int64
 from rig.face.geometry.mesh import smoothstep
 from rig.face.head import Head
+from rig.face.motion.contact import UPPER_PART
 from rig.face.web_export import head_arrays
 from rig.retarget.source_head import head_landmarks
 
@@ -29,8 +30,6 @@ MEASURES = ("opening", "jaw", "width", "upper_lip", "lower_lip", "corner")
 corners below the nose base."""
 CENTRAL = 0.5
 """Rims are averaged up to this share of the mouth's half width from its middle."""
-UPPER_PART = 0.38
-"""Share of the gap that a sealing upper lip covers (`rig.face.motion.contact`)."""
 _POINTS = ("mouth_corner_left", "mouth_corner_right", "chin", "nose_base")
 
 

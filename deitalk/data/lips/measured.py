@@ -27,7 +27,7 @@ from deitalk.errors import DataError
 from rig import limits
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import quoted
-from rig.files.reading import read_json, read_npz
+from rig.files.reading import check_file, read_json, read_npz
 
 COLUMNS = ("open_in", "jaw", "width_out", "upper_lip_y", "lower_lip_y", "corner_y")
 """Columns of a measurement, in the order of `deitalk.data.lips.head.MEASURES`."""
@@ -80,6 +80,8 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
             (times >= first) & (times <= last),
         )
         by_speaker.setdefault(speaker, []).append(clip)
+    if not by_speaker:
+        raise DataError(f"{folder / 'clips.csv'}: holds no clip")
     return [
         replace(clip, measures=eye_distance * (clip.measures - rest))
         for clips in by_speaker.values()
@@ -90,10 +92,13 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
 
 def _rows(path: Path) -> Iterator[tuple[str, str, tuple[float, float]]]:
     """Clip, speaker, start of the first word and end of the last."""
+    check_file(path, limits.TRACK_BYTES, error=DataError)
     try:
         with path.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
         for row in rows:
+            if not row["clip"] or not row["speaker"]:
+                raise ValueError("an empty name")
             spans = [word.rsplit(":", 1)[1].split("-") for word in (row.get("words") or "").split()]
             start = float(spans[0][0]) if spans else 0.0
             yield row["clip"], row["speaker"], (start, float(spans[-1][1]) if spans else np.inf)

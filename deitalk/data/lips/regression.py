@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deitalk.errors import DataError
 from rig.arrays import Float32, Float64
 
 CONTEXT_FRAMES = (-4, -2, -1, 0, 1, 2, 4)
@@ -48,6 +49,11 @@ class LipRidge:
             Speaker, features and measures; frames whose measures are NaN are left out.
         ridge : float
             Penalty on the squared weights.
+
+        Raises
+        ------
+        DataError
+            If all measures are missing.
         """
         clips: dict[str, int] = {}
         for who, _, _ in recordings:
@@ -56,6 +62,8 @@ class LipRidge:
         wanted = [m[np.isfinite(m).all(axis=1)].astype(np.float64) for _, _, m in recordings]
         shares = [min(1.0, SPEAKER_CLIPS / clips[who]) for who, _, _ in recordings]
         n = sum(len(row) for row in rows)
+        if not n:
+            raise DataError("no frame of the training speakers has all lip measures")
         mean = sum(row.sum(axis=0, dtype=np.float64) for row in rows) / n
         square = sum(((row - mean) ** 2).sum(axis=0) for row in rows)
         scale = np.sqrt(square / n) + 1e-5

@@ -16,7 +16,7 @@ from rig.face.geometry.topology import FILLER, MOUTH
 Inputs = dict[str, Float64]
 _SEAL_RINGS = np.arange(-2, 10)
 _SEAL_SHARE = np.array([0.75, 1.0, 1.0, 0.93, 0.80, 0.62, 0.42, 0.27, 0.17, 0.10, 0.05, 0.02])
-_UPPER_PART = 0.38
+UPPER_PART = 0.38
 """The upper lip covers this share of the gap, the lower lip the rest."""
 _TUCK = 0.13
 """How much closer than elsewhere the lower lip's rim comes to the upper teeth, cm."""
@@ -108,7 +108,7 @@ class Seal:
         amount_u, amount_l = self.amounts(inputs)
         gap = vertices[:, self._lower[self._rim]] - vertices[:, self._upper[self._rim]]
         crossed = np.maximum(gap[..., 1], 0)
-        part_u, part_l = _UPPER_PART * amount_u, (1 - _UPPER_PART) * amount_l
+        part_u, part_l = UPPER_PART * amount_u, (1 - UPPER_PART) * amount_l
         move_u, move_l = gap * part_u[..., None], gap * part_l[..., None]
         left_over = crossed * (1 - part_u - part_l)
         move_u[..., 1] += 0.5 * left_over

@@ -1,9 +1,11 @@
 """Measured lips: the head's measures, the reader, fitted curves and the dataset folder."""
 
 import json
+import os
 import shutil
 
 import numpy as np
+import pandas as pd
 import pytest
 import soundfile as sf
 import torch
@@ -21,7 +23,7 @@ from deitalk.errors import DataError
 from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from rig import default_controls, read_curves
+from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
 from rig.face.geometry.topology import MOUTH
 from rig.face.head import build_head
@@ -239,6 +241,9 @@ def test_missing_measures_are_nan(measured):
         (lambda f: np.savez(f / "video" / "a.npz", meas=np.zeros((5, 2), np.int16)), "2 columns"),
         (lambda f: (f / "video" / "a.wav").unlink(), "no sound of 'a'"),
         (lambda f: np.savez(f / "video" / "c.npz", meas=np.full((9, 7), -32768, np.int16)), "'two'"),
+        (lambda f: (f / "clips.csv").write_text("clip,speaker,words\n"), "holds no clip"),
+        (lambda f: (f / "clips.csv").write_text("clip,speaker,words\n,b,\n"), "words as"),
+        (lambda f: os.truncate(f / "clips.csv", limits.TRACK_BYTES + 1), "at most 32 MiB"),
     ],
 )  # fmt: skip
 def test_read_lips_rejects_damaged_folders(measured, damage, words):
@@ -270,7 +275,39 @@ def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips)
     assert not (tmp_path / "new").exists()
 
 
-# what measured lips teach about other speech
+@pytest.mark.parametrize("name", ["../../x", "a/b", "a\\b", "..", "C:x"])
+def test_lip_dataset_rejects_clip_names_that_leave_the_folder(tmp_path, name):
+    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    lips = write_measured(tmp_path / "lips", {"a": ("one", np.linspace(0, 0.1, 50))})
+    table = pd.read_csv(corpus / "clips.csv", dtype=str, keep_default_na=False)
+    table.loc[table.index[0], "clip"] = name
+    table.to_csv(corpus / "clips.csv", index=False)
+    out = tmp_path / "deep" / "er" / "data"
+    out.parent.mkdir(parents=True)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(DataError, match="is no file name"):
+        write_lip_dataset(lips, out, None, corpus=corpus, corpus_clips=100)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_lip_dataset_rejects_a_name_used_twice(tmp_path):
+    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    name = read_clips(corpus, "train")[0].name
+    lips = write_measured(tmp_path / "lips", {name: ("one", np.linspace(0, 0.1, 50))})
+    with pytest.raises(DataError, match="appears 2 times"):
+        write_lip_dataset(lips, tmp_path / "data", None, corpus=corpus, corpus_clips=100)
+
+
+def test_lip_dataset_rejects_a_corpus_without_training_speakers(measured, tmp_path):
+    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    with pytest.raises(DataError, match="no speaker is left to train on"):
+        write_lip_dataset(
+            measured, tmp_path / "data", None, validation=["one"], test=["two"], corpus=corpus
+        )
+    assert not (tmp_path / "data").exists()
+
+
+# transfer to other speech
 
 
 def test_ridge_finds_a_linear_law_of_features_in_context(rng):
@@ -297,6 +334,12 @@ def test_speakers_count_alike_in_the_ridge(rng):
     ]
     ridge = LipRidge.fit([(w, f, m.astype(np.float32)) for w, f, m in recordings])
     assert ridge(np.zeros((3, 2), np.float32)) == pytest.approx(np.full((3, 6), 0.5), abs=1e-6)
+
+
+def test_ridge_rejects_recordings_without_a_known_frame():
+    missing = np.full((20, 6), np.nan, np.float32)
+    with pytest.raises(DataError, match="no frame of the training speakers"):
+        LipRidge.fit([("one", np.zeros((20, 2), np.float32), missing)])
 
 
 def test_transfer_brings_lips_to_the_measured_amplitude(rng):
