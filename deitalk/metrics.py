@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import ControlSet
-from rig.arrays import AnyFloat
+from rig.arrays import AnyFloat, Bool
 
 
 def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.integer]) -> float:
@@ -23,7 +23,7 @@ def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.
     Returns
     -------
     float
-        In squared control units.
+        In squared control units; NaN for an empty set.
 
     Notes
     -----
@@ -32,17 +32,27 @@ def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.
     scalar control it is the squared error. Values depend on the set and are not comparable with
     the paper's 0.00162 and 0.00079.
     """
+    if not len(controls):
+        return float("nan")
     return float(np.square(target[:, controls] - predicted[:, controls]).max(axis=1).mean())
 
 
-def lip_parameter_error(target: AnyFloat, predicted: AnyFloat, controls: ControlSet) -> float:
-    """LPE over the control set's ``lip`` subset."""
-    return parameter_error(target, predicted, controls.subset("lip"))
+def lip_parameter_error(
+    target: AnyFloat, predicted: AnyFloat, controls: ControlSet, known: Bool | None = None
+) -> float:
+    """LPE over the control set's ``lip`` subset, as far as it is `known` [shape=(C,)]."""
+    return parameter_error(target, predicted, _known(controls.subset("lip"), known))
 
 
-def emotion_parameter_error(target: AnyFloat, predicted: AnyFloat, controls: ControlSet) -> float:
-    """EPE over the control set's ``upper_face`` subset."""
-    return parameter_error(target, predicted, controls.subset("upper_face"))
+def emotion_parameter_error(
+    target: AnyFloat, predicted: AnyFloat, controls: ControlSet, known: Bool | None = None
+) -> float:
+    """EPE over the control set's ``upper_face`` subset, as far as it is `known` [shape=(C,)]."""
+    return parameter_error(target, predicted, _known(controls.subset("upper_face"), known))
+
+
+def _known(places: NDArray[np.intp], known: Bool | None) -> NDArray[np.intp]:
+    return places if known is None else places[known[places]]
 
 
 def correlation(a: AnyFloat, b: AnyFloat) -> float:

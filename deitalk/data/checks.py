@@ -22,7 +22,14 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.clips import SPLITS, Clip, read_clips, read_intensity, read_phones
+from deitalk.data.clips import (
+    SPLITS,
+    Clip,
+    read_clips,
+    read_intensity,
+    read_known,
+    read_phones,
+)
 from deitalk.data.offset import (
     JAW,
     RATE,
@@ -70,9 +77,10 @@ class Measured(NamedTuple):
     curve_end: float
     """Last frame's time on the audio's axis, seconds."""
     missing: tuple[str, ...]
+    """Known controls that the curves lack."""
     low: Float64
     high: Float64
-    """Smallest and largest value of every control [shape=(C,)]; NaN where it is missing."""
+    """Smallest and largest value of every control [shape=(C,)]; NaN where it is unknown."""
     lags: Float64
     """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
     model_lags: Float64 | None
@@ -136,8 +144,9 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     if clip.intensity is not None:
         read_intensity(clip.intensity, times)
     low, high = np.full(len(controls), np.nan), np.full(len(controls), np.nan)
-    known = [name for name in curves.names if name in controls.names]
-    places, columns = [controls.index(n) for n in known], [curves.index(n) for n in known]
+    wanted = [n for n, k in zip(controls.names, read_known(clip.known, controls), strict=True) if k]
+    present = [name for name in wanted if name in set(curves.names)]
+    places, columns = [controls.index(n) for n in present], [curves.index(n) for n in present]
     low[places] = curves.values[:, columns].min(axis=0)
     high[places] = curves.values[:, columns].max(axis=0)
     speaking = speech_activity(recording.waveform) > 0
@@ -149,7 +158,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         recording.source_rate,
         recording.duration,
         float(times[-1]),
-        tuple(name for name in controls.names if name not in set(known)),
+        tuple(name for name in wanted if name not in set(present)),
         low,
         high,
         lags,
@@ -227,7 +236,7 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
     mute = [c.name for c in clips if c.speech_share == 0]
     gaping = [f"{c.name} ({c.open_share:.0%})" for c in clips if c.open_share > OPEN_SHARE]
     return [
-        _verdict("controls", "error", incomplete, f"all {len(controls)} in every clip", "clips"),
+        _verdict("controls", "error", incomplete, "every clip holds those it knows", "clips"),
         Check("frame rates", "ok", frames),
         _verdict("sample rates", "warning", narrow, "16 kHz or more", "below 16 kHz"),
         _verdict("lengths", "warning", lengths, "sound and curves end together", "differ"),

@@ -3,11 +3,12 @@
 ::
 
     clips.csv             clip, audio, curves, emotion, speaker, split[, voice, source, offset_s,
-                          phones, intensity, transcript, language, age]
+                          phones, intensity, known, transcript, language, age]
     audio/<name>.flac     any file `deitalk.audio.load.load_audio` reads
     curves/<clip>.npz     any file `rig.read_curves` reads, at any rate
     phones/<name>.csv     start, end, phone (seconds)             optional
     intensity/<clip>.csv  time, intensity                         optional
+    known/<source>.txt    controls that the curves hold           optional
 
 Several clips may share one recording: the same words acted in several emotions. ``voice`` is the
 emotion the *voice* acts where that differs from the curves'.
@@ -23,7 +24,11 @@ import pandas as pd
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from rig.arrays import Float32, Float64
+from rig import ControlSet
+from rig.arrays import Bool, Float32, Float64
+from rig.errors import ControlError
+from rig.files.reading import read_text
+from rig.limits import CONTROL_SET_BYTES
 
 SPLITS = ("train", "validation", "test")
 MAX_BYTES = 512 * 1024**2
@@ -50,6 +55,8 @@ class Clip:
     """Curves start this long after the audio."""
     phones: Path | None
     intensity: Path | None
+    known: Path | None = None
+    """Names of the controls that the curves hold; None: all of them."""
 
 
 def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
@@ -118,6 +125,7 @@ def _clip(folder: Path, row: dict[str, str]) -> Clip:
         offset_seconds=_offset(folder, row),
         phones=_inside(folder, row["phones"]) if row.get("phones") else None,
         intensity=_inside(folder, row["intensity"]) if row.get("intensity") else None,
+        known=_inside(folder, row["known"]) if row.get("known") else None,
     )
 
 
@@ -161,6 +169,38 @@ def read_intensity(path: Path, times: Float64) -> Float32:
         )
     held: Float32 = np.interp(times, known, values).astype(np.float32)
     return held
+
+
+def read_known(path: Path | None, controls: ControlSet) -> Bool:
+    """Which controls the curves of a clip hold [shape=(C,)]; all of them without a file.
+
+    A source of curves cannot see everything: a face camera moves neither the tongue nor the lower
+    lip's bite. What it does not see is no zero, but unknown, and left out of losses and scores.
+
+    Parameters
+    ----------
+    path : Path or None
+        Text with the name of one control a line, by any of its spellings; ``#`` begins a comment.
+    controls : ControlSet
+        Order of the result.
+
+    Raises
+    ------
+    DataError
+        If the file is too large or no UTF-8 text, or names no control, or an unknown one.
+    """
+    if path is None:
+        return np.ones(len(controls), bool)
+    lines = read_text(path, CONTROL_SET_BYTES, error=DataError).splitlines()
+    names = [name for line in lines if (name := line.partition("#")[0].strip())]
+    if not names:
+        raise DataError(f"{path}: names no control; write one a line, or leave `known` empty")
+    known = np.zeros(len(controls), bool)
+    try:
+        known[controls.indices(names)] = True
+    except ControlError as error:
+        raise DataError(f"{path}: {error}") from None
+    return known
 
 
 def _numbers(path: Path, columns: Sequence[str], *text: str) -> pd.DataFrame:

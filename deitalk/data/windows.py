@@ -18,12 +18,12 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.data.clips import MEASURED, Clip, read_intensity
+from deitalk.data.clips import MEASURED, Clip, read_intensity, read_known
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
-from rig.arrays import Float32, Float64
+from rig.arrays import Bool, Float32, Float64
 
 if TYPE_CHECKING:
     from deitalk.data.frozen_features import FrozenFeatures
@@ -47,6 +47,8 @@ class Window(NamedTuple):
     """Frame indices in the whole clip [shape=(T,)]."""
     total: Tensor
     """Frames of the whole clip, scalar."""
+    known: Tensor
+    """1 for controls that the clip's curves hold, else 0 [shape=(C,)]; others are at rest."""
     clean: Tensor
     """The waveform before augmentation [shape=(S,)], for a teacher; without one [shape=(0,)]."""
 
@@ -59,6 +61,8 @@ class Material(NamedTuple):
     times: Float64
     values: NDArray[np.float16]
     intensity: Float32
+    known: Bool
+    """Controls that the curves hold [shape=(C,)]; the others are at rest in `values`."""
     unit: float = 1.0
 
     @property
@@ -95,7 +99,7 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
     DataError
         If the curves lack a control of `controls`; `read_curves` raises its own errors.
     """
-    curves = read_curves(clip.curves)
+    curves, known = read_curves(clip.curves), read_known(clip.known, controls)
     if curves.names != controls.names:
         missing = sorted(set(controls.names) - set(curves.names))
         if missing:
@@ -104,13 +108,14 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
                 f"{missing[0]}; convert the curves first"
             )
         curves = curves.select(controls.names)
+    values = np.where(known, curves.values, controls.rest)
     times = np.arange(len(curves.values)) / curves.fps + clip.offset_seconds
     if clip.intensity is None:
         intensity = np.full(len(times), np.nan, np.float32)
     else:
         intensity = read_intensity(clip.intensity, times)
     waveform, unit = _waveform(str(clip.audio))
-    return Material(waveform, times, curves.values.astype(np.float16), intensity, unit)
+    return Material(waveform, times, values.astype(np.float16), intensity, known, unit)
 
 
 @lru_cache(maxsize=64)
@@ -263,6 +268,7 @@ class WindowBatches(SeededBatches[Window]):
             torch.from_numpy(intensity),
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
+            torch.from_numpy(material.known.astype(np.float32)),
             clean,
         )
 

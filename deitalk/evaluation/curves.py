@@ -39,11 +39,18 @@ from deitalk.evaluation.phone_gestures import (
     phone_table,
 )
 from deitalk.evaluation.report import as_markdown
-from deitalk.evaluation.validation import ARTICULATION, Example, lips_together, load_example
+from deitalk.evaluation.validation import (
+    ARTICULATION,
+    Example,
+    articulation,
+    knows_contact,
+    lips_together,
+    load_example,
+)
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
-from rig.arrays import Float32, Float64
+from rig.arrays import Bool, Float32, Float64
 
 __all__ = ["as_markdown", "evaluate", "loudness", "mouth_opening"]
 
@@ -241,8 +248,10 @@ def _score(tally: Tally, model: DEITalk, clip: Clip) -> None:
     target = example.curves[:n_frames]
     controls = model.controls
     level = loudness(recording.waveform, n_frames)
-    row = _errors(target, predicted, model) | smoothness(predicted)
-    row["loudness_jaw_r"] = correlation(target[:, controls.index(JAW)], level)
+    row = _errors(target, predicted, example.known, model) | smoothness(predicted)
+    jaw = controls.index(JAW)
+    if example.known[jaw]:
+        row["loudness_jaw_r"] = correlation(target[:, jaw], level)
     opening = mouth_opening(performance.curves.values, controls)
     row["opening_in_silence"] = opening_in_silence(opening, recording.waveform, example.phones)
     if np.isfinite(example.intensity).all():
@@ -255,18 +264,17 @@ def _score(tally: Tally, model: DEITalk, clip: Clip) -> None:
     tally.rows.append(row)
 
 
-def _errors(target: Float32, predicted: Float32, model: DEITalk) -> dict[str, float]:
-    """The paper's errors, and r of every articulation channel."""
+def _errors(target: Float32, predicted: Float32, known: Bool, model: DEITalk) -> dict[str, float]:
+    """The paper's errors, and r of every articulation channel, where they are known."""
     controls = model.controls
-    places = [controls.index(name) for name in ARTICULATION]
-    rs = [correlation(target[:, i], predicted[:, i]) for i in places]
+    rs = articulation(target, predicted, known, controls)
     finite = [r for r in rs if np.isfinite(r)]
     channels = {f"r {n.removeprefix('CTRL_')}": r for n, r in zip(ARTICULATION, rs, strict=True)}
     return channels | {
         "jaw_r": rs[0],
         "articulation_r": float(np.mean(finite)) if finite else float("nan"),
-        "lpe": lip_parameter_error(target, predicted, controls),
-        "epe": emotion_parameter_error(target, predicted, controls),
+        "lpe": lip_parameter_error(target, predicted, controls, known),
+        "epe": emotion_parameter_error(target, predicted, controls, known),
     }
 
 
@@ -285,8 +293,10 @@ def _contacts(
     row["jaw_in_contact"] = jaw_in_contact(lips, predicted[:, jaw])
     tally.closures.append(closure_scores(lips, example.phones))
     tally.held += held_closures(lips, example.phones)
-    tally.lags["jaw"].append(lag_scores(target[:, jaw], predicted[:, jaw]))
-    tally.lags["lips"].append(lag_scores(aim, lips))
+    if example.known[jaw]:
+        tally.lags["jaw"].append(lag_scores(target[:, jaw], predicted[:, jaw]))
+    if knows_contact(example.known, controls):
+        tally.lags["lips"].append(lag_scores(aim, lips))
     for name, gesture in GESTURES.items():
         curve = gesture_curve(predicted, controls, gesture)
         tally.peaks[name].append(gesture_peaks(curve, example.phones, gesture))

@@ -18,7 +18,7 @@ from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summa
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
-from rig.arrays import Float32
+from rig.arrays import Bool, Float32
 
 MAX_CLIPS = 60
 ARTICULATION = (
@@ -46,6 +46,8 @@ class Example(NamedTuple):
     emotion: str
     intensity: Float32
     phones: list[tuple[float, float, str]]
+    known: Bool
+    """Controls that the curves hold [shape=(C,)]."""
 
 
 def lips_together(curves: Float32, controls: ControlSet) -> Float32:
@@ -76,7 +78,8 @@ class ValidationSet:
 
         ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
         over `ARTICULATION`, and the r of the intensity within speech, equally weighted. Data
-        without phones or intensity is scored by the rest; an empty set by 0.
+        without phones or intensity is scored by the rest; an empty set by 0. Controls that a clip
+        does not know are left out.
 
         Parameters
         ----------
@@ -88,8 +91,9 @@ class ValidationSet:
         for example in self.examples:
             predicted, strength = predict(model, example)
             rows.append(self._row(example, predicted, strength))
-            lips = lips_together(predicted, self.controls)
-            closures.append(closure_scores(lips, example.phones))
+            if knows_contact(example.known, self.controls):
+                lips = lips_together(predicted, self.controls)
+                closures.append(closure_scores(lips, example.phones))
         names = rows[0] if rows else {}
         means = {name: _mean([row[name] for row in rows]) for name in names}
         pooled = summarise_closures(closures)
@@ -102,11 +106,10 @@ class ValidationSet:
         self, example: Example, predicted: Float32, strength: Float32 | None
     ) -> dict[str, float]:
         target = example.curves
-        places = [self.controls.index(n) for n in ARTICULATION if n in self.controls.names]
-        rs = [correlation(target[:, i], predicted[:, i]) for i in places]
+        rs = articulation(target, predicted, example.known, self.controls)
         row = {
-            "lpe": lip_parameter_error(target, predicted, self.controls),
-            "epe": emotion_parameter_error(target, predicted, self.controls),
+            "lpe": lip_parameter_error(target, predicted, self.controls, example.known),
+            "epe": emotion_parameter_error(target, predicted, self.controls, example.known),
             "jaw_r": rs[0],
             "mean_r": _mean(rs),
         }
@@ -120,13 +123,28 @@ class ValidationSet:
         return row
 
 
+def knows_contact(known: Bool, controls: ControlSet) -> bool:
+    """Whether curves hold the lips-together controls, so that their contacts can be scored."""
+    return bool(all(known[i] for i, name in enumerate(controls.names) if "lipsTogether" in name))
+
+
+def articulation(
+    target: Float32, predicted: Float32, known: Bool, controls: ControlSet
+) -> list[float]:
+    """Pearson's r of each of `ARTICULATION`; NaN where it is not known, or still."""
+    places = [controls.index(name) for name in ARTICULATION]
+    return [
+        correlation(target[:, i], predicted[:, i]) if known[i] else float("nan") for i in places
+    ]
+
+
 def load_example(clip: Clip, controls: ControlSet) -> Example:
     """Read a whole clip, resampled to 30 frames per second."""
     material = load_material(clip, controls)
     n_frames = n_clip_frames(len(material.waveform))
     waveform, curves, intensity, _ = cut(material, 0, n_frames)
     phones = read_phones(clip.phones) if clip.phones else []
-    return Example(waveform, curves, clip.emotion, intensity, phones)
+    return Example(waveform, curves, clip.emotion, intensity, phones, material.known)
 
 
 @torch.no_grad()

@@ -58,7 +58,7 @@ def position_loss(target: Tensor, predicted: Tensor, weights: Tensor | None = No
     ----------
     target, predicted : Tensor [shape=(B, T, C)]
         Captured and predicted curves.
-    weights : Tensor [shape=(C,)] or None
+    weights : Tensor [shape=(C,) or (B, 1, C)] or None
         Weight of every control's square; the paper's are 1.
     """
     square = (target - predicted).square()
@@ -87,7 +87,7 @@ def intensity_loss(target: Tensor, strength: Tensor) -> Tensor:
     return square.sum() / known.sum().clamp(min=1)
 
 
-def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
+def contact_loss(target: Tensor, predicted: Tensor, known: Tensor | None = None) -> Tensor:
     """Penalise lips that do not meet in bilabials.
 
     Not in the paper. Where the target's lips are closed (> 0.9), falling short of 0.95 costs the
@@ -99,10 +99,16 @@ def contact_loss(target: Tensor, predicted: Tensor) -> Tensor:
     ----------
     target, predicted : Tensor [shape=(B, T, K)]
         The lips-together controls.
+    known : Tensor [shape=(B, K)] or None
+        1 where the clip holds the control, else 0; None is 1 everywhere.
     """
     shut = F.relu(0.95 - predicted).square() * (target > 0.9)
-    decided = F.binary_cross_entropy_with_logits(8 * (predicted - 0.5), target.clamp(0, 1))
-    return shut.mean() + 0.1 * decided
+    decided = F.binary_cross_entropy_with_logits(
+        8 * (predicted - 0.5), target.clamp(0, 1), reduction="none"
+    )
+    cost = (shut + 0.1 * decided).mean(dim=1)
+    known = torch.ones_like(cost) if known is None else known
+    return (cost * known).sum() / known.sum().clamp(min=1)
 
 
 LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
@@ -138,7 +144,8 @@ def total_loss(
     intensity: Tensor,
     *,
     config: LossConfig,
-    weights: Tensor | None,
+    known: Tensor,
+    weights: Tensor,
     contact_controls: Tensor,
     lips: HeadLips | None = None,
 ) -> dict[str, Tensor]:
@@ -156,13 +163,16 @@ def total_loss(
         NaN where unknown.
     config : LossConfig
         Weights of the parts.
-    weights : Tensor [shape=(C,)] or None
+    known : Tensor [shape=(B, C)]
+        1 for controls that a clip's curves hold, else 0: those have no part in the loss.
+    weights : Tensor [shape=(C,)]
         Of the controls, in Eq. 12-13.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
     lips : HeadLips or None
         The head whose lips are compared; None if `config.lips` is 0.
     """
+    weights = weights * known[:, None]
     parts = {
         "position": position_loss(curves, output.curves, weights),
         "velocity": velocity_loss(curves, output.curves, weights),
@@ -176,10 +186,13 @@ def total_loss(
         parts["intensity"] = intensity_loss(intensity, output.intensity.strength)
     if config.contact:
         parts["contact"] = contact_loss(
-            curves[..., contact_controls], output.curves[..., contact_controls]
+            curves[..., contact_controls],
+            output.curves[..., contact_controls],
+            known[:, contact_controls],
         )
     if lips is not None:
-        parts["lips"] = lip_loss(lips(curves), lips(output.curves))
+        predicted = torch.where(known[:, None] > 0, output.curves, curves)
+        parts["lips"] = lip_loss(lips(curves), lips(predicted))
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -229,6 +242,7 @@ class CurveLoss:
             batch.voice,
             batch.intensity,
             config=self.config,
+            known=batch.known,
             weights=self.weights,
             contact_controls=self.contact,
             lips=self.lips,

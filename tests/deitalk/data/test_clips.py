@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from deitalk.data.clips import read_clips, read_intensity, read_phones
+from deitalk.data.clips import read_clips, read_intensity, read_known, read_phones
 from deitalk.errors import DataError
+from rig import default_controls
 from tests.dataset import write_dataset
 
 
@@ -152,3 +153,32 @@ def test_phone_named_like_a_missing_value_stays_a_phone(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("start,end,phone\n0,0.5,NA\n0.5,1,N\n")
     assert read_phones(path) == [(0, 0.5, "NA"), (0.5, 1, "N")]
+
+
+def test_known_controls_are_those_that_a_file_names(folder):
+    controls = default_controls()
+    assert read_clips(folder)[0].known is None and read_known(None, controls).all()
+    (folder / "livelink.txt").write_text(
+        "# a face camera\nCTRL_C_jaw.ty\n\nCTRL_L_brow_down.Y  # as Unreal spells it\n"
+    )
+    spoil(folder, "known", "livelink.txt")
+    known = read_known(read_clips(folder)[0].known, controls)
+    assert set(np.array(controls.names)[known]) == {"CTRL_C_jaw.ty", "CTRL_L_brow_down.ty"}
+    assert read_clips(folder)[1].known is None
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [("jawOpen\n", "unknown control 'jawOpen'"), ("# none\n\n", "names no control")],
+)
+def test_known_controls_rejects(folder, text, match):
+    path = folder / "known.txt"
+    path.write_text(text)
+    with pytest.raises(DataError, match=match) as caught:
+        read_known(path, default_controls())
+    assert "known.txt" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_file_of_known_controls_must_exist(folder):
+    spoil(folder, "known", "known.txt")
+    one_line(folder, "'known.txt' does not exist")

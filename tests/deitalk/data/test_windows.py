@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import soundfile
 import torch
@@ -42,7 +43,8 @@ def step_material(at: float = 1.0, seconds: float = 2.0) -> Material:
     waveform[round(at * RATE)] = 1
     times = np.arange(int(seconds * FPS)) / FPS
     values = np.repeat((times >= at - 1e-9)[:, None], 3, axis=1).astype(np.float16)
-    return Material(waveform, times, values, (times / seconds).astype(np.float32))
+    intensity = (times / seconds).astype(np.float32)
+    return Material(waveform, times, values, intensity, np.ones(3, bool))
 
 
 @pytest.mark.parametrize("speed", [0.82, 1.0, 1.1, 1.25])
@@ -255,3 +257,22 @@ def test_load_material_rejects_curves_without_frames_or_controls(folder, tmp_pat
     write_curves(other, RigCurves(curves.values[:, :180], few, fps=FPS))
     with pytest.raises(ValueError, match=r"few\.npz.*lacks 5 controls|control"):
         load_material(clip.__class__(**{**clip.__dict__, "curves": other}), CONTROLS)
+
+
+def test_unknown_controls_are_at_rest(tmp_path):
+    """A source that holds the jaw alone: what its file claims of other controls is dropped."""
+    folder = write_dataset(tmp_path, 2, 0)
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    whole = load_material(read_clips(folder)[0], CONTROLS)
+    (folder / "known.txt").write_text("CTRL_C_jaw.ty\n")
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known=["known.txt", ""])
+    table.to_csv(folder / "clips.csv", index=False)
+    clips = read_clips(folder)
+    material = load_material(clips[0], CONTROLS)
+    assert np.flatnonzero(material.known).tolist() == [jaw]
+    np.testing.assert_array_equal(material.values[:, jaw], whole.values[:, jaw])
+    others = np.arange(len(CONTROLS)) != jaw
+    rest = CONTROLS.rest.astype(np.float16)
+    assert (material.values[:, others] == rest[others]).all() and whole.values[:, others].any()
+    batches = WindowBatches(clips, CONTROLS, DataConfig(window_frames=30), 0, 8)
+    assert set(next(iter(batches)).known.sum(dim=1).tolist()) == {1.0, 185.0}

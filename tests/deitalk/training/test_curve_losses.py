@@ -114,11 +114,36 @@ def example(labels=(0.2, math.nan)):
     return output, TARGET, torch.eye(5)[[1]], torch.tensor([labels])
 
 
-def total(config, output, curves, emotion, intensity, weights=None):
-    contact = torch.tensor([1])
+def total(config, output, curves, emotion, intensity, known=(1.0, 1.0)):
     return total_loss(
-        output, curves, emotion, intensity, config=config, weights=weights, contact_controls=contact
+        output,
+        curves,
+        emotion,
+        intensity,
+        config=config,
+        known=torch.tensor([known]),
+        weights=torch.ones(2),
+        contact_controls=torch.tensor([1]),
     )
+
+
+def test_unknown_controls_have_no_part_in_the_loss():
+    """Of TARGET less PREDICTED, (0, 2) and (3, 0), only the first column is known."""
+    output, curves, emotion, intensity = example()
+    config = LossConfig(contact=2.0)
+    parts = total(config, output, curves, emotion, intensity, known=(1.0, 0.0))
+    assert float(parts["position"]) == 9 / 2
+    assert float(parts["velocity"]) == 9  # steps 2 and -1
+    assert float(parts["contact"]) == 0
+    nothing = total(config, output, curves, emotion, intensity, known=(0.0, 0.0))
+    assert float(nothing["position"]) == float(nothing["velocity"]) == 0
+
+
+def test_contact_is_the_mean_over_clips_that_know_it():
+    shut, half = torch.ones(2, 1, 1), torch.full((2, 1, 1), 0.5)
+    half[1] = 0.1
+    one = contact_loss(shut, half, known=torch.tensor([[1.0], [0.0]]))
+    assert float(one) == pytest.approx(float(contact_loss(shut[:1], half[:1])))
 
 
 def test_default_weights_are_those_of_equation_eight():
@@ -181,7 +206,8 @@ def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
         torch.zeros(2, 5),
         torch.zeros(2, 16),
         config=config,
-        weights=None,
+        known=torch.ones(2, 185),
+        weights=torch.ones(185),
         contact_controls=loss.contact,
         lips=loss.lips,
     )
