@@ -41,6 +41,9 @@ def animate(
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="The network alone, without the model's rules.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
     device: Device = "cpu",
     threads: Threads = 1,
@@ -70,6 +73,7 @@ def animate(
         "intensity": intensity,
         "intensity_curve": intensity_curve,
         "idle": idle,
+        "raw": raw,
         "seed": seed,
     }
     performance = _perform(speech, model, device, threads, options)

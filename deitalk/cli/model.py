@@ -52,7 +52,7 @@ def info(
     model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Show control set, size, hash and training of a model."""
+    """Show control set, size, hash, training and rules of a model."""
     from deitalk.models.folder import describe_model, embedded_models
 
     about = describe_model(model)

@@ -1,7 +1,7 @@
 """Settings of models, losses, data and training; defaults are the papers' numbers.
 
 A YAML file in ``configs/`` holds only what differs. Modules take plain numbers; only the builders
-of networks and trainings read these classes.
+of networks and trainings read these classes, and the rules after the network theirs.
 """
 
 from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
@@ -16,6 +16,7 @@ from deitalk.config.frontends import (
 )
 from deitalk.config.load import AnyConfig, load_config, parse_config
 from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
+from deitalk.config.rules import Gates, Idle, KeepContacts, RulesConfig, VoiceIntensity
 
 __all__ = [
     "AnyConfig",
@@ -23,17 +24,22 @@ __all__ = [
     "ConformerConfig",
     "DEITalkFeaturesConfig",
     "DataConfig",
+    "Gates",
+    "Idle",
     "KarrasConfig",
+    "KeepContacts",
     "LossConfig",
     "MelConfig",
     "MeshDataConfig",
     "MeshTrainConfig",
     "ModelConfig",
+    "RulesConfig",
     "SDFAConfig",
     "SDFAMelConfig",
     "SDFAModelConfig",
     "TrainConfig",
     "VocaConfig",
+    "VoiceIntensity",
     "Wav2VecConfig",
     "load_config",
     "parse_config",

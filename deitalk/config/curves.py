@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from deitalk.config.frontends import ConformerConfig, MelConfig, Wav2VecConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.config.section import (
     Dilation,
     Odd,
@@ -134,10 +135,11 @@ class TrainConfig(Optimisation):
 
 
 class Config(Section):
-    """Settings of a run: network, loss, data and training."""
+    """Settings of a run: network, rules, loss, data and training."""
 
     name: str = "deitalk"
     model: ModelConfig = ModelConfig()
+    rules: RulesConfig = RulesConfig()
     loss: LossConfig = LossConfig()
     data: DataConfig = DataConfig()
     train: TrainConfig = TrainConfig()

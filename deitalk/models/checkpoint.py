@@ -244,7 +244,7 @@ def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> 
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
-    return partial(DEITalk, config.model, controls, pretrained=False)
+    return partial(DEITalk, config.model, controls, pretrained=False, rules=config.rules)
 
 
 def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, frame_count
-from deitalk.config import ModelConfig
+from deitalk.config import ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
@@ -58,16 +58,23 @@ class DEITalk(nn.Module):
         The rig; the default set if None.
     pretrained : bool
         Read the wav2vec 2.0 checkpoint that the configuration names.
+    rules : RulesConfig
+        Post-processing of the curves; the network itself does not read it.
     """
 
     fps = float(FRAME_RATE)
     """Frames per second of the curves."""
 
     def __init__(
-        self, config: ModelConfig, controls: ControlSet | None = None, *, pretrained: bool = True
+        self,
+        config: ModelConfig,
+        controls: ControlSet | None = None,
+        *,
+        pretrained: bool = True,
+        rules: RulesConfig = RulesConfig(),
     ) -> None:
         super().__init__()
-        self.config = config
+        self.config, self.rules = config, rules
         self.controls = controls or default_controls()
         self.frontend = build_frontend(config.frontend, pretrained)
         size = self.frontend.output_size

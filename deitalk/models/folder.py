@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
 from rig import limits
 from rig.errors import quoted
@@ -80,12 +81,15 @@ def product_of(name_or_path: str | Path) -> Literal["curves", "mesh"]:
 
 
 def describe_model(name_or_path: str | Path) -> dict[str, Any]:
-    """Content of ``model.json`` but for the control names; hash and size of the weights."""
+    """Content of ``model.json`` but for the control names; rules, hash and size of the weights."""
     folder = model_folder(name_or_path)
     about = read_about(folder)
     weights = folder / "model.safetensors"
     about.pop("controls", None)
     size = check_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError)
+    config = load_config(folder / "config.yaml")
+    if isinstance(config, Config):
+        about["rules"] = config.rules.model_dump(mode="json")
     return {"name": str(name_or_path), **about, "bytes": size, "sha256": weights_hash(folder)}
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
+from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack, IntensityCurve
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -35,6 +36,7 @@ def animate(
     intensity: float = 1.0,
     intensity_curve: str | Path | IntensityCurve | None = None,
     idle: bool = True,
+    raw: bool = False,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Performance:
@@ -56,7 +58,9 @@ def animate(
     intensity_curve : path or IntensityCurve, optional
         Intensity to apply instead of the predicted one, as in a take's ``intensity.csv``.
     idle : bool
-        Add blinks and small motions of the gaze.
+        Add blinks and small motions of the gaze, if the model's rules have them.
+    raw : bool
+        The network alone, without the model's rules (`deitalk.config.RulesConfig`).
     seed : int
         Seed of the blinks.
     progress : callable
@@ -79,15 +83,17 @@ def animate(
     clock.lap("audio")
     network = require_model(model, DEITalk)
     clock.lap("model")
-    speech = Speech.of(recording.waveform)
+    rules = RulesConfig.none() if raw else network.rules
+    speech = Speech.of(recording.waveform, rules.gates)
     weights = direction.emotion.at(speech.times)
-    neutral, emotional, intensities = _read(network, speech, weights, direction, progress)
+    neutral, emotional, intensities = _read(network, speech, weights, direction, rules, progress)
     clock.lap("network")
     controls = network.controls
-    values = _apply_rules(controls, neutral, emotional, intensities, speech)
-    if idle and speech.activity.any():
+    values = _apply_rules(Expression(controls, rules), neutral, emotional, intensities, speech)
+    if idle and rules.idle is not None and speech.activity.any():
         for reading in (neutral, values):
-            add_idle_motion(reading, controls, fps=FRAME_RATE, rng=np.random.default_rng(seed))
+            rng = np.random.default_rng(seed)
+            add_idle_motion(reading, controls, fps=FRAME_RATE, rng=rng, idle=rules.idle)
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     clock.lap("expression")
@@ -99,7 +105,7 @@ def animate(
         recording,
         clipped,
         clock.laps,
-        _settings(emotion, direction.intensity, intensity_curve, idle, seed),
+        _settings(emotion, direction.intensity, intensity_curve, idle=idle, raw=raw, seed=seed),
         str(model) if isinstance(model, str | Path) else "",
     )
 
@@ -109,6 +115,7 @@ def _read(
     speech: Speech,
     weights: Float32,
     direction: Direction,
+    rules: RulesConfig,
     progress: Callable[[float], None],
 ) -> tuple[Float32, Float32, Intensities]:
     """Neutral and emotional reading [shape=(T, C)], and intensities; the analysis is freed."""
@@ -118,18 +125,18 @@ def _read(
         return np.asarray(network.decode(analysis, weights).cpu().numpy())
 
     neutral, emotional = read_twice(decode, weights, network.device)
-    return neutral, emotional, measure_intensities(speech, analysis, direction)
+    rule = rules.voice_intensity
+    return neutral, emotional, measure_intensities(speech, analysis, direction, rule)
 
 
 def _apply_rules(
-    controls: ControlSet,
+    rules: Expression,
     neutral: Float32,
     emotional: Float32,
     intensities: Intensities,
     speech: Speech,
 ) -> Float32:
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
-    rules = Expression(controls)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.sharpen_contacts(reading)
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.effort)
@@ -141,15 +148,14 @@ def _apply_rules(
     return values
 
 
-def _settings(emotion: Any, intensity: float, curve: Any, idle: bool, seed: int) -> dict[str, Any]:
+def _settings(emotion: Any, intensity: float, curve: Any, **others: Any) -> dict[str, Any]:
     """Arguments of `animate`, as a take stores them."""
     name = Path(curve).name if isinstance(curve, str | Path) else None
     return {
         "emotion": emotion_text(emotion),
         "intensity": intensity,
         "intensity_curve": name if curve is None or name else "a curve in memory",
-        "idle": idle,
-        "seed": seed,
+        **others,
     }
 
 

@@ -8,7 +8,7 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,6 +20,7 @@ from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.config import Gates, VoiceIntensity
 from deitalk.emotions import EMOTIONS, Direction
 from deitalk.models.curve_model import Analysis
 from deitalk.postprocess.curve_rules import expression_scale
@@ -40,13 +41,16 @@ class Speech:
         16 kHz, any level.
     activity : array [shape=(T,)]
         1 in speech, else 0.
+    gates : Gates or None
+        Times of the gates; None: they stay open.
     """
 
     waveform: Float32
     activity: Float32
+    gates: Gates | None = field(default_factory=Gates)
 
     @classmethod
-    def of(cls, waveform: Any) -> "Speech":
+    def of(cls, waveform: Any, gates: Gates | None = Gates()) -> "Speech":
         """Measure a waveform.
 
         Raises
@@ -55,7 +59,7 @@ class Speech:
             If it is not one row of finite samples.
         """
         samples = checked_waveform(waveform)
-        return cls(samples, speech_activity(samples))
+        return cls(samples, speech_activity(samples), gates)
 
     @property
     def n_frames(self) -> int:
@@ -75,12 +79,16 @@ class Speech:
     @cached_property
     def mouth(self) -> Float32:
         """Mouth gate [shape=(T,), range 0 to 1]."""
-        return mouth_gate(self.activity)
+        if self.gates is None:
+            return np.ones(self.n_frames, np.float32)
+        return mouth_gate(self.activity, self.gates)
 
     @cached_property
     def shown(self) -> Float32:
         """Expression gate [shape=(T,), range 0 to 1]."""
-        return expression_gate(self.activity)
+        if self.gates is None:
+            return np.ones(self.n_frames, np.float32)
+        return expression_gate(self.activity, self.gates)
 
     @cached_property
     def prosody(self) -> Prosody:
@@ -107,21 +115,31 @@ class Intensities(NamedTuple):
     """Vocal effort of the whole recording, standard deviations from the usual."""
 
 
-def measure_intensities(speech: Speech, analysis: Analysis, direction: Direction) -> Intensities:
+def measure_intensities(
+    speech: Speech,
+    analysis: Analysis,
+    direction: Direction,
+    rule: VoiceIntensity | None = VoiceIntensity(),
+) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the direction.
 
-    A network without an intensity module counts as one that predicts 1 everywhere.
+    A network without an intensity module counts as one that predicts 1 everywhere. Without the
+    `rule` that corrects the prediction the emotional reading is shown as it is, times the factor.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
     if analysis.strength is not None and analysis.saliency is not None:
         network, saliency = analysis.strength.cpu().numpy(), analysis.saliency.cpu().numpy()
-    voice = voice_intensity(network, speech.prosody, speech.activity)
+    voice, effort = network, 0.0
+    if rule is not None:
+        voice = voice_intensity(network, speech.prosody, speech.activity, rule)
+        effort = vocal_effort_z(speech.prosody, rule)
     predicted = voice * speech.shown
     base = predicted if direction.curve is None else direction.curve.at(speech.times)
     applied = (base * direction.intensity).astype(np.float32)
     scale = expression_scale(applied, network * speech.shown)
-    effort = vocal_effort_z(speech.prosody)
+    if rule is None and direction.curve is None:
+        scale = np.full(speech.n_frames, direction.intensity, np.float32)
     return Intensities(saliency, network, voice, predicted, applied, scale, effort)
 
 

@@ -6,19 +6,23 @@ They are left out of its training curves and added here.
 
 import numpy as np
 
+from deitalk.config import Idle
 from rig import ControlSet
 from rig.arrays import Float32
 
 BLINK = np.array([0.0, 0.45, 0.95, 1.0, 0.75, 0.45, 0.2, 0.06, 0.0])
 """Closure of the lids at 30 Hz: shut in 0.1 s, open again in 0.17 s (Trutoiu et al. 2011)."""
-INTERVAL_SECONDS, INTERVAL_SPREAD = 3.2, 0.55
-"""Median interval between blinks while speaking, and sigma of its logarithm."""
 REST_SECONDS = 0.5
 """No blinks and no gaze motion so long before the end of a clip."""
 
 
 def add_idle_motion(
-    curves: Float32, controls: ControlSet, *, fps: float, rng: np.random.Generator
+    curves: Float32,
+    controls: ControlSet,
+    *,
+    fps: float,
+    rng: np.random.Generator,
+    idle: Idle = Idle(),
 ) -> None:
     """Add blinks and gaze motion to curves, in place.
 
@@ -32,8 +36,10 @@ def add_idle_motion(
         Frames per second.
     rng : numpy.random.Generator
         Equal generators give equal blinks, whatever the emotion.
+    idle : Idle
+        Intervals of the blinks.
     """
-    lids = blink_track(len(curves), fps, rng)
+    lids = blink_track(len(curves), fps, rng, idle)
     gaze = gaze_track(len(curves), fps, rng)
     for side in "LR":
         lid = controls.index(f"CTRL_{side}_eye_blink.ty")
@@ -42,7 +48,9 @@ def add_idle_motion(
             curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += gaze[:, axis]
 
 
-def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
+def blink_track(
+    n_frames: int, fps: float, rng: np.random.Generator, idle: Idle = Idle()
+) -> Float32:
     """Closure of the lids [shape=(T,), range 0 to 1]."""
     shape_times = np.arange(len(BLINK)) / 30
     shape = np.interp(np.arange(0, shape_times[-1] + 1 / fps, 1 / fps), shape_times, BLINK)
@@ -53,7 +61,8 @@ def blink_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:
         if start + len(shape) > n_frames - REST_SECONDS * fps:
             return track
         track[start : start + len(shape)] = shape
-        time += max(INTERVAL_SECONDS * np.exp(INTERVAL_SPREAD * rng.standard_normal()), 0.6)
+        interval = idle.interval_seconds * np.exp(idle.interval_spread * rng.standard_normal())
+        time += max(interval, 0.6)
 
 
 def gaze_track(n_frames: int, fps: float, rng: np.random.Generator) -> Float32:

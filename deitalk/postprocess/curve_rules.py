@@ -3,9 +3,10 @@
 The difference of the readings is the expression; it is scaled by the intensity, does not part
 closed lips, and goes to rest in silence. By construction, intensity 0 gives the neutral reading,
 the expression grows with the intensity, and lips that meet in the neutral reading still meet.
+Each rule has its numbers in `deitalk.config.rules`, and changes nothing where it is off.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,38 +14,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, logit
 
+from deitalk.config import KeepContacts, RulesConfig
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 
 LEAST_PREDICTED = 0.15
 """Lower bound of the predicted intensity that an applied one is divided by."""
-CONTACT_FROM, CONTACT_FULL = 0.25, 0.75
-"""Neutral lips-together (or lip-bite) value from which contacts are kept in part, and in full."""
-STILL = 0.01
-"""Openings below this are noise of the network, not speech."""
-
-DECIDED, DECISION = 0.25, 4.0
-"""Height of a lips-together peak that becomes one half, and the factor on the distance from it, in
-logits.
-
-Chosen on validation speakers: on the average there are as many contacts as bilabials (1.00 times),
-of which 87 % are reached and 95 % of those found held at 0.9 for two frames; 1.4 % of the vowels
-shut the lips."""
-SHOULDER, DOUBT, SHARPEST = 0.7, 0.4, 0.97
-"""Share of a peak of 1 at which a frame beside it becomes one half, how much more as the peak goes
-to 0, and at most: an uncertain contact is brief, or it would reach into the vowels around."""
 PEAK_FRAMES = 7
 """A frame belongs to the highest peak within three frames (0.1 s) of it."""
-
-LIVELINESS_GAIN, USUAL = 0.45, 0.575
-"""Increase of the opening per unit of intensity, and the intensity at which it is 0."""
-EFFORT_GAIN = 0.3
-"""Increase of the opening of a whole take per standard deviation of its vocal effort: loud talkers
-lower the jaw further, which a network with all takes at one level cannot predict."""
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
-
-FASTEST_CONTACT = 0.4
-"""Largest step of a contact per frame at 30 Hz: the speed of captured mouths."""
 
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
@@ -54,9 +32,9 @@ SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue
 """Parts of the names of the other controls that speech moves."""
 
 
-def _decided(values: Float32, middle: "Float32 | float") -> Float32:
+def _decided(values: Float32, middle: "Float32 | float", steepness: float) -> Float32:
     """S-curve from 0 to 1 that makes one half of `middle`."""
-    return np.asarray(expit(DECISION * (logit(values) - logit(middle))), np.float32)
+    return np.asarray(expit(steepness * (logit(values) - logit(middle))), np.float32)
 
 
 def expression_scale(applied: Float32, predicted: Float32) -> Float32:
@@ -74,9 +52,18 @@ def expression_scale(applied: Float32, predicted: Float32) -> Float32:
 
 @dataclass(frozen=True)
 class Expression:
-    """The rules of expression for one control set."""
+    """The rules of expression for one control set.
+
+    Parameters
+    ----------
+    controls : ControlSet
+        Columns of the curves.
+    settings : RulesConfig
+        Which rules apply, and their numbers.
+    """
 
     controls: ControlSet
+    settings: RulesConfig = field(default_factory=RulesConfig)
 
     def blend(self, neutral: Float32, emotional: Float32, scale: Float32) -> Float32:
         """Scale the expression and keep contacts closed.
@@ -94,9 +81,10 @@ class Expression:
         """
         delta = emotional - neutral  # in place from here: an hour of it is 80 MB
         delta *= scale[:, None]
-        free = 1 - self.contact(neutral)
-        delta[:, self.opening] *= free[:, None]
-        delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)
+        if self.settings.keep_contacts is not None:
+            free = 1 - self.contact(neutral)
+            delta[:, self.opening] *= free[:, None]
+            delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)
         delta += neutral
         return delta
 
@@ -106,20 +94,25 @@ class Expression:
         A network trained on squared errors gives an uncertain /b/ as 0.5: lips that almost meet.
         Two S-curves decide how high a peak is, and which frames beside it belong to the contact.
         A lone peak of 0.2 becomes 0.24, 0.25 one half, and 0.5 becomes 0.99; 0 and 1 stay, and
-        between two peaks the lips part.
+        between two peaks the lips part. With the numbers of `SharpenContacts`, chosen on validation
+        speakers, there are on the average as many contacts as bilabials (1.00 times), of which 87 %
+        are reached and 95 % of those found held at 0.9 for two frames; 1.4 % of the vowels shut the
+        lips. An uncertain contact is brief, or it would reach into the vowels around.
 
         Parameters
         ----------
         curves : array [shape=(T, C)]
             A reading as the network predicts it, 30 frames per second.
         """
-        if not len(curves):
+        rule = self.settings.sharpen_contacts
+        if rule is None or not len(curves):
             return
         values = np.clip(curves[:, self.seals], 0, 1)
         peaks: Float32 = maximum_filter1d(values, PEAK_FRAMES, axis=0)
         shares = np.asarray(values / np.maximum(peaks, 1e-6), np.float32)
-        shoulder = np.minimum(SHOULDER + DOUBT * (1 - peaks), SHARPEST)
-        curves[:, self.seals] = _decided(peaks, DECIDED) * _decided(shares, shoulder)
+        shoulder = np.minimum(rule.shoulder + rule.doubt * (1 - peaks), rule.sharpest)
+        heights = _decided(peaks, rule.peak, rule.steepness)
+        curves[:, self.seals] = heights * _decided(shares, shoulder, rule.steepness)
 
     def scale_opening(
         self, curves: Float32, voice: Float32, network: Float32, effort: float = 0.0
@@ -128,7 +121,8 @@ class Expression:
 
         The network opens it for the intensity that it predicts, by the law of its training data:
         45 % more per unit of intensity (`deitalk.corpus.rig_targets`). The opening is scaled by
-        the same law at the corrected intensity; closed lips stay closed.
+        the same law at the corrected intensity; closed lips stay closed. Loud talkers lower the jaw
+        further, which a network with all takes at one level cannot predict: hence the effort.
 
         Parameters
         ----------
@@ -140,26 +134,32 @@ class Expression:
             Vocal effort of the whole take, standard deviations above the usual
             (`deitalk.postprocess.voice_intensity.vocal_effort_z`).
         """
+        rule = self.settings.scale_opening
+        if rule is None:
+            return
         free = 1 - self.contact(curves)
-        ratio = (1 + LIVELINESS_GAIN * (voice - USUAL)) / (1 + LIVELINESS_GAIN * (network - USUAL))
-        ratio *= 1 + EFFORT_GAIN * effort
+        ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
+        ratio *= 1 + rule.effort * effort
         curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
 
     def limit_contact_speed(self, curves: Float32) -> None:
         """Limit the speed of contacts, in place: lips start closing earlier and part later.
 
         Contacts keep their height; the frames around them are raised until no step of a
-        lips-together or lip-bite control is larger than `FASTEST_CONTACT`.
+        lips-together or lip-bite control is larger than that of captured mouths.
 
         Parameters
         ----------
         curves : array [shape=(T, C)]
             30 frames per second.
         """
+        rule = self.settings.limit_contact_speed
+        if rule is None:
+            return
         for place in self.seals:
             sharp = curves[:, place].copy()
-            for frames in range(1, int(1 / FASTEST_CONTACT) + 1):
-                reach = frames * FASTEST_CONTACT
+            for frames in range(1, int(1 / rule.step) + 1):
+                reach = frames * rule.step
                 curves[frames:, place] = np.maximum(curves[frames:, place], sharp[:-frames] - reach)
                 curves[:-frames, place] = np.maximum(
                     curves[:-frames, place], sharp[frames:] - reach
@@ -170,7 +170,8 @@ class Expression:
         closed = np.maximum(
             neutral[:, self.together].mean(axis=1), neutral[:, self.bite].mean(axis=1)
         )
-        share = np.clip((closed - CONTACT_FROM) / (CONTACT_FULL - CONTACT_FROM), 0, 1)
+        rule = self.settings.keep_contacts or KeepContacts()
+        share = np.clip((closed - rule.begin) / (rule.full - rule.begin), 0, 1)
         smooth: Float32 = share * share * (3 - 2 * share)
         return smooth
 
@@ -184,6 +185,8 @@ class Expression:
         mouth, expression : array [shape=(T,), range 0 to 1]
             From `deitalk.postprocess.gates.mouth_gate` and `expression_gate`.
         """
+        if self.settings.gates is None:
+            return
         rest = self.controls.rest
         curves -= rest
         gate = np.where(self.follows_mouth, 1, 0).astype(np.float32)
@@ -197,11 +200,13 @@ class Expression:
     def apply_dead_zone(self, curves: Float32) -> None:
         """Set small values of the controls that part the lips to 0, in place.
 
-        Magnitudes below 0.01 become 0; larger ones are reduced by 0.01.
+        Magnitudes below the width (0.01) become 0; larger ones are reduced by it.
         """
-        places = self.opening
+        rule, places = self.settings.dead_zone, self.opening
+        if rule is None:
+            return
         values = curves[:, places]
-        curves[:, places] = np.sign(values) * np.maximum(np.abs(values) - STILL, 0)
+        curves[:, places] = np.sign(values) * np.maximum(np.abs(values) - rule.width, 0)
 
     @cached_property
     def opening(self) -> NDArray[np.intp]:

@@ -7,16 +7,14 @@ decays by these gates, which use the activity of the whole clip.
 import numpy as np
 import numpy.typing as npt
 
+from deitalk.config import Gates
 from rig.arrays import AnyFloat, Float32
 
-MOUTH_OPENS, MOUTH_CLOSES = 3, 6  # frames: 0.1 s before speech, 0.2 s after
-EXPRESSION_RISES = 12  # 0.4 s before speech
-EXPRESSION_HOLDS, EXPRESSION_FADES = 45, 30  # 1.5 s, then 1 s
 REST_AT_END = 13  # frames of trailing silence (0.43 s) that end in a face wholly at rest
 HOLD_AT_END = 6  # frames (0.2 s) that change nothing yet; in between, in proportion
 
 
-def mouth_gate(activity: npt.ArrayLike) -> Float32:
+def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     """Share of the mouth's motion shown at each frame: 1 in speech, 0 in silence.
 
     Opens over the 0.1 s before speech and closes over the 0.2 s after it, in raised cosines.
@@ -25,16 +23,19 @@ def mouth_gate(activity: npt.ArrayLike) -> Float32:
     ----------
     activity : array [shape=(T,)]
         1 in speech, else 0, from `deitalk.audio.voice_activity.speech_activity`.
+    gates : Gates
+        Frames of opening and closing.
 
     Returns
     -------
     array [shape=(T,), range 0 to 1]
     """
     since, until = _distances(activity)
-    return np.maximum(_fade(since / (MOUTH_CLOSES + 1)), _fade(until / (MOUTH_OPENS + 1)))
+    closing, opening = gates.mouth_closes + 1, gates.mouth_opens + 1
+    return np.maximum(_fade(since / closing), _fade(until / opening))
 
 
-def expression_gate(activity: npt.ArrayLike) -> Float32:
+def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     """Share of the emotional expression shown at each frame: 1 in speech and short pauses.
 
     Rises over the 0.4 s before speech, holds through pauses of 1.5 s, then fades over 1 s. In
@@ -43,7 +44,7 @@ def expression_gate(activity: npt.ArrayLike) -> Float32:
 
     Parameters
     ----------
-    activity : array [shape=(T,)]
+    activity, gates
         As for `mouth_gate`.
 
     Returns
@@ -51,12 +52,12 @@ def expression_gate(activity: npt.ArrayLike) -> Float32:
     array [shape=(T,), range 0 to 1]
     """
     since, until = _distances(activity)
-    fading = _fade((since - EXPRESSION_HOLDS) / EXPRESSION_FADES)
-    gate = np.maximum(fading, _fade(until / (EXPRESSION_RISES + 1)))
-    if len(gate) and 0 < since[-1] < EXPRESSION_HOLDS + EXPRESSION_FADES:
+    fading = _fade((since - gates.expression_holds) / gates.expression_fades)
+    gate = np.maximum(fading, _fade(until / (gates.expression_rises + 1)))
+    if len(gate) and 0 < since[-1] < gates.expression_holds + gates.expression_fades:
         trailing = int(since[-1])
         depth = np.clip((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END), 0, 1)
-        held = max(trailing - EXPRESSION_FADES, trailing // 4)
+        held = max(trailing - gates.expression_fades, trailing // 4)
         progress = (np.arange(1, trailing + 1) - held) / (trailing - held)
         gate[-trailing:] = 1 - depth * (1 - _fade(progress))
     return gate

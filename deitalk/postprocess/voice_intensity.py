@@ -15,21 +15,25 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.prosody import Prosody, prosody_index, vocal_effort_db
+from deitalk.config import VoiceIntensity
 from rig.arrays import Bool, Float32, Float64
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity, and its slope in z (`deitalk.corpus.rig_targets`)."""
 SMOOTHING_FRAMES = 5.0
 """Sigma, 0.17 s: intensity does not follow single syllables."""
-INDEX_WEIGHT = 0.6
-"""Standard deviations of liveliness per standard deviation of the prosody index."""
-USUAL_EFFORT_DB, EFFORT_WEIGHT, MOST_EFFORT = -12.5, 0.08, 1.0
-"""Effort of a usual voice, standard deviations per decibel above it, and their limit."""
+USUAL_EFFORT_DB, MOST_EFFORT = -12.5, 1.0
+"""Effort of a usual voice, and the limit of the standard deviations above it."""
 EDGE_FRAMES = 3.0
 """Sigma with which the corrected intensity fades beside speech."""
 
 
-def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> Float32:
+def voice_intensity(
+    strength: Float32,
+    prosody: Prosody,
+    activity: Float32,
+    rule: VoiceIntensity = VoiceIntensity(),
+) -> Float32:
     """Smooth the network's intensity and correct it by the prosody.
 
     Parameters
@@ -40,6 +44,8 @@ def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> F
         Of the same T frames, from `deitalk.audio.prosody.measure_prosody`.
     activity : array [shape=(T,)]
         From `deitalk.audio.voice_activity.speech_activity`.
+    rule : VoiceIntensity
+        Weights of the prosody index and of the vocal effort.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> F
         return strength
     z = _smoothed(_deviation(strength), speaking)
     z -= z[speaking].mean()  # labels of training have one mean per take
-    z += INDEX_WEIGHT * prosody_index(prosody) + vocal_effort_z(prosody)
+    z += rule.index_weight * prosody_index(prosody) + vocal_effort_z(prosody, rule)
     corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(corrected, strength, speaking)
     counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
@@ -64,14 +70,14 @@ def voice_intensity(strength: Float32, prosody: Prosody, activity: Float32) -> F
     return intensity
 
 
-def vocal_effort_z(prosody: Prosody) -> float:
+def vocal_effort_z(prosody: Prosody, rule: VoiceIntensity = VoiceIntensity()) -> float:
     """Vocal effort in standard deviations above the usual one, from the spectral tilt.
 
     0 where nothing is voiced.
     """
     if not prosody.voiced.any():
         return 0.0
-    above = EFFORT_WEIGHT * (vocal_effort_db(prosody) - USUAL_EFFORT_DB)
+    above = rule.effort_weight * (vocal_effort_db(prosody) - USUAL_EFFORT_DB)
     return MOST_EFFORT * float(np.tanh(above / MOST_EFFORT))
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE, frame_times
+from deitalk.config import Gates
 from deitalk.errors import DataError
-from deitalk.postprocess.gates import MOUTH_CLOSES, MOUTH_OPENS, mouth_gate
+from deitalk.postprocess.gates import mouth_gate
 from rig.arrays import Bool
 
 SHORTEST_PAUSE_SECONDS = 0.2
@@ -51,7 +52,7 @@ def label_frames(phones: Sequence[tuple[float, float, str]], n_frames: int) -> L
     times = frame_times(n_frames)
     speech, pause = np.ones(n_frames, bool), np.zeros(n_frames, bool)
     settled, onsets = np.zeros(n_frames, bool), []
-    last = phones[-1][1] if phones else 0.0
+    gates, last = Gates(), phones[-1][1] if phones else 0.0
     speech &= times < last
     for start, end in _silences(phones):
         at_edge = start <= 0 or end >= last
@@ -61,7 +62,8 @@ def label_frames(phones: Sequence[tuple[float, float, str]], n_frames: int) -> L
         before = -np.inf if start <= 0 else start + COLLAR_SECONDS
         after = np.inf if end >= last else end - COLLAR_SECONDS
         pause |= (times >= before) & (times <= after)
-        before, after = before + MOUTH_CLOSES / FRAME_RATE, after - MOUTH_OPENS / FRAME_RATE
+        before += gates.mouth_closes / FRAME_RATE
+        after -= gates.mouth_opens / FRAME_RATE
         settled |= (times > before) & (times < after)
         if end < last and end - start > SHORTEST_PAUSE_SECONDS:
             onsets.append(end)

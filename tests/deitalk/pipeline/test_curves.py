@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import torch
 
 from deitalk import animate
 from deitalk.audio.load import Recording, load_audio
-from deitalk.config import MelConfig, ModelConfig
+from deitalk.config import MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import AudioError, EmotionError
 from deitalk.evaluation.benchmark_curves import speechlike
@@ -13,6 +14,7 @@ from deitalk.evaluation.curves import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
+from deitalk.pipeline.speech import Speech
 
 SMALL = ModelConfig(
     frontend=MelConfig(
@@ -46,7 +48,6 @@ def recording(seconds=3.0, lead=0.0, trail=0.0):
 @pytest.fixture(scope="module")
 def network():
     """Random weights, large enough to move every control."""
-    import torch
 
     torch.manual_seed(0)
     model = DEITalk(SMALL)
@@ -99,6 +100,34 @@ def test_animate_gives_one_row_per_thirtieth_of_a_second(network):
     assert performance.curves.fps == 30
     assert performance.curves.emotion.shape == (61, 5)
     assert performance.saliency.shape == performance.predicted.shape == (61,)
+
+
+def test_raw_is_the_network_alone(network):
+    """A recording within silence: no gate shuts the mouth, no rule changes the decoder's rows."""
+    speech = recording(lead=0.5, trail=0.5)
+    prepared = Speech.of(speech.waveform)
+    weights = torch.eye(5)[EMOTIONS.index("happy")].expand(prepared.n_frames, -1)
+    decoded = network.decode(network.analyse(prepared.sound, prepared.n_frames), weights).numpy()
+    expected = np.clip(decoded, network.controls.minimum, network.controls.maximum)
+    performance = animate(speech, "happy", model=network, raw=True)
+    np.testing.assert_allclose(performance.curves.values, expected, atol=1e-5)
+    assert performance.settings["raw"] is True
+    ruled = values(speech, "happy", model=network)
+    assert np.abs(ruled - expected).max() > 0.05
+
+
+def test_rules_are_those_of_the_model(network, monkeypatch):
+    """With learnt blinks none are added; the gates alone still shut the mouth in silence."""
+    speech = recording(lead=1.0, trail=1.0)
+    lid = network.controls.index("CTRL_L_eye_blink.ty")
+    usual = values(speech, model=network)
+    quiet = RulesConfig.for_captures().model_copy(update={"idle": None})
+    monkeypatch.setattr(network, "rules", quiet)
+    tuned = values(speech, model=network)
+    assert usual[:, lid].max() > 0.9
+    np.testing.assert_array_equal(tuned, values(speech, model=network, idle=False))
+    jaw = network.controls.index("CTRL_C_jaw.ty")
+    assert tuned[-1, jaw] == network.controls.rest[jaw]
 
 
 @pytest.mark.parametrize("emotion", EMOTIONAL)
@@ -255,7 +284,6 @@ def test_mouth_is_shut_in_silence(default, voice, emotion):
 @pytest.mark.slow
 def test_segments_join_without_a_step(default, voice, monkeypatch):
     """Ten minutes divided in two ways; at a border of one of them, both move alike."""
-    import torch
 
     from deitalk.audio.voice_activity import normalise_level
     from deitalk.frontends import mel_bilstm

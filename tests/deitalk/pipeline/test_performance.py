@@ -34,6 +34,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
         "intensity_curve": None,
         "idle": True,
         "seed": 0,
+        "raw": False,
     }
     assert about["model"]["control_set"] == "metahuman-185@mh4"
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deitalk.config import RulesConfig
 from deitalk.postprocess.curve_rules import Expression, expression_scale
 from rig import default_controls
 
@@ -227,3 +228,33 @@ def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     usual = np.full(3, 0.575, np.float32)
     RULES.scale_opening(curves, usual, usual, effort=0.6)
     np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)
+
+
+def test_rules_that_are_off_change_nothing():
+    """A random reading passes all of them; the blend is linear in the difference."""
+    rng = np.random.default_rng(4)
+    neutral, emotional = rng.uniform(0, 1, (2, 40, len(CONTROLS))).astype(np.float32)
+    off = Expression(CONTROLS, RulesConfig.none())
+    strength = rng.uniform(0, 1, 40).astype(np.float32)
+    for apply in (
+        off.sharpen_contacts,
+        off.limit_contact_speed,
+        off.apply_dead_zone,
+        lambda rows: off.scale_opening(rows, strength, 0.5 * strength, 1.0),
+        lambda rows: off.rest_in_silence(rows, 0 * strength, 0 * strength),
+    ):
+        changed = neutral.copy()
+        apply(changed)
+        np.testing.assert_array_equal(changed, neutral)
+    expected = neutral + 2 * (emotional - neutral)
+    np.testing.assert_allclose(off.blend(neutral, emotional, np.full(40, 2.0)), expected, atol=1e-6)
+
+
+def test_rule_uses_the_numbers_of_its_section():
+    """A dead zone of 0.1 takes 0.1 from a jaw of 0.3 and all of 0.05."""
+    rules = RulesConfig.model_validate({"dead_zone": {"width": 0.1}})
+    curves = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    curves[:, jaw] = 0.3, 0.05
+    Expression(CONTROLS, rules).apply_dead_zone(curves)
+    np.testing.assert_allclose(curves[:, jaw], [0.2, 0.0], atol=1e-6)

@@ -1,0 +1,115 @@
+"""Settings of the rules after the network: a model's own, in its ``config.yaml``.
+
+Each rule is a section with its numbers, or null where it is off. The defaults were chosen for
+models that are trained on targets of phones; what an actor did should not be changed, so that
+`RulesConfig.for_captures` leaves only the gates and the idle motion on.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from deitalk.config.section import Section
+from rig import limits
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Inner = Annotated[float, Field(gt=0, lt=1)]
+Frames = Annotated[int, Field(ge=0, le=limits.TRAINING_FRAMES)]
+
+
+class VoiceIntensity(Section):
+    """The predicted intensity is corrected by measured prosody; off: the network's own."""
+
+    index_weight: float = Field(
+        default=0.6, ge=0, le=10, description="deviations of liveliness per one of the prosody"
+    )
+    effort_weight: float = Field(
+        default=0.08, ge=0, le=10, description="deviations per decibel of vocal effort"
+    )
+
+
+class SharpenContacts(Section):
+    """Likely lip contacts are raised, and unlikely ones lowered."""
+
+    peak: Inner = Field(default=0.25, description="height of a peak that becomes one half")
+    steepness: float = Field(
+        default=4.0, gt=0, le=100, description="factor on the distance from it, in logits"
+    )
+    shoulder: Inner = Field(
+        default=0.7, description="share of a peak of 1 at which a frame beside it becomes one half"
+    )
+    doubt: Share = Field(default=0.4, description="how much more as the peak goes to 0")
+    sharpest: Inner = Field(default=0.97, description="shoulder at most")
+
+
+class ScaleOpening(Section):
+    """The mouth opens for the corrected intensity of the voice."""
+
+    gain: Share = Field(default=0.45, description="increase of the opening per unit of intensity")
+    usual: Share = Field(default=0.575, description="intensity at which the increase is 0")
+    effort: Share = Field(
+        default=0.3, description="increase of a take per standard deviation of vocal effort"
+    )
+
+
+class KeepContacts(Section):
+    """An expression does not part lips that are closed in the neutral reading."""
+
+    begin: Share = Field(default=0.25, description="contact from which it is kept in part")
+    full: Share = Field(default=0.75, description="contact that is kept in full")
+
+
+class LimitContactSpeed(Section):
+    """Lips start to close earlier and part later."""
+
+    step: float = Field(
+        default=0.4, gt=0, le=1, description="largest step of a contact in a frame, at 30 Hz"
+    )
+
+
+class DeadZone(Section):
+    """Small values of the controls that part the lips become 0."""
+
+    width: Share = Field(default=0.01, description="values below it are noise of the network")
+
+
+class Gates(Section):
+    """The mouth shuts and the expression decays in silence."""
+
+    mouth_opens: Frames = Field(default=3, description="frames before speech")
+    mouth_closes: Frames = Field(default=6, description="frames after speech")
+    expression_rises: Frames = Field(default=12, description="frames before speech")
+    expression_holds: Frames = Field(default=45, description="frames of a pause that it stays")
+    expression_fades: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 30
+
+
+class Idle(Section):
+    """Blinks and gaze from a seed; off: the model's own, learnt from captures."""
+
+    interval_seconds: float = Field(
+        default=3.2, ge=0.6, le=3600, description="median interval between blinks"
+    )
+    interval_spread: float = Field(default=0.55, ge=0, le=3, description="sigma of its logarithm")
+
+
+class RulesConfig(Section):
+    """Rules on the curves of a model, in the order in which they apply."""
+
+    voice_intensity: VoiceIntensity | None = VoiceIntensity()
+    sharpen_contacts: SharpenContacts | None = SharpenContacts()
+    scale_opening: ScaleOpening | None = ScaleOpening()
+    keep_contacts: KeepContacts | None = KeepContacts()
+    limit_contact_speed: LimitContactSpeed | None = LimitContactSpeed()
+    dead_zone: DeadZone | None = DeadZone()
+    gates: Gates | None = Gates()
+    idle: Idle | None = Idle()
+
+    @classmethod
+    def none(cls) -> "RulesConfig":
+        """No rule: the network alone."""
+        return cls(**dict.fromkeys(cls.model_fields))
+
+    @classmethod
+    def for_captures(cls) -> "RulesConfig":
+        """Gates and idle motion alone, for models that are trained on an actor."""
+        return cls.none().model_copy(update={"gates": Gates(), "idle": Idle()})
