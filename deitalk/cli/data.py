@@ -1,4 +1,4 @@
-"""`deitalk data`: check a dataset folder, or make one of measured lips."""
+"""`deitalk data`: make a dataset folder of captured takes or of measured lips, and check it."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,18 +7,111 @@ import typer
 
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import Force, Most
+from deitalk.cli.options import Force, Json, Most
 from deitalk.cli.paths import reserve_folder
 from rig.errors import as_line
 
 app = CheckedCommands(
-    help="Check a dataset folder, or make one of measured lips.", no_args_is_help=True
+    help="Make a dataset folder of captured takes or measured lips, and check it.",
+    no_args_is_help=True,
 )
 
 
 @app.callback()
 def _group() -> None:
-    """Check a dataset folder, or make one of measured lips."""
+    """Make a dataset folder of captured takes or measured lips, and check it."""
+
+
+@app.command("import")
+def import_(
+    sources: Annotated[
+        list[Path], typer.Argument(help="Files of captured curves, or folders of takes.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder.")],
+    actor: Annotated[str | None, typer.Option(help="Actor of all takes.")] = None,
+    emotion: Annotated[
+        str | None, typer.Option("--emotion", "-e", help="Emotion of all takes.")
+    ] = None,
+    style: Annotated[str | None, typer.Option(help="Style of all takes, any word.")] = None,
+    pattern: Annotated[
+        str | None,
+        typer.Option(
+            help="Regular expression on a take's path, with groups (?P<actor>…), (?P<emotion>…) "
+            "or (?P<style>…)."
+        ),
+    ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV with a column take, and any of actor, emotion, style, voice, split."
+        ),
+    ] = None,
+    mapping: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            "--mapping",
+            help="Curves of another rig: CSV of target, source, weight, offset.",
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second of files that hold no rate.")
+    ] = None,
+    audio: Annotated[
+        list[Path] | None, typer.Option(help="Folder of recordings that lie elsewhere; repeatable.")
+    ] = None,
+    longest: Annotated[float, typer.Option(help="Longest clip, seconds.")] = 15.0,
+    keep_listening: Annotated[
+        bool, typer.Option("--keep-listening", help="Keep pauses of more than 1.5 s.")
+    ] = False,
+    split_by: Annotated[
+        str, typer.Option(help="actor, time, or auto: actors if there are three or more.")
+    ] = "auto",
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Write a dataset folder of captured takes: iPhone, MetaHuman Animator, Audio2Face, any rig.
+
+    Live Link Face takes are read as the app leaves them (CSV beside .mov). Takes are cut in pauses
+    into clips; every clip lists the controls that its source can know. Sources, labels and faults:
+    docs/finetuning.md.
+
+    Examples
+    --------
+    deitalk data import takes/ --actor anna -o anna_data/
+
+    deitalk data import takes/ --pattern "(?P<actor>[a-z]+)_(?P<emotion>[a-z]+)" -o data/
+
+    deitalk data import mocap/ --map my_rig.csv --fps 30 -o data/
+    """
+    folders = tuple(audio or ())
+    reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
+    with console().status("loading"):
+        from deitalk.data.captures.imported import import_captures
+        from deitalk.data.captures.labels import Labelling
+
+    with bar("importing") as progress:
+        result = import_captures(
+            sources,
+            out,
+            labels=Labelling(actor, emotion, style, pattern, table),
+            mapping=mapping,
+            fps=fps,
+            audio=folders,
+            longest=longest,
+            keep_listening=keep_listening,
+            split_by=split_by,
+            force=force,
+            progress=progress,
+        )
+    if as_json:
+        emit_json(result.as_dict(), indent=1)
+    else:
+        for line in result.lines():
+            emit(as_line(line))
+        emit(as_line(f"{out}: {result.summary}"))
+    for warning in result.warnings:
+        console().note(warning)
 
 
 @app.command()

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -22,6 +23,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.captures.splits import APART_SECONDS
 from deitalk.data.clips import (
     SPLITS,
     Clip,
@@ -204,21 +206,45 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     splits = Counter(clip.split for clip in clips)
     counts = ", ".join(f"{splits[s]} {s}" for s in SPLITS)
     missing = [f"no {s} clips" for s in SPLITS if not splits[s]]
-    homes: dict[str, set[str]] = {}
-    for clip in clips:
-        homes.setdefault(clip.speaker, set()).add(clip.split)
-    leaking = [f"{who} ({', '.join(sorted(at))})" for who, at in homes.items() if len(at) > 1]
     emotions = Counter(clip.emotion for clip in clips if clip.split == "train")
     total = max(sum(emotions.values()), 1)
     rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
     shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
     return [
         _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})"),
-        _verdict(
-            "speakers", "error", leaking, f"{len(homes)}, each in one split", "in several splits"
-        ),
+        _speakers(clips),
         _verdict("emotions", "warning", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
     ]
+
+
+def _speakers(clips: Sequence[Clip]) -> Check:
+    """Speakers in several splits: an error, a warning where their takes or blocks are apart."""
+    homes: dict[str, set[str]] = {}
+    for clip in clips:
+        homes.setdefault(clip.speaker, set()).add(clip.split)
+    mixed = {who: f"{who} ({', '.join(sorted(at))})" for who, at in homes.items() if len(at) > 1}
+    well = f"{len(homes)}, each in one split"
+    close = [who for who in mixed if not are_apart([c for c in clips if c.speaker == who])]
+    if close:
+        return _verdict("speakers", "error", [mixed[w] for w in close], well, "in several splits")
+    apart = "in several splits, in takes or blocks that are apart: scores hold for them only"
+    return _verdict("speakers", "warning", list(mixed.values()), well, apart)
+
+
+def are_apart(clips: Sequence[Clip]) -> bool:
+    """Whether clips in different splits are of different takes, or `APART_SECONDS` apart."""
+    takes: dict[str, list[Clip]] = {}
+    for clip in clips:
+        takes.setdefault(clip.take, []).append(clip)
+    if "" in takes:
+        return False
+    for own in takes.values():
+        own.sort(key=lambda clip: clip.span)
+        for clip, following in pairwise(own):
+            near = following.span[0] - clip.span[1] < APART_SECONDS
+            if clip.split != following.split and near:
+                return False
+    return True
 
 
 def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check]:

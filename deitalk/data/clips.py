@@ -3,7 +3,8 @@
 ::
 
     clips.csv             clip, audio, curves, emotion, speaker, split[, voice, source, offset_s,
-                          phones, intensity, known, transcript, language, age]
+                          phones, intensity, known, take, start_s, stop_s, style, transcript,
+                          language, age]
     audio/<name>.flac     any file `deitalk.audio.load.load_audio` reads
     curves/<clip>.npz     any file `rig.read_curves` reads, at any rate
     phones/<name>.csv     start, end, phone (seconds)             optional
@@ -57,6 +58,10 @@ class Clip:
     intensity: Path | None
     known: Path | None = None
     """Names of the controls that the curves hold; None: all of them."""
+    take: str = ""
+    """Take that the clip was cut from; empty: not stated."""
+    span: tuple[float, float] = (0.0, 0.0)
+    """Start and stop in the take, seconds."""
 
 
 def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
@@ -122,22 +127,24 @@ def _clip(folder: Path, row: dict[str, str]) -> Clip:
         split=row["split"],
         voice=row.get("voice") or row["emotion"],
         source=row.get("source") or "recording",
-        offset_seconds=_offset(folder, row),
+        offset_seconds=_seconds(folder, row, "offset_s"),
         phones=_inside(folder, row["phones"]) if row.get("phones") else None,
         intensity=_inside(folder, row["intensity"]) if row.get("intensity") else None,
         known=_inside(folder, row["known"]) if row.get("known") else None,
+        take=row.get("take") or "",
+        span=(_seconds(folder, row, "start_s"), _seconds(folder, row, "stop_s")),
     )
 
 
-def _offset(folder: Path, row: dict[str, str]) -> float:
-    text = row.get("offset_s") or "0"
+def _seconds(folder: Path, row: dict[str, str], column: str) -> float:
+    text = row.get(column) or "0"
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
     if not abs(value) <= MAX_OFFSET_SECONDS:
         raise DataError(
-            f"{folder}/clips.csv: offset_s {text!r} of clip {row['clip']!r} must be a number of "
+            f"{folder}/clips.csv: {column} {text!r} of clip {row['clip']!r} must be a number of "
             f"seconds within ±{MAX_OFFSET_SECONDS:g}"
         )
     return value

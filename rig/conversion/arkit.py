@@ -14,7 +14,7 @@ JawOpen: lips meet and do not cross.
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -88,10 +88,19 @@ def udp_order() -> NDArray[np.intp]:
     return np.argsort([int(row["udp_index"]) for row in _table()])
 
 
-def arkit_to_raw(curves: RigCurves) -> RigCurves:
+def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     """Convert ARKit shapes to raw curves as Unreal does: sum of poses, clamped to [0, 1].
 
     Head and eye rotations move no raw curve (the look shapes carry the gaze) and are left out.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        ARKit shapes.
+    least_jaw : float [range 0 to 1]
+        JawOpen at which lips-together is half of MouthClose / JawOpen. A closed mouth has both
+        near 0, and their ratio is then noise: 1 or more in 60 % of the frames of a face at rest.
+        With 0, Unreal's rule.
 
     Raises
     ------
@@ -104,10 +113,20 @@ def arkit_to_raw(curves: RigCurves) -> RigCurves:
     raw = raw_controls()
     values = shapes.values @ _poses() + raw.rest
     jaw = shapes["JawOpen"]
-    ratio = np.where(jaw > SMALLEST_JAW, shapes["MouthClose"] / np.maximum(jaw, SMALLEST_JAW), 0)
+    held = np.maximum(jaw, SMALLEST_JAW)
+    ratio = np.where(jaw > SMALLEST_JAW, shapes["MouthClose"] * held / (held**2 + least_jaw**2), 0)
     values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
     values = np.clip(values, 0, 1)
     return replace(shapes, values=values, names=raw.names, control_set=RAW_ID)
+
+
+def raw_curves_of_shapes(names: Iterable[str]) -> set[str]:
+    """Return the raw curves that some shapes move; lips-together needs MouthClose and JawOpen."""
+    arkit, raw = arkit_controls(), raw_controls()
+    shapes = set(names)
+    moved = (_poses()[arkit.indices(shapes)] != 0).any(axis=0)
+    together = LIPS_TOGETHER if {"MouthClose", "JawOpen"} <= shapes else ()
+    return {raw.names[i] for i in np.flatnonzero(moved)} | set(together)
 
 
 def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = None) -> ArkitFit:

@@ -12,6 +12,7 @@ them. ``noseWrinkleUpper`` rests at 1 here as on the board.
 """
 
 import csv
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from importlib import resources
@@ -104,6 +105,16 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
     for driver, (columns, inputs, outputs) in _paths().items():
         values[:, board.index(driver)] = _nearest(raw.values[:, columns], inputs, outputs)
     return replace(raw, values=values, names=board.names, control_set=DEFAULT_ID)
+
+
+def board_of_raw_curves(names: Iterable[str]) -> set[str]:
+    """Return the board channels that move at least one of some raw curves."""
+    raw, wanted = raw_controls(), set(names)
+    return {
+        driver
+        for driver, (columns, _, _) in _paths().items()
+        if any(raw.names[i] in wanted for i in columns)
+    }
 
 
 def _driver(board: RigCurves, name: str) -> Float32:

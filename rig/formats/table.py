@@ -156,8 +156,9 @@ FORMATS: tuple[Format, ...] = (
         "unreal",
         (".unreal.json",),
         "raw curves and board keys for the script inside Unreal",
-        write=unreal_json.write,
-        control_set=DEFAULT_ID,
+        unreal_json.read,
+        unreal_json.write,
+        DEFAULT_ID,
     ),
     Format(
         "visemes",

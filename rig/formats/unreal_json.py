@@ -2,20 +2,27 @@
 
 The script has neither numpy nor rig, so the file holds both raw curves for an AnimSequence and
 board controls, float or Vector2D, for a Level Sequence. A curve that never moves is one number.
+
+The script's exports hold what the asset has: raw curves of an AnimSequence or board controls of a
+Level Sequence, and the name of its sound as ``audio``.
 """
 
 import json
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rig.arrays import Float32
-from rig.controls import default_controls
-from rig.conversion.raw import board_to_raw
+from rig.controls import DEFAULT_ID, ControlSet, default_controls
+from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import RigCurves
+from rig.errors import CurveError, FormatError, quoted
+from rig.files.reading import check_expansion, read_json
 from rig.formats.decimal_text import Block, rows
+from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
 
 SCHEMA = "deitalk.unreal/1"
 DECIMALS = 6
@@ -46,6 +53,75 @@ def write(path: Path, curves: RigCurves) -> None:
                 stream.writelines(_values(curves[name]))
             stream.write(b"}")
         stream.write(b"\n}}\n")
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read board controls, or raw curves if there are none; those that are absent rest."""
+    curves, _ = read_present(path)
+    if fps is not None:
+        curves = RigCurves(curves.values, curves.names, fps, control_set=curves.control_set)
+    return curves.reorder(
+        default_controls() if curves.control_set == DEFAULT_ID else raw_controls()
+    )
+
+
+def read_present(path: Path) -> tuple[RigCurves, str]:
+    """Read the board controls or raw curves that a file has, and the name of its sound.
+
+    Raises
+    ------
+    FormatError
+        If it is of another schema, has no curves, or a curve is unknown or of another length.
+    """
+    data = read_json(path, JSON_CURVES_BYTES)
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise FormatError(f"{path} is not of schema {SCHEMA}")
+    board, raw = (data.get(key) or {} for key in ("board", "raw"))
+    if not isinstance(board, dict) or not isinstance(raw, dict) or not (board or raw):
+        raise FormatError(f"{path} holds no curves; export an asset that has some")
+    columns = _board_columns(path, board) if board else dict(raw)
+    known = default_controls() if board else raw_controls()
+    names = known.resolve(list(columns))
+    n_frames, rate = _length_and_rate(path, data, len(names))
+    values = np.empty((n_frames, len(names)), np.float32)
+    for place, (name, numbers) in enumerate(columns.items()):
+        if isinstance(numbers, list) and len(numbers) != n_frames:
+            raise FormatError(f"{path}: {name} has {len(numbers)} values, not {n_frames}")
+        try:
+            values[:, place] = numbers
+        except (TypeError, ValueError, OverflowError):
+            raise FormatError(f"{path}: {name} is no list of numbers") from None
+    try:
+        curves = RigCurves(values, names, rate, control_set=DEFAULT_ID if board else RAW_ID)
+    except CurveError as error:
+        raise FormatError(f"{path}: {error}") from error
+    return curves, str(data.get("audio") or "")
+
+
+def _board_columns(path: Path, board: dict[str, Any]) -> dict[str, Any]:
+    """Values by channel of the board."""
+    channels = {
+        (control, axis): name
+        for control, axes in _by_control().items()
+        for axis, name in axes.items()
+    }
+    columns = {}
+    for control, axes in board.items():
+        for axis, numbers in axes.items() if isinstance(axes, dict) else ():
+            if (control, axis) not in channels:
+                raise FormatError(f"{path}: {quoted(control)} has no channel {quoted(axis)}")
+            columns[channels[control, axis]] = numbers
+    return columns
+
+
+def _length_and_rate(path: Path, data: dict[str, Any], n_curves: int) -> tuple[int, float]:
+    n_frames, rate = data.get("n_frames"), data.get("frame_rate")
+    if not isinstance(n_frames, int) or not 1 <= n_frames <= FRAMES or n_curves > CONTROLS:
+        raise FormatError(f"{path}: n_frames is {quoted(n_frames)}; must be 1 to {FRAMES}")
+    if not isinstance(rate, list) or [type(part) for part in rate] != [int, int] or min(rate) < 1:
+        raise FormatError(f"{path}: frame_rate is {quoted(rate)}; must be two whole numbers")
+    check_expansion(4 * n_frames * n_curves, path.stat().st_size, path, error=FormatError)
+    return n_frames, rate[0] / rate[1]
 
 
 def _by_control() -> dict[str, dict[str, str]]:

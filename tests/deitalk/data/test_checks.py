@@ -175,3 +175,23 @@ def test_command_prints_a_table_or_json_and_fails_on_errors(folder):
 def test_check_rejects_a_folder_that_is_no_dataset(tmp_path):
     with pytest.raises(DataError, match=r"holds no clips\.csv"):
         check_dataset(tmp_path)
+
+
+def two_splits(folder: Path, gap: float) -> None:
+    for row, split in ((0, "train"), (1, "test")):
+        start = row * (3 + gap)
+        values = {"speaker": "anna", "split": split, "take": "t1", "start_s": start,
+                  "stop_s": start + 3}  # fmt: skip
+        for column, value in values.items():
+            edit(folder, column, row, str(value))
+
+
+def test_blocks_of_one_speaker_that_are_apart_are_a_warning(folder):
+    two_splits(folder, gap=6.0)
+    level, text = checks(folder)["speakers"]
+    assert level == "warning" and "anna (test, train)" in text and "apart" in text
+
+
+def test_neighbours_of_one_speaker_in_two_splits_are_an_error(folder):
+    two_splits(folder, gap=1.0)
+    assert checks(folder)["speakers"][0] == "error"

@@ -188,3 +188,13 @@ def test_conversion_rejects_other_control_sets():
         arkit_to_raw(raw())
     with pytest.raises(ControlError, match="raw curves are"):
         raw_to_arkit(arkit())
+
+
+def test_least_jaw_halves_contact_at_that_jaw_and_frees_a_resting_face():
+    names = ("JawOpen", "MouthClose")
+    pairs = np.array([[0.03, 0.03], [0.01, 0.012], [0.3, 0.3], [0.3, 0.15]], np.float32)
+    shapes = RigCurves(pairs, names, control_set=ARKIT_ID).reorder(ARKIT)
+    held = arkit_to_raw(shapes, least_jaw=0.03)[LIPS_TOGETHER[0]]
+    # MouthClose * jaw / (jaw^2 + least^2)
+    np.testing.assert_allclose(held, [0.5, 0.12, 0.09 / 0.0909, 0.045 / 0.0909], rtol=1e-5)
+    np.testing.assert_allclose(arkit_to_raw(shapes)[LIPS_TOGETHER[0]], [1, 1, 1, 0.5], rtol=1e-6)

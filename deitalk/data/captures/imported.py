@@ -1,0 +1,307 @@
+"""Captured takes to a dataset folder (docs/dataset.md), whole or not at all."""
+
+import csv
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.load import Recording, load_audio
+from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.captures.labels import Labelling, Labels
+from deitalk.data.captures.mapping import Mapping, read_mapping
+from deitalk.data.captures.reports import (
+    TAKE_HEADER,
+    Imported,
+    TakeReport,
+    row_of,
+    skipped_files,
+    warnings_of,
+)
+from deitalk.data.captures.segments import LONGEST_SECONDS, Span, cut_at_silences
+from deitalk.data.captures.sources import Source, find_sound, find_takes
+from deitalk.data.captures.splits import Piece, divide
+from deitalk.data.captures.take import CapturedCurves, read_capture
+from deitalk.errors import DataError
+from rig import default_controls, write_curves
+from rig.errors import UserError
+from rig.files import output_folder
+
+HEADER = (
+    "clip", "audio", "curves", "emotion", "speaker", "split", "voice", "source", "offset_s",
+    "known", "style", "take", "start_s", "stop_s",
+)  # fmt: skip
+LENGTH_SECONDS = 0.1
+"""Difference of curves and sound that is reported."""
+LEAST_SECONDS = 0.5
+VOICED_FRAMES = 60
+Progress = Callable[[float], None]
+
+
+def import_captures(
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    labels: Labelling = Labelling(),
+    mapping: Path | None = None,
+    fps: float | None = None,
+    audio: Sequence[Path] = (),
+    longest: float = LONGEST_SECONDS,
+    keep_listening: bool = False,
+    split_by: str = "auto",
+    force: bool = False,
+    progress: Progress = lambda share: None,
+) -> Imported:
+    """Write a dataset folder of captured takes.
+
+    Every take is read, converted to the board, cut in silences into clips, and labelled; `known`
+    of a clip lists the channels that its source can know.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files of curves, or folders of them, with the recordings beside.
+    out : Path
+        Dataset folder.
+    labels : Labelling
+        Actor, emotion and style of the takes.
+    mapping : Path or None
+        Table of another rig's curves (`deitalk.data.captures.mapping`).
+    fps : float or None
+        Rate of files that hold none.
+    audio : sequence of Path
+        Folders of recordings that lie elsewhere.
+    longest : float
+        Most seconds of a clip.
+    keep_listening : bool
+        Keep long pauses.
+    split_by : {"auto", "actor", "time"}
+        See `deitalk.data.captures.splits.divide`.
+    force : bool
+        Replace a dataset folder that deitalk wrote.
+    progress : callable
+        Given the share done.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    DataError
+        If there are no takes, or some cannot be read: the first ones are named with the reason.
+    rig.errors.TargetError, rig.errors.ExistsError
+        If `out` may not be written.
+    """
+    if not 2.0 <= longest <= 60.0:
+        raise DataError(f"`longest={longest:g}` must be from 2 to 60 seconds", parameter="longest")
+    table = None if mapping is None else read_mapping(mapping)
+    takes, skipped = find_takes(sources, table)
+    faults = []
+    with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
+        writer = _Writer(stage, longest, keep_listening)
+        for done, source in enumerate(takes):
+            try:
+                capture, sound = _read(source, takes, table, fps, audio)
+                writer.take(source, labels.of(source), capture, sound)
+            except UserError as error:
+                faults.append(error)
+            progress((done + 1) / len(takes))
+        if faults:
+            raise _fault(faults, len(takes))
+        splits = writer.finish(split_by)
+    return Imported(
+        len(writer.rows),
+        writer.seconds,
+        tuple(writer.reports),
+        dict(splits),
+        writer.left_out,
+        (*skipped_files(skipped), *warnings_of(writer.reports)),
+    )
+
+
+def _read(
+    source: Source,
+    takes: Sequence[Source],
+    mapping: Mapping | None,
+    fps: float | None,
+    audio: Sequence[Path],
+) -> tuple[CapturedCurves, Recording]:
+    capture = read_capture(source.curves, mapping=mapping, fps=fps)
+    return capture, load_audio(find_sound(source, capture.audio, audio, takes))
+
+
+def _fault(faults: Sequence[UserError], n_takes: int) -> DataError:
+    """One error for all takes that cannot be read, the first one in full."""
+    first = faults[0]
+    if len(faults) == 1:
+        return DataError(str(first), parameter=first.parameter)
+    return DataError(
+        f"{len(faults)} of {n_takes} takes cannot be read, nothing was written; the first: {first}",
+        parameter=first.parameter,
+    )
+
+
+@dataclass
+class _Writer:
+    """Writes clips into a stage and keeps their rows."""
+
+    stage: Path
+    longest: float
+    keep_listening: bool
+    rows: list[dict[str, str]] = field(default_factory=list)
+    pieces: list[Piece] = field(default_factory=list)
+    reports: list[TakeReport] = field(default_factory=list)
+    lists: dict[tuple[str, ...], str] = field(default_factory=dict)
+    """Known channels to the file that lists them."""
+    names: Counter[str] = field(default_factory=Counter)
+    left_out: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """Of all clips."""
+        return sum(piece.stop - piece.start for piece in self.pieces)
+
+    def take(
+        self, source: Source, labels: Labels, capture: CapturedCurves, sound: Recording
+    ) -> None:
+        """Cut a take and write its clips."""
+        curves = capture.curves
+        seconds = min(sound.duration, curves.duration)
+        if seconds < LEAST_SECONDS:
+            raise DataError(
+                f"{source.curves}: {curves.duration:.2f} s of curves and {sound.duration:.2f} s of "
+                f"sound; both must last {LEAST_SECONDS:g} s"
+            )
+        speaking = speech_activity(sound.waveform)
+        prosody = measure_prosody(sound.waveform, len(speaking))
+        spans = cut_at_silences(
+            speaking, prosody.level, seconds, longest=self.longest,
+            keep_listening=self.keep_listening,
+        )  # fmt: skip
+        name = self._name(source)
+        for number, span in enumerate(spans, 1):
+            self._clip(name, f"{name}_{number:03d}", span, labels, capture, sound)
+        voiced = prosody.pitch[prosody.voiced]
+        self.reports.append(
+            TakeReport(
+                name,
+                capture.kind,
+                labels.actor,
+                labels.emotion,
+                curves.fps,
+                seconds,
+                float(speaking.sum()) / FRAME_RATE,
+                len(spans),
+                float(np.median(voiced)) if len(voiced) >= VOICED_FRAMES else float("nan"),
+                (*capture.notes, *_notes(labels, capture, sound, spans)),
+            )
+        )
+
+    def _name(self, source: Source) -> str:
+        """Name of a take: that of its file, numbered where several have it."""
+        name = "".join(c if c.isalnum() or c in "-_" else "-" for c in source.stem) or "take"
+        self.names[name.lower()] += 1
+        count = self.names[name.lower()]
+        return name if count == 1 else f"{name}-{count}"
+
+    def _clip(
+        self,
+        take: str,
+        name: str,
+        span: Span,
+        labels: Labels,
+        capture: CapturedCurves,
+        sound: Recording,
+    ) -> None:
+        """Write one clip; it starts with a frame of the curves."""
+        curves = capture.curves
+        first = int(np.floor(span[0] * curves.fps + 1e-6))
+        last = min(int(np.ceil(span[1] * curves.fps - 1e-6)), len(curves))
+        start, stop = first / curves.fps, last / curves.fps
+        samples = sound.waveform[round(start * SAMPLE_RATE) : round(stop * SAMPLE_RATE)]
+        audio, target = f"audio/{name}.flac", f"curves/{name}.npz"
+        for path in (audio, target):
+            (self.stage / path).parent.mkdir(parents=True, exist_ok=True)
+        peak = max(float(np.abs(samples).max(initial=0)), 1.0)
+        soundfile.write(self.stage / audio, samples / peak, SAMPLE_RATE, subtype="PCM_16")
+        write_curves(self.stage / target, curves.slice_frames(first, last))
+        self.pieces.append(Piece(labels.actor, labels.emotion, take, start, stop, labels.split))
+        self.rows.append(
+            {
+                "clip": name,
+                "audio": audio,
+                "curves": target,
+                "emotion": labels.emotion,
+                "speaker": labels.actor,
+                "voice": labels.voice,
+                "source": "recording",
+                "offset_s": "0",
+                "known": self._known(capture),
+                "style": labels.style,
+                "take": take,
+                "start_s": f"{start:.4f}",
+                "stop_s": f"{stop:.4f}",
+            }
+        )
+
+    def _known(self, capture: CapturedCurves) -> str:
+        """Path of the list of known channels; empty where all are."""
+        if len(capture.known) == len(default_controls()):
+            return ""
+        if capture.known not in self.lists:
+            count = sum(path.startswith(f"known/{capture.kind}") for path in self.lists.values())
+            path = f"known/{capture.kind}{f'-{count + 1}' if count else ''}.txt"
+            (self.stage / "known").mkdir(exist_ok=True)
+            (self.stage / path).write_text("\n".join(capture.known) + "\n", encoding="utf-8")
+            self.lists[capture.known] = path
+        return self.lists[capture.known]
+
+    def finish(self, split_by: str) -> Counter[str]:
+        """Choose the splits, remove clips between them, write the tables."""
+        if not self.rows:
+            raise DataError(
+                "the takes hold no speech; `keep_listening=True` keeps silence too",
+                parameter="keep_listening",
+            )
+        splits = divide(self.pieces, split_by)
+        kept = []
+        for row, split in zip(self.rows, splits, strict=True):
+            if split:
+                kept.append(row | {"split": split})
+            else:
+                (self.stage / row["audio"]).unlink()
+                (self.stage / row["curves"]).unlink()
+        self.left_out = len(self.rows) - len(kept)
+        self.pieces = [p for p, split in zip(self.pieces, splits, strict=True) if split]
+        self.rows = kept
+        _write_table(self.stage / "clips.csv", HEADER, kept)
+        _write_table(self.stage / "takes.csv", TAKE_HEADER, [row_of(r) for r in self.reports])
+        return Counter(row["split"] for row in kept)
+
+
+def _write_table(path: Path, header: Sequence[str], rows: Sequence[dict[str, str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, header, lineterminator="\n", restval="")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _notes(
+    labels: Labels, capture: CapturedCurves, sound: Recording, spans: Sequence[Span]
+) -> list[str]:
+    notes = [f"sound: {text}" for text in sound.warnings]
+    difference = capture.curves.duration - sound.duration
+    if abs(difference) > LENGTH_SECONDS:
+        longer, shorter = ("curves", "sound") if difference > 0 else ("sound", "curves")
+        notes.append(f"{longer} {abs(difference):.2f} s longer than {shorter}, cut")
+    if not spans:
+        notes.append("no speech, left out")
+    if not labels.is_emotion_given:
+        notes.append("no emotion given, taken as neutral")
+    return notes

@@ -1,0 +1,187 @@
+"""Files and folders to takes: a file of curves, and the recording beside it.
+
+A Live Link Face take is a folder as the app leaves it: ``<Slate>_<Take>_<Device>.csv`` beside a
+``.mov`` of the same name. Of a calibrated take the ``_cal`` file is read, not ``_raw``; the
+``_neutral`` file, ``frame_log.csv`` and the app's JSON files are no takes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from deitalk.data.captures.mapping import Mapping
+from deitalk.data.captures.take import kind_of
+from deitalk.errors import DataError
+from rig.errors import UserError
+from rig.formats.wide_csv import read_header
+
+CURVES = (".csv", ".json", ".npz", ".txt")
+SOUNDS = (
+    ".wav", ".flac", ".mov", ".mp4", ".m4a", ".mp3", ".ogg", ".opus", ".aac", ".webm", ".mkv",
+    ".aif", ".aiff", ".wma",
+)  # fmt: skip
+"""Recordings and videos with sound, the best kind first."""
+SIDE_FILES = (
+    "frame_log.csv", "take.json", "video_metadata.json", "audio_metadata.json",
+    "depth_metadata.json", "thumbnail.json", "clips.csv", "intensity.csv", "map.csv",
+)  # fmt: skip
+VARIANTS = ("_cal", "", "_raw")
+"""Ends of the names of one take's files, the one to read first."""
+SOUND_FOLDERS = ("audio", "sound", "sounds", "wav", "video")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One take: its curves, and its place below the given file or folder."""
+
+    curves: Path
+    place: str
+    """Path below the given folder without suffix, with ``/``; labels are taken from it."""
+
+    @property
+    def stem(self) -> str:
+        """Name of the take without variant."""
+        return _stem(self.curves)
+
+
+def find_takes(
+    sources: Sequence[Path], mapping: Mapping | None = None
+) -> tuple[list[Source], list[Path]]:
+    """Find the takes of files and folders.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files of curves, or folders that are searched to any depth.
+    mapping : Mapping or None
+        With it tables with its columns are the takes.
+
+    Returns
+    -------
+    takes : list of Source
+        In order of their paths.
+    skipped : list of Path
+        Files of a folder that could be curves and are none.
+
+    Raises
+    ------
+    DataError
+        If a source does not exist or holds no takes.
+    """
+    takes: list[Source] = []
+    skipped: list[Path] = []
+    for source in sources:
+        if not source.exists():
+            raise DataError(f"{source} does not exist; name a file or a folder of takes")
+        if source.is_file():
+            takes.append(Source(source, _place(source, source.absolute().parent.parent)))
+            continue
+        files = [p for p in sorted(source.rglob("*")) if _may_hold_curves(p, source)]
+        curves = [p for p in files if _holds_curves(p, mapping)]
+        skipped += [p for p in files if p not in set(curves)]
+        chosen = _one_a_take(curves)
+        if not chosen:
+            raise DataError(
+                f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves"
+            )
+        takes += [Source(path, _place(path, source.parent)) for path in chosen]
+    return list(dict.fromkeys(takes)), skipped
+
+
+def find_sound(
+    source: Source, named: str, folders: Sequence[Path], takes: Sequence[Source]
+) -> Path:
+    """Find the recording of a take.
+
+    Parameters
+    ----------
+    source : Source
+        The take.
+    named : str
+        Name of the recording that the file of curves holds; may be empty.
+    folders : sequence of Path
+        Folders of recordings, searched to any depth.
+    takes : sequence of Source
+        All takes: a folder with one take and one recording needs no equal names.
+
+    Raises
+    ------
+    DataError
+        If there is none.
+    """
+    beside = source.curves.parent
+    places = [
+        beside,
+        *(beside / n for n in SOUND_FOLDERS),
+        *(beside.parent / n for n in SOUND_FOLDERS),
+    ]
+    near = [p for place in places for p in _sounds(place)]
+    far = [p for folder in folders for p in _sounds(folder, deep=True)]
+    stems = {source.stem.lower(), source.curves.name.split(".")[0].lower()}
+    if named:
+        stems = {Path(named.replace("\\", "/")).stem.lower(), *stems}
+    for group in (far, near):
+        found = [p for p in group if _stem(p).lower() in stems or p.stem.lower() in stems]
+        if found:
+            return min(found, key=lambda p: SOUNDS.index(p.suffix.lower()))
+    alone = [take for take in takes if take.curves.parent == beside]
+    own = _sounds(beside)
+    if len(alone) == 1 and len(own) == 1:
+        return own[0]
+    wanted = f"{source.stem}.wav, .mov or .mp4"
+    raise DataError(
+        f"{source.curves}: no audio beside the take; lay {wanted} there or give `audio`, a folder",
+        parameter="audio",
+    )
+
+
+def _sounds(folder: Path, *, deep: bool = False) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    paths = folder.rglob("*") if deep else folder.iterdir()
+    return sorted(p for p in paths if p.suffix.lower() in SOUNDS and p.is_file())
+
+
+def _may_hold_curves(path: Path, top: Path) -> bool:
+    hidden = any(part.startswith(".") for part in path.relative_to(top).parts)
+    known = path.suffix.lower() in CURVES and path.name.lower() not in SIDE_FILES
+    return known and not hidden and not path.stem.endswith("_neutral") and path.is_file()
+
+
+def _holds_curves(path: Path, mapping: Mapping | None) -> bool:
+    try:
+        if mapping is not None:
+            is_csv = path.suffix.lower() == ".csv"
+            return not is_csv or bool(mapping.sources & set(read_header(path)))
+        return kind_of(path) is not None
+    except UserError:
+        return True  # its error is reported with the take
+
+
+def _one_a_take(paths: Sequence[Path]) -> list[Path]:
+    """One file of each take: the best variant, and of equal names the exact format."""
+    best: dict[tuple[Path, str], Path] = {}
+
+    def rank(path: Path) -> tuple[int, int]:
+        ending = path.stem[len(_stem(path)) :]
+        formats = (".npz", ".json", ".csv", ".txt")
+        return VARIANTS.index(ending), formats.index(path.suffix.lower())
+
+    for path in paths:
+        key = (path.parent, _stem(path).split(".")[0])
+        if key not in best or rank(path) < rank(best[key]):
+            best[key] = path
+    return sorted(best.values())
+
+
+def _stem(path: Path) -> str:
+    for variant in VARIANTS:
+        if variant and path.stem.endswith(variant):
+            return path.stem.removesuffix(variant)
+    return path.stem
+
+
+def _place(path: Path, top: Path) -> str:
+    path = path.absolute()
+    inside = path.relative_to(top.absolute()) if path.is_relative_to(top.absolute()) else path
+    return inside.with_suffix("").as_posix()

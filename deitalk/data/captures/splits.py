@@ -1,0 +1,142 @@
+"""Train, validation and test: whole actors where there are three, else whole takes or blocks.
+
+Clips of one take in different splits are at least `APART_SECONDS` apart: neighbours share a
+sentence, and a model would be tested on what it was trained on. Clips in between are left out.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deitalk.errors import DataError
+
+TRAIN, VALIDATION, TEST = "train", "validation", "test"
+LEFT_OUT = ""
+APART_SECONDS = 5.0
+"""Longer than a training window of 128 frames."""
+SHARE = 1 / 8
+"""Of validation, and of test."""
+LEAST_TAKES = 4
+"""Takes of an actor in one emotion from which on whole takes are divided."""
+BLOCK_SECONDS = 90.0
+"""Material of an actor in one emotion from which on it gives blocks to all splits."""
+WAYS = ("auto", "actor", "time")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What the division needs of a clip."""
+
+    actor: str
+    emotion: str
+    take: str
+    start: float
+    stop: float
+    split: str = ""
+    """Given by the user; empty: to be chosen."""
+
+
+def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
+    """Return the split of every clip; an empty one is left out.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        All clips.
+    way : {"auto", "actor", "time"}
+        Whole actors; takes and blocks of time of every actor; by default actors from three on.
+
+    Raises
+    ------
+    DataError
+        If whole actors are wanted of fewer than three.
+    """
+    if way not in WAYS:
+        raise DataError(f"`split_by={way}` must be one of {', '.join(WAYS)}", parameter="split_by")
+    minutes: dict[str, float] = defaultdict(float)
+    for piece in pieces:
+        minutes[piece.actor] += (piece.stop - piece.start) / 60
+    if way == "actor" and len(minutes) < 3:
+        raise DataError(
+            f"`split_by=actor` needs three actors; here are {len(minutes)}: use time",
+            parameter="split_by",
+        )
+    if any(piece.split for piece in pieces):
+        return [piece.split or TRAIN for piece in pieces]
+    if way != "time" and len(minutes) >= 3:
+        homes = _actors(minutes)
+        return [homes[piece.actor] for piece in pieces]
+    return _apart(pieces, _blocks(pieces))
+
+
+def _actors(minutes: dict[str, float]) -> dict[str, str]:
+    """Actors by split: those with least material are tested on, about an eighth each."""
+    count = max(1, round(SHARE * len(minutes)))
+    order = sorted(minutes, key=lambda name: (minutes[name], name))
+    homes = dict.fromkeys(order, TRAIN)
+    homes.update(dict.fromkeys(order[:count], VALIDATION))
+    homes.update(dict.fromkeys(order[count : 2 * count], TEST))
+    return homes
+
+
+def _blocks(pieces: Sequence[Piece]) -> list[str]:
+    """Takes or blocks of time of every actor in every emotion."""
+    splits = [TRAIN] * len(pieces)
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for place, piece in enumerate(pieces):
+        groups[piece.actor, piece.emotion].append(place)
+    for places in groups.values():
+        _divide_group(pieces, places, splits, BLOCK_SECONDS)
+    for actor in {piece.actor for piece in pieces}:  # of little material in each emotion
+        places = [i for i, piece in enumerate(pieces) if piece.actor == actor]
+        if all(splits[i] == TRAIN for i in places):
+            _divide_group(pieces, places, splits, 0.0)
+    return splits
+
+
+def _divide_group(
+    pieces: Sequence[Piece], places: Sequence[int], splits: list[str], least: float
+) -> None:
+    """Give some of a group's clips to validation and test."""
+    order = sorted(places, key=lambda i: (pieces[i].take, pieces[i].start))
+    takes = list(dict.fromkeys(pieces[i].take for i in order))
+    if len(takes) >= LEAST_TAKES:
+        count = max(1, round(SHARE * len(takes)))
+        chosen = dict.fromkeys(takes[-2 * count : -count], VALIDATION)
+        chosen |= dict.fromkeys(takes[-count:], TEST)
+        for i in order:
+            splits[i] = chosen.get(pieces[i].take, TRAIN)
+        return
+    total = sum(pieces[i].stop - pieces[i].start for i in order)
+    if total < least or len(order) < 3:
+        return
+    done = 0.0
+    for i in order:
+        length = pieces[i].stop - pieces[i].start
+        middle = (done + length / 2) / total
+        done += length
+        if middle >= 1 - 2 * SHARE:
+            splits[i] = TEST if middle >= 1 - SHARE else VALIDATION
+    splits[order[-1]] = TEST  # of a few long clips
+    if all(splits[i] != VALIDATION for i in order):
+        splits[order[-2]] = VALIDATION
+
+
+def _apart(pieces: Sequence[Piece], splits: list[str]) -> list[str]:
+    """Leave out clips for training, then for validation, that are near one of another split."""
+    result = list(splits)
+    takes: dict[str, list[int]] = defaultdict(list)
+    for place, piece in enumerate(pieces):
+        takes[piece.take].append(place)
+    for places in takes.values():
+        for mine, others in ((TRAIN, (VALIDATION, TEST)), (VALIDATION, (TEST,))):
+            for i in places:
+                near = any(splits[j] in others and _gap(pieces[i], pieces[j]) for j in places)
+                if splits[i] == mine and near:
+                    result[i] = LEFT_OUT
+    return result
+
+
+def _gap(one: Piece, other: Piece) -> bool:
+    """Whether two clips of a take are neighbours."""
+    return max(one.start - other.stop, other.start - one.stop) < APART_SECONDS

@@ -1,0 +1,218 @@
+"""One file of a capture to board channels, with those that its source can know.
+
+Whatever a source has no column for is not known: zeros in its place are no measurement.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.data.captures.columns import NamedCurves, describe_columns, read_named
+from deitalk.data.captures.mapping import Mapping
+from deitalk.errors import DataError
+from rig import ControlSet, RigCurves, default_controls, read_curves
+from rig.controls import DEFAULT_ID
+from rig.conversion.arkit import ARKIT_ID, arkit_to_raw
+from rig.conversion.convert import KNOWN, convert
+from rig.conversion.raw import RAW_ID
+from rig.conversion.reach import reached_controls
+from rig.curves.edit import clamp
+from rig.files.reading import open_file
+from rig.formats import emoface_txt, livelink_csv, unreal_json
+from rig.formats.table import format_of_header
+from rig.formats.wide_csv import read_header
+from rig.limits import JSON_CURVES_BYTES
+
+LEAST_JAW = 0.03
+"""`arkit_to_raw`'s: lips-together passes .9 in 8 % of the frames of a range-of-motion take, and in
+61 % by Unreal's rule."""
+N_SHAPES = 52
+OWN_SCHEMA = b"deitalk.curves/1"
+LEAST_KNOWN = 3
+"""Columns of a known name that make a table a capture."""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedCurves:
+    """A capture as board channels."""
+
+    curves: RigCurves
+    known: tuple[str, ...]
+    """Board channels that the source can know."""
+    kind: str
+    """livelink, arkit, board, raw, emoface, mapped or unreal."""
+    audio: str = ""
+    """Name of the recording, where the file has one."""
+    notes: tuple[str, ...] = ()
+
+
+def read_capture(
+    path: Path, *, mapping: Mapping | None = None, fps: float | None = None
+) -> CapturedCurves:
+    """Read a file of captured curves; the face of a take at 185 channels.
+
+    Parameters
+    ----------
+    path : Path
+        Live Link Face, board, raw, RigMapper, ARKit or Audio2Face CSV; JSON and NPZ of curves;
+        what the script inside Unreal exports; EmoFace text; with `mapping` any table of curves.
+    mapping : Mapping or None
+        Of another rig's curves.
+    fps : float or None
+        Of files without a rate.
+
+    Raises
+    ------
+    DataError, rig.errors.RigError
+        One line: what is wrong with the file and where.
+    """
+    if mapping is not None:
+        return _mapped(path, mapping, fps)
+    kind = kind_of(path)
+    if kind == "livelink":
+        return _live_link(path)
+    if kind == "emoface":
+        return CapturedCurves(read_curves(path, fps=fps), emoface_txt.columns(), "emoface")
+    if kind == "unreal":
+        curves, audio = unreal_json.read_present(path)
+        return _from_set(path, curves, kind, audio=audio)
+    if kind == "curves":
+        curves = read_curves(path, fps=fps, control_set=None)
+        return _from_set(path, curves, _kind_of_set(curves.control_set))
+    return _table(path, read_named(path, fps))
+
+
+def kind_of(path: Path) -> str | None:
+    """Return how a file of curves is read; None if it holds no curves that are known.
+
+    Names of columns are not looked at for JSON and NPZ.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        header = read_header(path)
+        form = format_of_header(header)
+        if form == "rigmapper":
+            return "curves"
+        if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
+            return "livelink"
+        return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
+    if suffix == ".json":
+        with open_file(path, JSON_CURVES_BYTES) as stream:
+            head = stream.read(4096)
+        if unreal_json.SCHEMA.encode() in head:
+            return "unreal"
+        if OWN_SCHEMA in head:
+            return "curves"
+        return "table" if b"eights" in head or b"hapes" in head or b"facsNames" in head else None
+    if suffix == ".txt":
+        with open_file(path, JSON_CURVES_BYTES) as stream:
+            columns = stream.readline(1 << 16).count(b",") + 1
+        return "emoface" if columns == len(emoface_txt.columns()) else None
+    return {".npz": "curves"}.get(suffix)
+
+
+def _live_link(path: Path) -> CapturedCurves:
+    take = livelink_csv.read_take(path)
+    curves = take.to_curves()
+    controls = KNOWN[curves.control_set]()
+    present = [name for name in take.names if name in controls]
+    notes = _check_columns(path, take.names, controls, present)
+    return _from_set(path, curves, "livelink", present=present, notes=notes)
+
+
+def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
+    control_set, count = _best_set(curves.names)
+    if count < LEAST_KNOWN:
+        raise DataError(
+            f"{path}: {describe_columns(curves.names)} are no controls of MetaHuman or ARKit; "
+            "give `mapping`, a table of target, source, weight, offset",
+            parameter="mapping",
+        )
+    controls = KNOWN[control_set]()
+    present = [name for name in curves.names if name in controls]
+    notes = _check_columns(path, curves.names, controls, present)
+    canonical = dict(zip(present, controls.resolve(present), strict=True))
+    kind = _kind_of_set(control_set)
+    return _from_set(
+        path,
+        curves.to_curves(canonical, control_set),
+        kind,
+        present=present,
+        notes=(*curves.notes, *notes),
+    )
+
+
+def _mapped(path: Path, mapping: Mapping, fps: float | None) -> CapturedCurves:
+    named = read_named(path, fps)
+    unused = [name for name in named.names if name not in mapping.sources]
+    notes = [f"{len(unused)} columns are in no row of the map: {describe_columns(unused)}"]
+    return _from_set(
+        path,
+        mapping.apply(named, path),
+        "mapped",
+        present=mapping.targets,
+        notes=(*named.notes, *(notes if unused else ())),
+    )
+
+
+def _from_set(
+    path: Path,
+    curves: RigCurves,
+    kind: str,
+    *,
+    present: Sequence[str] | None = None,
+    audio: str = "",
+    notes: tuple[str, ...] = (),
+) -> CapturedCurves:
+    """Board channels within their ranges, and those that the present columns reach."""
+    if curves.control_set not in KNOWN:
+        raise DataError(
+            f"{path}: control set {curves.control_set!r} has no way to the board; give `mapping`",
+            parameter="mapping",
+        )
+    known = reached_controls(curves.names if present is None else present, curves.control_set)
+    if curves.control_set == ARKIT_ID:
+        curves = arkit_to_raw(curves, least_jaw=LEAST_JAW)
+    board, clipped = clamp(convert(curves, DEFAULT_ID).reorder(default_controls()))
+    if clipped:
+        notes = (*notes, str(clipped))
+    if not np.ptp(board.values, axis=0).any():
+        notes = (*notes, "nothing moves")
+    return CapturedCurves(board, known, kind, audio, notes)
+
+
+def _check_columns(
+    path: Path, names: Sequence[str], controls: ControlSet, present: Sequence[str]
+) -> tuple[str, ...]:
+    """Notes about columns that are absent or left over; both at once is a renamed column."""
+    wanted = controls.names[:N_SHAPES] if controls.id == ARKIT_ID else controls.names
+    resolved = set(controls.resolve(list(present)))
+    missing = [name for name in wanted if name not in resolved]
+    unknown = [name for name in names if name not in controls]
+    if missing and unknown:
+        raise DataError(
+            f"{path}: column {unknown[0]!r} is unknown and {missing[0]!r} is missing: rename the "
+            "column, or remove it"
+        )
+    notes = []
+    if missing:
+        notes.append(f"lacks {len(missing)} columns, not known: {describe_columns(missing)}")
+    if unknown:
+        notes.append(f"{len(unknown)} columns are left out: {describe_columns(unknown)}")
+    return tuple(notes)
+
+
+def _best_set(names: Sequence[str]) -> tuple[str, int]:
+    """The known set with most of some names, and how many; prefixes of Audio2Face are ignored."""
+    plain = [name.removeprefix("blendShapes.") for name in names]
+    counts = {
+        key: sum(bool(name) and name in make() for name in plain) for key, make in KNOWN.items()
+    }
+    best = max(counts, key=lambda key: counts[key])
+    return best, counts[best]
+
+
+def _kind_of_set(control_set: str) -> str:
+    return {DEFAULT_ID: "board", RAW_ID: "raw", ARKIT_ID: "arkit"}.get(control_set, "foreign")

@@ -1,0 +1,269 @@
+"""`import_captures`: whole takes to a dataset folder; every fault is one line."""
+
+import csv
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import soundfile
+
+from deitalk.audio.load import load_audio
+from deitalk.data.captures.imported import import_captures
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.clips import read_clips, read_known
+from deitalk.errors import DataError
+from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.errors import UserError
+from rig.formats.livelink_csv import read_take, write_take
+from tests.media import write_sound
+from tests.takes import bursts, is_open, write_live_link
+
+CONTROLS = default_controls()
+JAW = "CTRL_C_jaw.ty"
+LIPS = "CTRL_L_mouth_lipsTogetherU.ty"
+ANNA = Labelling(actor="anna", emotion="happy")
+
+
+def rows_of(folder):
+    with (folder / "clips.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_take_of_the_app_becomes_clips_with_the_controls_it_can_know(tmp_path):
+    csv_path = write_live_link(tmp_path / "takes" / "S_1" / "S_1_iPhone.csv", 20)
+    samples, rate = soundfile.read(csv_path.with_suffix(".wav"))
+    csv_path.with_suffix(".wav").unlink()
+    write_sound(csv_path.with_suffix(".mov"), samples[:, None], rate, picture=True)
+    (csv_path.parent / "take.json").write_text("{}")
+    (csv_path.parent / "frame_log.csv").write_text("V,1,2\n")
+    result = import_captures([tmp_path / "takes"], tmp_path / "data", labels=ANNA)
+    clips = read_clips(tmp_path / "data")
+    assert len(clips) == result.n_clips >= 2
+    assert {(c.speaker, c.emotion, c.source) for c in clips} == {("anna", "happy", "recording")}
+    known = read_known(clips[0].known, CONTROLS)
+    assert known.sum() == 73  # all that the 61 columns reach
+    assert known[CONTROLS.index(JAW)] and known[CONTROLS.index(LIPS)]
+    assert not known[[CONTROLS.index(n) for n in CONTROLS.names if "lipBite" in n]].any()
+    assert not known[CONTROLS.index("CTRL_C_tongue_tip.ty")]
+
+
+def test_curves_and_sound_of_a_clip_are_the_takes(tmp_path):
+    write_live_link(tmp_path / "t" / "a.csv", 40)
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    whole = load_audio(tmp_path / "t" / "a.wav").waveform
+    for row in rows_of(tmp_path / "data"):
+        sound = load_audio(tmp_path / "data" / row["audio"]).waveform
+        curves = read_curves(tmp_path / "data" / row["curves"])
+        start = round(30 * float(row["start_s"])) / 30
+        cut = whole[round(start * 16000) :][: len(sound)]
+        np.testing.assert_allclose(sound - sound.mean(), cut - cut.mean(), atol=1e-3)
+        assert len(sound) / 16000 == pytest.approx(curves.duration, abs=1e-3)
+        assert curves.duration <= 15
+        opens = is_open(start + curves.times).astype(float)
+        assert np.corrcoef(opens, curves[JAW])[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("fps", [24, 29.97, 60])
+def test_clips_keep_the_rate_of_their_take(tmp_path, fps):
+    write_live_link(tmp_path / "t" / "a.csv", 6, fps=fps)
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    curves = read_curves(tmp_path / "data" / rows_of(tmp_path / "data")[0]["curves"])
+    assert curves.fps == pytest.approx(fps, rel=1e-4)
+
+
+def test_lips_of_a_face_at_rest_are_not_together(tmp_path):
+    path = write_live_link(tmp_path / "t" / "a.csv", 8)
+    take = read_take(path)
+    values = take.values.copy()
+    jaw, close = (take.names.index(n) for n in ("JawOpen", "MouthClose"))
+    values[:, jaw], values[:, close] = 0.01, 0.012  # noise of a closed mouth
+    values[60:90, jaw], values[60:90, close] = 0.2, 0.19  # b with an open jaw
+    write_take(path, type(take)(take.ticks, values, take.names))
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    (row, *_) = rows_of(tmp_path / "data")
+    lips = read_curves(tmp_path / "data" / row["curves"])[LIPS]
+    first = round(float(row["start_s"]) * 30)
+    inside = np.zeros(len(lips), bool)
+    inside[60 - first : 90 - first] = True
+    assert lips[inside].min() > 0.9 and lips[~inside].max() < 0.25
+
+
+def test_board_table_without_some_controls_leaves_them_unknown(tmp_path):
+    (tmp_path / "t").mkdir()
+    curves = rest_curves(180, fps=30).select(CONTROLS.names[10:])
+    frame = pd.DataFrame(curves.values, columns=curves.names)
+    frame.insert(0, "time", curves.times)
+    frame.to_csv(tmp_path / "t" / "a.csv", index=False)
+    soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
+    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    known = read_known(read_clips(tmp_path / "data")[0].known, CONTROLS)
+    assert list(known) == [False] * 10 + [True] * (len(CONTROLS) - 10)
+    assert "lacks 10 columns" in result.takes[0].notes[0]
+
+
+def test_all_controls_of_a_whole_board_are_known(tmp_path):
+    (tmp_path / "t").mkdir()
+    write_curves(tmp_path / "t" / "a.npz", rest_curves(180, fps=30))
+    soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert {row["known"] for row in rows_of(tmp_path / "data")} == {""}
+
+
+def test_foreign_rig_is_imported_by_a_map(tmp_path):
+    (tmp_path / "t").mkdir()
+    n = 180
+    frame = pd.DataFrame({"frame": range(n), "open": 0.5, "lip_l": 0.1, "lip_r": 0.4, "x": 1.0})
+    frame.to_csv(tmp_path / "t" / "a.csv", index=False)
+    soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
+    table = tmp_path / "map.csv"
+    table.write_text("target,source,weight,offset\nCTRL_C_jaw.ty,open,0.8,0.1\n"
+                     "CTRL_L_mouth_funnelU.ty,lip_l|lip_r,0.5,\n")  # fmt: skip
+    result = import_captures(
+        [tmp_path / "t"], tmp_path / "data", mapping=table, fps=30, labels=ANNA
+    )
+    curves = read_curves(next((tmp_path / "data" / "curves").iterdir()))
+    np.testing.assert_allclose(curves[JAW], 0.5 * 0.8 + 0.1, rtol=1e-6)
+    np.testing.assert_allclose(curves["CTRL_L_mouth_funnelU.ty"], 0.2, rtol=1e-6)
+    known = read_known(read_clips(tmp_path / "data")[0].known, CONTROLS)
+    assert known.sum() == 2
+    assert "1 columns are in no row of the map: 'x'" in result.takes[0].notes[0]
+
+
+def test_shapes_of_audio2face_json_are_read(tmp_path):
+    (tmp_path / "t").mkdir()
+    names = [n[0].lower() + n[1:] for n in read_take(write_live_link(tmp_path / "x.csv", 1)).names]
+    rows = np.zeros((360, 52))
+    rows[:, names.index("jawOpen")] = 0.5
+    data = {"exportFps": 60, "facsNames": names[:52], "weightMat": rows.tolist()}
+    (tmp_path / "t" / "a_bsweight.json").write_text(json.dumps(data))
+    soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
+    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert (result.takes[0].kind, result.takes[0].fps) == ("arkit", 60)
+    assert read_known(read_clips(tmp_path / "data")[0].known, CONTROLS).sum() == 73
+
+
+def test_import_is_repeatable_with_force_and_refused_without(tmp_path):
+    write_live_link(tmp_path / "t" / "a.csv", 6)
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    before = {p: p.read_bytes() for p in (tmp_path / "data").rglob("*.*")}
+    with pytest.raises(UserError, match="exists"):
+        import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA, force=True)
+    assert {p: p.read_bytes() for p in (tmp_path / "data").rglob("*.*")} == before
+
+
+def _no_sound(path):
+    path.with_suffix(".wav").unlink()
+
+
+def _nan(path):
+    text = path.read_text().splitlines()
+    text[3] = text[3].replace(text[3].split(",")[2], "nan", 1)
+    path.write_text("\n".join(text) + "\n")
+
+
+def _renamed(path):
+    path.write_text(path.read_text().replace("JawOpen", "jaw_opening"))
+
+
+def _silent(path):
+    soundfile.write(path.with_suffix(".wav"), 1e-5 * np.ones(16000 * 6), 16000)
+
+
+def _short(path):
+    soundfile.write(path.with_suffix(".wav"), bursts(0.3), 16000)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (_no_sound, "no audio beside the take"),
+        (_nan, "data row 3"),
+        (_renamed, "column 'jaw_opening' is unknown and 'JawOpen' is missing"),
+        (_silent, "hold no speech"),
+        (_short, "both must last 0.5 s"),
+    ],
+)
+def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, expected):
+    spoil(write_live_link(tmp_path / "t" / "a.csv", 6))
+    with pytest.raises(UserError, match=expected) as caught:
+        import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "data").exists()
+    assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
+
+
+def test_all_faulty_takes_are_counted(tmp_path):
+    for name in "abc":
+        path = write_live_link(tmp_path / "t" / f"{name}.csv", 2)
+        if name != "b":
+            _no_sound(path)
+    with pytest.raises(DataError, match="2 of 3 takes cannot be read, nothing was written"):
+        import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+
+
+def test_warnings_name_little_material_one_emotion_and_mixed_rates(tmp_path):
+    write_live_link(tmp_path / "t" / "a.csv", 5, fps=30)
+    write_live_link(tmp_path / "t" / "b.csv", 5, fps=60)
+    text = " ".join(import_captures([tmp_path / "t"], tmp_path / "d", labels=ANNA).warnings)
+    assert "s of speech in all" in text and "one emotion only (happy)" in text
+    assert "mixed rates (1 at 30 Hz, 1 at 60 Hz)" in text
+
+
+def test_two_voices_of_one_actor_are_a_warning(tmp_path):
+    write_live_link(tmp_path / "t" / "low.csv", 8, hertz=100)
+    write_live_link(tmp_path / "t" / "high.csv", 8, hertz=200)
+    warnings = import_captures([tmp_path / "t"], tmp_path / "d", labels=ANNA).warnings
+    assert any("12 semitones apart" in text for text in warnings)
+
+
+def test_difference_of_lengths_is_noted_and_cut(tmp_path):
+    path = write_live_link(tmp_path / "t" / "a.csv", 6)
+    soundfile.write(path.with_suffix(".wav"), bursts(4), 16000)
+    result = import_captures([tmp_path / "t"], tmp_path / "d", labels=ANNA)
+    assert "curves 2.00 s longer than sound, cut" in result.takes[0].notes
+    assert result.seconds <= 4.0 + 1e-6
+
+
+def test_missing_columns_are_noted_and_unknown(tmp_path):
+    write_live_link(tmp_path / "t" / "a.csv", 6, without=("JawOpen", "MouthClose"))
+    result = import_captures([tmp_path / "t"], tmp_path / "d", labels=ANNA)
+    assert "lacks 2 columns, not known: 'JawOpen', 'MouthClose'" in result.takes[0].notes
+    known = read_known(read_clips(tmp_path / "d")[0].known, CONTROLS)
+    assert not known[CONTROLS.index(JAW)] and not known[CONTROLS.index(LIPS)]
+
+
+def test_takes_csv_has_a_row_for_every_take(tmp_path):
+    for name in ("a", "b"):
+        write_live_link(tmp_path / name / "take.csv", 4)
+    import_captures([tmp_path / "a", tmp_path / "b"], tmp_path / "d", labels=ANNA)
+    table = pd.read_csv(tmp_path / "d" / "takes.csv")
+    assert list(table["take"]) == ["take", "take-2"] and list(table["kind"]) == ["livelink"] * 2
+    assert isinstance(read_curves(tmp_path / "d" / "curves" / "take-2_001.npz"), RigCurves)
+
+
+def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
+    from typer.testing import CliRunner
+
+    from deitalk.cli.data import app
+
+    for number in range(4):
+        write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8)
+    out = str(tmp_path / "data")
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "t"), "--actor", "anna", "-o", out])
+    assert done.exit_code == 0, done.output
+    assert "joy_0  livelink anna       happy" in done.stdout
+    assert "(2 train, 1 validation, 1 test)" in done.stdout
+    checked = CliRunner().invoke(app, ["check", out])
+    assert checked.exit_code == 0, checked.output
+    assert "warning  speakers" in checked.stdout
+
+
+def test_command_names_its_own_options(tmp_path):
+    from deitalk.cli.console import name_option
+
+    (tmp_path / "a.csv").write_text("time,brow_q,lip_w\n0,0,0\n0.1,1,1\n")
+    with pytest.raises(UserError) as caught:
+        import_captures([tmp_path / "a.csv"], tmp_path / "data")
+    assert "give --mapping, a table" in name_option(caught.value)

@@ -1,0 +1,160 @@
+"""Tables of curves and maps of other rigs: what is read, and one line for each fault."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deitalk.data.captures.columns import read_named
+from deitalk.data.captures.mapping import read_mapping
+from deitalk.data.captures.sources import find_sound, find_takes
+from deitalk.data.captures.take import read_capture
+from deitalk.errors import DataError
+from rig import default_controls, rest_curves, write_curves
+from rig.errors import UserError
+from tests.takes import write_live_link
+
+FRAMES = [{"time": i / 25, "blendShapes": {"jawOpen": i / 10, "jawLeft": 0}} for i in range(10)]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        FRAMES,
+        {"frames": FRAMES},
+        [{"timeCode": f["time"], **f["blendShapes"]} for f in FRAMES],
+        {"names": ["jawOpen", "jawLeft"], "values": [[i / 10, 0] for i in range(10)], "fps": 25},
+        {"facsNames": ["jawOpen", "jawLeft"], "weightMat": [[i / 10, 0] for i in range(10)],
+         "exportFps": 25.0},
+    ],
+)  # fmt: skip
+def test_layouts_of_json_give_the_same_curves(tmp_path, data):
+    (tmp_path / "a.json").write_text(json.dumps(data))
+    curves = read_named(tmp_path / "a.json")
+    assert (curves.names, curves.fps) == (("jawOpen", "jawLeft"), 25)
+    np.testing.assert_allclose(curves["jawOpen"], np.arange(10) / 10)
+
+
+def test_uneven_times_are_put_on_an_even_grid(tmp_path):
+    times = np.array([0, 1, 2, 3, 4.5, 5, 6, 7]) / 30
+    lines = [f"{t},{t * 2}" for t in times]
+    (tmp_path / "a.csv").write_text("time,jawOpen\n" + "\n".join(lines) + "\n")
+    curves = read_named(tmp_path / "a.csv")
+    assert curves.fps == 30 and "put on 30 fps" in curves.notes[0]
+    np.testing.assert_allclose(curves["jawOpen"], 2 * np.arange(8) / 30, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("a.csv", "jawOpen,jawLeft\n0,0\n", "give `fps`"),
+        ("a.csv", "time,jawOpen\n0,0\n0,1\n", "data row 2 comes not after"),
+        ("a.csv", "time,jawOpen\n0,0\n0.1,0\n0.2,1\n9,1\n", "8.8 s without a frame"),
+        ("a.csv", "time,jawOpen\n0,nan\n0.1,0\n", "data row 1, column 'jawOpen'"),
+        ("a.json", '{"names": ["a"], "values": [[1, 2]], "fps": 30}', "frames x 1 names"),
+        ("a.json", '[{"time": 0, "weights": {"a": 1}}, {"time": 1, "weights": {"b": 1}}]', "frame 2"),
+        ("a.json", '{"names": ["a"], "values": [["x"]], "fps": 30}', "no rows of 1 numbers"),
+        ("a.json", "[]", "no JSON of curves"),
+        ("a.txt", "1 2 3", "no table of curves"),
+    ],
+)  # fmt: skip
+def test_fault_of_a_table_is_one_line(tmp_path, name, text, expected):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UserError, match=expected) as caught:
+        read_named(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("target,weight\na,1\n", "lacks the column source"),
+        ("target,source\n", "has no rows"),
+        ("target,source\nJawOpen,\n", "row 1 needs a target and a source"),
+        ("target,source,weight\nJawOpen,a,x\n", "weight 'x' must be a number"),
+        ("target,source\nJawOpen,a\nJawOpn,b\n", "target 'JawOpn' is no control of arkit-61"),
+    ],
+)
+def test_fault_of_a_map_is_one_line(tmp_path, text, expected):
+    (tmp_path / "map.csv").write_text(text)
+    with pytest.raises(DataError, match=expected):
+        read_mapping(tmp_path / "map.csv")
+
+
+def test_source_that_the_take_lacks_is_named(tmp_path):
+    (tmp_path / "map.csv").write_text("target,source\nJawOpen,mouth\n")
+    (tmp_path / "a.csv").write_text("time,open\n0,0\n0.1,1\n")
+    with pytest.raises(DataError, match=r"lacks 'mouth', a source of map\.csv"):
+        read_capture(tmp_path / "a.csv", mapping=read_mapping(tmp_path / "map.csv"))
+
+
+def test_unknown_rig_needs_a_map(tmp_path):
+    (tmp_path / "a.csv").write_text("time,brow_q,lip_w\n0,0,0\n0.1,1,1\n")
+    with pytest.raises(DataError, match="no controls of MetaHuman or ARKit; give `mapping`"):
+        read_capture(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "kind", "known"),
+    [(".csv", "board", 185), (".raw.csv", "raw", 174), (".rigmapper.csv", "raw", 174),
+     (".a2f.csv", "arkit", 73), (".livelink.csv", "livelink", 73), (".json", "board", 185),
+     (".npz", "board", 185), (".unreal.json", "unreal", None)],
+)  # fmt: skip
+def test_every_written_format_is_a_capture(tmp_path, suffix, kind, known):
+    curves = rest_curves(40, fps=30)
+    values = curves.values.copy()
+    values[:, curves.index("CTRL_C_jaw.ty")] = np.linspace(0, 0.6, 40)
+    path = tmp_path / f"a{suffix}"
+    write_curves(path, type(curves)(values, curves.names, fps=30))
+    capture = read_capture(path)
+    assert capture.kind == kind
+    np.testing.assert_allclose(capture.curves["CTRL_C_jaw.ty"], values[:, 0 + curves.index(
+        "CTRL_C_jaw.ty")], atol=0.02)  # fmt: skip
+    if known is not None:
+        assert len(capture.known) == known
+
+
+def test_emoface_text_needs_a_rate_and_knows_174(tmp_path):
+    write_curves(tmp_path / "a.txt", rest_curves(30, fps=30))
+    with pytest.raises(UserError, match="give `fps`"):
+        read_capture(tmp_path / "a.txt")
+    capture = read_capture(tmp_path / "a.txt", fps=25)
+    assert (capture.kind, capture.curves.fps, len(capture.known)) == ("emoface", 25, 174)
+
+
+def test_calibrated_variant_is_read_and_neutral_is_no_take(tmp_path):
+    for ending in ("_raw", "_cal", "_neutral"):
+        write_live_link(tmp_path / f"S_1_iPhone{ending}.csv", 1)
+        (tmp_path / f"S_1_iPhone{ending}.wav").rename(tmp_path / "S_1_iPhone.wav")
+    (tmp_path / "notes.csv").write_text("who,what\na,b\n")
+    takes, skipped = find_takes([tmp_path])
+    assert [t.curves.name for t in takes] == ["S_1_iPhone_cal.csv"]
+    assert [p.name for p in skipped] == ["notes.csv"]
+    assert find_sound(takes[0], "", (), takes).name == "S_1_iPhone.wav"
+
+
+def test_sound_is_found_in_other_folders_by_name(tmp_path):
+    path = write_live_link(tmp_path / "curves" / "a.csv", 1)
+    (tmp_path / "wavs").mkdir()
+    path.with_suffix(".wav").rename(tmp_path / "wavs" / "Line 7.wav")
+    takes, _ = find_takes([tmp_path / "curves"])
+    with pytest.raises(DataError, match="no audio beside the take"):
+        find_sound(takes[0], "", (), takes)
+    found = find_sound(takes[0], "C:\\takes\\line 7.wav", (tmp_path / "wavs",), takes)
+    assert found.name == "Line 7.wav"
+
+
+def test_folder_without_takes_is_refused(tmp_path):
+    with pytest.raises(DataError, match="holds no takes"):
+        find_takes([tmp_path])
+    with pytest.raises(DataError, match="does not exist"):
+        find_takes([tmp_path / "x"])
+
+
+def test_values_out_of_range_are_clamped_and_noted(tmp_path):
+    names = default_controls().names
+    header, row = ",".join(("time", *names)), ",".join(["2"] * len(names))
+    (tmp_path / "a.csv").write_text(f"{header}\n0,{row}\n0.1,{row}\n")
+    capture = read_capture(tmp_path / "a.csv")
+    assert capture.curves.values.max() <= default_controls().maximum.max()
+    assert "were clamped to their ranges" in " ".join(capture.notes)

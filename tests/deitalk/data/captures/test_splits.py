@@ -1,0 +1,70 @@
+"""Division into splits: nothing is in two, and neighbours are in one."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deitalk.data.captures.splits import APART_SECONDS, TEST, TRAIN, VALIDATION, Piece, divide
+from deitalk.errors import DataError
+
+
+def take(actor: str, emotion: str, name: str, n: int, length: float = 10.0) -> list[Piece]:
+    return [Piece(actor, emotion, name, 10.5 * i, 10.5 * i + length) for i in range(n)]
+
+
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from(["happy", "sad"]),
+                          st.integers(1, 40)), min_size=1, max_size=8))  # fmt: skip
+@settings(max_examples=60)
+def test_clips_of_one_take_in_two_splits_are_apart(takes):
+    pieces = [p for i, (who, how, n) in enumerate(takes) for p in take(who, how, f"t{i}", n)]
+    splits = divide(pieces)
+    for one, mine in zip(pieces, splits, strict=True):
+        for other, its in zip(pieces, splits, strict=True):
+            if one.take == other.take and mine and its and mine != its:
+                assert max(one.start - other.stop, other.start - one.stop) >= APART_SECONDS
+
+
+def test_one_long_take_gives_blocks_at_its_end():
+    splits = divide(take("anna", "happy", "t", 57))  # ten minutes
+    kept = [split for split in splits if split]
+    assert kept == sorted(kept, key=(TRAIN, VALIDATION, TEST).index)
+    assert kept.count(TEST) == pytest.approx(57 / 8, abs=1.5)
+    assert kept.count(VALIDATION) == pytest.approx(57 / 8, abs=2)
+    assert splits.count("") <= 3
+
+
+def test_many_takes_are_kept_whole_and_every_emotion_is_in_every_split():
+    pieces = [
+        p for how in ("happy", "sad") for i in range(8) for p in take("a", how, how + str(i), 2)
+    ]
+    splits = divide(pieces)
+    assert "" not in splits
+    homes = {(p.take, s) for p, s in zip(pieces, splits, strict=True)}
+    assert len(homes) == 16
+    for emotion in ("happy", "sad"):
+        assert {s for p, s in zip(pieces, splits, strict=True) if p.emotion == emotion} == {
+            TRAIN, VALIDATION, TEST,
+        }  # fmt: skip
+
+
+def test_three_actors_are_each_in_one_split():
+    pieces = [p for i, who in enumerate("abcd") for p in take(who, "sad", who, 3 + i)]
+    homes = {(p.actor, s) for p, s in zip(pieces, divide(pieces), strict=True)}
+    assert len(homes) == 4 and {s for _, s in homes} == {TRAIN, VALIDATION, TEST}
+
+
+def test_few_clips_stay_apart_or_train():
+    assert divide(take("a", "sad", "t", 1)) == [TRAIN]
+    assert divide(take("a", "sad", "t", 2)) == [TRAIN] * 2
+
+
+def test_actors_need_three_and_the_way_is_checked():
+    with pytest.raises(DataError, match="needs three actors; here are 1"):
+        divide(take("a", "sad", "t", 5), "actor")
+    with pytest.raises(DataError, match="must be one of auto, actor, time"):
+        divide(take("a", "sad", "t", 5), "clip")
+
+
+def test_given_splits_are_kept():
+    pieces = [Piece("a", "sad", "t", 0, 1, TEST), Piece("a", "sad", "u", 0, 1)]
+    assert divide(pieces) == [TEST, TRAIN]
