@@ -15,7 +15,7 @@ help:  ## Show this help
 
 $(BIN)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable ".[api]"
 	@touch $@
 
 $(BIN)/.installed-dev: $(BIN)/.installed
@@ -51,7 +51,7 @@ lint: setup-dev
 	$(BIN)/ruff format --check .
 
 type: setup-dev
-	$(BIN)/mypy rig deitalk
+	$(BIN)/mypy rig deitalk api
 
 format: setup-dev  ## Format the code
 	$(BIN)/ruff format .

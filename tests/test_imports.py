@@ -12,6 +12,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {"rig": {"rig"}, "deitalk": {"deitalk", "rig"}, "api": {"api", "deitalk", "rig"}}
 HEAVY = {"torch", "transformers", "librosa", "fastapi", "soundfile", "accelerate", "safetensors"}
+SERVICE = {
+    "fastapi", "starlette", "uvicorn", "pydantic_settings", "multipart", "sqlalchemy",
+    "prometheus_client", "fsspec", "httpx", "websockets",
+}  # fmt: skip
+"""Packages of the service: nothing below `api` imports them."""
 FILES = [
     path
     for package in ALLOWED
@@ -44,6 +49,8 @@ def test_imports_point_down_only(path):
     assert not forbidden, f"{package} must not import {forbidden}"
     if package == "rig":
         assert not imported(path) & HEAVY
+    if package != "api":
+        assert not imported(path) & SERVICE
 
 
 def test_walk_finds_imports_inside_functions(tmp_path):

@@ -1,0 +1,115 @@
+"""The application: routes, the guard around them, errors as problems, life of the workers."""
+
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+
+from api import docs_page
+from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
+from api.guard.middleware import Guard
+from api.messages.schemas import ProblemView
+from api.routes import animations, catalogue, health, jobs
+from api.service import Service
+from api.settings import Settings, load_settings
+from deitalk import __version__
+from rig.errors import UserError
+
+DESCRIPTION = (
+    "MetaHuman facial animation from speech and an emotion. Errors are problem JSON: code, "
+    "message, detail. A key is sent as `Authorization: Bearer <key>`."
+)
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Make the application.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        By default those of the environment (`api.settings.load_settings`).
+
+    Raises
+    ------
+    ConfigError
+        If a setting is wrong, or the service would be open to a network without keys.
+    """
+    settings = settings or load_settings()
+    settings.check()
+    service = Service(settings)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        await service.start()
+        try:
+            yield
+        finally:
+            await service.stop()
+
+    app = FastAPI(
+        title="deitalk",
+        version=__version__,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/openapi.json",
+        separate_input_output_schemas=False,
+    )
+    app.state.service = service
+    for module in (animations, jobs, catalogue, health):
+        app.include_router(module.router)
+    app.add_api_route("/docs", docs_page.show, include_in_schema=False)
+    _add_handlers(app)
+    app.add_middleware(Guard, settings=settings, metrics=service.metrics)
+    _complete_schema(app)
+    return app
+
+
+def problem_answer(problem: Problem) -> Response:
+    """Return a problem as an answer."""
+    body = json.dumps(problem.content)
+    return Response(body, problem.status, problem.headers, MEDIA_TYPE)
+
+
+def _add_handlers(app: FastAPI) -> None:
+    @app.exception_handler(Problem)
+    async def refused(request: Request, error: Problem) -> Response:
+        return problem_answer(error)
+
+    @app.exception_handler(UserError)
+    async def wrong(request: Request, error: UserError) -> Response:
+        return problem_answer(problem_of(error))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        found = [{"option": ".".join(map(str, e["loc"])), "rule": e["msg"]} for e in error.errors()]
+        first = found[0]
+        message = f"{first['option']}: {first['rule']}"
+        return problem_answer(Problem(422, message, "option_invalid", found[:20]))
+
+    @app.exception_handler(HTTPException)
+    async def unknown(request: Request, error: HTTPException) -> Response:
+        code = STATUS_CODES.get(error.status_code, "error")
+        problem = Problem(error.status_code, str(error.detail), code, headers=error.headers)
+        return problem_answer(problem)
+
+
+def _complete_schema(app: FastAPI) -> None:
+    """Add what routes cannot: the problem's schema, and the key."""
+    make = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        schema = make()
+        parts = schema.setdefault("components", {})
+        problem = ProblemView.model_json_schema()
+        parts.setdefault("schemas", {})["Problem"] = problem
+        parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        schema["security"] = [{"key": []}, {}]
+        return schema
+
+    app.openapi = openapi  # type: ignore[method-assign]

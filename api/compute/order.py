@@ -1,0 +1,70 @@
+"""What the service asks of a worker process, and its answers: JSON, and files in one folder.
+
+Names of files are fixed here: no text of a request becomes a path.
+
+::
+
+    folder/                 the worker's working folder during the order
+      recording             bytes of any recording
+      mesh.glb … curves.csv files that a request sent, under fixed names
+      emotion.json          keyframes; or .csv
+      out/                  what the worker wrote
+"""
+
+from typing import Any, Literal, TypedDict
+
+Kind = Literal["animation", "mesh", "retarget", "validation", "live"]
+RECORDING = "recording"
+OUT = "out"
+MESH_SUFFIXES = (".glb", ".obj", ".ply", ".npz")
+CURVE_SUFFIXES = (
+    ".raw.csv", ".rigmapper.csv", ".livelink.csv", ".livelink-raw.csv", ".a2f.csv",
+    ".unreal.json", ".visemes.json", ".rhubarb.json", ".csv", ".json", ".npz", ".txt", ".tsv",
+    ".xml", ".glb", ".usd", ".usda", ".usdc",
+)  # fmt: skip
+"""Longer ones first."""
+
+
+class Limits(TypedDict):
+    """Limits that a worker process keeps."""
+
+    memory_bytes: int
+    max_channels: int
+    max_pixels: float
+    models: dict[str, str]
+    preload: list[str]
+    device: str
+    threads: int
+
+
+class Order(TypedDict, total=False):
+    """One piece of work."""
+
+    kind: Kind
+    folder: str
+    options: dict[str, Any]
+    at_once_seconds: float
+    """Longest recording that is done now; a longer one is answered by its length."""
+    most_seconds: float
+
+
+class Answer(TypedDict, total=False):
+    """The last message of an order; `progress` comes in messages of its own."""
+
+    progress: float
+    file: str
+    notes: list[str]
+    facts: dict[str, Any]
+    long: float
+    error: list[str]
+    """Names of the error's classes, the nearest first."""
+    message: str
+
+
+class TooLarge(Exception):
+    """Work beyond a limit of the service."""
+
+
+def suffix_of(name: str, suffixes: tuple[str, ...]) -> str | None:
+    """Return the known suffix that a file's name ends with, or None."""
+    return next((suffix for suffix in suffixes if name.lower().endswith(suffix)), None)

@@ -1,0 +1,241 @@
+"""Each kind of order as one call of a door of `deitalk` or `rig`; runs in a worker process.
+
+The working folder is the order's: all paths are relative and fixed (`api.compute.order`).
+"""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from api.compute.order import OUT, RECORDING, Answer, Limits, Order, TooLarge
+from api.compute.warm import model_of
+from deitalk.audio.decoding import open_sound
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.load import Recording, read_sound
+from deitalk.emotions import read_intensity_curve
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import describe_model
+from deitalk.pipeline.curves import animate
+from deitalk.pipeline.mesh import animate_mesh
+from deitalk.pipeline.performance import Performance
+from deitalk.pipeline.take import write_take
+from rig.curves import RigCurves
+from rig.formats import read_curves, write_curves
+from rig.limits import STREAM_BYTES
+from rig.retarget.retarget_files import retarget_curves
+from rig.validation.curves import validate
+
+Progress = Callable[[float], None]
+VIDEO_PIXELS = 960 * 720
+"""Pixels of a frame of the review video."""
+NAME = "recording"
+
+
+class TooLong(Exception):
+    """A recording that is not for now: its length in seconds."""
+
+
+def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
+    """Carry out one order in the working folder."""
+    Path(OUT).mkdir(exist_ok=True)
+    try:
+        return TASKS[order["kind"]](order, limits, progress)
+    except TooLong as error:
+        return {"long": error.args[0]}
+
+
+def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
+    options = order["options"]
+    performance = _performed(order, limits, progress)
+    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    notes = list(performance.recording.warnings)
+    notes += _write(out, options["format"], performance, options, limits)
+    return {"file": str(out), "notes": notes, "facts": _facts(performance)}
+
+
+def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
+    options = order["options"]
+    network = require_model(model_of(options.get("model", "default"), limits), DEITalk)
+    direction = _direction(options)
+    recording = _recording(order, limits)
+    return animate(
+        recording,
+        model=network,
+        idle=options.get("idle", True),
+        seed=options.get("seed", 0),
+        progress=progress,
+        **direction,
+    )
+
+
+def _direction(options: dict[str, Any]) -> dict[str, Any]:
+    """Emotion and intensity: weights, or files of keys under their fixed names."""
+    emotion, curve = options.get("emotion", {}), options.get("intensity_curve")
+    return {
+        "emotion": Path(emotion) if isinstance(emotion, str) else emotion,
+        "intensity": options.get("intensity", 1.0),
+        "intensity_curve": None if curve is None else read_intensity_curve(Path(curve)),
+    }
+
+
+def _recording(order: Order, limits: Limits) -> Recording:
+    """The order's recording, of at most its longest length."""
+    most, now = order["most_seconds"], order["at_once_seconds"]
+    data = Path(RECORDING).read_bytes()[: STREAM_BYTES + 1]
+    name = order["options"].get("name") or NAME
+    with open_sound(name, data) as sound:
+        if sound.channels > limits["max_channels"]:
+            raise TooLarge(
+                f"the recording has {sound.channels} channels; at most {limits['max_channels']} "
+                "are read"
+            )
+        stated = sound.expected / max(sound.rate, 1)
+        if stated > most:
+            raise TooLarge(f"the recording lasts {stated:.0f} s; at most {most:.0f} s are read")
+        if stated > now:
+            raise TooLong(stated)
+        recording = read_sound(name, sound, most)
+    if recording.duration > now:
+        raise TooLong(recording.duration)
+    return recording
+
+
+def _write(
+    out: Path, name: str, performance: Performance, options: dict[str, Any], limits: Limits
+) -> list[str]:
+    """Write a performance; return notes on what the file cannot hold."""
+    fps = options.get("fps")
+    if name == "take":
+        folder = out.with_suffix("")
+        model = options.get("model", "default")
+        about = describe_model(limits["models"][model]) | {"name": model}
+        settings = dict(performance.settings)
+        _zip(write_take(folder, performance, settings=settings, model=about, fps=fps), out)
+        return []
+    if name in ("mp4", "page"):
+        _preview(out, performance, fps, limits)
+        return []
+    report = write_curves(out, performance.curves, format=name, fps=fps)
+    return [report.note] if report.note else []
+
+
+def _preview(out: Path, performance: Performance, fps: float | None, limits: Limits) -> None:
+    from deitalk.preview.page import render_page
+    from deitalk.preview.source import PreviewSource
+    from deitalk.preview.video import render_video
+
+    curves, neutral = performance.curves, performance.neutral
+    if fps is not None:
+        curves, neutral = curves.resample(fps), neutral.resample(fps)
+    if out.suffix == ".mp4" and len(curves) * VIDEO_PIXELS > limits["max_pixels"]:
+        most = int(limits["max_pixels"] // VIDEO_PIXELS)
+        raise TooLarge(f"the video has {len(curves)} frames; at most {most} are drawn")
+    waveform = performance.recording.waveform
+    source = PreviewSource(out.stem, curves, waveform, SAMPLE_RATE, neutral.values)
+    (render_video if out.suffix == ".mp4" else render_page)(source, out)
+
+
+def _zip(folder: Path, out: Path) -> None:
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+            archive.write(path, path.name)
+
+
+def _facts(performance: Performance) -> dict[str, Any]:
+    return {
+        "frames": len(performance.curves),
+        "seconds": performance.recording.duration,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped,
+    }
+
+
+def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
+    options = order["options"]
+    network = model_of(options.get("model", "default"), limits)
+    direction = _direction(options)
+    if isinstance(network, DEITalk):
+        direction |= {"idle": options.get("idle", True), "seed": options.get("seed", 0)}
+    performance = animate_mesh(
+        _recording(order, limits),
+        model=network,
+        speaker=options.get("speaker", 0),
+        fps=options.get("fps"),
+        progress=progress,
+        **direction,
+    )
+    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    if options["format"] == "ply":
+        _zip(performance.save(f"{OUT}/frames/"), out)
+    else:
+        performance.save(out)
+    frames, vertices, _ = performance.vertices.shape
+    facts = {"frames": frames, "vertices": vertices, "fps": performance.fps}
+    return {"file": str(out), "notes": list(performance.recording.warnings), "facts": facts}
+
+
+def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
+    options = order["options"]
+    notes: list[str] = []
+    if "curves" in options:
+        curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
+    else:
+        performance = _performed(order, limits, progress)
+        curves, notes = performance.curves, list(performance.recording.warnings)
+    if options.get("fps") is not None:
+        curves = curves.resample(options["fps"])
+    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    is_ply = options["format"] == "ply"
+    report = retarget_curves(
+        curves,
+        Path(options["mesh"]),
+        f"{OUT}/frames/" if is_ply else out,
+        landmarks=options.get("landmarks"),
+        mapping=options.get("mapping"),
+        method=options.get("method", "displacements"),
+        as_neutral=options.get("as_neutral", False),
+    )
+    if is_ply:
+        _zip(Path(OUT) / "frames", out)
+    facts = {
+        "frames": report.frames, "shapes": report.shapes, "way": report.way, "lost": report.lost
+    }  # fmt: skip
+    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts}
+
+
+def _validation(order: Order, limits: Limits, progress: Progress) -> Answer:
+    validation = validate(Path(order["options"]["curves"]))
+    findings = [{"level": f.level, "text": f.text} for f in validation.findings]
+    return {"facts": {"ok": validation.ok, "findings": findings}}
+
+
+def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
+    """Curves of one window of a stream: samples as float32 in, values (T, C) as float32 out."""
+    options = order["options"]
+    samples = np.fromfile(RECORDING, "<f4")
+    network = require_model(model_of(options.get("model", "default"), limits), DEITalk)
+    performance = animate(
+        samples,
+        sample_rate=SAMPLE_RATE,
+        model=network,
+        idle=False,
+        progress=progress,
+        **_direction(options),
+    )
+    out = Path(OUT) / "frames"
+    performance.curves.values.astype("<f4").tofile(out)
+    return {"file": str(out), "facts": {"frames": len(performance.curves)}}
+
+
+TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
+    "animation": _animation,
+    "mesh": _mesh,
+    "retarget": _retarget,
+    "validation": _validation,
+    "live": _live,
+}

@@ -1,0 +1,143 @@
+"""One worker process as its owner sees it: give it an order, wait, stop it at a limit."""
+
+import json
+import multiprocessing
+import sys
+from collections.abc import Callable
+from multiprocessing.context import BaseContext
+from time import monotonic
+
+from api.compute.order import Answer, Limits, Order
+from api.compute.process import work
+
+START_SECONDS = 120.0
+"""Longest time until a new worker is ready."""
+_POLL_SECONDS = 0.1
+
+
+class WorkerLost(Exception):
+    """The worker process ended before it answered."""
+
+
+class OutOfTime(Exception):
+    """The worker was stopped because its time was over."""
+
+
+class Stopped(Exception):
+    """The worker was stopped because its owner wanted it."""
+
+
+class Worker:
+    """A process that is started at the first order and again after it was stopped.
+
+    Parameters
+    ----------
+    limits : Limits
+        Limits and models of the process.
+
+    Notes
+    -----
+    Not for several threads at once. On Linux the process is forked from one that holds the models;
+    elsewhere it starts anew and reads them.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self._context = _context()
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self.is_ready = False
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process, if there is one."""
+        return None if self._process is None else self._process.pid
+
+    def start(self) -> None:
+        """Start the process and wait until its models are read.
+
+        Raises
+        ------
+        WorkerLost
+            If it ends before.
+        """
+        if self.is_ready and self._process is not None and self._process.is_alive():
+            return
+        self.stop()
+        self._connection, theirs = self._context.Pipe()
+        process = self._context.Process(target=work, args=(theirs, self.limits), daemon=True)  # type: ignore[attr-defined]
+        process.start()
+        self._process = process
+        theirs.close()
+        try:
+            if not self._connection.poll(START_SECONDS):
+                raise EOFError
+            self._connection.recv_bytes()
+        except (EOFError, OSError):
+            self.stop()
+            raise WorkerLost("a worker process did not start") from None
+        self.is_ready = True
+
+    def run(
+        self,
+        order: Order,
+        seconds: float,
+        progress: Callable[[float], None] = lambda share: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> Answer:
+        """Wait for the answer to an order.
+
+        Parameters
+        ----------
+        order : Order
+            Its folder must exist.
+        seconds : float
+            Time after which the process is stopped.
+        progress : callable
+            Called with the share done, 0 to 1.
+        stopped : callable
+            Called ten times a second; True stops the process.
+
+        Raises
+        ------
+        WorkerLost, OutOfTime, Stopped
+            The next order has a new process.
+        """
+        self.start()
+        end = monotonic() + seconds
+        try:
+            self._connection.send_bytes(json.dumps(order).encode())
+            while True:
+                while not self._connection.poll(_POLL_SECONDS):
+                    if stopped():
+                        raise Stopped
+                    if monotonic() > end:
+                        raise OutOfTime
+                answer: Answer = json.loads(self._connection.recv_bytes())
+                if "progress" not in answer:
+                    return answer
+                progress(answer["progress"])
+                if stopped():
+                    raise Stopped
+        except (EOFError, OSError):
+            self.stop()
+            raise WorkerLost("the worker process ended") from None
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """End the process at once."""
+        self.is_ready = False
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process = None
+            self._connection.close()
+
+
+def _context() -> BaseContext:
+    if not sys.platform.startswith("linux"):
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["api.compute.warm"])
+    return context

@@ -1,0 +1,1 @@
+"""Who may send what, before any route: keys, rates, hosts, origins, sizes and times."""

@@ -1,0 +1,122 @@
+"""API keys and how often each may be used.
+
+A key is 256 random bits, so that its SHA-256 is enough to store: nobody can try so many.
+"""
+
+import hashlib
+import secrets
+from collections import OrderedDict
+from dataclasses import dataclass
+from time import monotonic
+
+from api.errors import Problem
+from api.settings import SCOPES, ApiKey, Scope, Settings
+
+KEY_PREFIX = "dk_"
+MOST_CALLERS = 10_000
+"""Callers whose rates are kept; the one that was not seen longest is forgotten."""
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who makes a request.
+
+    Attributes
+    ----------
+    name : str
+        Of the key; ``local`` where no keys are needed.
+    scopes : tuple of str
+    jobs : int
+        Most jobs that are queued or run at a time.
+    requests_per_minute : int
+    """
+
+    name: str
+    scopes: tuple[Scope, ...]
+    jobs: int
+    requests_per_minute: int
+
+
+def new_key() -> tuple[str, str]:
+    """Return a new key and its SHA-256."""
+    key = KEY_PREFIX + secrets.token_urlsafe(32)
+    return key, digest_of(key)
+
+
+def digest_of(key: str) -> str:
+    """SHA-256 of a key, in hexadecimal."""
+    return hashlib.sha256(key.encode("utf-8", "replace")).hexdigest()
+
+
+class KeyRing:
+    """The keys of the settings.
+
+    Parameters
+    ----------
+    settings : Settings
+        Without keys every request of this machine has all scopes.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._callers = {key.sha256: _caller(key) for key in settings.keys}
+        self._local = Caller("local", SCOPES, settings.queued_jobs, settings.requests_per_minute)
+
+    def caller(self, key: str | None) -> Caller:
+        """Return who a key belongs to.
+
+        Raises
+        ------
+        Problem
+            401 without a key or with an unknown one, if there are keys.
+        """
+        if not self._callers:
+            return self._local
+        if not key:
+            raise _refused("send a key as `Authorization: Bearer <key>`", "key_missing")
+        caller = self._callers.get(digest_of(key))
+        if caller is None:
+            raise _refused("the key is unknown", "key_unknown")
+        return caller
+
+
+def require(caller: Caller, scope: Scope) -> None:
+    """Refuse a caller whose key has not the scope: Problem 403."""
+    if scope not in caller.scopes:
+        raise Problem(403, f"the key has not the scope {scope}", "scope_missing")
+
+
+class Rates:
+    """Requests per minute of each caller: a bucket that fills evenly, a tenth of it at once."""
+
+    def __init__(self) -> None:
+        self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    def take(self, name: str, per_minute: float) -> None:
+        """Count one request.
+
+        Raises
+        ------
+        Problem
+            429 with ``Retry-After`` if the bucket is empty.
+        """
+        now, size = monotonic(), max(per_minute / 10, 5.0)
+        left, last = self._buckets.pop(name, (size, now))
+        left = min(size, left + (now - last) * per_minute / 60)
+        self._buckets[name] = (max(left - 1, 0.0) if left >= 1 else left, now)
+        if len(self._buckets) > MOST_CALLERS:
+            self._buckets.popitem(last=False)
+        if left < 1:
+            wait = max(1, round((1 - left) * 60 / per_minute))
+            raise Problem(
+                429,
+                f"more than {per_minute:g} requests a minute; wait {wait} s",
+                headers={"Retry-After": str(wait)},
+            )
+
+
+def _caller(key: ApiKey) -> Caller:
+    return Caller(key.name, key.scopes, key.jobs, key.requests_per_minute)
+
+
+def _refused(message: str, code: str) -> Problem:
+    return Problem(401, message, code, headers={"WWW-Authenticate": "Bearer"})

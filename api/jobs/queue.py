@@ -1,0 +1,235 @@
+"""Changes of the table of jobs; each safe beside any number of other servers."""
+
+import json
+import secrets
+from time import time
+from typing import Any
+
+import sqlalchemy as sql
+from sqlalchemy import Engine
+from sqlalchemy.exc import IntegrityError
+
+from api.errors import Problem
+from api.guard.keys import Caller
+from api.jobs.table import CANCELLED, DONE, ENDED, FAILED, JOBS, QUEUED, RUNNING, Job, job_of
+
+WEBHOOK_TRIES = 5
+WEBHOOK_SECONDS = 30.0
+"""Time from one try of a webhook to the next."""
+
+
+def new_id() -> str:
+    """Return an id of 256 random bits."""
+    return secrets.token_urlsafe(32)
+
+
+class Queue:
+    """The table of jobs in one database.
+
+    Parameters
+    ----------
+    engine : Engine
+        From `api.jobs.table.open_database`.
+    lease_seconds : float
+        Time after which a job whose holder was not seen is given to another.
+    attempts : int
+        Times that a job is begun before it counts as failed.
+    most : int
+        Most jobs that are queued or run, of all callers.
+    """
+
+    def __init__(self, engine: Engine, lease_seconds: float, attempts: int, most: int) -> None:
+        self.engine, self.lease_seconds = engine, lease_seconds
+        self.attempts, self.most = attempts, most
+
+    def known(self, caller: Caller, idempotency: str | None, digest: str) -> Job | None:
+        """Return the job of an idempotency key; Problem 409 if it was of another request."""
+        if idempotency is None:
+            return None
+        job = self._one(JOBS.c.idempotency == f"{caller.name}:{idempotency}")
+        if job is not None and job.digest != digest:
+            raise Problem(
+                409, "the Idempotency-Key was used with another request; use a new key",
+                "idempotency_conflict",
+            )  # fmt: skip
+        return job
+
+    def check_room(self, caller: Caller) -> None:
+        """Refuse a job beyond the caller's limit (Problem 429) or the service's (503)."""
+        active = self.counts()
+        if active.get(QUEUED, 0) + active.get(RUNNING, 0) >= self.most:
+            raise Problem(
+                503,
+                "too many jobs are queued; try again later",
+                "busy",
+                None,
+                {"Retry-After": "30"},
+            )
+        own = self.counts(caller.name)
+        if own.get(QUEUED, 0) + own.get(RUNNING, 0) >= caller.jobs:
+            raise Problem(
+                429, f"{caller.jobs} jobs of this key are queued or run; wait for one to end",
+                headers={"Retry-After": "30"},
+            )  # fmt: skip
+
+    def add(
+        self,
+        job_id: str,
+        caller: Caller,
+        work: dict[str, Any],
+        digest: str,
+        idempotency: str | None,
+        webhook: str | None,
+    ) -> Job:
+        """Accept a job whose files are in the store; of two with one key the first is returned."""
+        row = {
+            "id": job_id,
+            "owner": caller.name,
+            "status": QUEUED,
+            "work": json.dumps(work),
+            "created": time(),
+            "digest": digest,
+            "idempotency": None if idempotency is None else f"{caller.name}:{idempotency}",
+            "webhook": webhook,
+        }
+        try:
+            with self.engine.begin() as connection:
+                connection.execute(sql.insert(JOBS).values(**row))
+        except IntegrityError:
+            job = self.known(caller, idempotency, digest)
+            if job is None:
+                raise
+            return job
+        return self.get(job_id, caller)
+
+    def get(self, job_id: str, caller: Caller) -> Job:
+        """Return a caller's own job; Problem 404 if there is none."""
+        job = self._one(sql.and_(JOBS.c.id == job_id, JOBS.c.owner == caller.name))
+        if job is None:
+            raise Problem(404, "there is no such job", "job_unknown")
+        return job
+
+    def newest(
+        self, caller: Caller, status: str | None, limit: int, before: float | None
+    ) -> list[Job]:
+        """Return a caller's jobs, the newest first."""
+        where = [JOBS.c.owner == caller.name]
+        if status is not None:
+            where.append(JOBS.c.status == status)
+        if before is not None:
+            where.append(JOBS.c.created < before)
+        query = sql.select(JOBS).where(*where).order_by(JOBS.c.created.desc()).limit(limit)
+        with self.engine.connect() as connection:
+            return [job_of(row) for row in connection.execute(query)]
+
+    def counts(self, owner: str | None = None) -> dict[str, int]:
+        """Return the number of jobs of each status."""
+        query = sql.select(JOBS.c.status, sql.func.count()).group_by(JOBS.c.status)
+        if owner is not None:
+            query = query.where(JOBS.c.owner == owner)
+        with self.engine.connect() as connection:
+            return {status: count for status, count in connection.execute(query)}
+
+    def claim(self) -> Job | None:
+        """Take the oldest job that waits or whose holder is gone; None if there is none."""
+        while True:
+            now = time()
+            is_free = sql.or_(
+                JOBS.c.status == QUEUED,
+                sql.and_(JOBS.c.status == RUNNING, JOBS.c.lease < now),
+            )
+            job = self._one(is_free, order=JOBS.c.created)
+            if job is None:
+                return None
+            same = [JOBS.c.id == job.id, JOBS.c.status == job.status, JOBS.c.holder == job.holder]
+            if job.attempts >= self.attempts:
+                error = {"code": "worker_lost", "message": "the worker ended in every attempt"}
+                self._end([*same, is_free], FAILED, error=json.dumps(error | {"detail": None}))
+                continue
+            holder = new_id()
+            values = {
+                "status": RUNNING, "holder": holder, "lease": now + self.lease_seconds,
+                "attempts": job.attempts + 1, "started": job.started or now,
+            }  # fmt: skip
+            if self._update([*same, is_free], values):
+                return self._one(JOBS.c.id == job.id)
+
+    def renew(self, job: Job, progress: float) -> bool:
+        """Keep a job that is worked on; False if it was cancelled or is another's."""
+        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
+        values = {"lease": time() + self.lease_seconds, "progress": progress}
+        return self._update([*mine, JOBS.c.cancel == 0], values)
+
+    def release(self, job: Job) -> None:
+        """Put a job back that is worked on, because the server stops."""
+        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
+        self._update(mine, {"status": QUEUED, "attempts": max(job.attempts - 1, 0), "holder": ""})
+
+    def finish(self, job: Job, result: str, n_bytes: int, answer: dict[str, Any]) -> bool:
+        """End a job with its result; False if it is another's by now."""
+        return self._end(
+            self._mine(job), DONE, result=result, result_bytes=n_bytes, progress=1.0,
+            answer=json.dumps(answer),
+        )  # fmt: skip
+
+    def fail(self, job: Job, problem: Problem) -> bool:
+        """End a job with an error."""
+        return self._end(self._mine(job), FAILED, error=json.dumps(problem.content))
+
+    def cancel(self, job: Job) -> None:
+        """End a job that waits, or have the holder end one that runs."""
+        if not self._end([JOBS.c.id == job.id, JOBS.c.status == QUEUED], CANCELLED):
+            self._update([JOBS.c.id == job.id, JOBS.c.status == RUNNING], {"cancel": 1})
+
+    def confirm_cancelled(self, job: Job) -> bool:
+        """End a job whose cancellation its holder has seen."""
+        return self._end([*self._mine(job), JOBS.c.cancel == 1], CANCELLED)
+
+    def remove(self, job: Job) -> bool:
+        """Forget a job that has ended."""
+        where = (JOBS.c.id == job.id, JOBS.c.status.in_(ENDED))
+        with self.engine.begin() as connection:
+            return connection.execute(sql.delete(JOBS).where(*where)).rowcount == 1
+
+    def ended(self) -> list[Job]:
+        """Return every job that has ended, the oldest first."""
+        query = sql.select(JOBS).where(JOBS.c.status.in_(ENDED)).order_by(JOBS.c.finished)
+        with self.engine.connect() as connection:
+            return [job_of(row) for row in connection.execute(query)]
+
+    def exists(self, job_id: str) -> bool:
+        """Whether a job is in the table."""
+        return self._one(JOBS.c.id == job_id) is not None
+
+    def claim_webhook(self) -> Job | None:
+        """Take one webhook that is due; it is due again later unless `webhook_sent` is called."""
+        due = [JOBS.c.webhook_left > 0, JOBS.c.webhook_at < time()]
+        job = self._one(sql.and_(*due), order=JOBS.c.finished)
+        if job is None:
+            return None
+        values: dict[str, Any] = {
+            "webhook_at": time() + WEBHOOK_SECONDS, "webhook_left": JOBS.c.webhook_left - 1
+        }  # fmt: skip
+        return job if self._update([JOBS.c.id == job.id, *due], values) else None
+
+    def webhook_sent(self, job: Job) -> None:
+        """Note that a webhook was taken."""
+        self._update([JOBS.c.id == job.id], {"webhook_left": 0})
+
+    def _mine(self, job: Job) -> list[Any]:
+        return [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
+
+    def _end(self, where: list[Any], status: str, **values: Any) -> bool:
+        tries = sql.case((JOBS.c.webhook.is_(None), 0), else_=WEBHOOK_TRIES)
+        ending = {"status": status, "finished": time(), "ends": JOBS.c.ends + 1}
+        return self._update(where, ending | {"webhook_left": tries} | values)
+
+    def _update(self, where: list[Any], values: dict[str, Any]) -> bool:
+        with self.engine.begin() as connection:
+            return connection.execute(sql.update(JOBS).where(*where).values(**values)).rowcount == 1
+
+    def _one(self, where: Any, order: Any = None) -> Job | None:
+        query = sql.select(JOBS).where(where).order_by(order).limit(1)
+        with self.engine.connect() as connection:
+            row = connection.execute(query).first()
+        return None if row is None else job_of(row)

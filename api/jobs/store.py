@@ -1,0 +1,105 @@
+"""Files of jobs: a folder, or whatever fsspec reaches, such as an S3 bucket.
+
+::
+
+    inputs/<id>/<name>              what a request sent
+    results/<id>/<holder>-<name>    what a worker made; the table names the one that counts
+"""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from time import time
+from typing import Any
+
+import fsspec
+
+BLOCK_BYTES = 1 << 20
+UNKNOWN_SECONDS = 86_400.0
+
+
+class Store:
+    """Files under an fsspec URL or a folder.
+
+    Parameters
+    ----------
+    url : str
+        ``/var/lib/…``, ``s3://bucket/prefix``, ``memory://…``.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.files, self.root = fsspec.core.url_to_fs(url)
+        self.files.makedirs(self.root, exist_ok=True)
+
+    def put_folder(self, folder: Path, job_id: str) -> None:
+        """Copy the files of a folder to be a job's inputs."""
+        self._make(f"inputs/{job_id}")
+        for path in sorted(path for path in folder.iterdir() if path.is_file()):
+            self.files.put_file(str(path), self._at(f"inputs/{job_id}/{path.name}"))
+
+    def get_folder(self, job_id: str, folder: Path) -> None:
+        """Copy a job's inputs into a folder."""
+        for name in self.files.ls(self._at(f"inputs/{job_id}"), detail=False):
+            self.files.get_file(name, str(folder / name.rpartition("/")[2]))
+
+    def put_result(self, path: Path, job_id: str, holder: str) -> str:
+        """Copy a result; return its name."""
+        name = f"results/{job_id}/{holder}-{path.name}"
+        self._make(f"results/{job_id}")
+        self.files.put_file(str(path), self._at(name))
+        return name
+
+    def read(self, name: str) -> Iterator[bytes]:
+        """Yield the bytes of a file in blocks."""
+        with self.files.open(self._at(name), "rb") as file:
+            while block := file.read(BLOCK_BYTES):
+                yield block
+
+    def remove(self, job_id: str) -> None:
+        """Remove all files of a job."""
+        for kind in ("inputs", "results"):
+            self._remove(self._at(f"{kind}/{job_id}"))
+
+    def remove_inputs(self, job_id: str) -> None:
+        """Remove what a job's request sent."""
+        self._remove(self._at(f"inputs/{job_id}"))
+
+    def jobs(self) -> set[str]:
+        """Ids of all jobs that have files."""
+        found: set[str] = set()
+        for kind in ("inputs", "results"):
+            if self.files.exists(self._at(kind)):
+                listed = self.files.ls(self._at(kind), detail=False, refresh=True)
+                found |= {name.rstrip("/").rpartition("/")[2] for name in listed}
+        return found
+
+    def age(self, job_id: str) -> float:
+        """Seconds since the newest file of a job was written; a day where that is unknown."""
+        newest = 0.0
+        for kind in ("inputs", "results"):
+            if self.files.exists(self._at(f"{kind}/{job_id}")):
+                for about in self.files.find(self._at(f"{kind}/{job_id}"), detail=True).values():
+                    newest = max(newest, _written(about))
+        return time() - newest if newest else UNKNOWN_SECONDS
+
+    def _at(self, name: str) -> str:
+        return f"{self.root.rstrip('/')}/{name}"
+
+    def _make(self, name: str) -> None:
+        self.files.makedirs(self._at(name), exist_ok=True)
+
+    def _remove(self, path: str) -> None:
+        try:
+            self.files.rm(path, recursive=True)
+        except FileNotFoundError:
+            return
+        invalidate: Any = getattr(self.files, "invalidate_cache", lambda: None)
+        invalidate()
+
+
+def _written(about: dict[str, Any]) -> float:
+    """Time at which a file was written, as file systems name it; now if they do not."""
+    found = about.get("mtime", about.get("LastModified", about.get("created")))
+    if isinstance(found, datetime):
+        return found.timestamp()
+    return float(found) if isinstance(found, int | float) else time()

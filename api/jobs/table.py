@@ -1,0 +1,126 @@
+"""The table of jobs.
+
+::
+
+    queued ── claim ──> running ── finish ──> done | failed | cancelled
+       │                   └─ lease over ──> running again, of another holder
+       └────────────── cancel ─────────────> cancelled
+
+Every change is one UPDATE whose WHERE names the state it starts from: of two that compete, one
+changes a row and the other sees that it changed none.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sql
+from sqlalchemy import Column, Engine, Float, Integer, MetaData, String, Table, Text, event
+
+QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
+ENDED = (DONE, FAILED, CANCELLED)
+STATUSES = (QUEUED, RUNNING, *ENDED)
+
+METADATA = MetaData()
+JOBS = Table(
+    "deitalk_jobs",
+    METADATA,
+    Column("id", String(64), primary_key=True),
+    Column("owner", String(64), nullable=False, index=True),
+    Column("status", String(16), nullable=False, index=True),
+    Column("work", Text, nullable=False),
+    Column("created", Float, nullable=False, index=True),
+    Column("started", Float),
+    Column("finished", Float),
+    Column("progress", Float, nullable=False, default=0.0),
+    Column("attempts", Integer, nullable=False, default=0),
+    Column("holder", String(64), nullable=False, default=""),
+    Column("lease", Float, nullable=False, default=0.0),
+    Column("cancel", Integer, nullable=False, default=0),
+    Column("ends", Integer, nullable=False, default=0),
+    Column("result", String(200)),
+    Column("result_bytes", Integer, nullable=False, default=0),
+    Column("answer", Text),
+    Column("error", Text),
+    Column("idempotency", String(300), unique=True),
+    Column("digest", String(64), nullable=False),
+    Column("webhook", String(500)),
+    Column("webhook_left", Integer, nullable=False, default=0),
+    Column("webhook_at", Float, nullable=False, default=0.0),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One row, with its JSON read.
+
+    Attributes
+    ----------
+    id : str
+        43 random letters.
+    owner : str
+        Name of the key it was made with.
+    status : str
+        One of `STATUSES`.
+    work : dict
+        The order, and the format of its result.
+    created, started, finished : float or None
+        Seconds since 1970.
+    progress : float
+        0 to 1.
+    attempts : int
+        Times that a worker began it.
+    result : str or None
+        Name of the result in the store.
+    answer : dict or None
+        Notes and facts of the result.
+    error : dict or None
+        Code, message, detail.
+    """
+
+    id: str
+    owner: str
+    status: str
+    work: dict[str, Any]
+    created: float
+    started: float | None
+    finished: float | None
+    progress: float
+    attempts: int
+    holder: str
+    digest: str
+    result: str | None
+    result_bytes: int
+    answer: dict[str, Any] | None
+    error: dict[str, Any] | None
+    webhook: str | None
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing will change any more."""
+        return self.status in ENDED
+
+
+def job_of(row: "sql.Row[Any]") -> Job:
+    """Return a row as a job."""
+    values = {name: row._mapping[name] for name in Job.__dataclass_fields__}
+    for name in ("work", "answer", "error"):
+        values[name] = None if values[name] is None else json.loads(values[name])
+    return Job(**values)
+
+
+def open_database(url: str) -> Engine:
+    """Return an engine for a SQLAlchemy URL, with the table made if it is not there."""
+    engine = sql.create_engine(url, pool_pre_ping=True)
+    if engine.dialect.name == "sqlite":
+        event.listen(engine, "connect", _tune_sqlite)
+    METADATA.create_all(engine)
+    return engine
+
+
+def _tune_sqlite(connection: Any, record: Any) -> None:
+    """Readers beside one writer; a writer waits for another; kept after kill and power cut."""
+    cursor = connection.cursor()
+    for setting in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000"):
+        cursor.execute(f"PRAGMA {setting}")
+    cursor.close()

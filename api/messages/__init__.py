@@ -1,0 +1,1 @@
+"""Requests into orders, answers out of results, and their documentation."""

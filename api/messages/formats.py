@@ -1,0 +1,106 @@
+"""Files that a request can be answered with: names, suffixes, media types.
+
+A request names one by ``?format=`` or by its ``Accept`` header.
+"""
+
+from dataclasses import dataclass
+
+from api.errors import Problem
+from rig.errors import quoted
+from rig.formats import FORMATS
+
+MEDIA_TYPES = {
+    ".csv": "text/csv; charset=utf-8",
+    ".json": "application/json",
+    ".npz": "application/x-npz",
+    ".txt": "text/plain; charset=utf-8",
+    ".tsv": "text/tab-separated-values; charset=utf-8",
+    ".xml": "application/xml",
+    ".glb": "model/gltf-binary",
+    ".usd": "model/vnd.usd",
+    ".zip": "application/zip",
+    ".mp4": "video/mp4",
+    ".html": "text/html; charset=utf-8",
+}
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """A kind of file, with the text on it in the documentation."""
+
+    name: str
+    suffix: str
+    description: str
+
+    @property
+    def media_type(self) -> str:
+        """Value of ``Content-Type``."""
+        return MEDIA_TYPES["." + self.suffix.rpartition(".")[2]]
+
+
+ANIMATION_FORMATS = {
+    known.name: OutputFormat(known.name, known.suffixes[0], known.description)
+    for known in FORMATS
+    if known.write
+} | {
+    "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
+    "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720"),
+    "page": OutputFormat("page", ".html", "preview page in one file, offline"),
+}
+MESH_FORMATS = {
+    "glb": OutputFormat("glb", ".glb", "morph targets and their animation"),
+    "npz": OutputFormat("npz", ".npz", "vertices (T, V, 3) and triangles"),
+    "ply": OutputFormat("ply", ".zip", "one PLY file a frame, zipped"),
+}
+
+
+def choose_format(
+    formats: dict[str, OutputFormat], name: str | None, accept: str | None, default: str
+) -> OutputFormat:
+    """Return the format that a request is to be answered in.
+
+    Parameters
+    ----------
+    formats : dict
+        `ANIMATION_FORMATS` or `MESH_FORMATS`.
+    name : str or None
+        Of ``?format=``; it goes before `accept`.
+    accept : str or None
+        The header: the first media type that fits, in the order of ``q``.
+    default : str
+        Name of the format for ``*/*`` or no header.
+
+    Raises
+    ------
+    Problem
+        400 if there is no such format.
+    """
+    known = ", ".join(formats)
+    if name is not None:
+        if name not in formats:
+            raise Problem(400, f"format {quoted(name)} is none of {known}", "format_unknown")
+        return formats[name]
+    wanted = _accepted(accept or "*/*")
+    for media_type in wanted:
+        if media_type in ("*/*", "application/*") or media_type == "application/problem+json":
+            return formats[default]
+        for known_format in formats.values():
+            own = known_format.media_type.partition(";")[0]
+            if media_type == own or media_type == own.partition("/")[0] + "/*":
+                return known_format
+    raise Problem(
+        400, f"Accept {quoted(accept)} fits none of the formats {known}", "format_unknown"
+    )
+
+
+def _accepted(header: str) -> list[str]:
+    """Media types of an ``Accept`` header, the most wanted first."""
+    found = []
+    for part in header[:1000].split(","):
+        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
+        weight = next((o[2:] for o in options if o.startswith("q=")), "1")
+        try:
+            found.append((-float(weight), media_type))
+        except ValueError:
+            continue
+    return [media_type for weight, media_type in sorted(found, key=lambda w: w[0]) if weight < 0]

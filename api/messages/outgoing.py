@@ -1,0 +1,156 @@
+"""From an order to an answer: the result at once, or a job for what takes longer."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+from fastapi import Request, Response
+from starlette.responses import StreamingResponse
+
+from api.compute.order import Answer, Kind, Order
+from api.compute.pool import result_path
+from api.errors import Problem
+from api.guard.keys import Caller, require
+from api.jobs.queue import new_id
+from api.jobs.table import Job
+from api.jobs.webhooks import check_webhook
+from api.messages.formats import OutputFormat
+from api.messages.options import MotionOptions
+from api.messages.schemas import view_of
+from api.service import Service
+
+AT_ONCE_BYTES = 16 << 20
+"""Larger results are sent from their file."""
+LONGEST_NOTES = 2000
+LONGEST_KEY = 200
+
+
+async def answer_order(
+    request: Request,
+    service: Service,
+    caller: Caller,
+    folder: Path,
+    kind: Kind,
+    options: dict[str, Any],
+    given: MotionOptions,
+    output: OutputFormat,
+) -> Response:
+    """Carry out an order now if its recording is short, else accept a job.
+
+    Parameters
+    ----------
+    request, service, caller
+        Of the route.
+    folder : Path
+        With the order's files; it is removed.
+    kind : str
+        Of the order.
+    options : dict
+        Of the order.
+    given : MotionOptions
+        Of the request.
+    output : OutputFormat
+        Of the result.
+    """
+    work: Order = {
+        "kind": kind,
+        "options": options | {"format": output.name, "suffix": output.suffix},
+        "at_once_seconds": service.settings.max_seconds,
+        "most_seconds": service.settings.max_job_seconds,
+    }
+    try:
+        if given.wait:
+            answer = await service.pool.run(work | {"folder": str(folder)})
+            if "long" not in answer:
+                service.metrics.audio.inc(answer.get("facts", {}).get("seconds", 0.0))
+                return await _result(folder, answer, output)
+        job = await accept(request, service, caller, folder, work, given, output)
+        body = view_of(job).model_dump_json()
+        headers = {"Location": f"/v1/jobs/{job.id}"}
+        return Response(body, 202, headers, "application/json")
+    finally:
+        await anyio.to_thread.run_sync(shutil.rmtree, folder, True)
+
+
+async def accept(
+    request: Request,
+    service: Service,
+    caller: Caller,
+    folder: Path,
+    work: Order,
+    given: MotionOptions,
+    output: OutputFormat,
+) -> Job:
+    """Put an order into the queue of jobs.
+
+    Raises
+    ------
+    Problem
+        403 without the scope, 409 for an idempotency key of another request, 429, 503.
+    """
+    require(caller, "jobs")
+    key = request.headers.get("idempotency-key")
+    if key is not None and not (0 < len(key) <= LONGEST_KEY and key.isprintable()):
+        raise Problem(400, f"Idempotency-Key must be 1 to {LONGEST_KEY} printable letters")
+    webhook = given.webhook
+    if webhook is not None:
+        check_webhook(webhook, service.settings.webhook_hosts)
+    order: Order = work | {"at_once_seconds": service.settings.max_job_seconds}
+    content = {"order": order, "media_type": output.media_type, "format": output.name}
+
+    def add() -> Job:
+        digest = _digest(folder, content)
+        known = service.queue.known(caller, key, digest)
+        if known is not None:
+            return known
+        service.queue.check_room(caller)
+        job_id = new_id()
+        service.store.put_folder(folder, job_id)
+        job = service.queue.add(job_id, caller, content, digest, key, webhook)
+        if job.id != job_id:
+            service.store.remove(job_id)
+        return job
+
+    job = await anyio.to_thread.run_sync(add)
+    service.runner.wake()
+    return job
+
+
+def _digest(folder: Path, content: dict[str, Any]) -> str:
+    """SHA-256 of everything that a request sent."""
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    for path in sorted(path for path in folder.iterdir() if path.is_file()):
+        digest.update(path.name.encode())
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+async def _result(folder: Path, answer: Answer, output: OutputFormat) -> Response:
+    path = result_path(folder, answer)
+    headers = result_headers(path.name, answer.get("notes", []))
+    if path.stat().st_size <= AT_ONCE_BYTES:
+        return Response(path.read_bytes(), headers=headers, media_type=output.media_type)
+    file = path.open("rb")  # the folder goes, the open file stays
+
+    async def blocks() -> AsyncIterator[bytes]:
+        with file:
+            while block := await anyio.to_thread.run_sync(file.read, 1 << 20):
+                yield block
+
+    return StreamingResponse(blocks(), headers=headers, media_type=output.media_type)
+
+
+def result_headers(name: str, notes: list[str]) -> dict[str, str]:
+    """Headers of a result: its file name, and the notes as ASCII JSON."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    while notes and len(json.dumps(notes)) > LONGEST_NOTES:
+        notes = notes[:-1]
+    if notes:
+        headers["Deitalk-Notes"] = json.dumps(notes)
+    return headers

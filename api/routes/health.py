@@ -1,0 +1,40 @@
+"""State of the service, and its counts."""
+
+from fastapi import APIRouter, Response
+
+from api.errors import Problem
+from api.messages.schemas import StatusView
+from api.routes.deps import MetricsDep, ServiceDep, problems
+from deitalk import __version__
+
+router = APIRouter(tags=["state"])
+
+
+@router.get("/healthz")
+async def health() -> StatusView:
+    """Whether the service answers."""
+    return StatusView(status="ok", version=__version__)
+
+
+@router.get("/readyz", responses=problems())
+async def ready(service: ServiceDep) -> StatusView:
+    """Whether a worker has read the models; 503 before."""
+    if not service.pool.is_ready:
+        raise Problem(503, "the models are being read", "starting", None, {"Retry-After": "1"})
+    return StatusView(status="ready", version=__version__)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {}}}, **problems()},
+)
+def metrics(service: ServiceDep, caller: MetricsDep) -> Response:
+    """Counts and times in the text format of Prometheus."""
+    counts = service.metrics
+    counts.busy.set(service.pool.busy)
+    counts.lost.set(service.pool.lost)
+    counts.live.set(service.live_sessions)
+    for status, count in service.queue.counts().items():
+        counts.jobs.labels(status).set(count)
+    return Response(counts.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

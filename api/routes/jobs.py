@@ -1,0 +1,132 @@
+"""Jobs: long recordings, their progress and results."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated, Literal
+
+import anyio
+from fastapi import APIRouter, Path, Query, Request, Response
+from starlette.responses import StreamingResponse
+
+from api.errors import Problem
+from api.guard.keys import Caller
+from api.jobs.table import DONE, Job
+from api.messages import body_docs
+from api.messages.formats import ANIMATION_FORMATS
+from api.messages.options import MotionOptions
+from api.messages.outgoing import result_headers
+from api.messages.schemas import JOB_EXAMPLE, JobsView, JobView, view_of
+from api.routes.animations import SPEECH, speech
+from api.routes.deps import JobCallerDep, ServiceDep, problems
+from api.service import Service
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=problems(404))
+POLL_SECONDS = 0.25
+QUIET_SECONDS = 15.0
+"""Longest silence of a stream of events: proxies close what is silent for longer."""
+JobId = Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{43}$", examples=[JOB_EXAMPLE])]
+Status = Literal["queued", "running", "done", "failed", "cancelled"]
+
+
+@router.post(
+    "",
+    status_code=202,
+    response_class=Response,
+    responses=body_docs.answers(ANIMATION_FORMATS, JobView, at_once=False) | problems(409, 415),
+    openapi_extra=body_docs.body(MotionOptions, SPEECH, raw=True),
+)
+async def create(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
+    """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""
+    return await speech(
+        request, service, caller, "animation", MotionOptions, ANIMATION_FORMATS, "json",
+        at_once=False,
+    )  # fmt: skip
+
+
+@router.get("")
+def list_jobs(
+    service: ServiceDep,
+    caller: JobCallerDep,
+    status: Status | None = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+    before: Annotated[
+        float | None, Query(ge=0, le=1e11, description="Made before, seconds since 1970")
+    ] = None,
+) -> JobsView:
+    """The key's own jobs, the newest first."""
+    jobs = service.queue.newest(caller, status, limit, before)
+    return JobsView(jobs=[view_of(job) for job in jobs])
+
+
+@router.get("/{job_id}")
+def show(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+    """A job and its progress."""
+    return view_of(service.queue.get(job_id, caller))
+
+
+@router.get(
+    "/{job_id}/events",
+    response_class=Response,
+    responses={200: {"description": "Events", "content": {"text/event-stream": {}}}},
+)
+async def events(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
+    """Progress as server-sent events `job`, to the end of the job."""
+    job = await anyio.to_thread.run_sync(service.queue.get, job_id, caller)
+    headers = {"X-Accel-Buffering": "no"}
+    return StreamingResponse(
+        _events(service, caller, job), headers=headers, media_type="text/event-stream"
+    )
+
+
+@router.get(
+    "/{job_id}/result",
+    response_class=Response,
+    responses=problems(409)
+    | {200: {"description": "The result", "content": {"application/octet-stream": {}}}},
+)
+def result(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
+    """The file of a job that is done; 409 before."""
+    job = service.queue.get(job_id, caller)
+    if job.status != DONE or job.result is None:
+        raise Problem(409, f"the job is {job.status}; it has no result", "job_without_result")
+    name = job.result.rpartition("/")[2][len(job.id) + 1 :]  # ids and holders are as long
+    notes = (job.answer or {}).get("notes", [])
+    headers = result_headers(name, notes) | {"Content-Length": str(job.result_bytes)}
+    blocks = service.store.read(job.result)
+    return StreamingResponse(blocks, headers=headers, media_type=job.work["media_type"])
+
+
+@router.post("/{job_id}/cancel")
+def cancel(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+    """End a job; one that has ended stays as it is."""
+    service.queue.cancel(service.queue.get(job_id, caller))
+    return view_of(service.queue.get(job_id, caller))
+
+
+@router.delete("/{job_id}", status_code=204, responses=problems(409))
+def delete(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
+    """Forget a job that has ended, with its files; 409 while it is queued or runs."""
+    job = service.queue.get(job_id, caller)
+    if not service.queue.remove(job):
+        raise Problem(409, f"the job is {job.status}; cancel it first", "job_active")
+    service.store.remove(job.id)
+
+
+async def _events(service: Service, caller: Caller, job: Job) -> AsyncIterator[str]:
+    last, quiet = None, 0.0
+    while True:
+        view = view_of(job).model_dump_json()
+        if view != last:
+            yield f"event: job\ndata: {view}\n\n"
+            last, quiet = view, 0.0
+        elif quiet >= QUIET_SECONDS:
+            yield ": still there\n\n"
+            quiet = 0.0
+        if job.has_ended:
+            return
+        await asyncio.sleep(POLL_SECONDS)
+        quiet += POLL_SECONDS
+        try:
+            job = await anyio.to_thread.run_sync(service.queue.get, job.id, caller)
+        except Problem:  # deleted meanwhile
+            return

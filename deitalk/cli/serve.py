@@ -1,0 +1,77 @@
+"""`deitalk serve`, `openapi` and `new-key`: the commands of the service in `api/`.
+
+The service is built on this package, so nothing here imports it: its module is found by name when
+one of its commands runs.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deitalk.cli.paths import reserve_file
+from deitalk.errors import MissingError
+
+
+def serve(
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on (127.0.0.1); others need keys.")
+    ] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port (8000).")] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="YAML file of settings; see docs/service.md.")
+    ] = None,
+) -> None:
+    """Serve animations over HTTP and WebSocket.
+
+    Settings come from a YAML file, then from variables DEITALK_<NAME>, then from these options.
+
+    Examples
+    --------
+    deitalk serve
+
+    deitalk serve --port 9000 --settings service.yaml
+    """
+    _commands().serve(settings, host=host, port=port)
+
+
+def openapi(
+    out: Annotated[Path, typer.Option("--out", "-o", help="JSON file to write.")] = Path(
+        "openapi.json"
+    ),
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write the OpenAPI schema of the service.
+
+    Examples
+    --------
+    deitalk openapi -o openapi.json
+    """
+    reserve_file(out, force=force)
+    _commands().write_openapi(out)
+
+
+def new_key(
+    name: Annotated[str, typer.Argument(help="Name of the key's owner, for the log.")],
+    scopes: Annotated[
+        str, typer.Option(help="Of animate, jobs, live and metrics, with commas.")
+    ] = "animate,jobs,live",
+    per_minute: Annotated[int, typer.Option(min=1, help="Requests a minute.")] = 600,
+) -> None:
+    """Print a new API key, once, and the lines of settings that accept it.
+
+    Examples
+    --------
+    deitalk new-key farm --scopes animate,jobs
+    """
+    _commands().print_new_key(name, scopes, per_minute)
+
+
+def _commands() -> Any:
+    try:
+        return import_module("api.commands")
+    except ModuleNotFoundError as error:
+        raise MissingError(
+            f"the service needs {error.name}; install it with pip install 'deitalk[api]'"
+        ) from None

@@ -1,0 +1,81 @@
+"""A real server in a process of its own, on a free port, for tests."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+
+ROOT = Path(__file__).resolve().parents[2]
+START_SECONDS = 120
+
+
+@dataclass
+class Server:
+    url: str
+    process: "subprocess.Popen[bytes]"
+    log: Path
+
+    @property
+    def address(self) -> tuple[str, int]:
+        host, _, port = self.url.removeprefix("http://").partition(":")
+        return host, int(port)
+
+    def client(self, **given) -> httpx.Client:
+        return httpx.Client(base_url=self.url, timeout=120, trust_env=False, **given)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def start(data: Path, port: int | None = None, *, ready: bool = True, **settings) -> Server:
+    """Start a server whose settings are variables of its environment."""
+    port = port or free_port()
+    given = {"workers": 1, "job_workers": 1, "data": data, "port": port} | settings
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("DEITALK_")}
+    environment |= {f"DEITALK_{name.upper()}": str(value) for name, value in given.items()}
+    environment |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    data.mkdir(exist_ok=True)
+    log = data / "server.log"
+    with log.open("ab") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "deitalk", "serve"], env=environment, stdout=out, stderr=out
+        )
+    server = Server(f"http://127.0.0.1:{port}", process, log)
+    wait_until(server, "/readyz" if ready else "/healthz")
+    return server
+
+
+def wait_until(server: Server, path: str) -> None:
+    end = time.monotonic() + START_SECONDS
+    while time.monotonic() < end:
+        assert server.process.poll() is None, server.log.read_text()
+        with suppress(httpx.HTTPError):
+            if httpx.get(server.url + path, trust_env=False).is_success:
+                return
+        time.sleep(0.1)
+    raise AssertionError(f"no server: {server.log.read_text()}")
+
+
+def stop(server: Server) -> None:
+    if server.process.poll() is None:
+        server.process.terminate()
+        server.process.wait(30)
+
+
+@contextmanager
+def serving(data: Path, **settings) -> Iterator[Server]:
+    server = start(data, **settings)
+    try:
+        yield server
+    finally:
+        stop(server)

@@ -1,0 +1,202 @@
+"""Animations, meshes, retargets and checks over HTTP."""
+
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from api.messages.formats import ANIMATION_FORMATS
+from deitalk import animate
+from rig import read_curves
+from tests.api.conftest import wav
+
+SPEECH = wav(1.5)
+
+
+def post(client, path="/v1/animations", files=None, **given):
+    return client.post(path, files=files or {"recording": ("speech.wav", SPEECH)}, **given)
+
+
+def test_curves_equal_those_of_the_library(client, tmp_path):
+    answer = post(client, data={"emotion": "happy", "seed": "3", "format": "npz"})
+    assert answer.status_code == 200 and answer.headers["content-type"] == "application/x-npz"
+    (tmp_path / "curves.npz").write_bytes(answer.content)
+    expected = animate(SPEECH, "happy", seed=3).curves
+    found = read_curves(tmp_path / "curves.npz")
+    assert found.names == expected.names and found.fps == expected.fps
+    assert np.abs(found.values - expected.values).max() < 1e-5
+
+
+def test_raw_body_and_form_give_the_same(client):
+    form = post(client, params={"emotion": "sad"})
+    raw = client.post(
+        "/v1/animations?emotion=sad", content=SPEECH, headers={"Content-Type": "audio/wav"}
+    )
+    assert form.status_code == raw.status_code == 200
+    assert form.json() == raw.json()
+
+
+@pytest.mark.parametrize("name", sorted(set(ANIMATION_FORMATS) - {"usd"}))
+def test_every_format_is_answered_and_not_empty(client, name):
+    if name == "page":
+        from deitalk.preview.page import BUNDLE
+
+        if not BUNDLE.is_file():
+            pytest.skip("the preview page is not built")
+    small = {"recording": ("a.wav", wav(0.5))}
+    answer = post(client, files=small, params={"format": name, "name": "my line"})
+    assert answer.status_code == 200, answer.text
+    known = ANIMATION_FORMATS[name]
+    assert answer.headers["content-type"].startswith(known.media_type.partition(";")[0])
+    expected = f'attachment; filename="my line{known.suffix}"'
+    assert answer.headers["content-disposition"] == expected
+    assert len(answer.content) > 20
+
+
+def test_take_holds_the_files_of_the_command(client):
+    answer = post(client, params={"emotion": "angry"}, headers={"Accept": "application/zip"})
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        about = json.loads(archive.read("take.json"))
+    assert {"curves.csv", "curves.json", "neutral.npz", "intensity.csv", "audio.wav"} < names
+    assert about["settings"]["emotion"] == "angry=1" and about["model"]["name"] == "default"
+    assert set(about["files"]) <= names
+
+
+@pytest.mark.parametrize(
+    "emotion",
+    [
+        "happy=0.5,sad=0.5",
+        '{"happy": 0.5, "sad": 0.5}',
+        '[{"time": 0, "emotion": "happy", "strength": 0.5},'
+        ' {"time": 0, "emotion": "sad", "strength": 0.5}]',
+        "time,emotion,strength\n0,happy,0.5\n0,sad,0.5\n",
+    ],
+)
+def test_every_spelling_of_an_emotion_gives_the_same_curves(client, emotion):
+    plain = post(client, data={"emotion": "happy=0.5,sad=0.5", "format": "npz"})
+    assert post(client, data={"emotion": emotion, "format": "npz"}).content == plain.content
+
+
+def test_intensity_zero_is_neutral_and_a_curve_replaces_the_prediction(client):
+    def values(**data):
+        answer = post(client, data=data | {"format": "json"})
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    neutral = values(emotion="neutral")["curves"] if "curves" in values() else None
+    zero, factor = values(emotion="happy", intensity="0"), values(emotion="happy")
+    curve = '[{"time": 0, "intensity": 1.5}, {"time": 9, "intensity": 1.5}]'
+    edited = values(emotion="happy", intensity_curve=curve)
+    assert max(zero["intensity"]) == 0 < max(factor["intensity"])
+    assert np.allclose(edited["intensity"], 1.5)
+    assert neutral is None or zero["curves"] == neutral
+
+
+def test_rate_of_the_result(client):
+    answer = post(client, params={"fps": "60"}).json()
+    assert answer["fps"] == 60 and answer["n_frames"] == 90
+
+
+@pytest.mark.parametrize(
+    ("data", "status", "code"),
+    [
+        ({"emotion": "hapy"}, 422, "emotion_invalid"),
+        ({"emotion": "moods.csv"}, 422, "emotion_invalid"),
+        ({"emotion": "../../etc/passwd.json"}, 422, "emotion_invalid"),
+        ({"emotion": "[{]"}, 422, "emotion_invalid"),
+        ({"intensity": "5"}, 422, "option_invalid"),
+        ({"intensity": "nan"}, 422, "option_invalid"),
+        ({"fps": "0"}, 422, "option_invalid"),
+        ({"unknown": "1"}, 422, "option_invalid"),
+        ({"model": "sdfa"}, 422, "model_unfit"),
+        ({"model": "../../weights"}, 404, "model_unknown"),
+        ({"format": "fbx"}, 400, "format_unknown"),
+        ({"name": "../x"}, 422, "option_invalid"),
+    ],
+)
+def test_wrong_options_are_problems(client, data, status, code):
+    answer = post(client, data=data)
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert set(answer.json()) == {"code", "message", "detail"}
+
+
+def test_wrong_bodies_are_problems(client):
+    statuses = {
+        "noise": post(client, files={"recording": ("a.wav", b"no audio" * 50)}).status_code,
+        "none": post(client, files={"emotion": ("a.csv", b"time,emotion,strength")}).status_code,
+        "type": client.post("/v1/animations", json={"a": 1}).status_code,
+        "empty": client.post("/v1/animations", content=b"").status_code,
+        "route": client.get("/v1/nothing").status_code,
+        "method": client.get("/v1/animations").status_code,
+    }
+    assert statuses == {
+        "noise": 422, "none": 422, "type": 415, "empty": 422, "route": 404, "method": 405
+    }  # fmt: skip
+
+
+def test_mesh_of_a_recording(client):
+    files = {"recording": ("a.wav", wav(0.4))}
+    answer = post(client, "/v1/meshes", files, data={"emotion": "happy", "format": "npz"})
+    arrays = np.load(io.BytesIO(answer.content))
+    frames, vertices, axes = arrays["vertices"].shape
+    assert (frames, axes) == (12, 3) and arrays["triangles"].max() == vertices - 1
+
+
+def test_retarget_drives_the_shapes_of_the_mesh(client):
+    neutral = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+    deltas = np.zeros((2, 4, 3), np.float32)
+    deltas[0, :, 1], deltas[1, :, 0] = -1, 0.5
+    buffer = io.BytesIO()
+    triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
+    names = np.array(["jawOpen", "mouthFunnel"])
+    np.savez(buffer, neutral=neutral, triangles=triangles, names=names, deltas=deltas)
+    mesh = ("face.npz", buffer.getvalue())
+    curves = post(client, params={"format": "csv"}).content
+    files = {"mesh": mesh, "curves": ("curves.csv", curves)}
+    answer = post(client, "/v1/retargets", files)
+    assert answer.status_code == 200, answer.text
+    assert answer.content[:4] == b"glTF"
+    missing = post(client, "/v1/retargets", {"mesh": mesh})
+    assert (missing.status_code, missing.json()["code"]) == (422, "curves_missing")
+
+
+def test_validation_finds_what_the_command_finds(client):
+    good = post(client, params={"format": "csv"}).content
+    bad = good.replace(b"CTRL_C_jaw.ty", b"CTRL_C_jaw.tz")
+    first = client.post("/v1/validate", files={"curves": ("curves.csv", good)}).json()
+    second = client.post("/v1/validate", files={"curves": ("curves.csv", bad)}).json()
+    assert first["ok"] and not second["ok"]
+    assert any("CTRL_C_jaw.tz" in finding["text"] for finding in second["findings"])
+    other = client.post("/v1/validate", files={"curves": ("curves.exe", good)})
+    assert other.status_code == 415
+
+
+def test_catalogue(client):
+    models = {model["name"]: model["product"] for model in client.get("/v1/models").json()}
+    assert models["default"] == "curves" and models["sdfa"] == "mesh"
+    assert client.get("/v1/emotions").json()["emotions"][0] == "neutral"
+    sets = {known["id"]: known["controls"] for known in client.get("/v1/control-sets").json()}
+    assert sets["metahuman-185@mh4"] == 185
+    assert len(client.get("/v1/control-sets/metahuman-185@mh4").json()) == 185
+    assert client.get("/v1/control-sets/none").status_code == 404
+    assert "take" in {known["name"] for known in client.get("/v1/formats").json()["animations"]}
+
+
+def test_state_and_counts(client):
+    post(client)
+    assert client.get("/healthz").json()["status"] == "ok"
+    assert client.get("/readyz").json()["status"] == "ready"
+    text = client.get("/metrics").text
+    line = 'deitalk_requests_total{method="POST",route="/v1/animations",status="200"}'
+    assert line in text and "deitalk_audio_seconds_total" in text
+
+
+def test_page_of_the_routes_names_each_and_loads_nothing(client):
+    page = client.get("/docs").text
+    for path in client.get("/openapi.json").json()["paths"]:
+        assert path in page
+    assert "<script" not in page and "src=" not in page

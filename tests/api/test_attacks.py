@@ -1,0 +1,272 @@
+"""What a hostile client sends: refused, and nothing of it on disk, in answers or in logs."""
+
+import gzip
+import http.client
+import io
+import json
+import re
+import socket
+import struct
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from tests.api.conftest import KEYS, bearer, wav
+
+SPEECH = wav(0.6)
+TRAVERSALS = (
+    "../../../../tmp/deitalk-attack",
+    "/tmp/deitalk-attack",
+    "..\\..\\deitalk-attack.glb",
+    "a/../../deitalk-attack.csv",
+    "%2e%2e%2fdeitalk-attack",
+    "deitalk-attack\x00.csv",
+)
+
+
+def raw(server, request: bytes, seconds: float = 10.0) -> bytes:
+    """Everything that the server answers to bytes on a socket."""
+    with socket.create_connection(server.address, timeout=seconds) as connection:
+        connection.sendall(request)
+        answer = b""
+        try:
+            while block := connection.recv(65536):
+                answer += block
+        except (TimeoutError, ConnectionError):
+            pass
+        return answer
+
+
+def status_of(answer: bytes) -> int:
+    return int(answer.split(b" ", 2)[1])
+
+
+@pytest.mark.parametrize("name", TRAVERSALS)
+def test_names_of_a_request_never_become_paths(server, client, name, tmp_path):
+    before = {path.name for path in server.log.parent.rglob("*")}
+    files = {
+        "recording": (name, SPEECH),
+        "emotion": (name + ".csv", b"time,emotion,strength\n0,sad,1"),
+    }
+    assert client.post("/v1/animations", files=files).status_code == 200
+    named = client.post("/v1/animations", files={"recording": SPEECH}, data={"name": name})
+    model = client.post("/v1/animations", files={"recording": SPEECH}, data={"model": name})
+    assert (named.status_code, model.status_code) == (422, 404)
+    for path in ("/v1/jobs/", "/v1/control-sets/", "/v1/jobs/../../"):
+        found = client.get(path + name.replace("\x00", "%00"))
+        assert found.status_code in (400, 404, 422), (path, found.status_code)
+    after = {path.name for path in server.log.parent.rglob("*")}
+    assert not {left for left in after - before if "attack" in left}
+
+
+def test_emotion_of_a_file_on_the_server_is_not_read(client, tmp_path):
+    track = tmp_path / "moods.csv"
+    track.write_text("time,emotion,strength\n0,happy,1\n")
+    for text in (str(track), f"{track}\n", f"file://{track}", f"happy=1.{track}"):
+        answer = client.post("/v1/animations", files={"recording": SPEECH}, data={"emotion": text})
+        assert answer.status_code == 422, text
+        assert str(tmp_path) not in answer.text
+
+
+def test_answers_and_log_hold_no_path_and_no_trace(server, client):
+    bodies = [
+        {"mesh": ("x.glb", b"glTF" + bytes(40)), "curves": ("c.csv", b"frame,time\n")},
+        {"mesh": ("x.obj", b"v 0 0\nf 1 2 9\n"), "curves": ("c.json", b"{")},
+        {"mesh": ("x.npz", b"PK\3\4"), "recording": SPEECH, "mapping": ("m.csv", b"a")},
+    ]
+    for files in bodies:
+        answer = client.post("/v1/retargets", files=files)
+        assert answer.status_code == 422, answer.text
+        assert not re.search(r"/(tmp|home|root|work|usr|var)/", answer.text), answer.text
+    log = server.log.read_text().split("starting")[-1]
+    served = [line for line in log.splitlines() if " INFO " in line or " ERROR " in line]
+    assert not [line for line in served if "/tmp/" in line or "/usr/" in line]
+    assert "Traceback" not in log
+
+
+def test_bodies_beyond_the_limit_are_refused(server, client):
+    assert client.post("/v1/animations", content=bytes(4_100_000)).status_code == 413
+
+    def blocks():
+        for _ in range(50):
+            yield bytes(100_000)
+
+    assert client.post("/v1/animations", content=blocks()).status_code == 413
+    lie = b"POST /v1/animations HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 99999999999\r\n\r\n"
+    assert status_of(raw(server, lie)) == 413
+
+
+def test_content_encoding_is_refused(client):
+    body = gzip.compress(bytes(3_000_000))
+    answer = client.post("/v1/animations", content=body, headers={"Content-Encoding": "gzip"})
+    assert answer.status_code == 415
+
+
+def test_slow_bodies_and_slow_headers_are_cut_off(server):
+    begun = time.monotonic()
+    head = b"POST /v1/animations HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\nslow"
+    assert b"body_slow" in raw(server, head)
+    assert raw(server, b"GET /healthz HTTP/1.1\r\nHost: 127.0") == b""
+    assert time.monotonic() - begun < 9  # limits of 3 s and 2 s
+
+
+def test_huge_headers_are_refused(server):
+    long = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 70_000 + b"\r\n\r\n"
+    many = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n" + b"X: 1\r\n" * 200 + b"\r\n"
+    assert status_of(raw(server, long)) in (400, 431)
+    assert status_of(raw(server, many)) == 400
+
+
+def test_pages_of_other_sites_are_refused(client, server):
+    def status(headers, method="POST"):
+        return client.request(method, "/v1/animations", content=SPEECH, headers=headers).status_code
+
+    assert status({"Origin": "https://evil.example"}) == 403
+    assert status({"Origin": "null"}) == 403
+    assert status({"Sec-Fetch-Site": "cross-site"}) == 403
+    assert status({"Host": "evil.example"}) == 403  # a name that was pointed at this machine
+    assert status({"Origin": server.url}) == 200
+    preflight = client.options("/v1/animations", headers={"Origin": "https://evil.example"})
+    assert preflight.status_code == 403
+    assert not [name for name in preflight.headers if name.startswith("access-control")]
+
+
+def _wav_header(n_bytes: int, channels: int = 1, rate: int = 16000) -> bytes:
+    each = (rate * 2 * channels) & 0xFFFFFFFF, (2 * channels) & 0xFFFF
+    head = struct.pack(
+        "<4sI4s4sIHHIIHH", b"RIFF", n_bytes & 0xFFFFFFFF, b"WAVE", b"fmt ", 16, 1, channels, rate,
+        *each, 16,
+    )  # fmt: skip
+    return head + struct.pack("<4sI", b"data", n_bytes & 0xFFFFFFFF)
+
+
+def _silence(seconds: float, kind: str) -> bytes:
+    """Silence as a compressed recording of a few kilobytes."""
+    import soundfile
+
+    buffer = io.BytesIO()
+    with soundfile.SoundFile(buffer, "w", 8000, 1, format=kind) as file:
+        for _ in range(int(seconds / 10)):
+            file.write(np.zeros(80_000, np.float32))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("kind", ["FLAC", "OGG", "MP3"])
+def test_compressed_hours_are_refused_by_their_length(client, kind):
+    bomb = _silence(2000, kind)
+    assert len(bomb) < 4_000_000
+    begun = time.monotonic()
+    answer = client.post("/v1/animations", content=bomb)
+    assert answer.status_code in (413, 422), answer.text
+    assert time.monotonic() - begun < 20
+
+
+def test_false_headers_of_recordings_are_refused(client):
+    for body in (
+        _wav_header(0xFFFFFF00) + SPEECH[44:],
+        _wav_header(1000, channels=65535) + bytes(1000),
+        _wav_header(1000, rate=2**31) + bytes(1000),
+        b"RIFF\xff\xff\xff\xffWAVE",
+        b"fLaC" + b"\xff" * 400,
+        b"OggS" + bytes(400),
+        b"\x00\x00\x00\x18ftypM4A " + b"\xff" * 400,
+        b"\x1aE\xdf\xa3" + b"\xff" * 400,
+        b"#EXTM3U\nfile:///etc/passwd\n",
+    ):
+        answer = client.post("/v1/animations", content=body)
+        assert answer.status_code in (200, 413, 422), (body[:20], answer.text)
+        assert "root:" not in answer.text
+
+
+def test_more_channels_than_the_limit_are_refused(client):
+    answer = client.post("/v1/animations", content=wav(0.5, channels=17))
+    assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
+    assert client.post("/v1/animations", content=wav(0.5, channels=16)).status_code == 200
+
+
+def _zip_bomb() -> bytes:
+    """An NPZ whose array of 8 GB takes some kilobytes."""
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        head, {"descr": "<f4", "fortran_order": False, "shape": (2**31,)}
+    )
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("neutral.npy", head.getvalue() + bytes(200_000_000))
+    return buffer.getvalue()
+
+
+def test_zip_bombs_are_refused(client):
+    bomb = _zip_bomb()
+    files = {"mesh": ("m.npz", bomb), "recording": SPEECH}
+    begun = time.monotonic()
+    mesh = client.post("/v1/retargets", files=files)
+    curves = client.post("/v1/validate", files={"curves": ("c.npz", bomb)})
+    assert mesh.status_code in (413, 422), mesh.text
+    assert curves.status_code == 200 and not curves.json()["ok"]
+    assert time.monotonic() - begun < 20
+
+
+def test_videos_of_more_pixels_than_the_limit_are_refused(client):
+    answer = client.post("/v1/animations?format=mp4&fps=60", content=SPEECH)
+    assert answer.status_code == 413
+
+
+def test_nested_keys_are_refused(client):
+    deep = "[" * 100_000
+    answer = client.post("/v1/animations", files={"recording": SPEECH}, data={"emotion": deep})
+    assert answer.status_code == 422
+    many = {f"f{k}": "1" for k in range(40)}
+    assert client.post("/v1/animations", files={"recording": SPEECH}, data=many).status_code == 400
+
+
+def test_keys_scopes_and_their_absence(keyed_server):
+    with keyed_server.client() as client:
+        assert client.get("/healthz").status_code == 200
+        assert client.get("/v1/models").status_code == 401
+        wrong = client.get("/v1/models", headers={"Authorization": "Bearer dk_wrong"})
+        assert (wrong.status_code, wrong.json()["code"]) == (401, "key_unknown")
+        assert client.get(f"/v1/models?key={KEYS['farm']}").status_code == 401
+        assert client.get("/v1/models", headers=bearer("viewer")).status_code == 200
+        assert client.get("/v1/jobs", headers=bearer("viewer")).status_code == 403
+        assert client.get("/metrics", headers=bearer("viewer")).status_code == 403
+        metrics = client.get("/metrics", headers=bearer("farm")).text
+    log = keyed_server.log.read_text()
+    for key in KEYS.values():
+        assert key not in log and key not in metrics
+
+
+def test_requests_beyond_a_keys_rate_are_refused(keyed_server):
+    with keyed_server.client(headers=bearer("slow")) as client:
+        answers = [client.get("/v1/emotions") for _ in range(8)]
+        assert answers[0].status_code == 200
+        assert answers[-1].status_code == 429 and int(answers[-1].headers["retry-after"]) >= 1
+    with keyed_server.client(headers=bearer("viewer")) as client:
+        assert client.get("/v1/emotions").status_code == 200
+
+
+def test_jobs_beyond_a_keys_limit_are_refused(keyed_server):
+    with keyed_server.client(headers=bearer("farm")) as client:
+        answers = [
+            client.post("/v1/jobs", content=wav(20 + k), headers={"Content-Type": "audio/wav"})
+            for k in range(3)
+        ]
+        assert 429 in [answer.status_code for answer in answers]
+        for job in client.get("/v1/jobs").json()["jobs"]:
+            client.post(f"/v1/jobs/{job['id']}/cancel")
+
+
+def test_server_is_well_after_all_this(server, client):
+    malformed = raw(server, b"\x16\x03\x01\x02\x00\x01\x00 TLS\r\n\r\n")
+    assert malformed == b"" or status_of(malformed) == 400
+    assert client.post("/v1/animations", content=SPEECH).status_code == 200
+    connection = http.client.HTTPConnection(*server.address, timeout=10)
+    connection.request("GET", "/healthz")
+    answer = connection.getresponse()
+    assert answer.status == 200 and json.loads(answer.read())["status"] == "ok"
+    connection.close()
+    for header, value in {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}.items():
+        assert answer.getheader(header) == value
+    assert answer.getheader("Server") is None

@@ -1,0 +1,208 @@
+"""Jobs: results, progress, cancelling, idempotency, restarts."""
+
+import json
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from tests.api.conftest import bearer, wav
+from tests.api.server import start, stop, wait_until
+
+LONG = wav(6.0)
+
+
+def submit(client, recording=LONG, headers=None, **data):
+    files = {"recording": ("speech.wav", recording)}
+    return client.post("/v1/jobs", files=files, data=data, headers=headers or {})
+
+
+def wait(client, job_id, seconds=120.0, headers=None):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        job = client.get(f"/v1/jobs/{job_id}", headers=headers).json()
+        if job["status"] in ("done", "failed", "cancelled"):
+            return job
+        time.sleep(0.1)
+    raise AssertionError(job)
+
+
+def test_long_recording_becomes_a_job_with_the_same_result(client):
+    answer = client.post("/v1/animations?format=csv", content=LONG)
+    assert answer.status_code == 202 and answer.json()["status"] in ("queued", "running")
+    job = wait(client, answer.headers["location"].rpartition("/")[2])
+    assert job["status"] == "done" and job["progress"] == 1 and job["facts"]["frames"] == 180
+    result = client.get(job["result"])
+    assert result.headers["content-disposition"].endswith('"recording.csv"')
+    assert len(result.content) == job["result_bytes"]
+    assert len(result.text.splitlines()) == 181
+    listed = client.get("/v1/jobs", params={"status": "done"}).json()["jobs"]
+    assert job["id"] in {other["id"] for other in listed}
+    assert client.delete(f"/v1/jobs/{job['id']}").status_code == 204
+    assert client.get(f"/v1/jobs/{job['id']}").status_code == 404
+
+
+def test_events_end_with_the_job(client):
+    job = submit(client, format="json").json()
+    seen = []
+    with client.stream("GET", f"/v1/jobs/{job['id']}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        for line in stream.iter_lines():
+            if line.startswith("data: "):
+                seen.append(json.loads(line.removeprefix("data: ")))
+    assert seen[-1]["status"] == "done"
+    assert np.all(np.diff([view["progress"] for view in seen]) >= 0)
+
+
+def test_idempotency_key_makes_one_job(client):
+    headers = {"Idempotency-Key": "line-7"}
+    first, again = submit(client, headers=headers), submit(client, headers=headers)
+    other = submit(client, recording=wav(5.0), headers=headers)
+    assert first.json()["id"] == again.json()["id"]
+    assert (other.status_code, other.json()["code"]) == (409, "idempotency_conflict")
+
+
+def test_failed_job_names_its_error(client):
+    job = wait(client, submit(client, recording=b"no audio" * 99).json()["id"])
+    assert job["status"] == "failed" and job["error"]["code"] == "audio_unusable"
+    assert client.get(f"/v1/jobs/{job['id']}/result").status_code == 409
+
+
+def test_cancelled_job_ends_and_the_next_is_carried_out(client):
+    jobs = [submit(client, recording=wav(25.0), format="take").json() for _ in "ab"]
+    for job in jobs:
+        assert client.delete(f"/v1/jobs/{job['id']}").status_code == 409
+        assert client.post(f"/v1/jobs/{job['id']}/cancel").status_code == 200
+    assert {wait(client, job["id"])["status"] for job in jobs} <= {"cancelled", "done"}
+    assert wait(client, jobs[1]["id"])["status"] == "cancelled"
+    assert wait(client, submit(client).json()["id"])["status"] == "done"
+
+
+def test_jobs_belong_to_their_key(keyed_server):
+    with keyed_server.client(headers=bearer("farm")) as farm:
+        job = submit(farm).json()
+        assert farm.get(f"/v1/jobs/{job['id']}").status_code == 200
+        other = keyed_server.client(headers=bearer("viewer"))
+        with other as viewer:
+            assert viewer.get(f"/v1/jobs/{job['id']}").status_code == 403
+        assert wait(farm, job["id"])["status"] == "done"
+
+
+def test_webhooks_of_other_hosts_are_refused(client):
+    for url, status in {
+        "http://169.254.169.254/latest/meta-data": 403,
+        "http://localhost:1/": 403,
+        "file:///etc/passwd": 422,
+        "http://user@example.com/": 422,
+        "gopher://example.com": 422,
+        "http://[::1": 422,
+    }.items():
+        answer = submit(client, webhook=url)
+        assert answer.status_code == status, (url, answer.text)
+
+
+@pytest.fixture
+def restartable(tmp_path):
+    """Function that starts the server again on the same data."""
+    running = []
+
+    def again(**settings):
+        server = start(tmp_path / "data", lease_seconds=1.0, **settings)
+        running.append(server)
+        return server
+
+    yield again
+    for server in running:
+        stop(server)
+
+
+def test_jobs_survive_kills_of_worker_and_server(restartable):
+    server = restartable()
+    with server.client() as client:
+        ids = [
+            submit(client, recording=wav(5 + k / 10), name=f"n{k}").json()["id"] for k in range(6)
+        ]
+    time.sleep(0.3)
+    for child in descendants(server.process.pid):  # workers and the process they are forked from
+        kill(child)
+    time.sleep(1.0)
+    server.process.kill()
+    server.process.wait()
+    server = restartable()
+    with server.client() as client:
+        jobs = [wait(client, job_id) for job_id in ids]
+        assert {job["status"] for job in jobs} == {"done"}, jobs
+        assert len(client.get("/v1/jobs").json()["jobs"]) == len(ids)
+        for k, job in enumerate(jobs):
+            result = client.get(job["result"])
+            assert result.json()["n_frames"] == np.ceil(30 * (5 + k / 10))
+    import sqlite3
+
+    with sqlite3.connect(server.log.parent / "jobs.sqlite") as table:
+        assert table.execute("SELECT min(ends), max(ends) FROM deitalk_jobs").fetchone() == (1, 1)
+
+
+def descendants(pid: int) -> list[int]:
+    found, parents = [], [pid]
+    while parents:
+        parent = parents.pop()
+        try:
+            with open(f"/proc/{parent}/task/{parent}/children") as file:
+                children = [int(child) for child in file.read().split()]
+        except OSError:
+            children = []
+        found += children
+        parents += children
+    return found
+
+
+def kill(pid: int) -> None:
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
+def test_server_answers_after_its_worker_was_killed(server, client):
+    for child in descendants(server.process.pid):
+        with open(f"/proc/{child}/status") as file:
+            is_worker = "VmRSS" in file.read()
+        if is_worker:
+            kill(child)
+    for _ in range(3):
+        answer = client.post("/v1/animations", content=wav(1.0))
+        if answer.status_code == 200:
+            break
+    assert answer.status_code == 200, answer.text
+    wait_until(server, "/readyz")
+
+
+def test_webhook_is_called_once_a_job_has_ended(restartable):
+    import threading
+    from http.server import BaseHTTPRequestHandler, HTTPServer
+
+    calls = []
+
+    class Receiver(BaseHTTPRequestHandler):
+        def do_POST(self):
+            calls.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *given):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Receiver) as receiver:
+        threading.Thread(target=receiver.serve_forever, daemon=True).start()
+        host = f"127.0.0.1:{receiver.server_port}"
+        server = restartable(webhook_hosts=json.dumps([host]))
+        with server.client() as client:
+            job = wait(client, submit(client, webhook=f"http://{host}/done").json()["id"])
+            end = time.monotonic() + 20
+            while not calls and time.monotonic() < end:
+                time.sleep(0.1)
+            time.sleep(1.0)
+        receiver.shutdown()
+    assert calls == [{"id": job["id"], "status": "done", "job": f"/v1/jobs/{job['id']}"}]

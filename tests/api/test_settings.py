@@ -1,0 +1,161 @@
+"""Settings, keys, rates and formats without a server."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from api.app import create_app
+from api.errors import Problem, problem_of, without_paths
+from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
+from api.guard.middleware import Guard
+from api.jobs.webhooks import check_webhook
+from api.messages.formats import ANIMATION_FORMATS, choose_format
+from api.messages.options import weights_of
+from api.settings import Settings, load_settings
+from deitalk.cli import app
+from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
+from rig.errors import CurveError
+
+
+def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
+    file = tmp_path / "service.yaml"
+    file.write_text("port: 8001\nworkers: 3\nmax_seconds: 30\n")
+    monkeypatch.setenv("DEITALK_WORKERS", "2")
+    settings = load_settings(file, port=8002, host=None)
+    assert (settings.port, settings.workers, settings.max_seconds) == (8002, 2, 30)
+    assert settings.host == "127.0.0.1" and settings.is_local
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [("prot: 1", "prot"), ("port: 99999", "port"), ("keys: [{name: a}]", "keys"), ("- 1", "lines")],
+)
+def test_wrong_settings_are_named(tmp_path, text, named):
+    file = tmp_path / "service.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=named):
+        load_settings(file)
+
+
+def test_unknown_variable_is_named(monkeypatch):
+    monkeypatch.setenv("DEITALK_PROT", "1")
+    with pytest.raises(ConfigError, match="DEITALK_PROT"):
+        load_settings()
+
+
+def test_other_addresses_need_keys(tmp_path):
+    with pytest.raises(ConfigError, match="new-key"):
+        create_app(Settings(host="0.0.0.0", data=tmp_path))
+    entry = {"name": "farm", "sha256": digest_of("dk_x")}
+    assert create_app(Settings(host="0.0.0.0", data=tmp_path, keys=[entry])) is not None
+
+
+def test_printed_settings_hold_no_secret(tmp_path):
+    secret = digest_of("dk_x")
+    settings = Settings(
+        data=tmp_path,
+        keys=[{"name": "farm", "sha256": secret}],
+        database="postgresql+psycopg://user:hunter2@host/db",
+        storage="s3://id:hunter2@bucket/x",
+    )
+    text = "\n".join(settings.lines())
+    assert "hunter2" not in text and secret not in text and "keys = farm" in text
+    assert secret not in repr(settings)
+
+
+def test_new_keys_differ_and_are_accepted_by_their_settings(tmp_path):
+    printed = CliRunner().invoke(app, ["new-key", "farm", "--scopes", "animate,jobs"]).stdout
+    key, _, entry = printed.partition("\n\n")
+    (tmp_path / "service.yaml").write_text(entry)
+    (known,) = load_settings(tmp_path / "service.yaml").keys
+    assert key.startswith(KEY_PREFIX) and known.sha256 == digest_of(key)
+    assert known.scopes == ("animate", "jobs")
+    assert len({new_key()[0] for _ in range(100)}) == 100
+
+
+def test_rate_refills_evenly(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("api.guard.keys.monotonic", lambda: now[0])
+    rates = Rates()
+    for _ in range(6):  # a tenth of the minute at once
+        rates.take("a", 60)
+    with pytest.raises(Problem) as refused:
+        rates.take("a", 60)
+    assert refused.value.status == 429 and refused.value.headers["Retry-After"] == "1"
+    rates.take("b", 60)
+    now[0] += 1.0
+    rates.take("a", 60)
+
+
+@pytest.mark.parametrize(
+    ("accept", "expected"),
+    [
+        (None, "json"), ("*/*", "json"), ("text/csv", "csv"), ("model/gltf-binary", "glb"),
+        ("text/html;q=0.1, application/zip", "take"), ("video/*", "mp4"),
+        ("image/png, text/csv;q=0.5", "csv"), ("application/x-npz", "npz"),
+    ],
+)  # fmt: skip
+def test_accept_header_chooses_the_format(accept, expected):
+    assert choose_format(ANIMATION_FORMATS, None, accept, "json").name == expected
+
+
+def test_format_that_nothing_writes_is_refused():
+    for name, accept in (("fbx", None), (None, "image/png")):
+        with pytest.raises(Problem) as refused:
+            choose_format(ANIMATION_FORMATS, name, accept, "json")
+        assert refused.value.status == 400
+
+
+def test_weights_are_labels_or_pairs_only():
+    assert weights_of("happy") == {"happy": 1.0}
+    assert weights_of("happy=0.25, sad=0.5") == {"neutral": 0.25, "happy": 0.25, "sad": 0.5}
+    for text in ("moods.csv", "happy=0.5.json", "happy=1/../x.csv", "", "happy=", "a" * 500):
+        with pytest.raises(EmotionError):
+            weights_of(text)
+
+
+def test_errors_of_the_library_have_their_status():
+    statuses = {
+        kind: problem_of(kind("x")).status for kind in (AudioError, CurveError, MissingError)
+    }
+    assert statuses == {AudioError: 422, CurveError: 422, MissingError: 503}
+
+
+def test_paths_are_cut_from_messages():
+    text = "/work/stage/abc/mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
+    assert without_paths(text) == "mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
+
+
+def test_webhooks_need_an_allowed_host():
+    hosts = ("hooks.example.com", "127.0.0.1:9000")
+    assert check_webhook("https://hooks.example.com/x", hosts)
+    assert check_webhook("http://127.0.0.1:9000/x", hosts)
+    for url in (
+        "http://127.0.0.1:9001/x", "https://hooks.example.com:8443/", "https://example.com/",
+        "https://hooks.example.com.evil.example/", "https://hooks.example.com@evil.example/",
+        "http://2130706433:9000/", "http://[::ffff:127.0.0.1]:9000/", "ftp://hooks.example.com/",
+    ):  # fmt: skip
+        with pytest.raises(Problem):
+            check_webhook(url, hosts)
+
+
+def test_hosts_of_loopback_are_known_by_every_spelling(tmp_path):
+    guard = Guard(None, Settings(data=tmp_path), None)
+    for host in ("localhost:8000", "127.0.0.1", "[::1]:8000", "127.0.0.2:1"):
+        guard._check_host(host)
+    for host in ("evil.example", "", "localhost.evil.example", "a b", "1" * 300):
+        with pytest.raises(Problem):
+            guard._check_host(host)
+
+
+def test_command_writes_the_schema(tmp_path):
+    out = tmp_path / "openapi.json"
+    assert CliRunner().invoke(app, ["openapi", "-o", str(out)]).exit_code == 0
+    schema = json.loads(out.read_text())
+    assert schema["openapi"].startswith("3.") and "/v1/animations" in schema["paths"]
+    body = schema["paths"]["/v1/animations"]["post"]["requestBody"]["content"]
+    form = body["multipart/form-data"]["schema"]
+    assert form["required"] == ["recording"] and "emotion" in form["properties"]
+    for path in schema["paths"]:
+        assert path.startswith("/v1/") or path in ("/healthz", "/readyz", "/metrics")
