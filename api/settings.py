@@ -134,7 +134,7 @@ class Settings(BaseSettings):
         if not self.is_local and not self.keys:
             raise ConfigError(
                 f"host {self.host} can be reached from other machines, and there are no keys; make "
-                "one with `deitalk new-key NAME`, or serve on 127.0.0.1"
+                "one with `deitalk key NAME`, or serve on 127.0.0.1"
             )
         unknown = [name for name in self.preload if name not in self.known_models]
         if unknown:

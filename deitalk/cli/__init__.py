@@ -26,7 +26,7 @@ from deitalk.cli.paths import hold_targets
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
-from deitalk.cli.serve import new_key, openapi, serve
+from deitalk.cli.serve import key, openapi, serve
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
@@ -54,7 +54,7 @@ app.command()(ablate)
 app.command()(benchmark)
 app.command()(serve)
 app.command()(openapi)
-app.command()(new_key)
+app.command()(key)
 app.add_typer(livelink_app, name="livelink")
 app.add_typer(face_app, name="face")
 app.add_typer(data_app, name="data")

@@ -1,4 +1,4 @@
-"""`deitalk serve`, `openapi` and `new-key`: the commands of the service in `api/`.
+"""`deitalk serve`, `openapi` and `key`: the commands of the service in `api/`.
 
 The service is built on this package, so nothing here imports it: its module is found by name when
 one of its commands runs.
@@ -52,7 +52,7 @@ def openapi(
     _commands().write_openapi(out)
 
 
-def new_key(
+def key(
     name: Annotated[str, typer.Argument(help="Name of the key's owner, for the log.")],
     scopes: Annotated[
         str, typer.Option(help="Of animate, jobs, live and metrics, with commas.")
@@ -63,7 +63,7 @@ def new_key(
 
     Examples
     --------
-    deitalk new-key farm --scopes animate,jobs
+    deitalk key farm --scopes animate,jobs
     """
     _commands().print_new_key(name, scopes, per_minute)
 

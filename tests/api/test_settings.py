@@ -45,7 +45,7 @@ def test_unknown_variable_is_named(monkeypatch):
 
 
 def test_other_addresses_need_keys(tmp_path):
-    with pytest.raises(ConfigError, match="new-key"):
+    with pytest.raises(ConfigError, match="key"):
         create_app(Settings(host="0.0.0.0", data=tmp_path))
     entry = {"name": "farm", "sha256": digest_of("dk_x")}
     assert create_app(Settings(host="0.0.0.0", data=tmp_path, keys=[entry])) is not None
@@ -65,7 +65,7 @@ def test_printed_settings_hold_no_secret(tmp_path):
 
 
 def test_new_keys_differ_and_are_accepted_by_their_settings(tmp_path):
-    printed = CliRunner().invoke(app, ["new-key", "farm", "--scopes", "animate,jobs"]).stdout
+    printed = CliRunner().invoke(app, ["key", "farm", "--scopes", "animate,jobs"]).stdout
     key, _, entry = printed.partition("\n\n")
     (tmp_path / "service.yaml").write_text(entry)
     (known,) = load_settings(tmp_path / "service.yaml").keys
