@@ -23,8 +23,6 @@ from rig.errors import quoted
 from rig.files import atomic_write
 
 LIVE_MESSAGE_BYTES = 1 << 20
-LIVE_QUEUE = 16
-"""Messages of a client that are held; after them its connection is not read."""
 KEEP_ALIVE_SECONDS = 10
 
 
@@ -57,7 +55,6 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         http=GuardedProtocol.limited(settings.header_seconds),
         ws="websockets-sansio",
         ws_max_size=LIVE_MESSAGE_BYTES,
-        ws_max_queue=LIVE_QUEUE,
         h11_max_incomplete_event_size=HEADER_BYTES,
         limit_concurrency=settings.connections,
         timeout_keep_alive=KEEP_ALIVE_SECONDS,

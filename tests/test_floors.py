@@ -37,6 +37,7 @@ FLOORS = {
         commands
         app
         routes docs_page
+        live
         messages
         service
         jobs

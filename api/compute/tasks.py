@@ -66,6 +66,7 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
         recording,
         model=network,
         idle=options.get("idle", True),
+        raw=options.get("raw", False),
         seed=options.get("seed", 0),
         progress=progress,
         **direction,
@@ -160,7 +161,7 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     network = model_of(options.get("model", "default"), limits)
     direction = _direction(options)
     if isinstance(network, DEITalk):
-        direction |= {"idle": options.get("idle", True), "seed": options.get("seed", 0)}
+        direction |= {name: options[name] for name in ("idle", "raw", "seed") if name in options}
     performance = animate_mesh(
         _recording(order, limits),
         model=network,
@@ -224,6 +225,7 @@ def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
         sample_rate=SAMPLE_RATE,
         model=network,
         idle=False,
+        raw=options.get("raw", False),
         progress=progress,
         **_direction(options),
     )

@@ -56,6 +56,7 @@ class MotionOptions(BaseModel):
     ] = None
     seed: Annotated[int, Field(ge=0, le=SEED, description="Seed of the blinks.")] = 0
     idle: Annotated[bool, Field(description="Blinks and small motions of the gaze.")] = True
+    raw: Annotated[bool, Field(description="The network alone, without the model's rules.")] = False
     format: Annotated[
         str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
     ] = None

@@ -1,0 +1,1 @@
+"""Frames while somebody speaks: the offline model, run again and again on the last seconds."""

@@ -1,0 +1,220 @@
+"""One session of `WS /v1/live`: reads, animates and sends, each at its own pace."""
+
+import asyncio
+import json
+from pathlib import Path
+from time import monotonic
+from typing import Any, TypeVar
+
+import numpy as np
+from fastapi import WebSocket
+from pydantic import BaseModel, ValidationError
+from starlette.websockets import WebSocketDisconnect
+
+from api.compute.order import RECORDING, Order
+from api.compute.pool import result_path
+from api.errors import Problem
+from api.live.messages import Change, Start, frames_message
+from api.live.stream import (
+    BACKLOG_SECONDS,
+    HOP_SECONDS,
+    LOOKAHEAD_SECONDS,
+    WINDOW_SECONDS,
+    LiveStream,
+)
+from api.messages.options import weights_of
+from api.service import Service
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.models.folder import model_folder, product_of, read_about
+from rig.arrays import Float32
+
+START_SECONDS = 10.0
+QUIET_SECONDS = 60.0
+"""Time without a message after which a session ends."""
+SEND_SECONDS = 10.0
+"""Time in which the client must take a message."""
+TEXT_CHARACTERS = 4096
+TEXTS_PER_SECOND, TEXTS_AT_ONCE = 20.0, 40.0
+SHORTEST_SAMPLES = 1600
+Message = TypeVar("Message", bound=BaseModel)
+
+
+class Session:
+    """A client's session.
+
+    Parameters
+    ----------
+    websocket : WebSocket
+        Accepted.
+    service : Service
+    folder : Path
+        Of the session's orders.
+    """
+
+    def __init__(self, websocket: WebSocket, service: Service, folder: Path) -> None:
+        self.websocket, self.service, self.folder = websocket, service, folder
+        self.news = asyncio.Event()
+        self.room = asyncio.Event()
+        self.room.set()
+        self._texts, self._since = TEXTS_AT_ONCE, monotonic()
+
+    async def run(self) -> None:
+        """Serve until the client stops or goes, or breaks a rule.
+
+        Raises
+        ------
+        Problem
+            For a message that is refused.
+        """
+        self.start = _parsed(Start, await self._text(START_SECONDS))
+        self.stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
+        await self._send(self._header())
+        self._change(self.start)
+        self.end = monotonic() + self.service.settings.live_seconds
+        reading = asyncio.create_task(self._read())
+        writing = asyncio.create_task(self._write())
+        try:
+            await asyncio.wait({reading, writing}, return_when=asyncio.FIRST_EXCEPTION)
+            for task in (reading, writing):
+                if task.done():
+                    task.result()
+        finally:
+            for task in (reading, writing):
+                task.cancel()
+        await self._send({"type": "end", "frames": self.stream.next_frame})
+
+    def _header(self) -> dict[str, Any]:
+        models = self.service.settings.known_models
+        if self.start.model not in models:
+            raise Problem(404, f"no such model; known models: {', '.join(models)}", "model_unknown")
+        folder = models[self.start.model]
+        if product_of(folder) != "curves":
+            raise Problem(422, "the model makes no curves; use default", "model_unfit")
+        about = read_about(model_folder(folder))
+        return {
+            "type": "header",
+            "names": about["controls"],
+            "control_set": about["control_set"],
+            "fps": FRAME_RATE,
+            "lookahead_seconds": LOOKAHEAD_SECONDS,
+            "hop_seconds": HOP_SECONDS,
+            "window_seconds": WINDOW_SECONDS,
+            "record": "uint32 index, float32 late, float64 time, float32 values; little-endian",
+        }
+
+    async def _read(self) -> None:
+        """Take messages; none while too much sound waits."""
+        while not self.stream.is_whole:
+            await self.room.wait()
+            message = await self._message(QUIET_SECONDS)
+            if monotonic() > self.end or self.stream.seconds > self.service.settings.live_seconds:
+                raise Problem(413, f"sessions last {self.service.settings.live_seconds:g} s")
+            if (data := message.get("bytes")) is not None:
+                self.stream.feed(data)
+            else:
+                self._command(message["text"])
+            if self.stream.backlog_seconds > BACKLOG_SECONDS:
+                self.room.clear()
+            self.news.set()
+
+    async def _write(self) -> None:
+        """Animate windows that are due and send their frames."""
+        while True:
+            if not self.stream.is_due:
+                if self.stream.is_whole:
+                    return
+                await self.news.wait()
+                self.news.clear()
+                continue
+            first, samples, options = self.stream.window()
+            self.room.set()
+            values = await self._animated(samples, options)
+            begin, frames, late = self.stream.take(first, values)
+            if len(frames):
+                as_json = self.start.frames == "json"
+                await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
+
+    async def _animated(self, samples: Float32, options: dict[str, Any]) -> Float32:
+        padded = np.pad(samples, (0, max(0, SHORTEST_SAMPLES - len(samples))))
+        padded.astype("<f4").tofile(self.folder / RECORDING)
+        (self.folder / "emotion.json").write_text(json.dumps(options.pop("keys")))
+        order: Order = {
+            "kind": "live",
+            "folder": str(self.folder),
+            "options": options | {"model": self.start.model, "emotion": "emotion.json"},
+        }
+        answer = await self.service.pool.run(order)
+        values = np.fromfile(result_path(self.folder, answer), "<f4")
+        rows = values.reshape(answer["facts"]["frames"], -1).astype(np.float32)
+        return rows[: -(-len(samples) * FRAME_RATE // 16_000)]
+
+    def _command(self, text: str) -> None:
+        now = monotonic()
+        self._texts = min(TEXTS_AT_ONCE, self._texts + (now - self._since) * TEXTS_PER_SECOND) - 1
+        self._since = now
+        if self._texts < 0:
+            raise Problem(429, f"more than {TEXTS_PER_SECOND:g} commands a second")
+        content = _json(text)
+        kind = content.pop("type", None)
+        if kind == "stop" and not content:
+            self.stream.finish()
+        elif kind == "set":
+            self._change(_parsed(Change, json.dumps(content)))
+        else:
+            raise Problem(422, "type must be set or stop after the start", "message_unknown")
+
+    def _change(self, change: Change) -> None:
+        emotion = change.emotion
+        if isinstance(emotion, dict):
+            emotion = ",".join(f"{name}={weight!r}" for name, weight in emotion.items())
+        weights = None if emotion is None else weights_of(emotion)
+        self.stream.change(weights, change.intensity, change.raw)
+
+    async def _text(self, seconds: float) -> str:
+        message = await self._message(seconds)
+        if message.get("text") is None:
+            raise Problem(422, "the first message is the start, as JSON", "message_unknown")
+        return str(message["text"])
+
+    async def _message(self, seconds: float) -> dict[str, Any]:
+        try:
+            message = await asyncio.wait_for(self.websocket.receive(), seconds)
+        except TimeoutError:
+            raise Problem(400, f"no message for {seconds:g} s", "session_quiet") from None
+        if message["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(message.get("code", 1005))
+        if len(message.get("text") or "") > TEXT_CHARACTERS:
+            raise Problem(413, f"commands have at most {TEXT_CHARACTERS} letters")
+        return dict(message)
+
+    async def _send(self, message: bytes | dict[str, Any]) -> None:
+        sending = (
+            self.websocket.send_bytes(message)
+            if isinstance(message, bytes)
+            else self.websocket.send_text(json.dumps(message))
+        )
+        try:
+            await asyncio.wait_for(sending, SEND_SECONDS)
+        except TimeoutError:
+            raise Problem(400, "the client does not read its frames", "client_slow") from None
+
+
+def _json(text: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise Problem(422, "commands are JSON objects", "message_unknown")
+    return content
+
+
+def _parsed(model: type[Message], text: str) -> Message:
+    content = _json(text)
+    content.pop("type", None)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise Problem(422, f"{where}: {first['msg']}", "option_invalid") from None

@@ -1,0 +1,57 @@
+"""`WS /v1/live`: sound in, frames out."""
+
+import json
+from contextlib import suppress
+
+from fastapi import APIRouter, WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from api.errors import Problem, internal_problem, problem_of
+from api.guard.keys import Caller, require
+from api.guard.middleware import SUBPROTOCOL
+from api.live.session import Session
+from api.service import Service
+from rig.errors import UserError
+
+router = APIRouter()
+CLOSE_CODES = {400: 1008, 403: 1008, 404: 1008, 413: 1009, 422: 1007, 429: 1008, 503: 1013}
+"""Of WebSocket, by the status of HTTP; others are 1011."""
+
+
+@router.websocket("/v1/live")
+async def live(websocket: WebSocket) -> None:
+    """Serve one session; a problem is sent as JSON before the connection is closed."""
+    service: Service = websocket.app.state.service
+    caller: Caller = websocket.state.caller
+    require(caller, "live")
+    if service.live_sessions >= service.settings.live_sessions:
+        raise Problem(503, "all live sessions are taken; try again later", "busy")
+    service.live_sessions += 1
+    try:
+        given = websocket.scope.get("subprotocols", [])
+        key = next((name for name in given if name.startswith(SUBPROTOCOL)), None)
+        await websocket.accept(subprotocol=key)
+        async with service.stage.folder() as folder:
+            await _serve(websocket, Session(websocket, service, folder))
+    finally:
+        service.live_sessions -= 1
+
+
+async def _serve(websocket: WebSocket, session: Session) -> None:
+    try:
+        await session.run()
+        await websocket.close()
+    except WebSocketDisconnect:
+        return
+    except Problem as problem:
+        await _close(websocket, problem)
+    except UserError as error:
+        await _close(websocket, problem_of(error))
+    except Exception as error:
+        await _close(websocket, internal_problem(error))
+
+
+async def _close(websocket: WebSocket, problem: Problem) -> None:
+    with suppress(RuntimeError, WebSocketDisconnect):
+        await websocket.send_text(json.dumps({"type": "problem", **problem.content}))
+        await websocket.close(CLOSE_CODES.get(problem.status, 1011))

@@ -1,0 +1,230 @@
+"""Frames while somebody speaks: their order, their times, changes, and hostile clients."""
+
+import json
+import time
+from contextlib import ExitStack, suppress
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from api.errors import Problem
+from api.live.messages import FRAME
+from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
+from deitalk import animate
+from tests.api.conftest import bearer, wav
+
+RATE = 16000
+
+
+def pcm(seconds: float, rate: int = RATE) -> bytes:
+    return wav(seconds, rate)[44:]
+
+
+def marked(first: int, n_samples: int) -> np.ndarray:
+    """Curves that name their own frames."""
+    frames = -(-n_samples * 30 // RATE)
+    return np.repeat(np.arange(first, first + frames, dtype=np.float32)[:, None], 3, axis=1)
+
+
+@pytest.mark.parametrize("piece", [160, 1601, 16000, 100_000])
+def test_frames_come_once_in_order_and_with_their_own_values(piece):
+    sound, stream, found = pcm(12.3), LiveStream(RATE, False), []
+
+    def animate_due():
+        while stream.is_due:
+            first, samples, _ = stream.window()
+            begin, frames, late = stream.take(first, marked(first, len(samples)))
+            assert begin == len(found) and len(late) == len(frames)
+            found.extend(frames[:, 0])
+
+    for start in range(0, len(sound), piece):
+        stream.feed(sound[start : start + piece])
+        animate_due()
+        assert len(found) <= max(0, (stream.seconds - LOOKAHEAD_SECONDS) * 30)
+    stream.finish()
+    animate_due()
+    assert found == pytest.approx(list(range(369)), abs=1e-3)
+
+
+def test_old_sound_is_dropped():
+    stream = LiveStream(48000, False)
+    for _ in range(100):
+        stream.feed(pcm(1.0, 48000))
+        while stream.is_due:
+            first, samples, _ = stream.window()
+            stream.take(first, marked(first, len(samples)))
+    assert stream.seconds == pytest.approx(100, abs=0.1)
+    assert len(stream.samples) < 12 * RATE and len(stream._arrivals) < 20
+
+
+def test_changes_hold_from_their_time_on():
+    stream = LiveStream(RATE, False)
+    stream.feed(pcm(2.0))
+    stream.change({"happy": 1.0}, 0.5)
+    stream.feed(pcm(2.0))
+    _, _, options = stream.window()
+    times = [(key["time"], key["emotion"]) for key in options["keys"]]
+    assert times == [(0.0, "neutral"), (2.0, "neutral"), (2.2, "happy")]
+    assert options["intensity"] == 1.0  # of the frames that this window shows
+
+
+def test_window_is_mixed_with_the_one_before():
+    stream = LiveStream(RATE, False)
+    stream.feed(pcm(2.0))
+    first, _, _ = stream.window()
+    stream.take(first, np.zeros((60, 1), np.float32))
+    stream.feed(pcm(1.0))
+    stream.window()
+    _, frames, _ = stream.take(0, np.ones((90, 1), np.float32))
+    assert np.all(np.diff(frames[:7, 0]) > 0) and np.all(frames[6:] == 1)
+
+
+def test_samples_that_are_not_finite_are_refused():
+    stream = LiveStream(RATE, True)
+    with pytest.raises(Problem):
+        stream.feed(np.array([0.0, np.nan], "<f4").tobytes())
+    stream.feed(b"\0")  # a part of a sample waits for the rest
+    stream.feed(b"\0\0\0")
+    assert stream.end <= 1
+
+
+def live(server, **given):
+    return connect(
+        server.url.replace("http", "ws") + "/v1/live", max_size=2**24, proxy=None, **given
+    )
+
+
+def begin(session, **given):
+    session.send(json.dumps({"type": "start", **given}))
+    return json.loads(session.recv(30))
+
+
+def records(message: bytes, n_values: int):
+    size = FRAME.size + 4 * n_values
+    assert len(message) % size == 0
+    for start in range(0, len(message), size):
+        index, late, at = FRAME.unpack_from(message, start)
+        yield index, late, at, np.frombuffer(message, "<f4", n_values, start + FRAME.size)
+
+
+def test_stream_gives_the_curves_of_the_recording(server):
+    sound = pcm(3.0)
+    with live(server) as session:
+        header = begin(session, emotion="happy")
+        assert header["type"] == "header" and len(header["names"]) == 185
+        assert header["lookahead_seconds"] == LOOKAHEAD_SECONDS
+        for start in range(0, len(sound), 3200):
+            session.send(sound[start : start + 3200])
+        session.send('{"type": "stop"}')
+        found = []
+        while isinstance(message := session.recv(60), bytes):
+            found += records(message, 185)
+        assert json.loads(message) == {"type": "end", "frames": 90}
+    assert [index for index, *_ in found] == list(range(90))
+    assert [at for _, _, at, _ in found] == pytest.approx([k / 30 for k in range(90)])
+    assert all(0 <= late < 60 for _, late, _, _ in found)
+    whole = animate(wav(3.0), "happy", idle=False).curves.values
+    values = np.array([values for *_, values in found])
+    assert np.abs(values - whole).mean() < 0.03  # windows see less than the whole recording
+
+
+def test_frames_as_json_and_changes_in_the_stream(server):
+    with live(server) as session:
+        begin(session, frames="json", encoding="float32", sample_rate=48000)
+        sound = np.zeros(48000, "<f4").tobytes()
+        session.send(sound)
+        session.send(
+            json.dumps({"type": "set", "emotion": "angry=0.5", "intensity": 2, "raw": True})
+        )
+        session.send(sound)
+        session.send('{"type": "stop"}')
+        frames = []
+        while (message := json.loads(session.recv(60)))["type"] == "frames":
+            frames += message["frames"]
+        assert message == {"type": "end", "frames": 60}
+    assert [frame["index"] for frame in frames] == list(range(60))
+    assert {len(frame["values"]) for frame in frames} == {185}
+
+
+@pytest.mark.parametrize(
+    ("messages", "code"),
+    [
+        (["no json"], "message_unknown"),
+        (['{"type": "start", "sample_rate": 1}'], "option_invalid"),
+        (['{"type": "start", "emotion": "moods.csv"}'], "emotion_invalid"),
+        (['{"type": "start", "model": "../x"}'], "model_unknown"),
+        (['{"type": "start", "model": "sdfa"}'], "model_unfit"),
+        (['{"type": "start"}', '{"type": "jump"}'], "message_unknown"),
+        (['{"type": "start"}', "[" * 4000], "message_unknown"),
+        (['{"type": "start"}', "x" * 5000], "too_large"),
+        ([b"\0" * 100], "message_unknown"),
+        (['{"type": "start"}', *['{"type": "set"}'] * 100], "too_many_requests"),
+    ],
+)
+def test_wrong_messages_end_the_session_with_a_problem(server, messages, code):
+    with live(server) as session:
+        for message in messages:
+            session.send(message)
+        answer = {}
+        while answer.get("type") != "problem":
+            answer = json.loads(session.recv(30))
+        assert answer["code"] == code
+        with pytest.raises(ConnectionClosed):
+            session.recv(10)
+
+
+def test_messages_beyond_the_size_close_the_connection(server):
+    with live(server) as session:
+        begin(session)
+        with pytest.raises(ConnectionClosed):
+            session.send(bytes(2_000_000))
+            session.recv(10)
+
+
+def resident_mb(pid: int) -> float:
+    with open(f"/proc/{pid}/status") as file:
+        (line,) = (line for line in file if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024
+
+
+def test_flood_of_sound_ends_the_session_and_takes_no_memory(server):
+    before = resident_mb(server.process.pid)
+    second = bytes(2 * RATE)
+    with live(server) as session:
+        begin(session)
+        with pytest.raises(ConnectionClosed):
+            for _ in range(3000):
+                session.send(second * 10)
+                with suppress(TimeoutError):
+                    while True:
+                        session.recv(0)
+    assert resident_mb(server.process.pid) < before + 100
+
+
+def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_server):
+    with pytest.raises(InvalidStatus) as refused:
+        with live(server, origin="https://evil.example"):
+            pass
+    assert refused.value.response.status_code == 403
+    with pytest.raises(InvalidStatus) as refused:
+        with live(keyed_server):
+            pass
+    assert refused.value.response.status_code == 401
+    with pytest.raises(InvalidStatus):
+        with live(keyed_server, additional_headers=bearer("viewer")):
+            pass
+    with live(keyed_server, additional_headers=bearer("farm")) as session:
+        assert begin(session)["type"] == "header"
+    key = bearer("farm")["Authorization"].removeprefix("Bearer ")
+    with live(keyed_server, subprotocols=[f"deitalk.key.{key}"]) as session:
+        assert begin(session)["type"] == "header"
+    with ExitStack() as sessions:
+        for _ in range(4):
+            sessions.enter_context(live(server))
+        with pytest.raises(InvalidStatus):
+            sessions.enter_context(live(server))
+    time.sleep(0.5)
+    with live(server) as session:
+        assert begin(session)["type"] == "header"

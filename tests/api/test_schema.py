@@ -1,0 +1,55 @@
+"""Requests made from the OpenAPI schema: none is answered by a 5xx or outside the schema."""
+
+import os
+
+import hypothesis
+import pytest
+import schemathesis
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import status_code_conformance
+
+CASES = int(os.environ.get("SCHEMA_CASES", "4"))
+"""Cases of each route; the long run takes 500."""
+
+
+def test_requests_of_the_schema_are_answered_within_it(server):
+    schema = schemathesis.openapi.from_url(f"{server.url}/openapi.json")
+    n_routes = 0
+    for result in schema.get_all_operations():
+        operation = result.ok()
+        n_routes += 1
+
+        @hypothesis.seed(1)
+        @hypothesis.settings(
+            max_examples=CASES,
+            deadline=None,
+            database=None,
+            suppress_health_check=list(hypothesis.HealthCheck),
+        )
+        @hypothesis.given(case=operation.as_strategy())
+        def answers(case):
+            response = case.call()
+            case.validate_response(response, checks=(not_a_server_error, status_code_conformance))
+
+        answers()
+    assert n_routes >= 18
+
+
+@pytest.mark.slow
+def test_wrong_requests_of_the_schema_are_no_server_errors(server):
+    """Also requests that break the schema."""
+    schema = schemathesis.openapi.from_url(f"{server.url}/openapi.json")
+    for result in schema.get_all_operations():
+        operation = result.ok()
+
+        @hypothesis.settings(
+            max_examples=CASES * 10, deadline=None, database=None,
+            suppress_health_check=list(hypothesis.HealthCheck),
+        )  # fmt: skip
+        @hypothesis.given(
+            case=operation.as_strategy(generation_mode=schemathesis.GenerationMode.NEGATIVE)
+        )
+        def answers(case):
+            case.validate_response(case.call(), checks=(not_a_server_error,))
+
+        answers()
