@@ -9,12 +9,17 @@ from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Force, Json, Most
 from deitalk.cli.paths import reserve_folder
+from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
 app = CheckedCommands(
     help="Make a dataset folder of captured takes or measured lips, and check it.",
     no_args_is_help=True,
 )
+
+
+FIXABLE = ("offset", "drift", "rest pose")
+"""Checks of captures whose faults `check --fix` corrects."""
 
 
 @app.callback()
@@ -121,27 +126,51 @@ def check(
         int | None,
         typer.Option(min=1, max=MAX_COUNT, help="Most clips to read, evenly spread."),
     ] = None,
+    fix: Annotated[
+        bool,
+        typer.Option(
+            "--fix",
+            help="Of captured takes: write offsets, names of emotions and curves without the "
+            "actors' rest pose, and a report into check/.",
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Check a dataset folder for training; exit code 1 on errors.
 
     Names, rates, lengths, offset of curves and sound, silence, ranges, controls that never move,
-    balance of the emotions, speakers in several splits.
+    balance of the emotions, speakers in several splits. Of captured takes (`deitalk data import`)
+    also drift, rest poses, channels that are clipped, frozen, jittering or dead, swapped sides,
+    faces unlike their emotion, and usable minutes.
 
     Examples
     --------
     deitalk data check my_capture/
-    """
-    from deitalk.data.checks import check_dataset
 
+    deitalk data check my_capture/ --fix
+    """
+    from deitalk.data.captures.mend import mend, rename_emotions
+    from deitalk.data.checks import inspect_dataset
+
+    if fix and most is not None:
+        raise DeitalkError("--fix reads every clip; leave --most out")
+    renamed = rename_emotions(folder) if fix else 0
     with bar("reading") as progress:
-        checks = check_dataset(folder, most=most, progress=progress)
+        checks, survey = inspect_dataset(folder, most=most, progress=progress)
+    if fix and survey is None:
+        raise DeitalkError(f"{folder}: no clip states its take; --fix needs `deitalk data import`")
     if as_json:
-        rows = [{"check": c.name, "level": c.level, "text": c.text} for c in checks]
-        emit_json(rows, indent=1)
+        emit_json([{"check": c.name, "level": c.level, "text": c.text} for c in checks], indent=1)
     else:
         for c in checks:
             emit(as_line(f"{c.level:8} {c.name:13} {c.text}"))
+    wrong = [c.name for c in checks if c.level != "ok" and c.name in FIXABLE]
+    if not fix and survey is not None and wrong:
+        console().note(f"--fix corrects {', '.join(wrong)}")
+    if fix and survey is not None:
+        rows = [(c.name, c.level, c.text) for c in checks]
+        mended = mend(folder, survey, rows, emotions=renamed)
+        console().print(f"{mended.summary}; {folder / 'check' / 'report.md'}")
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)
 

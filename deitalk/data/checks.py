@@ -24,6 +24,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.splits import APART_SECONDS
+from deitalk.data.captures.survey import Survey
+from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import (
     SPLITS,
     Clip,
@@ -93,12 +95,30 @@ class Measured(NamedTuple):
     clipped: float
 
 
+class Inspection(NamedTuple):
+    """Checks of a dataset folder, and what they are drawn from."""
+
+    checks: list[Check]
+    survey: Survey | None
+    """Of the clips that state their take; None if there are none."""
+
+
 def check_dataset(
     folder: Path | str,
     *,
     most: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Check]:
+    """Checks of `inspect_dataset`: one for every check, also those without a fault."""
+    return inspect_dataset(folder, most=most, progress=progress).checks
+
+
+def inspect_dataset(
+    folder: Path | str,
+    *,
+    most: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Inspection:
     """Check every clip of a dataset folder.
 
     Parameters
@@ -112,8 +132,7 @@ def check_dataset(
 
     Returns
     -------
-    list of Check
-        One for every check, also those without a fault.
+    Inspection
 
     Raises
     ------
@@ -123,18 +142,26 @@ def check_dataset(
     controls = default_controls()
     clips = read_clips(folder)
     places = np.linspace(0, len(clips) - 1, min(most or len(clips), len(clips))).round().astype(int)
-    measured, unreadable = [], []
+    measured, unreadable, survey = [], [], Survey(controls)
     for done, place in enumerate(places):
+        clip = clips[place]
         try:
-            measured.append(measure(clips[place], controls))
+            measured.append(measure(clip, controls))
+            if clip.take:
+                survey.add(clip, _recording(str(clip.audio)), read_curves(clip.curves))
         except UserError as error:
-            unreadable.append(f"{clips[place].name} ({error})")
+            unreadable.append(f"{clip.name} ({error})")
         progress((done + 1) / len(places))
     checks = [
         _verdict("files", "error", unreadable, f"{len(measured)} clips can be read", "unreadable"),
         *_of_the_table(clips),
     ]
-    return checks + (_of_the_clips(measured, controls) if measured else [])
+    checks += _of_the_clips(measured, controls) if measured else []
+    if not survey.clips:
+        return Inspection(checks, None)
+    rows = [Check(*row) for row in capture_rows(survey)]
+    names = {row.name for row in rows}
+    return Inspection([c for c in checks if c.name not in names] + rows, survey)
 
 
 def measure(clip: Clip, controls: ControlSet) -> Measured:

@@ -18,6 +18,7 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording
 from deitalk.audio.prosody import level_db
 from deitalk.metrics import correlation
+from rig import RigCurves
 from rig.arrays import Float32, Float64
 
 RATE = 60
@@ -126,18 +127,28 @@ class _Key:
         return isinstance(other, _Key) and other.recording is self.recording
 
 
-@lru_cache(maxsize=8)
-def _predicted_jaw(key: _Key) -> Float64 | None:
-    """The embedded model's jaw at 60 frames per second [shape=(T,)]; None without a model."""
+def predicted_curves(recording: Recording) -> RigCurves | None:
+    """The embedded model's curves of a recording, neutral; None without a model.
+
+    Of a recording of more than `MODEL_SECONDS` the beginning.
+    """
     from deitalk.pipeline.curves import animate
 
     network = _network()
     if network is None:
         return None
-    recording = key.recording
     short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
-    curves = animate(short, "neutral", model=network).curves
-    at = np.arange(int(len(short.waveform) / SAMPLE_RATE * RATE)) / RATE
+    return animate(short, "neutral", model=network).curves
+
+
+@lru_cache(maxsize=8)
+def _predicted_jaw(key: _Key) -> Float64 | None:
+    """The embedded model's jaw at 60 frames per second [shape=(T,)]; None without a model."""
+    curves = predicted_curves(key.recording)
+    if curves is None:
+        return None
+    seconds = min(key.recording.duration, MODEL_SECONDS)
+    at = np.arange(int(seconds * RATE)) / RATE
     jaw: Float64 = np.interp(at + LAG_SECONDS, curves.times, curves[JAW].astype(np.float64))
     return jaw
 

@@ -14,7 +14,7 @@ from deitalk.audio.noise import SNRS_DB, mix
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
 from deitalk.emotions import EMOTIONS, IntensityCurve
-from deitalk.evaluation.emotion_rules import face_distance, lip_range, recognise
+from deitalk.emotions.rules import face_distance, lip_range, recognise
 from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
 from deitalk.evaluation.opening import JAW, mouth_opening
 from deitalk.evaluation.prosody_response import (

@@ -14,9 +14,9 @@ from deitalk.corpus.performance import _prosody_label
 from deitalk.corpus.prosody_contours import apply_contour, random_contour
 from deitalk.corpus.rig_targets import style_poses
 from deitalk.emotions import EMOTIONS
+from deitalk.emotions.rules import face_distance, lip_range, recognise
 from deitalk.errors import DataError
 from deitalk.evaluation.curve_statistics import captured_smoothness, smoothness
-from deitalk.evaluation.emotion_rules import face_distance, lip_range, recognise
 from deitalk.evaluation.experiments import lively_report
 from deitalk.evaluation.phone_gestures import (
     BITE,

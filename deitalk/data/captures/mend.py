@@ -1,0 +1,232 @@
+"""`deitalk data check --fix`: offsets, drift, rest poses and names of emotions are put right.
+
+Recordings and captured curves stay as they are. ``offset_s`` of the clips is changed; clips whose
+actor's rest pose is removed get a new file ``mended/<clip>.npz``, and ``clips.csv``, replaced last
+and whole, names it. ``check/`` holds the report with its pictures, and the table as it was before
+the first change.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.data.captures.labels import SPELLINGS
+from deitalk.data.captures.rest import without_rest
+from deitalk.data.captures.survey import Survey
+from deitalk.data.captures.sync import LAGS, peak
+from deitalk.data.captures.verdicts import Row
+from deitalk.emotions import EMOTIONS
+from deitalk.figures.canvas import can_draw
+from deitalk.figures.captures import TakeLags, draw_lags, draw_rests
+from rig import read_curves, write_curves
+from rig.arrays import Float32
+from rig.errors import TargetError
+from rig.files import atomic_write, claim, kind_of, record, replace_recorded
+from rig.files.reading import read_text
+from rig.limits import DATASET_TABLE_BYTES
+
+KIND = "dataset"
+
+
+@dataclass(frozen=True)
+class Mended:
+    """What was changed."""
+
+    moved_takes: int
+    rest_poses: dict[str, int]
+    """Controls by actor."""
+    emotions: int
+    files: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """One line."""
+        parts = []
+        if self.emotions:
+            parts.append(f"{self.emotions} names of emotions")
+        if self.moved_takes:
+            parts.append(f"offset of {self.moved_takes} takes")
+        parts += [f"rest pose of {a} ({n} controls)" for a, n in self.rest_poses.items()]
+        return f"fixed: {', '.join(parts)}" if parts else "nothing to fix"
+
+
+def rename_emotions(folder: Path) -> int:
+    """Replace other spellings of the five emotions in ``clips.csv``; return how many."""
+    with claim(folder):
+        header, rows = _read(folder)
+        count = 0
+        for row in rows:
+            for column in {"emotion", "voice"} & set(header):
+                text = (row[column] or "").strip().lower()
+                right = SPELLINGS.get(text, text)
+                if right != row[column] and right in EMOTIONS:
+                    row[column] = right
+                    count += 1
+        if count:
+            _write(folder, header, rows)
+    return count
+
+
+def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0) -> Mended:
+    """Write offsets and curves without rest pose into a dataset, and a report beside.
+
+    Parameters
+    ----------
+    folder : Path
+        Dataset folder.
+    survey : Survey
+        Of its captured clips.
+    rows : sequence of Row
+        All rows of the check, for the report.
+    emotions : int
+        Names that `rename_emotions` changed.
+
+    Raises
+    ------
+    TargetError
+        If another process writes to the folder, or a file that is not deitalk's is in the way.
+    """
+    sync = survey.sync()
+    shifted = {take for take, s in sync.items() if s is not None and s.is_shifted}
+    rests = {
+        actor: pose
+        for actor, pose in survey.rests().items()
+        if (pose != survey.controls.rest).any()
+    }
+    with claim(folder):
+        header, table = _read(folder)
+        by_name = {row["clip"]: row for row in table}
+        files: list[str] = []
+        for c in survey.clips:
+            row = by_name[c.clip.name]
+            take = sync[c.clip.take]
+            if c.clip.take in shifted and take is not None:
+                middle = c.clip.span[0] + c.seconds / 2
+                row["offset_s"] = f"{c.clip.offset_seconds - take.lag_at(middle):.4f}"
+            if c.clip.speaker in rests:
+                row["curves"] = _without_rest(
+                    folder, c.clip.name, c.clip.curves, c.known, rests[c.clip.speaker], survey
+                )
+                files.append(row["curves"])
+        report = _report(folder, survey, rows, rests)
+        if shifted or rests:
+            header = [*header, *(["offset_s"] if "offset_s" not in header else [])]
+            _write(folder, header, table)
+        if kind_of(folder) is not None:
+            record(folder, [*files, *report], kind=KIND)
+    counts = {actor: int((pose != survey.controls.rest).sum()) for actor, pose in rests.items()}
+    return Mended(len(shifted), counts, emotions, tuple(report))
+
+
+def _without_rest(
+    folder: Path, name: str, source: Path, known: np.ndarray, pose: Float32, survey: Survey
+) -> str:
+    target = f"mended/{name}.npz"
+    path = folder / target
+    path.parent.mkdir(exist_ok=True)
+    curves = without_rest(read_curves(source), pose, known, survey.controls)
+    write_curves(path, curves)
+    return target
+
+
+def _read(folder: Path) -> tuple[list[str], list[dict[str, str]]]:
+    text = read_text(folder / "clips.csv", DATASET_TABLE_BYTES)
+    reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
+    rows = list(reader)
+    return list(reader.fieldnames or ()), rows
+
+
+def _write(folder: Path, header: Sequence[str], rows: Sequence[dict[str, str]]) -> None:
+    """Replace ``clips.csv`` whole; its first version is kept."""
+    kept = folder / "check" / "clips.csv"
+    kept.parent.mkdir(exist_ok=True)
+    if not kept.exists():
+        with atomic_write(kept) as beside:
+            beside.write_bytes((folder / "clips.csv").read_bytes())
+    stream = io.StringIO()
+    table = csv.DictWriter(stream, header, lineterminator="\n", restval="", extrasaction="ignore")
+    table.writeheader()
+    table.writerows(rows)
+    if kind_of(folder) is None:
+        with atomic_write(folder / "clips.csv") as beside:
+            beside.write_text(stream.getvalue(), encoding="utf-8")
+        return
+    record(
+        folder, ["clips.csv", "check/clips.csv"], kind=KIND
+    )  # edits by hand are the user's right
+    replace_recorded(folder, "clips.csv", stream.getvalue())
+
+
+def _report(
+    folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]
+) -> list[str]:
+    """Write the report and its pictures; return their paths within the folder."""
+    (folder / "check").mkdir(exist_ok=True)
+    if (folder / "check").is_symlink():
+        raise TargetError(f"{folder / 'check'} is a symbolic link; remove it")
+    files = ["check/report.md"]
+    if can_draw():
+        draw_lags(_drawn(survey), folder / "check/lags.png")
+        files.append("check/lags.png")
+        if rests:
+            draw_rests(rests, survey.controls, folder / "check/rest.png")
+            files.append("check/rest.png")
+    with atomic_write(folder / files[0]) as beside:
+        beside.write_text(_markdown(survey, rows, rests, files), encoding="utf-8")
+    return files
+
+
+def _drawn(survey: Survey) -> list[TakeLags]:
+    drawn = []
+    groups = survey.by_take()
+    for name, take in survey.sync().items():
+        clips = [c.lags for c in groups[name] if c.lags is not None]
+        if take is None or not clips:
+            continue
+        line = np.array([take.lag_at(clip.centre) for clip in clips])
+        peaks = [peak(clip.scores, near=at) for clip, at in zip(clips, line, strict=True)]
+        drawn.append(
+            TakeLags(
+                name,
+                LAGS * 1000,
+                [clip.scores for clip in clips],
+                np.array([clip.centre for clip in clips]),
+                np.array(peaks) * 1000,
+                line * 1000,
+            )
+        )
+    return drawn
+
+
+def _markdown(
+    survey: Survey, rows: Sequence[Row], rests: dict[str, Float32], files: Sequence[str]
+) -> str:
+    lines = ["# Check of captures", "", "| check | level | result |", "|---|---|---|"]
+    lines += [f"| {name} | {level} | {text.replace('|', '/')} |" for name, level, text in rows]
+    lines += ["", "## Takes", "", "| take | actor | clips | s | lag ms | drift ms/s | r | by |",
+              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    groups = survey.by_take()
+    for take, s in survey.sync().items():
+        clips = groups[take]
+        seconds = sum(c.seconds for c in clips)
+        head = f"| {take} | {clips[0].clip.speaker} | {len(clips)} | {seconds:.1f} "
+        values = "| | | | |" if s is None else (
+            f"| {s.lag * 1000:+.1f} ± {s.error * 1000:.1f} | {s.drift * 1000:+.2f} "
+            f"| {s.correlation:.2f} | {s.by} |"
+        )  # fmt: skip
+        lines.append(head + values)
+    for actor, pose in rests.items():
+        lines += ["", f"## Rest pose of {actor}", "", "| control | value | rest |", "|---|---|---|"]
+        lines += [
+            f"| {name} | {value:.3f} | {rest:g} |"
+            for name, value, rest in zip(
+                survey.controls.names, pose, survey.controls.rest, strict=True
+            )
+            if value != rest
+        ]
+    lines += ["", *(f"![]({Path(name).name})" for name in files if name.endswith(".png")), ""]
+    return "\n".join(lines)

@@ -1,0 +1,166 @@
+"""Measures of captures by clip, take and actor; every clip is read once."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.load import Recording
+from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.captures.channels import ChannelFaults, asymmetry, channel_faults, swapped_takes
+from deitalk.data.captures.rest import rest_pose
+from deitalk.data.captures.sync import ClipLags, TakeSync, clip_lags, take_sync
+from deitalk.data.clips import Clip, read_known
+from deitalk.data.offset import predicted_curves
+from deitalk.emotions.rules import RULE, style_scores
+from rig import ControlSet, RigCurves
+from rig.arrays import Bool, Float32, Float64
+
+AROUND_SPEECH_SECONDS = 0.2
+"""Frames so near to speech are not silent: the mouth opens before and shuts after the sound."""
+UNLIKE = 0.1
+"""Score by which another emotion's must exceed that of a take's label."""
+
+
+@dataclass(frozen=True)
+class ClipSurvey:
+    """Measures of one clip."""
+
+    clip: Clip
+    seconds: float
+    speech_seconds: float
+    faults: ChannelFaults
+    lags: ClipLags | None
+    known: Bool
+    scores: Float64
+    """Of happy, sad, angry and surprised during speech, less those at rest [shape=(4,)]."""
+    asymmetry: Float64
+    voiced: Float64
+    """Pitch of the voiced frames, semitones over 100 Hz."""
+
+
+@dataclass
+class Survey:
+    """Measures of all captured clips."""
+
+    controls: ControlSet
+    clips: list[ClipSurvey] = field(default_factory=list)
+    silent: dict[str, dict[str, list[Float32]]] = field(default_factory=dict)
+    """Silent frames by actor and emotion."""
+    rates: dict[str, dict[str, float]] = field(default_factory=dict)
+    by: str = "model"
+
+    def add(self, clip: Clip, recording: Recording, curves: RigCurves) -> None:
+        """Measure one clip."""
+        values = curves.reorder(self.controls).values
+        known = read_known(clip.known, self.controls)
+        board = curves.reorder(self.controls)
+        predicted = predicted_curves(recording)
+        self.by = "loudness" if predicted is None else "model"
+        speaking = _at(speech_activity(recording.waveform) > 0, board, clip.offset_seconds)
+        margin = round(AROUND_SPEECH_SECONDS * curves.fps)
+        near = np.convolve(speaking, np.ones(2 * margin + 1), mode="same") > 0
+        emotions = self.silent.setdefault(clip.speaker, {})
+        emotions.setdefault(clip.emotion, []).append(values[~near])
+        self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
+        prosody = measure_prosody(recording.waveform, recording.n_frames)
+        self.clips.append(
+            ClipSurvey(
+                clip,
+                recording.duration,
+                float(prosody.active.sum()) / FRAME_RATE if speaking.any() else 0.0,
+                channel_faults(values, curves.fps, known, self.controls, speaking),
+                clip_lags(
+                    board, recording, predicted=predicted, known=known,
+                    offset=clip.offset_seconds, start=clip.span[0],
+                ),
+                known,
+                style_scores(values, speaking, self.controls).astype(np.float64),
+                asymmetry(values, known, self.controls),
+                prosody.pitch[prosody.voiced],
+            )
+        )  # fmt: skip
+
+    def by_take(self) -> dict[str, list[ClipSurvey]]:
+        """Clips of every take."""
+        return _grouped(self.clips, lambda c: c.clip.take)
+
+    def by_actor(self) -> dict[str, list[ClipSurvey]]:
+        """Clips of every actor."""
+        return _grouped(self.clips, lambda c: c.clip.speaker)
+
+    def sync(self) -> dict[str, TakeSync | None]:
+        """Offset and drift of every take."""
+        return {
+            take: take_sync([c.lags for c in clips if c.lags is not None], by=self.by)
+            for take, clips in self.by_take().items()
+        }
+
+    def rests(self) -> dict[str, Float32]:
+        """Pose at rest of the actors whose silence shows it."""
+        poses = {
+            actor: rest_pose(emotions, self.rates[actor], self.controls)
+            for actor, emotions in self.silent.items()
+        }
+        return {actor: pose for actor, pose in poses.items() if pose is not None}
+
+    def swapped(self) -> list[str]:
+        """Takes whose left and right are swapped in whole or in part."""
+        found = []
+        for take, clips in self.by_take().items():
+            for measure in ("gaze", "sideways"):
+                known = [v for c in clips if np.isfinite(v := getattr(c.faults, measure))]
+                if known and float(np.median(known)) < -0.5:
+                    found.append(take)
+                    break
+        for clips in self.by_actor().values():
+            takes = _grouped(clips, lambda c: c.clip.take)
+            means = [np.mean([c.asymmetry for c in own], axis=0) for own in takes.values()]
+            found += [list(takes)[place] for place in swapped_takes(means)]
+        return list(dict.fromkeys(found))
+
+    def unlike(self) -> list[tuple[str, str, str]]:
+        """Takes whose face shows another emotion than their label: take, label, seen."""
+        names = list(RULE)
+        found = []
+        for clips in self.by_actor().values():
+            rest = np.min([c.scores for c in clips], axis=0)
+            for take, own in _grouped(clips, lambda c: c.clip.take).items():
+                label = own[0].clip.emotion
+                scores = np.mean([c.scores for c in own], axis=0) - rest
+                mine = scores[names.index(label)] if label in names else 0.0
+                best = int(scores.argmax())
+                if names[best] != label and scores[best] - mine > UNLIKE and scores[best] > 0.15:
+                    found.append((take, label, names[best]))
+        return found
+
+    def usable_seconds(self) -> dict[tuple[str, str], float]:
+        """Seconds by actor and emotion of clips that move, in takes that belong to their sound."""
+        sync = self.sync()
+        seconds: dict[tuple[str, str], float] = defaultdict(float)
+        for c in self.clips:
+            take = sync[c.clip.take]
+            moves = bool(c.faults.moving.any()) and c.faults.frozen_seconds < c.seconds / 4
+            is_usable = moves and take is not None and take.is_known and c.speech_seconds > 0
+            seconds[c.clip.speaker, c.clip.emotion] += c.seconds if is_usable else 0.0
+        return dict(seconds)
+
+
+def _at(speaking: Bool, curves: RigCurves, offset: float) -> Bool:
+    """Speech at the frames of curves [shape=(T,)]."""
+    places = ((curves.times + offset) * FRAME_RATE).astype(int)
+    inside = (places >= 0) & (places < len(speaking))
+    result: Bool = inside & speaking[np.clip(places, 0, max(len(speaking) - 1, 0))]
+    return result
+
+
+def _grouped(
+    clips: Sequence[ClipSurvey], key: Callable[[ClipSurvey], str]
+) -> dict[str, list[ClipSurvey]]:
+    groups: dict[str, list[ClipSurvey]] = defaultdict(list)
+    for clip in clips:
+        groups[key(clip)].append(clip)
+    return dict(groups)

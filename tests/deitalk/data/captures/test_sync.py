@@ -1,0 +1,98 @@
+"""Offset and drift of takes: planted ones are found, by hand-made and by predicted curves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deitalk.audio.load import load_audio
+from deitalk.data.captures.sync import (
+    LAGS,
+    NTSC_DRIFT,
+    ClipLags,
+    clip_lags,
+    peak,
+    take_sync,
+)
+from deitalk.models.checkpoint import load_model
+from deitalk.models.folder import embedded_models
+from deitalk.pipeline.curves import animate
+from rig import RigCurves, default_controls
+from tests.deitalk.cli.test_cli import ROOT
+
+NAMES = default_controls().names
+FRAME = 1 / 30
+SHIFTS = (-15, -8, -3, -1, 1, 4, 10, 15)
+
+
+def bump(at: float, seconds: float = 10.0, centre: float = 5.0, height: float = 1.0) -> ClipLags:
+    return ClipLags(height * np.exp(-(((LAGS - at) / 0.05) ** 2)), 1, centre, seconds)
+
+
+def test_peak_is_found_between_frames_and_near_a_lag():
+    assert peak(bump(0.1234).scores) == pytest.approx(0.1234, abs=5e-4)
+    two = bump(-0.3).scores + 0.5 * bump(0.2).scores
+    assert peak(two) == pytest.approx(-0.3, abs=5e-4)
+    assert peak(two, near=0.19) == pytest.approx(0.2, abs=5e-4)
+
+
+def test_clips_of_a_take_agree_on_one_lag():
+    clips = [bump(0.05, centre=c) for c in (5, 20, 40, 90)]
+    clips[2] = replace(clips[2], scores=bump(-0.4).scores + 0.9 * bump(0.05).scores)
+    take = take_sync(clips)
+    assert take is not None and take.lag == pytest.approx(0.05, abs=1e-3)
+    assert take.drift == 0 and take.is_shifted
+
+
+@pytest.mark.parametrize("drift", [NTSC_DRIFT, -NTSC_DRIFT])
+def test_drift_of_ntsc_rates_is_found_exactly(drift):
+    clips = [bump(0.1 + drift * c, centre=c) for c in np.arange(8, 300, 15)]
+    take = take_sync(clips)
+    assert take is not None and take.drift == pytest.approx(drift, rel=1e-9)
+    for clip in clips:
+        assert take.lag_at(clip.centre) == pytest.approx(0.1 + drift * clip.centre, abs=2e-3)
+
+
+def test_short_takes_have_no_drift():
+    take = take_sync([bump(0.001 * c, centre=c) for c in (5, 20, 30, 50)])
+    assert take is not None and take.drift == 0
+
+
+def test_still_and_short_clips_tell_nothing():
+    recording = load_audio(ROOT / "docs/samples/amiable.flac")
+    still = RigCurves(np.zeros((180, len(NAMES)), np.float32), NAMES, fps=30)
+    assert clip_lags(still, recording, predicted=still) is None
+    assert clip_lags(still.slice_frames(0, 50), recording, predicted=still) is None
+    assert take_sync([]) is None
+
+
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+def test_planted_offsets_are_found_to_a_third_of_a_frame():
+    """Curves of another model and emotion, with noise, stand for captures."""
+    reference, other = load_model("default"), load_model("compact")
+    rng = np.random.default_rng(0)
+    found = []
+    for name in ("amiable", "promise"):
+        recording = load_audio(ROOT / f"docs/samples/{name}.flac")
+        predicted = animate(recording, "neutral", model=reference).curves
+        face = animate(recording, "happy", model=other).curves
+        noisy = face.values + 0.03 * rng.standard_normal(face.values.shape)
+        captured = RigCurves(noisy.astype(np.float32), face.names, fps=face.fps)
+        still = clip_lags(captured, recording, predicted=predicted)
+        assert still is not None
+        take = take_sync([still])
+        assert take is not None and not take.is_shifted, take
+        for frames in SHIFTS:
+            moved = clip_lags(captured, recording, predicted=predicted, offset=frames * FRAME)
+            assert moved is not None
+            found.append(abs(peak(moved.scores) - frames * FRAME) < FRAME / 3)
+    assert np.mean(found) >= 0.95, found
+
+
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+def test_loudness_replaces_the_model():
+    recording = load_audio(ROOT / "docs/samples/amiable.flac")
+    face = animate(recording, "neutral", model=load_model("default")).curves
+    lags = clip_lags(face, recording, predicted=None, offset=0.2)
+    assert lags is not None and lags.n_groups == 1
+    assert peak(lags.scores) == pytest.approx(0.2, abs=0.06)
