@@ -19,6 +19,7 @@ from deitalk.cli.corpus import app as corpus_app
 from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
+from deitalk.cli.finetune import finetune
 from deitalk.cli.livelink import app as livelink_app
 from deitalk.cli.mesh import mesh
 from deitalk.cli.model import app as model_app
@@ -49,6 +50,7 @@ app.command()(validate)
 app.command()(retarget)
 app.command()(mesh)
 app.command()(train)
+app.command()(finetune)
 app.command()(evaluate)
 app.command()(ablate)
 app.command()(benchmark)

@@ -53,7 +53,7 @@ def train(
         if not can_draw():
             console().print("without pictures in OUT/curves: pip install matplotlib")
     with bar("training") as advance:
-        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=_shown_on(advance))
+        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=shown_on(advance))
     _report(out, best)
 
 
@@ -75,7 +75,7 @@ def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., d
     return partial(train_curves, settings, start_from=start)
 
 
-def _shown_on(advance: "Advance") -> "Progress":
+def shown_on(advance: "Advance") -> "Progress":
     """Return a callback that shows step, loss, and the scores of every evaluation."""
 
     def progress(step: int, total: int, values: dict[str, float]) -> None:

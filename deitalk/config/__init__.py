@@ -5,6 +5,7 @@ of networks and trainings read these classes, and the rules after the network th
 """
 
 from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
+from deitalk.config.finetuning import FinetuneConfig, TuneConfig
 from deitalk.config.frontends import (
     ConformerConfig,
     DEITalkFeaturesConfig,
@@ -24,6 +25,7 @@ __all__ = [
     "ConformerConfig",
     "DEITalkFeaturesConfig",
     "DataConfig",
+    "FinetuneConfig",
     "Gates",
     "Idle",
     "KarrasConfig",
@@ -38,6 +40,7 @@ __all__ = [
     "SDFAMelConfig",
     "SDFAModelConfig",
     "TrainConfig",
+    "TuneConfig",
     "VocaConfig",
     "VoiceIntensity",
     "Wav2VecConfig",

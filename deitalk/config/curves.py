@@ -1,6 +1,6 @@
 """Settings of DEITalk, the model of 185 curves: network, loss, data and training."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -22,7 +22,10 @@ class ModelConfig(Section):
     frontend: MelConfig | Wav2VecConfig | ConformerConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
-    control_set: str = "metahuman-185@mh4"
+    control_set: str = Field(
+        default="metahuman-185@mh4",
+        description="the board, or a file that describes another rig (see docs/finetuning.md)",
+    )
     positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
     intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
     emotion_size: Width = Field(default=128, description="width of S_emo and E_in")
@@ -46,6 +49,12 @@ class ModelConfig(Section):
     )
     kernel_size: Odd = 3
     dropout: float = Field(default=0.0, ge=0, lt=1)
+
+    @field_validator("frontend", mode="before")
+    @classmethod
+    def _default_kind(cls, value: Any) -> Any:
+        """A frontend without a kind is the paper's."""
+        return {"kind": "wav2vec"} | value if isinstance(value, dict) else value
 
 
 class LossConfig(Section):

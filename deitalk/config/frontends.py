@@ -86,7 +86,12 @@ class Wav2VecConfig(Section):
         description="hub name or folder; null builds `encoder`",
     )
     encoder: dict[str, Any] = Field(
-        default_factory=dict, description="transformers' Wav2Vec2Config keys, without checkpoint"
+        default_factory=dict,
+        description="transformers' Wav2Vec2Config keys; a saved model has those of its checkpoint",
+    )
+    normalise: bool = Field(
+        default=True,
+        description="every clip to unit variance, as published models expect; with `encoder`",
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
 

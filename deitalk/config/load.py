@@ -9,6 +9,7 @@ from pydantic import (
 )
 
 from deitalk.config.curves import Config
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.errors import ConfigError
@@ -18,12 +19,13 @@ from rig.errors import quoted, shorten
 AnyConfig = Config | SDFAConfig
 
 
+_KINDS: dict[str, type[AnyConfig]] = {"sdfa": SDFAConfig, "finetune": FinetuneConfig}
 _PROBLEMS = 5
 """Largest number of problems in one message."""
 
 
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
-    """Check a tree of settings; one with ``kind: sdfa`` gives an `SDFAConfig`.
+    """Check a tree of settings; its ``kind`` chooses the class, `Config` if it has none.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
         With the key, the value and the rule of every problem, in one line.
     """
     try:
-        kind = SDFAConfig if tree.get("kind") == "sdfa" else Config
+        kind = _KINDS.get(str(tree.get("kind")), Config)
         return kind.model_validate(tree)
     except ValidationError as error:
         items = error.errors(include_url=False, include_context=False)
@@ -70,13 +72,20 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     ConfigError
         If the file is missing, is no YAML mapping, or holds an unknown key or a bad value.
     """
-    path = Path(path)
-    tree = read_yaml(path) or {}
+    return parse_config(read_tree(path, overrides))
+
+
+def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Settings of a YAML file, unchecked, with overrides; parameters and errors as `load_config`.
+
+    Without a file there are the overrides alone.
+    """
+    tree = {} if path is None else read_yaml(Path(path)) or {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
     for override in overrides:
         _override(tree, override)
-    return parse_config(tree)
+    return tree
 
 
 def _override(tree: dict[str, Any], override: str) -> None:

@@ -97,6 +97,9 @@ class Optimisation(Section):
     evaluate_every: Steps = Field(
         default=500, description="steps between evaluations and checkpoints"
     )
+    patience: Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)] | None = Field(
+        default=None, description="end after so many evaluations without a better score"
+    )
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32",
         description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",

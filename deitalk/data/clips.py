@@ -36,6 +36,8 @@ MAX_BYTES = 512 * 1024**2
 MAX_OFFSET_SECONDS = 3600.0
 MEASURED = "measured"
 """Source of clips whose lips were measured on people."""
+REHEARSED = "rehearsed"
+"""Source of clips whose speech alone is used: all their controls count as unknown."""
 REQUIRED = ("clip", "audio", "curves", "emotion", "speaker", "split")
 
 

@@ -31,11 +31,16 @@ class FrozenFeatures:
     ------
     CheckpointError
         If there is no such model.
+
+    Attributes
+    ----------
+    owner : DEITalk
+        The model.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._owner = require_model(name, DEITalk)
+        self.owner = require_model(name, DEITalk)
         self._features: dict[Clip, NDArray[np.float16]] = {}
 
     def copy_into(self, model: DEITalk) -> None:
@@ -46,13 +51,13 @@ class FrozenFeatures:
         ConfigError
             If the model's frontend is built otherwise.
         """
-        if model.config.frontend != self._owner.config.frontend:
+        if model.config.frontend != self.owner.config.frontend:
             raise ConfigError(
                 f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
                 "use that model's own config.yaml"
             )
         frontend = model.get_submodule("frontend").requires_grad_(False)
-        frontend.load_state_dict(self._owner.get_submodule("frontend").state_dict())
+        frontend.load_state_dict(self.owner.get_submodule("frontend").state_dict())
 
     def features(self, clip: Clip, waveform: Float32, n_frames: int) -> NDArray[np.float16]:
         """Features of a whole clip, computed at the first call.
@@ -74,6 +79,6 @@ class FrozenFeatures:
         if known is None or len(known) < n_frames:
             length = n_frames * SAMPLE_RATE // FRAME_RATE
             padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
-            features = self._owner.frontend.encode(torch.from_numpy(padded), n_frames)
+            features = self.owner.frontend.encode(torch.from_numpy(padded), n_frames)
             known = self._features[clip] = features.numpy().astype(np.float16)
         return known

@@ -18,12 +18,13 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.data.clips import MEASURED, Clip, read_intensity, read_known
+from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
+from rig.controls import DEFAULT_ID
 
 if TYPE_CHECKING:
     from deitalk.data.frozen_features import FrozenFeatures
@@ -99,7 +100,8 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
     DataError
         If the curves lack a control of `controls`; `read_curves` raises its own errors.
     """
-    curves, known = read_curves(clip.curves), read_known(clip.known, controls)
+    own = None if controls.id == DEFAULT_ID else controls
+    curves, known = read_curves(clip.curves, controls=own), read_known(clip.known, controls)
     if curves.names != controls.names:
         missing = sorted(set(controls.names) - set(curves.names))
         if missing:
@@ -108,6 +110,8 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
                 f"{missing[0]}; convert the curves first"
             )
         curves = curves.select(controls.names)
+    if clip.source == REHEARSED:
+        known[:] = False
     values = np.where(known, curves.values, controls.rest)
     times = np.arange(len(curves.values)) / curves.fps + clip.offset_seconds
     if clip.intensity is None:

@@ -37,6 +37,9 @@ COMPACT: Mapping[str, Any] = {
 """A small encoder to train from scratch. Its norms act on one moment at a time, unlike the group
 norm of the published base model, so that a chunk's features do not depend on where it ends."""
 
+_ABOUT = ("_name_or_path", "architectures", "dtype", "torch_dtype", "transformers_version")
+"""Keys of a checkpoint's configuration that are no shape."""
+
 COMPACT_SCALE = 10 ** (23 / 20)
 """Scales speech at -23 dBFS to unit variance, by one factor for all clips."""
 
@@ -95,8 +98,9 @@ class Wav2VecFrontend(nn.Module):
             return cls.from_config(config.encoder)
         if pretrained:
             return cls.from_pretrained(config.checkpoint, freeze_stem=config.freeze_stem)
+        shape: Mapping[str, Any]
         if config.encoder or config.checkpoint == PUBLISHED:
-            shape, scale = config.encoder, None
+            shape, scale = config.encoder, None if config.normalise else 1.0
         else:
             with _one_line_errors(config.checkpoint):
                 shape, scale = _read_config(config.checkpoint)
@@ -153,11 +157,15 @@ class Wav2VecFrontend(nn.Module):
         encoder = _new_encoder({**COMPACT, **changes})
         return cls(encoder, freeze_stem=freeze_stem, input_scale=COMPACT_SCALE)
 
-    @property
-    def encoder_config(self) -> dict[str, Any]:
-        """The encoder's shape as plain values: what differs from transformers' defaults."""
-        config: Any = self.encoder.config
-        return json.loads(config.to_json_string(use_diff=True))  # type: ignore[no-any-return]
+    def described(self, config: Wav2VecConfig) -> Wav2VecConfig:
+        """Configuration that builds the encoder where its checkpoint is no longer there."""
+        if config.checkpoint is None:
+            return config
+        encoder: Any = self.encoder.config
+        values = json.loads(encoder.to_json_string(use_diff=True))
+        shape = {key: value for key, value in values.items() if key not in _ABOUT}
+        normalise = self.input_scale is None
+        return config.model_copy(update={"encoder": shape, "normalise": normalise})
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Encode a batch of speech at 30 Hz.

@@ -27,14 +27,22 @@ from deitalk.config import (
     Wav2VecConfig,
     load_config,
 )
+from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
+from deitalk.frontends.wav2vec import Wav2VecFrontend
 from deitalk.frontends.windows import Encoder
 from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.devices import require_device
-from deitalk.models.folder import FORMAT_VERSION, model_folder, read_about, weights_hash
+from deitalk.models.folder import (
+    FORMAT_VERSION,
+    RIG_FILE,
+    model_folder,
+    read_about,
+    weights_hash,
+)
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.mesh_weights import (
@@ -50,7 +58,7 @@ from deitalk.models.mesh_weights import (
 )
 from deitalk.models.weights_file import Shapes, check_fit, network_shapes, read_weights
 from deitalk.postprocess.lip_seal import check_faces
-from rig import default_controls
+from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder
 from rig.mesh import TriMesh
@@ -192,9 +200,25 @@ def save_model(
         (beside / "model.safetensors").write_bytes(save(weights))
         if isinstance(model, MeshModel):
             write_templates(beside, model, half=half)
+        if isinstance(model, DEITalk) and isinstance(config, Config):
+            config = _complete(config, model)
+            if config.model.control_set == RIG_FILE:
+                (beside / RIG_FILE).write_text(rig_text(model.controls))
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (beside / "config.yaml").write_text(settings)
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
+
+
+def _complete(config: Config, model: DEITalk) -> Config:
+    """Configuration that needs no file outside the model folder: no checkpoint, no rig file."""
+    settings = config.model
+    if isinstance(model.frontend, Wav2VecFrontend):
+        assert isinstance(settings.frontend, Wav2VecConfig)
+        frontend = model.frontend.described(settings.frontend)
+        settings = settings.model_copy(update={"frontend": frontend})
+    if model.controls.id != DEFAULT_ID:
+        settings = settings.model_copy(update={"control_set": RIG_FILE})
+    return config.model_copy(update={"model": settings})
 
 
 def _half(value: torch.Tensor) -> torch.Tensor:
@@ -238,7 +262,8 @@ def new_encoder(
 
 
 def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> Build:
-    controls = default_controls()
+    named = config.model.control_set
+    controls = read_controls(str(folder / named) if named == RIG_FILE else named)
     if about["control_set"] != controls.id or about["controls"] != list(controls.names):
         raise CheckpointError(
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "

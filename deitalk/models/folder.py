@@ -5,6 +5,7 @@
     config.yaml          every setting; `kind: sdfa` marks a mesh model
     model.safetensors    weights, float16 in shipped models
     model.json           format version, control set or speakers, training summary
+    controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
     templates.npz        mesh models only: see `deitalk.models.mesh_weights`
 """
 
@@ -20,6 +21,7 @@ from rig.errors import quoted
 from rig.files.reading import check_file, open_file, read_json
 
 FORMAT_VERSION = 1
+RIG_FILE = "controls.yaml"
 EMBEDDED = ("default", "compact", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 

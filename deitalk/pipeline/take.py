@@ -26,13 +26,14 @@ from deitalk.emotions import write_intensity_csv
 from deitalk.pipeline.performance import Performance
 from rig import write_curves
 from rig.arrays import Float32
+from rig.controls import DEFAULT_ID
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats.exchange import exchange_names, write_exchange_files
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {
-    "curves.csv": "185 control curves: frame, time, one column per control",
+    "curves.csv": "control curves: frame, time, one column per control",
     "curves.json": "the same curves with emotion and intensity, schema deitalk.curves/1",
     "neutral.npz": "the neutral reading of the same speech, what intensity 0 gives",
     "intensity.csv": "emotion weights, saliency, predicted and applied intensity; edit the last "
@@ -151,7 +152,9 @@ def _fill(
     )
     write_wav(folder / "audio.wav", performance.recording.waveform)
     slate = Path(performance.recording.source).stem
-    files = FILES | write_exchange_files(folder, curves, slate=slate)
+    files = dict(FILES)
+    if curves.control_set == DEFAULT_ID:
+        files |= write_exchange_files(folder, curves, slate=slate)
     for extra in extras:
         files |= extra(folder, performance)
     about = {

@@ -9,9 +9,12 @@ import numpy as np
 from deitalk.config import Idle
 from rig import ControlSet
 from rig.arrays import Float32
+from rig.controls import DEFAULT_ID
 
 BLINK = np.array([0.0, 0.45, 0.95, 1.0, 0.75, 0.45, 0.2, 0.06, 0.0])
 """Closure of the lids at 30 Hz: shut in 0.1 s, open again in 0.17 s (Trutoiu et al. 2011)."""
+IDLE_CONTROLS = ("_eye_blink.", "_eye.t")
+"""Parts of the names of controls that blinks and gaze move."""
 REST_SECONDS = 0.5
 """No blinks and no gaze motion so long before the end of a clip."""
 
@@ -24,7 +27,7 @@ def add_idle_motion(
     rng: np.random.Generator,
     idle: Idle = Idle(),
 ) -> None:
-    """Add blinks and gaze motion to curves, in place.
+    """Add blinks and gaze motion to curves, in place; a rig without the board's lids stays still.
 
     Parameters
     ----------
@@ -39,6 +42,8 @@ def add_idle_motion(
     idle : Idle
         Intervals of the blinks.
     """
+    if controls.id != DEFAULT_ID:
+        return
     lids = blink_track(len(curves), fps, rng, idle)
     gaze = gaze_track(len(curves), fps, rng)
     for side in "LR":

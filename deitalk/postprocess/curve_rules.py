@@ -17,6 +17,7 @@ from scipy.special import expit, logit
 from deitalk.config import KeepContacts, RulesConfig
 from rig import ControlSet
 from rig.arrays import Bool, Float32
+from rig.controls import DEFAULT_ID
 
 LEAST_PREDICTED = 0.15
 """Lower bound of the predicted intensity that an applied one is divided by."""
@@ -105,7 +106,7 @@ class Expression:
             A reading as the network predicts it, 30 frames per second.
         """
         rule = self.settings.sharpen_contacts
-        if rule is None or not len(curves):
+        if rule is None or not len(curves) or not len(self.seals):
             return
         values = np.clip(curves[:, self.seals], 0, 1)
         peaks: Float32 = maximum_filter1d(values, PEAK_FRAMES, axis=0)
@@ -167,6 +168,8 @@ class Expression:
 
     def contact(self, neutral: Float32) -> Float32:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""
+        if not len(self.seals):
+            return np.zeros(len(neutral), np.float32)
         closed = np.maximum(
             neutral[:, self.together].mean(axis=1), neutral[:, self.bite].mean(axis=1)
         )
@@ -237,9 +240,13 @@ class Expression:
     def follows_mouth(self) -> Bool:
         """Controls that the mouth gate brings to rest: those of speech and of parted lips.
 
-        Controls of the expression alone (corners, brows, lids, cheeks) stay through pauses.
+        Controls of the expression alone (corners, brows, lids, cheeks) stay through pauses. Of a
+        rig other than the board, those of its lip set follow it.
         """
         speaks = np.zeros(len(self.controls.names), bool)
+        if self.controls.id != DEFAULT_ID:
+            speaks[self.controls.subset("lip")] = True
+            return speaks
         speaks[self.opening] = True
         speaks[self._named(*SPEAKING)] = True
         return speaks

@@ -15,6 +15,7 @@ from deitalk.models.curve_model import Output
 from deitalk.training.distillation import Teacher
 from deitalk.training.processes import gather_rows
 from rig import ControlSet
+from rig.controls import DEFAULT_ID
 from rig.face.head import build_head
 
 
@@ -146,6 +147,7 @@ def total_loss(
     config: LossConfig,
     known: Tensor,
     weights: Tensor,
+    hold: float = 0.0,
     contact_controls: Tensor,
     lips: HeadLips | None = None,
 ) -> dict[str, Tensor]:
@@ -164,15 +166,17 @@ def total_loss(
     config : LossConfig
         Weights of the parts.
     known : Tensor [shape=(B, C)]
-        1 for controls that a clip's curves hold, else 0: those have no part in the loss.
+        1 for controls that a clip's curves hold, else 0.
     weights : Tensor [shape=(C,)]
         Of the controls, in Eq. 12-13.
+    hold : float
+        Weight of controls that are not known, in Eq. 12-13; no other part depends on them.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
     lips : HeadLips or None
         The head whose lips are compared; None if `config.lips` is 0.
     """
-    weights = weights * known[:, None]
+    weights = weights * (known + hold * (1 - known))[:, None]
     parts = {
         "position": position_loss(curves, output.curves, weights),
         "velocity": velocity_loss(curves, output.curves, weights),
@@ -184,7 +188,7 @@ def total_loss(
             )
         parts["classification"] = classification_loss(output.emotion_logits, emotion)
         parts["intensity"] = intensity_loss(intensity, output.intensity.strength)
-    if config.contact:
+    if config.contact and len(contact_controls):
         parts["contact"] = contact_loss(
             curves[..., contact_controls],
             output.curves[..., contact_controls],
@@ -211,11 +215,14 @@ class CurveLoss:
         Where batches are.
     teacher : Teacher or None
         Whose features are a second target.
+    hold : float
+        As for `total_loss`.
 
     Raises
     ------
     ConfigError
-        If a control weight's name is unknown.
+        If a control weight's name is unknown, or `config.lips` is set for a rig other than the
+        board.
     """
 
     def __init__(
@@ -224,12 +231,15 @@ class CurveLoss:
         controls: ControlSet,
         device: torch.device,
         teacher: Teacher | None = None,
+        hold: float = 0.0,
     ) -> None:
-        self.config, self.teacher = config, teacher
+        self.config, self.teacher, self.hold = config, teacher, hold
         self.weights = control_weights(config.control_weights, controls).to(device)
         self.contact = torch.tensor(
             [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
         )
+        if config.lips and controls.id != DEFAULT_ID:
+            raise ConfigError("loss.lips: the embedded head has the board's controls only; set 0")
         self.lips = HeadLips(build_head()).to(device) if config.lips else None
 
     def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
@@ -244,6 +254,7 @@ class CurveLoss:
             config=self.config,
             known=batch.known,
             weights=self.weights,
+            hold=self.hold,
             contact_controls=self.contact,
             lips=self.lips,
         )

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Config
+from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
@@ -114,14 +115,19 @@ class CurveTask(Task[Window]):
     ) -> None:
         self.config, self.start_from = config, start_from
         self.frozen_features = frozen_features
-        network_shapes(lambda: DEITalk(config.model, pretrained=False))  # not too large to be built
+        self.controls = read_controls(config.model.control_set)
+        network_shapes(self._network)  # not too large to be built
         self.clips = read_clips(data, "train")
         self.validation_clips = read_clips(data, "validation")
+
+    def _network(self, pretrained: bool = False) -> DEITalk:
+        config = self.config
+        return DEITalk(config.model, self.controls, pretrained=pretrained, rules=config.rules)
 
     def build(self, device: torch.device) -> None:
         """Build the model with the weights it starts from, its teacher and the validation clips."""
         config, settings = self.config, self.config.train
-        self.model = DEITalk(config.model)
+        self.model = self._network(pretrained=True)
         teacher = read_teacher(settings.teacher, self.model)
         if teacher is not None:
             start_as(self.model, teacher)
@@ -130,7 +136,7 @@ class CurveTask(Task[Window]):
         if settings.frozen_frontend is not None:
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             self.frozen_features.copy_into(self.model)
-        controls = self.model.controls
+        controls = self.controls
         taught = None if teacher is None else Teacher(teacher, device, settings.precision)
         self._loss = CurveLoss(config.loss, controls, device, taught)
         self.validation = ValidationSet.of(self.validation_clips, controls)
@@ -158,7 +164,7 @@ class CurveTask(Task[Window]):
         settings = self.config.train
         return WindowBatches(
             self.clips,
-            self.model.controls,
+            self.controls,
             self.config.data,
             settings.seed,
             settings.batch_size,
@@ -208,6 +214,8 @@ def shown_examples(clips: Sequence[Clip], controls: ControlSet) -> dict[str, Exa
 def clip_rows(name: str, example: Example, model: DEITalk) -> ClipRows:
     """Jaw, lips and intensity of a clip: the targets, and what a model predicts.
 
+    Of a rig other than the board, the three controls that move most.
+
     Parameters
     ----------
     name : str
@@ -218,6 +226,12 @@ def clip_rows(name: str, example: Example, model: DEITalk) -> ClipRows:
         In evaluation mode.
     """
     curves, intensity = predict(model, example)
+    if JAW not in model.controls.names:
+        places = np.argsort(-example.curves.std(axis=0), kind="stable")[:3]
+        most = [
+            Row(model.controls.names[i], example.curves[:, i], curves[:, i], LIMITS) for i in places
+        ]
+        return ClipRows(f"{name} ({example.emotion})", example.waveform, most, FRAME_RATE)
     jaw = model.controls.index(JAW)
     target, predicted = (lips_together(c, model.controls) for c in (example.curves, curves))
     rows = (

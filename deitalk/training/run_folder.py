@@ -47,7 +47,7 @@ KIND = "run"
 """Kind of the folder in its manifest."""
 _BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
 """Files of a run that has done something."""
-_MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "templates.npz")
+_MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "controls.yaml", "templates.npz")
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from deitalk.data.seeded_batches import Item, SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.figures.canvas import can_draw
 from deitalk.figures.validation import ClipRows, draw_clips
-from deitalk.models.folder import describe_model
+from deitalk.models.folder import describe_model, read_about
 from deitalk.training.optimiser import new_scheduler, restore_buffers, update_average
 from deitalk.training.processes import in_precision, mean_over_processes, new_accelerator
 from deitalk.training.run_folder import open_folder, picture_path, resume_run, save_checkpoints
@@ -230,8 +230,10 @@ class Trainer(Generic[Item]):
         )
 
     def fit(self, journal: Journal) -> None:
-        """Step to the end of the run; log, evaluate and save on the way."""
+        """Step to the end of the run, or of patience; log, evaluate and save on the way."""
         self.progress(self.step, self.total, {})
+        if self._is_stale(journal.out):
+            return
         network = self.prepare()
         batches = self._batches()
         while self.step < self.total:
@@ -243,6 +245,16 @@ class Trainer(Generic[Item]):
                 if self.accelerator.is_main_process:
                     self.progress(self.step, self.total, self.evaluate(journal))
                 self.accelerator.wait_for_everyone()
+                if self._is_stale(journal.out):
+                    return
+
+    def _is_stale(self, out: Path) -> bool:
+        """Whether the last evaluations, as many as ``train.patience``, brought nothing better."""
+        patience = self.settings.patience
+        if patience is None or not (out / "best").is_dir():
+            return False
+        since_best: int = self.step - read_about(out / "best")["training"]["step"]
+        return since_best >= patience * self.settings.evaluate_every
 
     def prepare(self) -> nn.Module:
         """Move all to the device; return the network as the processes share it.

@@ -85,9 +85,9 @@ def test_features_of_a_clip_are_computed_once(data, source, monkeypatch):
     clips = read_clips(data, "train")[:1]
     frozen_features = FrozenFeatures(str(source))
     calls = []
-    encode = frozen_features._owner.frontend.encode
+    encode = frozen_features.owner.frontend.encode
     monkeypatch.setattr(
-        frozen_features._owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
+        frozen_features.owner.frontend, "encode", lambda *args: calls.append(1) or encode(*args)
     )
     batches = WindowBatches(
         clips, load_model(source).controls, tiny().data, 0, 2, frozen_features=frozen_features

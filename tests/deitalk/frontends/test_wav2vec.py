@@ -251,11 +251,15 @@ def test_sizes_are_read_without_weights(checkpoint):
 
 def test_shape_survives_a_configuration(checkpoint):
     """The configuration of a saved model is enough to build it without the checkpoint."""
-    first = Wav2VecFrontend.from_pretrained(str(checkpoint))
-    config = Wav2VecConfig(checkpoint="someone/gone", encoder=first.encoder_config)
-    again = Wav2VecFrontend.build(config, pretrained=False)
-    again.load_state_dict(first.state_dict())
-    assert json.dumps(first.encoder_config)
+    for normalise in (True, False):
+        Wav2Vec2FeatureExtractor(do_normalize=normalise).save_pretrained(checkpoint)
+        first = Wav2VecFrontend.from_pretrained(str(checkpoint))
+        config = first.described(Wav2VecConfig(checkpoint="someone/gone"))
+        assert json.dumps(config.encoder) and str(checkpoint) not in str(config)
+        again = Wav2VecFrontend.build(config, pretrained=False)
+        again.load_state_dict(first.state_dict())
+        assert again.input_scale == first.input_scale
+        assert again.described(config) == config
 
 
 @pytest.mark.slow

@@ -1,0 +1,63 @@
+"""`deitalk finetune`: a model tuned on captures."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.console import bar, console, emit
+from deitalk.cli.train import shown_on
+
+
+def finetune(
+    data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
+    base: Annotated[str, typer.Option("--from", help="Model to tune: default or a folder.")] = (
+        "default"
+    ),
+    recipe: Annotated[
+        Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
+    ] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="YAML of a rig other than the MetaHuman board.")
+    ] = None,
+    part: Annotated[
+        str | None, typer.Option("--tune", help="head, decoder, adapters or all.")
+    ] = None,
+    rehearse: Annotated[
+        str | None, typer.Option("--rehearse", help="Dataset folder whose speech holds the base.")
+    ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
+    ] = False,
+) -> None:
+    """Tune a model on captures of an actor or of another rig; the result is OUT/best.
+
+    OUT/report.md compares it with the model before, the mean pose and loudness on held-out clips.
+
+    Examples
+    --------
+    deitalk finetune my_captures/ -o runs/anna
+
+    deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
+    """
+    given = {"model.control_set": rig, "tune.part": part, "tune.corpus": rehearse}
+    changes = [f"{key}={value}" for key, value in given.items() if value is not None]
+    with console().status("loading"):
+        from deitalk.training.finetuning import finetune as tune
+        from deitalk.training.finetuning import read_recipe
+
+        settings = read_recipe(recipe, [*changes, *(overrides or ())], base=base)
+    with bar("tuning") as advance:
+        scores = tune(settings, data, out, resume=resume, progress=shown_on(advance))
+    for name, values in scores.items():
+        text = ", ".join(
+            f"{key} {values[key]:.3g}"
+            for key in ("error_of_mean_pose", "mean_r", "range")
+            if key in values
+        )
+        emit(f"{name}\t{text}")
+    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")

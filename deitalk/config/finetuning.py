@@ -1,0 +1,65 @@
+"""Settings of fine-tuning a curve model on captures; the defaults are the recipe.
+
+A recipe has no ``model`` section: the network is that of the base model.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from deitalk.config.curves import Config, DataConfig, LossConfig, TrainConfig
+from deitalk.config.rules import RulesConfig
+from deitalk.config.section import Section
+from rig import limits
+
+
+class TuneConfig(Section):
+    """What is tuned, and what holds the base model's abilities."""
+
+    base: str = Field(default="default", description="model that is tuned: a name or a folder")
+    part: Literal["head", "decoder", "adapters", "all"] = Field(
+        default="decoder",
+        description="the last layer; the decoder; changes of low rank of it; every weight",
+    )
+    rank: Annotated[int, Field(ge=1, le=limits.WIDTH)] = Field(
+        default=8, description="of the changes that `adapters` learns"
+    )
+    hold: float = Field(
+        default=1.0,
+        ge=0,
+        description="weight of the base's curves as the target of controls that a clip does not "
+        "know",
+    )
+    rehearsal: float = Field(
+        default=0.25,
+        ge=0,
+        le=1,
+        description="share of windows shown in an emotion that no capture has: the captured "
+        "curves, changed as the base's",
+    )
+    corpus: str | None = Field(
+        default=None, description="dataset folder whose speech the base's curves are learnt on"
+    )
+
+
+class FinetuneConfig(Config):
+    """Settings of a fine-tuning: low rates, few steps, an end when nothing improves."""
+
+    kind: Literal["finetune"] = "finetune"
+    name: str = "finetune"
+    rules: RulesConfig = RulesConfig.for_captures()
+    loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
+    data: DataConfig = DataConfig(real_fraction=0.7)
+    train: TrainConfig = TrainConfig(
+        learning_rate=3e-4,
+        optimizer="adamw",
+        weight_decay=0.05,
+        schedule="one_cycle",
+        batch_size=8,
+        steps=200,
+        gradient_clip=5.0,
+        ema=0.98,
+        evaluate_every=25,
+        patience=3,
+    )
+    tune: TuneConfig = TuneConfig()

@@ -1,0 +1,112 @@
+"""Files that describe a rig other than the board: the controls a model is to move.
+
+::
+
+    id: my_rig@1
+    controls:                       # in any order; the model's output has this one
+      jaw_open: {region: jaw}       # 0 to 1 and 0 at rest, unless said otherwise
+      mouth_wide: {minimum: -1, maximum: 1, rest: 0.1}
+      smile_l: {}
+      smile_r: {}
+    mirror: [[smile_l, smile_r]]    # pairs of one motion on two sides
+    lip: [jaw_open, mouth_wide, smile_l, smile_r]
+    upper_face: []
+
+The sets say which controls shut in silence (``lip``), and what LPE and EPE are measured on.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, ValidationError
+
+from deitalk.config.section import Section
+from deitalk.config.yaml_text import read_yaml
+from deitalk.errors import ConfigError
+from rig import ControlSet, default_controls
+from rig.controls import DEFAULT_ID, Control
+from rig.errors import ControlError, quoted
+
+RIG_SUFFIXES = (".yaml", ".yml")
+
+
+class RigControl(Section):
+    """One control of a rig."""
+
+    minimum: float = 0.0
+    maximum: float = 1.0
+    rest: float = 0.0
+    region: str = ""
+
+
+class RigFile(Section):
+    """Content of a rig file."""
+
+    id: str = Field(min_length=1, max_length=100)
+    controls: dict[str, RigControl | None] = Field(min_length=1)
+    mirror: tuple[tuple[str, str], ...] = ()
+    lip: tuple[str, ...] = ()
+    upper_face: tuple[str, ...] = ()
+
+
+def read_controls(name: str) -> ControlSet:
+    """Control set of a configuration: the board by its id, else that of a rig file.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither, or the file describes no rig: unknown keys, doubled or unknown names, a
+        rest value outside its range.
+    """
+    if name == DEFAULT_ID:
+        return default_controls()
+    path = Path(name)
+    if path.suffix not in RIG_SUFFIXES:
+        raise ConfigError(
+            f"model.control_set={quoted(name)} is neither {DEFAULT_ID!r} nor a rig file (.yaml)"
+        )
+    try:
+        return _controls(path, RigFile.model_validate(read_yaml(path)))
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise ConfigError(f"{path}: {key}: {first['msg']}") from None
+    except ControlError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _controls(path: Path, rig: RigFile) -> ControlSet:
+    mirrors = {a: b for pair in rig.mirror for a, b in (pair, pair[::-1])}
+    sets = {"lip": rig.lip, "upper_face": rig.upper_face}
+    named = {*mirrors, *rig.lip, *rig.upper_face}
+    for name in sorted(named - rig.controls.keys()):
+        raise ConfigError(f"{path}: {quoted(name)} is in a pair or a set, but is no control")
+    return ControlSet(
+        rig.id,
+        tuple(
+            Control(
+                name,
+                **(settings or RigControl()).model_dump(),
+                mirror=mirrors.get(name, ""),
+                sets=frozenset(key for key, names in sets.items() if name in names),
+            )
+            for name, settings in rig.controls.items()
+        ),
+    )
+
+
+def rig_text(controls: ControlSet) -> str:
+    """Text of a rig file, from which `read_controls` makes an equal control set."""
+    mirror = [[c.name, c.mirror] for c in controls.controls if c.mirror and c.name < c.mirror]
+    tree: dict[str, Any] = {
+        "id": controls.id,
+        "controls": {
+            c.name: {"minimum": c.minimum, "maximum": c.maximum, "rest": c.rest, "region": c.region}
+            for c in controls.controls
+        },
+        "mirror": mirror,
+    }
+    for key in ("lip", "upper_face"):
+        tree[key] = [c.name for c in controls.controls if key in c.sets]
+    return yaml.safe_dump(tree, sort_keys=False)

@@ -1,0 +1,236 @@
+"""A model before and after it is tuned, on clips that it was not trained on, beside two baselines.
+
+The baselines need no network: the mean pose of the training captures, and loudness, from which
+each control is predicted by a line fitted on them. All curves are those of the network alone,
+before any rule. Letters: T frames, C controls.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deitalk.data.clips import Clip
+from deitalk.evaluation.captures import CaptureSet
+from deitalk.evaluation.curve_statistics import smoothness
+from deitalk.evaluation.curves import loudness
+from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
+from deitalk.evaluation.opening import JAW
+from deitalk.evaluation.report import as_json, table
+from deitalk.evaluation.validation import (
+    Example,
+    knows_contact,
+    lips_together,
+    load_example,
+    predict,
+)
+from deitalk.figures.before_after import Shown, draw_before_after
+from deitalk.figures.canvas import can_draw
+from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
+from deitalk.models.curve_model import DEITalk
+from rig.arrays import Float32
+from rig.files import atomic_write
+
+Predict = Callable[[Example], Float32]
+"""A system: an example to its curves [shape=(T, C)]."""
+N_SHOWN = 2
+"""Clips in the picture."""
+
+
+def write_comparison(
+    folder: Path,
+    tuned: DEITalk,
+    base: DEITalk | None,
+    captures: CaptureSet,
+    train: Sequence[Clip],
+    *,
+    are_unseen: bool,
+) -> dict[str, Any]:
+    """Write ``report.md``, ``report.json`` and, if it can be drawn, ``report.png``.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    tuned : DEITalk
+        In evaluation mode.
+    base : DEITalk or None
+        What it was; None if it has other controls.
+    captures : CaptureSet
+        Held-out clips.
+    train : sequence of Clip
+        The clips that the baselines are fitted on.
+    are_unseen : bool
+        Whether the clips have no part in the choice of the weights either.
+
+    Returns
+    -------
+    dict
+        The scores of each system.
+    """
+    systems = _systems(tuned, base, captures, train)
+    curves = {
+        name: [run(example) for example in captures.examples] for name, run in systems.items()
+    }
+    scores = {name: _scores(rows, captures) for name, rows in curves.items()}
+    scores["capture"] = _own(captures)
+    report = {
+        "clips": len(captures.examples),
+        "choose_the_weights_too": not are_unseen,
+        "moving_controls": int(captures.pose.moving.sum()),
+        "scores": scores,
+    }
+    with atomic_write(folder / "report.json") as beside:
+        beside.write_text(as_json(report))
+    with atomic_write(folder / "report.md") as beside:
+        beside.write_text(_markdown(report))
+    if can_draw():
+        draw_before_after(folder / "report.png", _shown(captures, curves))
+    return scores
+
+
+def _systems(
+    tuned: DEITalk, base: DEITalk | None, captures: CaptureSet, train: Sequence[Clip]
+) -> dict[str, Predict]:
+    slope, offset = _loudness_line(captures, train)
+    low, high = captures.controls.minimum, captures.controls.maximum
+
+    def network(model: DEITalk) -> Predict:
+        return lambda example: np.clip(predict(model, example)[0], low, high)
+
+    def still(example: Example) -> Float32:
+        return np.tile(captures.pose.values, (len(example.curves), 1))
+
+    def loud(example: Example) -> Float32:
+        level = loudness(example.waveform, len(example.curves))
+        return np.asarray(level[:, None] * slope + offset, np.float32)
+
+    before = {} if base is None else {"before": network(base)}
+    return {**before, "after": network(tuned), "mean pose": still, "loudness": loud}
+
+
+def _loudness_line(captures: CaptureSet, clips: Sequence[Clip]) -> tuple[Float32, Float32]:
+    """Slope and offset of every control over loudness, by least squares on known frames."""
+    n = len(captures.controls)
+    sums = np.zeros((5, n))
+    for clip in clips:
+        example = load_example(clip, captures.controls)
+        x = loudness(example.waveform, len(example.curves)).astype(np.float64)[:, None]
+        y, known = example.curves.astype(np.float64), example.known
+        parts = (np.ones_like(y), x + 0 * y, y, x * x + 0 * y, x * y)
+        sums += np.stack([part.sum(axis=0) * known for part in parts])
+    count, x, y, xx, xy = sums
+    spread = count * xx - x * x
+    slope = np.where(spread > 1e-9, (count * xy - x * y) / np.maximum(spread, 1e-9), 0)
+    offset = captures.pose.values - slope * x / np.maximum(count, 1)
+    return slope.astype(np.float32), offset.astype(np.float32)
+
+
+def _scores(curves: Sequence[Float32], captures: CaptureSet) -> dict[str, float]:
+    """Scores of one system; those of jaw, lips and upper face where the rig is the board."""
+    scores = captures.score_curves(curves)
+    del scores["score"]
+    rows = [
+        _row(example, values, captures)
+        for example, values in zip(captures.examples, curves, strict=True)
+    ]
+    for name in dict.fromkeys(name for row in rows for name in row):
+        found = [row[name] for row in rows if np.isfinite(row.get(name, np.nan))]
+        scores[name] = float(np.mean(found)) if found else float("nan")
+    return scores | _closures(curves, captures)
+
+
+def _row(example: Example, values: Float32, captures: CaptureSet) -> dict[str, float]:
+    controls, known, target = captures.controls, example.known, example.curves
+    row = {
+        "lpe": lip_parameter_error(target, values, controls, known),
+        "epe": emotion_parameter_error(target, values, controls, known),
+    } | _steps(values[:, captures.pose.moving])
+    upper = [i for i in controls.subset("upper_face") if known[i] and captures.pose.moving[i]]
+    row["upper_face_r"] = _mean([correlation(target[:, i], values[:, i]) for i in upper])
+    if JAW in controls.names and known[controls.index(JAW)]:
+        jaw = controls.index(JAW)
+        row["jaw_r"] = correlation(target[:, jaw], values[:, jaw])
+    if _has_lips(example, captures):
+        lips = (lips_together(c, controls) for c in (target, values))
+        row["lips_together_r"] = correlation(*lips)
+    return row
+
+
+def _own(captures: CaptureSet) -> dict[str, float]:
+    """What the captures themselves would score, where that says something."""
+    rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
+    own = {name: _mean([row[name] for row in rows if name in row]) for name in _steps_of(rows)}
+    curves = [example.curves for example in captures.examples]
+    return {"error_of_mean_pose": 0.0, "range": 1.0, **own, **_closures(curves, captures)}
+
+
+def _steps(values: Float32) -> dict[str, float]:
+    found = smoothness(values)
+    return {name: found[name] for name in ("largest_step", "jerk_per_speed") if name in found}
+
+
+def _steps_of(rows: Sequence[dict[str, float]]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def _closures(curves: Sequence[Float32], captures: CaptureSet) -> dict[str, float]:
+    """Bilabials found, where clips have phones and contacts."""
+    scored = [
+        closure_scores(lips_together(values, captures.controls), example.phones)
+        for example, values in zip(captures.examples, curves, strict=True)
+        if example.phones and _has_lips(example, captures)
+    ]
+    if not scored:
+        return {}
+    found = summarise_closures(scored)
+    return {"bilabial_window_auc": found.window_auc, "bilabial_hits": found.hit_rate}
+
+
+def _has_lips(example: Example, captures: CaptureSet) -> bool:
+    names = captures.controls.names
+    is_there = any("lipsTogether" in name for name in names)
+    return is_there and knows_contact(example.known, captures.controls)
+
+
+def _mean(values: Sequence[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
+
+
+def _markdown(report: dict[str, Any]) -> str:
+    unseen = "the same that chose the weights" if report["choose_the_weights_too"] else "of no use"
+    lines = [
+        "# Before and after",
+        "",
+        f"{report['clips']} held-out clips, {unseen} in training; {report['moving_controls']} "
+        "controls move in the captures and are scored. Curves of the network alone, without rules.",
+        "",
+        *table("", report["scores"]),
+        "",
+        "`error_of_mean_pose`: squared error over that of the mean pose of the training captures "
+        "(1: as good as a still face). `mean_r`: Pearson's r, mean over clips and moving controls. "
+        "`range`: standard deviation over the captured one, median. `lpe`, `epe`: squared control "
+        "units, lips and upper face. `jerk_per_speed`: 1/s².",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _shown(captures: CaptureSet, curves: dict[str, list[Float32]]) -> list[Shown]:
+    """The first clips, with the three controls that move most over all of them."""
+    examples = captures.examples[:N_SHOWN]
+    spread = np.mean([example.curves.std(axis=0) for example in captures.examples], axis=0)
+    places = np.argsort(-spread * captures.pose.moving, kind="stable")[:3]
+    return [
+        Shown(
+            {captures.controls.names[k]: example.curves[:, k] for k in places},
+            {
+                name: {captures.controls.names[k]: curves[name][i][:, k] for k in places}
+                for name in ("before", "after")
+                if name in curves
+            },
+        )
+        for i, example in enumerate(examples)
+    ]

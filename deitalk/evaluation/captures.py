@@ -1,0 +1,121 @@
+"""Scores of a model on captured curves, for any rig, and against the captures' mean pose.
+
+An error in control units says little by itself: a face that does not move errs little on a calm
+actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
+good as a still face, 0 perfect. Letters: T frames, C controls.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from deitalk.data.clips import Clip
+from deitalk.data.windows import load_material
+from deitalk.evaluation.curve_statistics import MOVING
+from deitalk.evaluation.validation import MAX_CLIPS, Example, load_example, predict
+from deitalk.metrics import correlation
+from deitalk.models.curve_model import DEITalk
+from rig import ControlSet
+from rig.arrays import Bool, Float32
+
+STILL = 1e-5
+"""Standard deviation below which predicted curves have no correlation."""
+
+
+class MeanPose(NamedTuple):
+    """The face that captures have on the average."""
+
+    values: Float32
+    """Mean of every control over the clips that know it [shape=(C,)]; else its rest."""
+    moving: Bool
+    """Controls whose standard deviation is above 0.02 [shape=(C,)]."""
+
+
+def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> MeanPose:
+    """Mean and motion of captures.
+
+    Parameters
+    ----------
+    clips : sequence of Clip
+        At least one.
+    controls : ControlSet
+        Columns of the curves.
+    learnt : array [shape=(C,)]
+        Controls that captures teach; others do not count as moving.
+    """
+    count, total, square = (np.zeros(len(controls)) for _ in range(3))
+    for clip in clips:
+        material = load_material(clip, controls)
+        values = material.values.astype(np.float64)
+        count += len(values) * material.known
+        total += values.sum(axis=0) * material.known
+        square += np.square(values).sum(axis=0) * material.known
+    known = count > 0
+    mean = np.where(known, total / np.maximum(count, 1), controls.rest)
+    variance = square / np.maximum(count, 1) - np.square(mean)
+    moving = known & learnt & (variance > MOVING**2)
+    return MeanPose(mean.astype(np.float32), moving)
+
+
+@dataclass(frozen=True)
+class CaptureSet:
+    """Captured clips that are held out."""
+
+    examples: tuple[Example, ...]
+    controls: ControlSet
+    pose: MeanPose
+    learnt: Bool
+
+    @classmethod
+    def of(
+        cls, clips: Sequence[Clip], controls: ControlSet, pose: MeanPose, learnt: Bool
+    ) -> "CaptureSet":
+        """Read up to 60 clips, evenly spread over the list."""
+        places = np.linspace(0, len(clips) - 1, min(MAX_CLIPS, len(clips))).round().astype(int)
+        return cls(tuple(load_example(clips[i], controls) for i in places), controls, pose, learnt)
+
+    @torch.no_grad()
+    def score(self, model: DEITalk) -> dict[str, float]:
+        """Scores of the network's curves before any rule; see `score_curves`."""
+        curves = [
+            np.clip(predict(model, example)[0], self.controls.minimum, self.controls.maximum)
+            for example in self.examples
+        ]
+        return self.score_curves(curves)
+
+    def score_curves(self, predicted: Sequence[Float32]) -> dict[str, float]:
+        """Squared error by that of the mean pose, and mean r.
+
+        Parameters
+        ----------
+        predicted : sequence of array [shape=(T, C)]
+            For each example.
+
+        Returns
+        -------
+        dict
+            ``error_of_mean_pose``: squared error of all moving and known controls over that of the
+            mean pose; ``mean_r``: Pearson's r, mean over clips and such controls; ``range``: the
+            predicted standard deviation over the captured one, median; ``score``: 1 less the
+            first, the larger the better.
+        """
+        error, still, rs, ranges = 0.0, 0.0, [], []
+        for example, curves in zip(self.examples, predicted, strict=True):
+            for place in np.flatnonzero(self.pose.moving & example.known):
+                target, given = example.curves[:, place], curves[: len(example.curves), place]
+                error += float(np.square(target - given).sum())
+                still += float(np.square(target - self.pose.values[place]).sum())
+                is_still = given.std() < STILL
+                rs.append(float("nan") if is_still else correlation(target, given))
+                ranges.append(float(given.std() / target.std()) if target.std() > 1e-3 else np.nan)
+        finite = [r for r in rs if np.isfinite(r)]
+        share = error / still if still > 0 else float("nan")
+        return {
+            "error_of_mean_pose": share,
+            "mean_r": float(np.mean(finite)) if finite else float("nan"),
+            "range": float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else float("nan"),
+            "score": 1 - share if np.isfinite(share) else 0.0,
+        }

@@ -1,0 +1,301 @@
+"""Fine-tuning of a trained model on captures of a rig: a task of the trainer.
+
+``deitalk finetune DATA --from default -o runs/mine``. It differs from training in what is learnt
+(`TuneConfig.part`), in that the base model is the teacher of all that captures do not show
+(controls they do not know, emotions they lack, other speech), and in the score, which compares
+with the mean pose of the captures and so serves any rig.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from deitalk.config import FinetuneConfig, load_config
+from deitalk.config.load import parse_config, read_tree
+from deitalk.data.clips import REHEARSED, read_clips
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Window, WindowBatches
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import ConfigError, DataError
+from deitalk.evaluation.before_after import write_comparison
+from deitalk.evaluation.captures import CaptureSet, MeanPose, mean_pose
+from deitalk.evaluation.validation import load_example
+from deitalk.figures.validation import ClipRows
+from deitalk.models.checkpoint import require_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.postprocess.blinks import IDLE_CONTROLS
+from deitalk.training.curve_losses import CurveLoss
+from deitalk.training.curves import CurveTask, clip_rows, shown_examples
+from deitalk.training.distillation import start_as
+from deitalk.training.low_rank import add_adapters, merged_weights
+from deitalk.training.trainer import Progress, run_training, silent
+from rig import ControlSet
+from rig.arrays import Bool
+
+FRONTEND_SLOWER = 10
+"""The frontend, if it learns, learns at a rate so many times lower."""
+RIDGE = 1000.0
+"""Of the first fit of a new last layer, squared units of its input."""
+
+
+def finetune(
+    config: FinetuneConfig,
+    data: Path,
+    out: Path,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Tune a model, then compare it with the base on held-out clips.
+
+    Parameters
+    ----------
+    config : FinetuneConfig
+        From `read_recipe`.
+    data : Path
+        Dataset folder of captures.
+    out, resume, tensorboard, progress
+        As for `deitalk.training.trainer.run_training`.
+
+    Returns
+    -------
+    dict
+        Scores of each system, as in ``report.json`` (`deitalk.evaluation.before_after`).
+
+    Raises
+    ------
+    DataError, ConfigError, MissingError, rig.errors.TargetError
+        As `run_training`, and as `FinetuneTask`.
+    """
+    task = FinetuneTask(config, data)
+    run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    return write_comparison(
+        out,
+        require_model(out / "best", DEITalk),
+        task.base.cpu() if task.is_same_rig else None,
+        CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
+        task.clips,
+        are_unseen=task.test_clips is not task.validation_clips,
+    )
+
+
+def read_recipe(
+    recipe: Path | None, overrides: Sequence[str] = (), *, base: str | None = None
+) -> FinetuneConfig:
+    """Settings of a recipe, with the network of the base model.
+
+    Parameters
+    ----------
+    recipe : Path or None
+        YAML; None is the default recipe.
+    overrides : sequence of str
+        As for `load_config`.
+    base : str or None
+        Instead of the recipe's ``tune.base``.
+
+    Raises
+    ------
+    ConfigError
+        If the recipe is of another kind, or as for `load_config`.
+    CheckpointError
+        If there is no such base model.
+    """
+    tree = read_tree(recipe, overrides) | {"kind": "finetune"}
+    tune = tree.setdefault("tune", {})
+    if base is not None:
+        tune["base"] = base
+    folder = model_folder(str(tune.get("base", "default")))
+    network = load_config(folder / "config.yaml").model.model_dump(mode="json")
+    if network.get("control_set") == RIG_FILE:
+        network["control_set"] = str(folder / RIG_FILE)
+    tree["model"] = network | (tree.get("model") or {})
+    return cast("FinetuneConfig", parse_config(tree))
+
+
+class FinetuneTask(CurveTask):
+    """A base model, captures, and what holds the base's abilities.
+
+    Parameters
+    ----------
+    config : FinetuneConfig
+    data : Path
+        Dataset folder.
+
+    Raises
+    ------
+    DataError
+        If the dataset folder is not as it must be, or holds no clips to train on or to validate.
+    ConfigError
+        If the network is too large, or speech is to be rehearsed for another rig than the base's.
+    """
+
+    config: FinetuneConfig
+
+    def __init__(self, config: FinetuneConfig, data: Path) -> None:
+        super().__init__(config, data)
+        if not self.clips or not self.validation_clips:
+            raise DataError(
+                f"{data}: needs clips of the splits train and validation; fill the column split, or "
+                "import the takes with `deitalk data import`"
+            )
+        self.test_clips = read_clips(data, "test") or self.validation_clips
+        self.learnt = _learnt(config, self.controls)
+        self.pose: MeanPose = mean_pose(self.clips, self.controls, self.learnt)
+        shown = {clip.emotion for clip in self.clips}
+        self.unseen = [i for i, emotion in enumerate(EMOTIONS) if emotion not in shown]
+        self.captures = [replace(clip, source="recording") for clip in self.clips]
+        if config.tune.corpus is not None:
+            others = read_clips(config.tune.corpus, "train")
+            self.captures += [replace(clip, source=REHEARSED) for clip in others]
+
+    def build(self, device: torch.device) -> None:
+        """Build the model with the base's weights; keep the base as the teacher."""
+        tune = self.config.tune
+        base = require_model(tune.base, DEITalk)
+        self.base = base.to(device).requires_grad_(False)
+        self.is_same_rig = base.controls.names == self.controls.names
+        if tune.corpus is not None and not self.is_same_rig:
+            raise ConfigError(
+                f"tune.corpus: {tune.base!r} has other controls than {self.controls.id!r}, and "
+                "no curves of it to rehearse; set it to null"
+            )
+        self.model = self._network()
+        start_as(self.model, base)
+        if tune.part != "all":
+            self.frozen_features = FrozenFeatures(tune.base)
+        if not self.is_same_rig:
+            self._fit_last_layer()
+        self._choose(tune.part)
+        moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
+        self.frozen = self.model.state_dict().keys() - moving
+        self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
+        self.validation_set = CaptureSet.of(
+            self.validation_clips, self.controls, self.pose, self.learnt
+        )
+        self.shown = shown_examples(self.validation_clips, self.controls)
+
+    def _choose(self, part: str) -> None:
+        """Let only the weights of a part learn."""
+        decoder = self.model.decoder
+        if part == "all":
+            return
+        self.model.requires_grad_(False)
+        if part == "adapters":
+            add_adapters([decoder.style, decoder.layers], self.config.tune.rank)
+        elif part == "decoder":
+            decoder.requires_grad_(True)
+        if part == "head" or not self.is_same_rig:
+            decoder.output.requires_grad_(True)
+
+    @torch.no_grad()
+    def _fit_last_layer(self) -> None:
+        """Begin a new last layer as the ridge regression of the curves on its input."""
+        model, width = self.model.eval(), self.config.model.decoder_channels
+        inputs, targets = [torch.zeros(0, width)], [torch.zeros(0, len(self.controls))]
+        for clip in self.clips:
+            example = load_example(clip, self.controls)
+            n_frames = len(example.curves)
+            analysis = model.analyse(torch.from_numpy(example.waveform), n_frames)
+            style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
+            inputs.append(model.describe(analysis, style))
+            targets.append(torch.from_numpy(example.curves))
+        x, y = torch.cat(inputs).double(), torch.cat(targets).double()
+        mean, centre = x.mean(dim=0), y.mean(dim=0)
+        x = x - mean
+        square = x.T @ x + RIDGE * torch.eye(width, dtype=x.dtype)
+        weight = torch.linalg.solve(square, x.T @ (y - centre)).T
+        output = model.decoder.output
+        output.weight.copy_(weight)
+        assert output.bias is not None
+        output.bias.copy_(centre - weight @ mean)
+
+    def optimizer(self) -> torch.optim.Optimizer:
+        """AdamW or Adam; a frontend that learns does so `FRONTEND_SLOWER`."""
+        settings = self.config.train
+        rates: dict[float, list[nn.Parameter]] = {}
+        for name, parameter in self.model.named_parameters():
+            slower = FRONTEND_SLOWER if name.startswith("frontend.") else 1
+            if parameter.requires_grad:
+                rates.setdefault(settings.learning_rate / slower, []).append(parameter)
+        kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
+        groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
+        return kind(groups, weight_decay=settings.weight_decay)
+
+    def batches(self, share: Share) -> WindowBatches:
+        """Windows of the captures, and of speech to rehearse."""
+        settings = self.config.train
+        return WindowBatches(
+            self.captures,
+            self.controls,
+            self.config.data,
+            settings.seed,
+            settings.batch_size,
+            share,
+            frozen_features=self.frozen_features,
+        )
+
+    def set_training(self) -> None:
+        """Put the model in training mode, but for a frontend that does not learn."""
+        self.model.train()
+        if self.config.tune.part != "all":
+            self.model.get_submodule("frontend").eval()
+
+    def loss(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
+        """Every part of the loss, and their weighted sum (Eq. 8)."""
+        learnt = torch.from_numpy(self.learnt).to(batch.known)
+        batch = batch._replace(known=batch.known * learnt)
+        return self._loss(network, self._completed(batch) if self.is_same_rig else batch)
+
+    @torch.no_grad()
+    def _completed(self, batch: Window) -> Window:
+        """Targets of the base where captures have none.
+
+        Controls that a clip does not know are the base's. Some windows take an emotion that no
+        capture has: their targets change as the base's curves do from emotion to emotion.
+        """
+        base = self._base_curves(batch, batch.emotion)
+        curves = torch.where(batch.known[:, None] > 0, batch.curves, base)
+        other = self._other_emotion(batch.emotion)
+        if (other != batch.emotion).any():
+            curves = curves + self._base_curves(batch, other) - base
+        return batch._replace(curves=curves, emotion=other)
+
+    def _base_curves(self, batch: Window, emotion: Tensor) -> Tensor:
+        curves: Tensor = self.base(batch.waveform, emotion, batch.frames, batch.total).curves
+        return curves
+
+    def _other_emotion(self, emotion: Tensor) -> Tensor:
+        """The emotion, or by `TuneConfig.rehearsal` one that no capture has [shape=(B, 5)]."""
+        if not self.unseen:
+            return emotion
+        changes = torch.rand(len(emotion)) < self.config.tune.rehearsal
+        places = torch.tensor(self.unseen)[torch.randint(len(self.unseen), (len(emotion),))]
+        chosen = torch.eye(len(EMOTIONS))[places]
+        return torch.where(changes[:, None].to(emotion.device), chosen.to(emotion), emotion)
+
+    def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
+        """Scores of `CaptureSet`, and the clips that are drawn."""
+        curve_model = cast("DEITalk", model)
+        scores = self.validation_set.score(curve_model)
+        return scores, [clip_rows(name, e, curve_model) for name, e in self.shown.items()]
+
+    def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
+        """Write a model folder; adapters become part of the weights."""
+        whole = self._network()
+        whole.load_state_dict(merged_weights(model))
+        save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
+
+
+def _learnt(config: FinetuneConfig, controls: ControlSet) -> Bool:
+    """Controls that captures teach [shape=(C,)]: not blinks and gaze where a rule adds them."""
+    is_added = config.rules.idle is not None
+    names = controls.names
+    return np.array([not (is_added and any(p in n for p in IDLE_CONTROLS)) for n in names], bool)

@@ -1,0 +1,259 @@
+"""Fine-tuning on seconds of data: what learns, what is held, other rigs, resuming, the report."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from deitalk import animate
+from deitalk.audio.load import Recording
+from deitalk.config import RulesConfig, load_config
+from deitalk.config.rig_file import read_controls
+from deitalk.data.clips import read_clips
+from deitalk.data.seeded_batches import Share
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import ConfigError
+from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.evaluation.captures import CaptureSet
+from deitalk.evaluation.validation import load_example, predict
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import describe_model
+from deitalk.training.finetuning import FinetuneTask, finetune, read_recipe
+from rig import RigCurves, default_controls, read_curves, write_curves
+from tests.dataset import FPS, JAW, jaw, write_dataset
+
+CONTROLS = default_controls()
+TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+RIG = """
+id: three@1
+controls:
+  mouth_open: {maximum: 2}
+  smile_l: {minimum: -1}
+  smile_r: {minimum: -1, rest: 0.25}
+mirror: [[smile_l, smile_r]]
+lip: [mouth_open, smile_l, smile_r]
+"""
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory) -> str:
+    """A network of random weights whose curves move."""
+    folder = tmp_path_factory.mktemp("base") / "model"
+    torch.manual_seed(0)
+    config = load_config(TINY)
+    model = DEITalk(config.model)
+    with torch.no_grad():
+        model.decoder.output.weight.normal_(std=0.05)
+        model.decoder.style.weight.normal_(std=1.0)
+    save_model(folder, model, config, {"steps": 0})
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    """Clips in all emotions but surprised, of which the jaw alone is known in the first two."""
+    folder = write_dataset(tmp_path_factory.mktemp("data"))
+    (folder / "known.txt").write_text(f"{JAW}\n")
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="")
+    table.loc[:1, "known"] = "known.txt"
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def recipe(base, *overrides):
+    mine = ("train.steps=4", "train.evaluate_every=2", "train.batch_size=4")
+    return read_recipe(None, (*mine, "data.window_frames=32", *overrides), base=base)
+
+
+def weights(folder) -> dict[str, torch.Tensor]:
+    return dict(load_model(folder).state_dict())
+
+
+def changed(base, folder) -> set[str]:
+    """First two parts of the names of weights that differ."""
+    first, second = weights(base), weights(folder)
+    return {".".join(k.split(".")[:2]) for k in first if not torch.equal(first[k], second[k])}
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [
+        ("head", {"decoder.output"}),
+        ("decoder", {"decoder.output", "decoder.layers", "decoder.style"}),
+        ("adapters", {"decoder.layers", "decoder.style"}),
+    ],
+)
+def test_only_the_tuned_part_changes(base, data, tmp_path, part, expected):
+    finetune(recipe(base, f"tune.part={part}"), data, tmp_path / "run")
+    last = tmp_path / "run" / "last"
+    assert changed(base, last) == expected
+    assert load_model(last).rules == RulesConfig.for_captures()
+
+
+def test_adapters_are_changes_of_low_rank(base, data, tmp_path):
+    finetune(recipe(base, "tune.part=adapters", "tune.rank=2"), data, tmp_path / "run")
+    first, second = weights(base), weights(tmp_path / "run" / "last")
+    assert first.keys() == second.keys(), "adapters are merged when the model is saved"
+    name = "decoder.layers.2.conv.weight"
+    change = (second[name] - first[name]).flatten(1)
+    sizes = torch.linalg.svdvals(change)
+    assert sizes[0] > 0 and sizes[2] < 1e-4 * sizes[0]
+
+
+def test_all_weights_learn_with_the_frontend(base, data, tmp_path):
+    finetune(recipe(base, "tune.part=all"), data, tmp_path / "run")
+    assert any(name.startswith("frontend") for name in changed(base, tmp_path / "run" / "last"))
+
+
+def test_what_captures_do_not_know_stays_as_the_base_has_it(base, data, tmp_path):
+    """No clip knows more than the jaw; the columns of the lips are far from the base's."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
+    table.to_csv(folder / "clips.csv", index=False)
+    config = recipe(base, "train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
+    finetune(config, folder, tmp_path / "run")
+    example = load_example(read_clips(folder, "validation")[0], CONTROLS)
+    before, after = (predict(load_model(f), example)[0] for f in (base, tmp_path / "run" / "last"))
+    moved = np.abs(after - before).mean(axis=0)
+    place = CONTROLS.index(JAW)
+    error = [np.square(c[:, place] - example.curves[:, place]).mean() for c in (before, after)]
+    assert error[1] < 0.6 * error[0], "the jaw is learnt"
+    assert np.delete(moved, place).mean() < 0.25 * moved[place]
+
+
+def test_targets_of_emotions_that_no_capture_has_change_as_the_base(base, data):
+    task = FinetuneTask(recipe(base, "tune.rehearsal=1", "train.batch_size=16"), data)
+    task.build(torch.device("cpu"))
+    assert task.unseen == [EMOTIONS.index("surprised")]
+    batch = next(iter(task.batches(Share())))
+    full = task._completed(batch)
+    assert (full.emotion.argmax(dim=1) == task.unseen[0]).all()
+    before, after = (task._base_curves(batch, e) for e in (batch.emotion, full.emotion))
+    known = batch.known[:, None] > 0
+    expected = torch.where(known, batch.curves + after - before, after)
+    torch.testing.assert_close(full.curves, expected)
+    assert known.any() and not known.all()
+
+
+def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_path):
+    corpus = write_dataset(tmp_path / "corpus")
+    config = recipe(base, f"tune.corpus={corpus}", "tune.rehearsal=0", "data.real_fraction=0")
+    task = FinetuneTask(config, data)
+    task.build(torch.device("cpu"))
+    batch = next(iter(task.batches(Share())))
+    assert not batch.known.any()
+    full = task._completed(batch)
+    torch.testing.assert_close(full.curves, task._base_curves(batch, batch.emotion))
+    finetune(config, data, tmp_path / "run")
+
+
+@pytest.mark.parametrize("part", ["decoder", "adapters"])
+def test_resumed_run_equals_the_uninterrupted_one(base, data, tmp_path, part):
+    config = recipe(base, f"tune.part={part}")
+    finetune(config, data, tmp_path / "whole")
+
+    def stop(step, total, values):
+        if step == 2 and "dev_score" in values:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        finetune(config, data, tmp_path / "cut", progress=stop)
+    finetune(config, data, tmp_path / "cut", resume=True)
+    first, second = (weights(tmp_path / name / "last") for name in ("whole", "cut"))
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_run_ends_when_nothing_improves(base, data, tmp_path, monkeypatch):
+    """Scores 1, 3, 2, 2 at steps 2, 4, 6, 8: two evaluations follow the best."""
+    falling = iter((1.0, 3.0, 2.0, 2.0, 9.0))
+    monkeypatch.setattr(CaptureSet, "score", lambda *_: {"score": next(falling)})
+    steps = []
+    config = recipe(base, "train.steps=40", "train.patience=2")
+    finetune(config, data, tmp_path / "run", progress=lambda step, *_: steps.append(step))
+    assert max(steps) == 8
+    assert describe_model(tmp_path / "run" / "best")["training"]["step"] == 4
+
+
+@pytest.fixture(scope="module")
+def foreign(data, tmp_path_factory) -> Path:
+    """The same recordings with curves of a rig of three controls."""
+    folder = tmp_path_factory.mktemp("foreign") / "data"
+    shutil.copytree(data, folder)
+    (folder / "rig.yaml").write_text(RIG)
+    for path in (folder / "curves").iterdir():
+        values = np.stack([jaw() * 1.5, -0.5 * jaw(), 0.25 + 0 * jaw()], axis=1)
+        names = ("mouth_open", "smile_l", "smile_r")
+        write_curves(path, RigCurves(values, names, fps=FPS, control_set="three@1"))
+    table = pd.read_csv(folder / "clips.csv", dtype=str).drop(columns="known")
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def test_model_of_another_rig_needs_no_file_beside_its_folder(base, foreign, tmp_path):
+    rig = foreign / "rig.yaml"
+    config = recipe(base, f"model.control_set={rig}", "train.steps=20")
+    scores = finetune(config, foreign, tmp_path / "run")
+    assert "before" not in scores and scores["after"]["error_of_mean_pose"] < 1
+    shutil.move(tmp_path / "run" / "best", tmp_path / "moved")
+    model = load_model(tmp_path / "moved")
+    controls = read_controls(str(rig))
+    assert model.controls == controls and model.controls.names[1] == "smile_l"
+    assert controls["smile_l"].mirror == "smile_r" and controls["smile_r"].rest == 0.25
+    speech = np.pad(speechlike(1.0), (16_000, 16_000))
+    performance = animate(Recording(speech, "test", 16_000, 1), "happy", model=model)
+    assert performance.curves.names == controls.names
+    np.testing.assert_allclose(performance.curves.values[-1], controls.rest, atol=1e-6)
+    for name in ("x.csv", "x.json", "x.npz"):
+        written = read_curves(performance.save(tmp_path / name), controls=controls)
+        np.testing.assert_allclose(written.values, performance.curves.values, atol=1e-4)
+    take = performance.save(tmp_path / "take")
+    assert json.loads((take / "take.json").read_text())["control_set"] == "three@1"
+    again = read_recipe(None, base=str(tmp_path / "moved"))
+    assert read_controls(again.model.control_set) == controls
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("id: a\ncontrols: {x: {rest: 2}}", "rest"),
+        ("id: a\ncontrols: {x: {}}\nlip: [y]", "'y' is in a pair or a set"),
+        ("id: a\ncontrols: {}", "controls"),
+        ("controls: {x: {}}", "id"),
+        ("id: a\ncontrols: {x: {top: 1}}", "top"),
+    ],
+)
+def test_rig_file_rejects(tmp_path, text, match):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=match) as caught:
+        read_controls(str(path))
+    assert "rig.yaml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_control_set_rejects_another_name():
+    with pytest.raises(ConfigError, match=r"neither 'metahuman-185@mh4' nor a rig file"):
+        read_controls("metahuman-185@mh3")
+
+
+def test_report_compares_before_after_and_baselines(base, data, tmp_path):
+    scores = finetune(recipe(base), data, tmp_path / "run")
+    assert list(scores) == ["before", "after", "mean pose", "loudness", "capture"]
+    assert scores["mean pose"]["error_of_mean_pose"] == pytest.approx(1)
+    assert scores["loudness"]["error_of_mean_pose"] < 0.9, "the jaw follows bursts of sound"
+    assert {"jaw_r", "lips_together_r", "bilabial_window_auc", "lpe"} <= scores["after"].keys()
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["clips"] == 2
+    assert "| error_of_mean_pose |" in (tmp_path / "run" / "report.md").read_text()
+
+
+def test_blinks_are_learnt_only_where_no_rule_adds_them(base, data):
+    lid = CONTROLS.index("CTRL_L_eye_blink.ty")
+    added, learnt = (
+        FinetuneTask(recipe(base, *more), data).learnt for more in ((), ("rules.idle=null",))
+    )
+    assert not added[lid] and learnt.all() and added[CONTROLS.index(JAW)]
