@@ -23,8 +23,8 @@ from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import Window, WindowBatches
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.before_after import write_comparison
-from deitalk.evaluation.captures import CaptureSet, MeanPose, mean_pose
+from deitalk.evaluation.captures.comparison import write_comparison
+from deitalk.evaluation.captures.scores import CaptureSet, MeanPose, mean_pose
 from deitalk.evaluation.validation import load_example
 from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
@@ -68,7 +68,7 @@ def finetune(
     Returns
     -------
     dict
-        Scores of each system, as in ``report.json`` (`deitalk.evaluation.before_after`).
+        Scores of each system, as in ``report.json`` (`deitalk.evaluation.captures.comparison`).
 
     Raises
     ------
@@ -143,7 +143,7 @@ class FinetuneTask(CurveTask):
         super().__init__(config, data)
         if not self.clips or not self.validation_clips:
             raise DataError(
-                f"{data}: needs clips of the splits train and validation; fill the column split, or "
+                f"{data}: needs clips to train on and to validate; fill the column split, or "
                 "import the takes with `deitalk data import`"
             )
         self.test_clips = read_clips(data, "test") or self.validation_clips

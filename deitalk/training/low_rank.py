@@ -52,6 +52,6 @@ def merged_weights(model: nn.Module) -> dict[str, Tensor]:
         if parametrize.is_parametrized(module, "weight"):
             parts = f"{path}.parametrizations.weight."
             weights = {name: w for name, w in weights.items() if not name.startswith(parts)}
-            changed: Tensor = module.weight  # type: ignore[assignment]
+            changed: Tensor = module.weight
             weights[f"{path}.weight"] = changed.detach()
     return weights

@@ -18,7 +18,7 @@ from deitalk.data.seeded_batches import Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.evaluation.captures import CaptureSet
+from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk

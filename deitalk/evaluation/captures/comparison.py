@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.data.clips import Clip
-from deitalk.evaluation.captures import CaptureSet
+from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.curve_statistics import smoothness
 from deitalk.evaluation.curves import loudness
 from deitalk.evaluation.lip_closures import closure_scores, summarise_closures

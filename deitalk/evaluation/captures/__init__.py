@@ -1,0 +1,1 @@
+"""Scores on captured curves, and a tuned model before and after."""
