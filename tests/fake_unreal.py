@@ -48,6 +48,15 @@ class RigElementType:
     CONTROL = "CONTROL"
 
 
+class RigControlType:
+    FLOAT, VECTOR2D, TRANSFORM = "FLOAT", "VECTOR2D", "TRANSFORM"
+
+
+class RigControlSettings:
+    def __init__(self, control_type):
+        self.control_type = control_type
+
+
 class RigElementKey:
     def __init__(self, type, name):
         self.type, self.name = type, name
@@ -105,6 +114,22 @@ class AnimationLibrary:
         assert max(times) <= end + 1e-6, "a key after the end"
         sequence.curves[curve_name] = (times, values)
 
+    @classmethod
+    def get_animation_curve_names(cls, animation_sequence_base, curve_type):
+        check(animation_sequence_base, AnimSequence, "animation_sequence_base")
+        assert curve_type == RawCurveTrackTypes.RCT_FLOAT
+        return list(animation_sequence_base.curves)
+
+    @classmethod
+    def get_float_keys(cls, animation_sequence_base, curve_name):
+        check(curve_name, str, "curve_name")
+        return animation_sequence_base.curves[curve_name]
+
+    @classmethod
+    def get_sequence_length(cls, animation_sequence_base):
+        rate = animation_sequence_base.controller.rate
+        return animation_sequence_base.controller.n_frames * rate.denominator / rate.numerator
+
 
 class AnimSequenceFactory:
     def __init__(self):
@@ -150,6 +175,18 @@ class Hierarchy:
         check(key, RigElementKey, "key")
         return key.name in self.controls
 
+    def get_all_keys(self, traverse):
+        check(traverse, bool, "traverse")
+        return [
+            RigElementKey("BONE", "head"),
+            *(RigElementKey("CONTROL", n) for n in self.controls),
+        ]
+
+    def get_control_settings(self, key):
+        assert key.type == RigElementType.CONTROL and key.name in self.controls
+        kinds = {float: RigControlType.FLOAT, Vector2D: RigControlType.VECTOR2D}
+        return RigControlSettings(kinds.get(self.controls[key.name], RigControlType.TRANSFORM))
+
 
 class ControlRig:
     def __init__(self, name, controls):
@@ -167,12 +204,66 @@ class Proxy:
         self.control_rig = rig
 
 
+class AssetImportData:
+    def __init__(self, path):
+        self.path = path
+
+    def get_first_filename(self):
+        return self.path
+
+
+class SoundWave:
+    def __init__(self, name, path=None):
+        self.name, self.path = name, path
+
+    def get_name(self):
+        return self.name
+
+    def get_editor_property(self, name):
+        assert name == "asset_import_data"
+        return None if self.path is None else AssetImportData(self.path)
+
+
+class MovieSceneAudioSection:
+    def __init__(self, sound, start):
+        self.sound, self.start = sound, start
+
+    def get_editor_property(self, name):
+        assert name == "sound"
+        return self.sound
+
+    def get_start_frame(self):
+        return self.start
+
+
+class MovieSceneAudioTrack:
+    def __init__(self, sections):
+        self.sections = sections
+
+    def get_sections(self):
+        return self.sections
+
+
 class LevelSequence:
-    def __init__(self, rigs, rate=(30, 1)):
-        self.rigs, self.rate = rigs, FrameRate(*rate)
+    def __init__(self, rigs, rate=(30, 1), *, name="LS_take", audio=(), playback=(0, 0)):
+        self.rigs, self.rate, self.name = rigs, FrameRate(*rate), name
+        self.audio, self.playback = list(audio), playback
 
     def get_display_rate(self):
         return self.rate
+
+    def get_name(self):
+        return self.name
+
+    def get_playback_start(self):
+        return self.playback[0]
+
+    def get_playback_end(self):
+        return self.playback[1]
+
+    def find_tracks_by_type(self, track_type):
+        assert track_type is MovieSceneAudioTrack
+        return self.audio
 
 
 class ScopedSlowTask:
@@ -195,6 +286,43 @@ class ScopedSlowTask:
         check(text, str, "text")
 
 
+class AssetListing:
+    assets = ()
+
+    @classmethod
+    def list_assets(cls, directory_path, recursive=True, include_folder=False):
+        check(directory_path, str, "directory_path")
+        return [path for path in cls.assets if path.startswith(directory_path)]
+
+
+class ControlRigReading:
+    display_rate = None
+
+    @classmethod
+    def _get(cls, kind, sequence, rig, name, frames, time_unit):
+        check(sequence, LevelSequence, "level_sequence")
+        check(rig, ControlRig, "control_rig")
+        check(name, str, "control_name")
+        check_list(frames, FrameNumber, "frames")
+        assert time_unit == cls.display_rate and rig.controls[name] is kind
+        keyed, values = rig.keys.get(name, ([], []))
+        rest = 0.0 if kind is float else Vector2D(0.0, 0.0)
+        by_frame = dict(zip(keyed, values, strict=True))
+        return [by_frame.get(f.value, values[-1] if values else rest) for f in frames]
+
+    @classmethod
+    def get_local_control_rig_floats(
+        cls, level_sequence, control_rig, control_name, frames, time_unit
+    ):
+        return cls._get(float, level_sequence, control_rig, control_name, frames, time_unit)
+
+    @classmethod
+    def get_local_control_rig_vector2_ds(
+        cls, level_sequence, control_rig, control_name, frames, time_unit
+    ):
+        return cls._get(Vector2D, level_sequence, control_rig, control_name, frames, time_unit)
+
+
 def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeUnit"):
     """Return a module with one open level sequence and some assets."""
     module = ModuleType("unreal")
@@ -203,7 +331,9 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
     module.saved, module.messages = [], []
     tools = AssetTools(module)
 
-    class ControlRigSequencerLibrary:
+    class ControlRigSequencerLibrary(ControlRigReading):
+        display_rate = unit.DISPLAY_RATE
+
         @classmethod
         def get_control_rigs(cls, level_sequence):
             check(level_sequence, LevelSequence, "level_sequence")
@@ -233,7 +363,9 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
         ):
             cls._set(Vector2D, level_sequence, control_rig, control_name, frames, values, time_unit)
 
-    class EditorAssetLibrary:
+    class EditorAssetLibrary(AssetListing):
+        assets = module.assets
+
         @classmethod
         def does_asset_exist(cls, asset_path):
             return asset_path in module.assets
@@ -274,7 +406,9 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
         FrameNumber,
         FrameRate,
         LiveLinkFaceImporterFactory,
+        MovieSceneAudioTrack,
         RawCurveTrackTypes,
+        RigControlType,
         RigElementKey,
         RigElementType,
         ScopedSlowTask,

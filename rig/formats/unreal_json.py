@@ -79,7 +79,7 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     board, raw = (data.get(key) or {} for key in ("board", "raw"))
     if not isinstance(board, dict) or not isinstance(raw, dict) or not (board or raw):
         raise FormatError(f"{path} holds no curves; export an asset that has some")
-    columns = _board_columns(path, board) if board else dict(raw)
+    columns = _board_columns(path, board) if board else _raw_columns(path, raw)
     known = default_controls() if board else raw_controls()
     names = known.resolve(list(columns))
     n_frames, rate = _length_and_rate(path, data, len(names))
@@ -98,19 +98,28 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     return curves, str(data.get("audio") or "")
 
 
+def _raw_columns(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
+    """Values by raw curve; Unreal may give names as they were first spelt in the editor."""
+    canonical = {name.lower(): name for name in raw_controls().names}
+    columns = {canonical.get(name.lower(), name): numbers for name, numbers in raw.items()}
+    if len(columns) < len(raw):
+        raise FormatError(f"{path}: a curve appears twice, in upper and in lower case")
+    return columns
+
+
 def _board_columns(path: Path, board: dict[str, Any]) -> dict[str, Any]:
-    """Values by channel of the board."""
-    channels = {
-        (control, axis): name
-        for control, axes in _by_control().items()
-        for axis, name in axes.items()
-    }
+    """Values by channel of the board; controls that are not keyed by speech are left out."""
     columns = {}
-    for control, axes in board.items():
-        for axis, numbers in axes.items() if isinstance(axes, dict) else ():
-            if (control, axis) not in channels:
-                raise FormatError(f"{path}: {quoted(control)} has no channel {quoted(axis)}")
-            columns[channels[control, axis]] = numbers
+    for control, channels in _by_control().items():
+        axes = board.get(control)
+        if not isinstance(axes, dict):
+            continue
+        for axis, name in channels.items():
+            if axis not in axes:
+                raise FormatError(f"{path}: {control} has no channel {axis!r}")
+            columns[name] = axes[axis]
+    if not columns:
+        raise FormatError(f"{path}: no control of the face board; export Face_ControlBoard_CtrlRig")
     return columns
 
 

@@ -73,15 +73,15 @@ def anim_sequence(
     data = load(path)
     name = name or asset_name(path)
     n_frames, rate = data["n_frames"], data["frame_rate"]
-    _say(
+    say(
         f"AnimSequence {folder}/{name}: {len(data['raw'])} curves, {n_frames} frames at "
         f"{rate[0]}/{rate[1]} fps"
     )
     if dry_run:
         for curve, values in data["raw"].items():
-            _say(f"  {curve}: {_describe(values)}")
+            say(f"  {curve}: {_describe(values)}")
         return None
-    _need_unreal()
+    need_unreal()
     sequence = _new_sequence(name, folder, _skeleton(skeleton))
     controller = sequence.controller
     controller.open_bracket("deitalk")
@@ -95,7 +95,7 @@ def anim_sequence(
     finally:
         controller.close_bracket(False)
     unreal.EditorAssetLibrary.save_loaded_asset(sequence)
-    _say(f"saved {folder}/{name}; drag it onto the Face track, then Bake to Control Rig to edit it")
+    say(f"saved {folder}/{name}; drag it onto the Face track, then Bake to Control Rig to edit it")
     return sequence
 
 
@@ -123,16 +123,16 @@ def control_rig(
         Controls that this board does not have, which were left out.
     """
     data = load(path)
-    _say(f"{len(data['board'])} controls of {rig}, {data['n_frames']} frames from {start_frame}")
+    say(f"{len(data['board'])} controls of {rig}, {data['n_frames']} frames from {start_frame}")
     if dry_run:
         for control, channels in data["board"].items():
             kind = "float" if "value" in channels else "Vector2D"
             keys = ", ".join(f"{axis} {_describe(values)}" for axis, values in channels.items())
-            _say(f"  {control} ({kind}): {keys}")
+            say(f"  {control} ({kind}): {keys}")
         return []
-    _need_unreal()
-    level_sequence = _level_sequence(sequence)
-    board = _find_rig(level_sequence, rig)
+    need_unreal()
+    level_sequence = find_sequence(sequence)
+    board = find_rig(level_sequence, rig)
     display = level_sequence.get_display_rate()
     fps = display.numerator / display.denominator
     skipped = []
@@ -148,7 +148,7 @@ def control_rig(
     unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
     if skipped:
         _warn(f"this board has no {', '.join(skipped)}; left out")
-    _say(f"keyed {len(data['board']) - len(skipped)} controls of {rig}")
+    say(f"keyed {len(data['board']) - len(skipped)} controls of {rig}")
     return skipped
 
 
@@ -174,10 +174,10 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     parts = asset_name(path).split("_")
     if len(parts) < 3:
         raise DeitalkError(f"{path}: the name must be <Slate>_<Take>_<Subject>.csv")
-    _say(f"import {path} into {folder}, Live Link subject {parts[2]!r}")
+    say(f"import {path} into {folder}, Live Link subject {parts[2]!r}")
     if dry_run:
         return []
-    _need_unreal()
+    need_unreal()
     if unreal.EditorAssetLibrary.does_asset_exist(f"{folder}/{asset_name(path)}"):
         raise DeitalkError(f"{folder}/{asset_name(path)} exists; rename the file or the asset")
     factory = getattr(unreal, "LiveLinkFaceImporterFactory", None)
@@ -238,7 +238,7 @@ def _set_keys(
         return False
     length = max(len(values) for values in keys.values())
     frames = [unreal.FrameNumber(start + i) for i in range(length)]
-    library, unit = unreal.ControlRigSequencerLibrary, _display_rate()
+    library, unit = unreal.ControlRigSequencerLibrary, display_rate()
     if "value" in keys:
         library.set_local_control_rig_floats(sequence, board, name, frames, keys["value"], unit)
         return True
@@ -254,14 +254,15 @@ def _name_on(board: Any, control: str) -> str:
     ``CTRL_C_tongue_roll`` is on both generations and means different things: an older board's is
     our ``CTRL_C_tongue_bendTwist``.
     """
-    is_older = not _has_control(board, "CTRL_C_tongue_move")
+    is_older = not has_control(board, "CTRL_C_tongue_move")
     if is_older and control == "CTRL_C_tongue_roll":
         return ""
     name = OLDER_NAMES.get(control, control) if is_older else control
-    return name if _has_control(board, name) else ""
+    return name if has_control(board, name) else ""
 
 
-def _has_control(board: Any, name: str) -> bool:
+def has_control(board: Any, name: str) -> bool:
+    """Return whether a control rig has a control."""
     key = unreal.RigElementKey(type=unreal.RigElementType.CONTROL, name=name)
     return bool(board.get_hierarchy().contains(key))
 
@@ -283,7 +284,7 @@ def _resampled(data: dict[str, Any], values: Any, fps: float) -> list[float]:
     return out
 
 
-def _display_rate() -> Any:
+def display_rate() -> Any:
     """Return the time unit, whose enum has two names in these versions of Unreal."""
     enum = getattr(unreal, "MovieSceneTimeUnit", None) or unreal.SequenceTimeUnit
     return enum.DISPLAY_RATE
@@ -310,7 +311,8 @@ def _skeleton(path: str) -> Any:
     raise DeitalkError(f"no skeleton at {tried}; give skeleton='/Game/…/Face_Archetype_Skeleton'")
 
 
-def _level_sequence(path: str) -> Any:
+def find_sequence(path: str) -> Any:
+    """Return the Level Sequence at an asset path, or the one open in Sequencer."""
     if path:
         sequence = unreal.load_asset(path)
     else:
@@ -320,7 +322,8 @@ def _level_sequence(path: str) -> Any:
     return sequence
 
 
-def _find_rig(sequence: Any, name: str) -> Any:
+def find_rig(sequence: Any, name: str) -> Any:
+    """Return the control rig of a sequence whose name begins with `name`."""
     proxies = unreal.ControlRigSequencerLibrary.get_control_rigs(sequence)
     found = [proxy.control_rig for proxy in proxies]
     for rig in found:
@@ -336,12 +339,14 @@ def _describe(values: Any) -> str:
     return f"constant {values:g}"
 
 
-def _need_unreal() -> None:
+def need_unreal() -> None:
+    """Raise an error outside the editor."""
     if unreal is None:
         raise DeitalkError("this runs inside the Unreal editor; outside only dry runs work")
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Print a line in Unreal's log, or on stdout outside the editor."""
     if unreal is None:
         sys.stdout.write(text + "\n")
     else:

@@ -1,0 +1,258 @@
+"""Export of captured animation from Unreal Engine (5.3 to 5.7) for deitalk, run inside the editor.
+
+Lies beside ``deitalk_unreal.py`` and needs nothing else. In the editor's Python console::
+
+    import sys; sys.path.append(r"C:/folder/of/this/file")
+    import deitalk_export as e
+    e.anim_sequence("/Game/Capture/AS_anna_happy_1", r"C:/captures", audio="anna_happy_1.wav")
+    e.anim_folder("/Game/Capture", r"C:/captures")       # every AnimSequence with face curves
+    e.level_sequence(r"C:/captures")                     # the board in the open Level Sequence
+
+Each writes a ``<name>.unreal.json`` with the rate, the curves and the name of the sound; lay the
+recording beside it, then ``deitalk data import C:/captures -o data/``. Plugin to enable: Python
+Editor Script Plugin.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import deitalk_unreal as importer  # type: ignore[import-not-found]
+
+RAW_PREFIX = "ctrl_expressions_"
+"""Lower case: some versions give names of curves as they were first spelt in the editor."""
+RATES = ((24000, 1001), (24, 1), (25, 1), (30000, 1001), (30, 1), (48, 1), (50, 1),
+         (60000, 1001), (60, 1), (120, 1))  # fmt: skip
+DECIMALS = 6
+STILL = 5e-7
+
+
+def anim_sequence(
+    asset: str, folder: str, audio: str = "", frame_rate: tuple[int, int] | None = None
+) -> str:
+    """Write the raw face curves of an AnimSequence, such as MetaHuman Animator exports.
+
+    Parameters
+    ----------
+    asset : str
+        Asset path.
+    folder : str
+        Folder on disk; it is made if it is missing.
+    audio : str
+        File name of the recording; empty: it is called as the asset.
+    frame_rate : (int, int), optional
+        Numerator and denominator; by default that of the keys.
+
+    Returns
+    -------
+    str
+        Path of the file.
+    """
+    importer.need_unreal()
+    sequence = importer.unreal.load_asset(asset)
+    if sequence is None:
+        raise importer.DeitalkError(f"no asset at {asset}; copy its reference path")
+    library = importer.unreal.AnimationLibrary
+    names = [name for name in _curve_names(sequence) if name.lower().startswith(RAW_PREFIX)]
+    if not names:
+        raise importer.DeitalkError(
+            f"{asset} has no CTRL_expressions curves; export the performance with face curves"
+        )
+    keys = {}
+    for name in names:
+        times, values = library.get_float_keys(sequence, name)
+        keys[name] = ([float(t) for t in times], [float(v) for v in values])
+    rate = frame_rate or _rate_of(keys, asset)
+    n_frames = round(float(library.get_sequence_length(sequence)) * rate[0] / rate[1]) + 1
+    grid = [i * rate[1] / rate[0] for i in range(n_frames)]
+    raw = {name: _sampled(times, values, grid) for name, (times, values) in keys.items() if times}
+    return _write(folder, _name_of(asset), rate, n_frames, raw=raw, audio=audio)
+
+
+def anim_folder(content: str, folder: str) -> list[str]:
+    """Write every AnimSequence with raw face curves below a content folder.
+
+    Returns
+    -------
+    list of str
+        Paths of the files.
+    """
+    importer.need_unreal()
+    written = []
+    for path in importer.unreal.EditorAssetLibrary.list_assets(content, recursive=True):
+        asset = importer.unreal.load_asset(str(path))
+        if not isinstance(asset, importer.unreal.AnimSequence):
+            continue
+        if any(name.lower().startswith(RAW_PREFIX) for name in _curve_names(asset)):
+            written.append(anim_sequence(str(path), folder))
+    if not written:
+        raise importer.DeitalkError(f"no AnimSequence with face curves below {content}")
+    return written
+
+
+def level_sequence(
+    folder: str, sequence: str = "", rig: str = importer.BOARD, audio: str = ""
+) -> str:
+    """Write the face board of a Level Sequence, from the start of its sound to the end of playback.
+
+    Parameters
+    ----------
+    folder : str
+        Folder on disk; it is made if it is missing.
+    sequence : str
+        Asset path; the one open in Sequencer if it is empty.
+    rig : str
+        Name of the control rig.
+    audio : str
+        File name of the recording; empty: that of the sequence's audio track, if it has one.
+
+    Returns
+    -------
+    str
+        Path of the file.
+    """
+    importer.need_unreal()
+    unreal = importer.unreal
+    opened = importer.find_sequence(sequence)
+    board = importer.find_rig(opened, rig)
+    display = opened.get_display_rate()
+    sound, start = _sound(opened)
+    stop = int(opened.get_playback_end())
+    if stop <= start:
+        raise importer.DeitalkError(f"playback ends at frame {stop}, sound starts at {start}")
+    frames = [unreal.FrameNumber(i) for i in range(start, stop)]
+    library, unit = unreal.ControlRigSequencerLibrary, importer.display_rate()
+    channels: dict[str, dict[str, Any]] = {}
+    for name, kind in _controls(board):
+        spelling = _present_name(board, name)
+        if kind == "float":
+            values = library.get_local_control_rig_floats(opened, board, name, frames, unit)
+            channels[spelling] = {"value": _rounded(values)}
+        else:
+            pairs = library.get_local_control_rig_vector2_ds(opened, board, name, frames, unit)
+            channels[spelling] = {
+                "x": _rounded([pair.x for pair in pairs]),
+                "y": _rounded([pair.y for pair in pairs]),
+            }
+    rate = (int(display.numerator), int(display.denominator))
+    return _write(
+        folder, opened.get_name(), rate, len(frames), board=channels, audio=audio or sound
+    )
+
+
+def _curve_names(sequence: Any) -> list[str]:
+    unreal = importer.unreal
+    kind = unreal.RawCurveTrackTypes.RCT_FLOAT
+    return [str(n) for n in unreal.AnimationLibrary.get_animation_curve_names(sequence, kind)]
+
+
+def _rate_of(keys: dict[str, tuple[list[float], list[float]]], asset: str) -> tuple[int, int]:
+    """Return the rate of the curve with most keys: a standard one."""
+    times = max((times for times, _ in keys.values()), key=len)
+    if len(times) < 2 or times[-1] <= times[0]:
+        raise importer.DeitalkError(f"{asset} has too few keys; give frame_rate=(30, 1)")
+    steps = sorted(b - a for a, b in zip(times, times[1:]) if b > a)  # noqa: B905, RUF007
+    step = steps[len(steps) // 2]
+    rate = min(RATES, key=lambda r: abs(r[0] / r[1] * step - 1))
+    # the mean is finer than one step, where no key was removed
+    if steps[-1] < 1.5 * step:
+        mean = (times[-1] - times[0]) / (len(times) - 1)
+        rate = min(RATES, key=lambda r: abs(r[0] / r[1] * mean - 1))
+    if abs(rate[0] / rate[1] * step - 1) > 0.02:
+        raise importer.DeitalkError(f"{asset}: keys {step:g} s apart; give frame_rate=(30, 1)")
+    return rate
+
+
+def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
+    """Return values at the times of a grid, linear between keys; one number if they are equal."""
+    if max(values) - min(values) < STILL:
+        return round(values[0], DECIMALS)
+    out, place = [], 0
+    for t in grid:
+        while place < len(times) - 2 and times[place + 1] <= t:
+            place += 1
+        before, after = times[place], times[min(place + 1, len(times) - 1)]
+        share = 0.0 if after <= before else min(max((t - before) / (after - before), 0.0), 1.0)
+        last = values[min(place + 1, len(values) - 1)]
+        out.append(round(values[place] + share * (last - values[place]), DECIMALS))
+    return out
+
+
+def _rounded(values: Any) -> Any:
+    numbers = [float(value) for value in values]
+    if max(numbers) - min(numbers) < STILL:
+        return round(numbers[0], DECIMALS)
+    return [round(number, DECIMALS) for number in numbers]
+
+
+def _controls(board: Any) -> list[tuple[str, str]]:
+    """Return the names of the float and Vector2D controls and their kind."""
+    unreal = importer.unreal
+    kinds = {unreal.RigControlType.FLOAT: "float", unreal.RigControlType.VECTOR2D: "Vector2D"}
+    hierarchy = board.get_hierarchy()
+    found = []
+    for key in hierarchy.get_all_keys(True):
+        if key.type == unreal.RigElementType.CONTROL:
+            kind = kinds.get(hierarchy.get_control_settings(key).control_type)
+            if kind:
+                found.append((str(key.name), kind))
+    return found
+
+
+def _present_name(board: Any, name: str) -> str:
+    """Return the present name of a control of an older board."""
+    if importer.has_control(board, "CTRL_C_tongue_move"):
+        return name
+    present = {old: new for new, old in importer.OLDER_NAMES.items()}
+    return str(present.get(name, name))
+
+
+def _sound(sequence: Any) -> tuple[str, int]:
+    """Return the file name of the first sound, and the frame at which it starts."""
+    unreal = importer.unreal
+    find = getattr(sequence, "find_tracks_by_type", None) or sequence.find_master_tracks_by_type
+    for track in find(unreal.MovieSceneAudioTrack):
+        for section in track.get_sections():
+            sound = section.get_editor_property("sound")
+            if sound is None:
+                continue
+            source = sound.get_editor_property("asset_import_data")
+            path = str(source.get_first_filename()) if source is not None else ""
+            name = path.replace("\\", "/").rsplit("/", 1)[-1] or str(sound.get_name())
+            return name, int(section.get_start_frame())
+    return "", int(sequence.get_playback_start())
+
+
+def _write(
+    folder: str,
+    name: str,
+    rate: tuple[int, int],
+    n_frames: int,
+    *,
+    raw: dict[str, Any] | None = None,
+    board: dict[str, Any] | None = None,
+    audio: str = "",
+) -> str:
+    """Write the file beside its place, then rename it."""
+    os.makedirs(folder, exist_ok=True)
+    path = os.path.join(folder, f"{name}.unreal.json")
+    data = {
+        "schema": importer.SCHEMA,
+        "frame_rate": list(rate),
+        "n_frames": n_frames,
+        "audio": audio,
+        "raw": raw or {},
+        "board": board or {},
+    }
+    with open(path + ".part", "w", encoding="utf-8") as stream:
+        json.dump(data, stream)
+    os.replace(path + ".part", path)
+    count = len(raw or board or {})
+    importer.say(f"{path}: {count} curves, {n_frames} frames, sound {audio or 'not named'}")
+    return path
+
+
+def _name_of(asset: str) -> str:
+    return str(importer.asset_name(asset.rsplit("/", 1)[-1]))
