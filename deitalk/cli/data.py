@@ -1,7 +1,7 @@
 """`deitalk data`: make a dataset folder of captured takes or of measured lips, and check it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,14 +12,28 @@ from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
+if TYPE_CHECKING:
+    from rig import ControlSet
+
 app = CheckedCommands(
     help="Make a dataset folder of captured takes or measured lips, and check it.",
     no_args_is_help=True,
 )
 
 
-FIXABLE = ("offset", "drift", "rest pose")
+FIXABLE = ("offset", "drift", "rest pose", "dead")
 """Checks of captures whose faults `check --fix` corrects."""
+
+
+Rig = Annotated[
+    str | None, typer.Option(help="YAML of another rig, whose curves stay as they are.")
+]
+
+
+def _controls(rig: str | None) -> "ControlSet | None":
+    from deitalk.config.rig_file import read_controls
+
+    return None if rig is None else read_controls(rig)
 
 
 @app.callback()
@@ -59,6 +73,7 @@ def import_(
             help="Curves of another rig: CSV of target, source, weight, offset.",
         ),
     ] = None,
+    rig: Rig = None,
     fps: Annotated[
         float | None, typer.Option(help="Frames per second of files that hold no rate.")
     ] = None,
@@ -88,6 +103,8 @@ def import_(
     deitalk data import takes/ --pattern "(?P<actor>[a-z]+)_(?P<emotion>[a-z]+)" -o data/
 
     deitalk data import mocap/ --map my_rig.csv --fps 30 -o data/
+
+    deitalk data import mocap/ --rig my_rig.yaml --fps 30 -o data/
     """
     folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
@@ -101,6 +118,7 @@ def import_(
             out,
             labels=Labelling(actor, emotion, style, pattern, table),
             mapping=mapping,
+            rig=_controls(rig),
             fps=fps,
             audio=folders,
             longest=longest,
@@ -126,12 +144,13 @@ def check(
         int | None,
         typer.Option(min=1, max=MAX_COUNT, help="Most clips to read, evenly spread."),
     ] = None,
+    rig: Rig = None,
     fix: Annotated[
         bool,
         typer.Option(
             "--fix",
-            help="Of captured takes: write offsets, names of emotions and curves without the "
-            "actors' rest pose, and a report into check/.",
+            help="Of captured takes: write offsets, names of emotions, lists of known controls and "
+            "curves without the actors' rest pose, and a report into check/.",
         ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
@@ -156,7 +175,9 @@ def check(
         raise DeitalkError("--fix reads every clip; leave --most out")
     renamed = rename_emotions(folder) if fix else 0
     with bar("reading") as progress:
-        checks, survey = inspect_dataset(folder, most=most, progress=progress)
+        checks, survey = inspect_dataset(
+            folder, controls=_controls(rig), most=most, progress=progress
+        )
     if fix and survey is None:
         raise DeitalkError(f"{folder}: no clip states its take; --fix needs `deitalk data import`")
     if as_json:

@@ -47,6 +47,7 @@ from deitalk.data.offset import (
 from deitalk.emotions import EMOTIONS
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float64
+from rig.controls import DEFAULT_ID
 from rig.errors import UserError
 
 SHIFTED_SECONDS = 0.05
@@ -106,16 +107,18 @@ class Inspection(NamedTuple):
 def check_dataset(
     folder: Path | str,
     *,
+    controls: ControlSet | None = None,
     most: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Check]:
     """Checks of `inspect_dataset`: one for every check, also those without a fault."""
-    return inspect_dataset(folder, most=most, progress=progress).checks
+    return inspect_dataset(folder, controls=controls, most=most, progress=progress).checks
 
 
 def inspect_dataset(
     folder: Path | str,
     *,
+    controls: ControlSet | None = None,
     most: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Inspection:
@@ -125,6 +128,8 @@ def inspect_dataset(
     ----------
     folder : Path
         Dataset folder.
+    controls : ControlSet or None
+        Another rig than the board, whose curves the dataset has.
     most : int or None
         Read at most so many clips, evenly spread.
     progress : callable
@@ -139,7 +144,7 @@ def inspect_dataset(
     DataError
         If ``clips.csv`` itself cannot be used.
     """
-    controls = default_controls()
+    controls = controls or default_controls()
     clips = read_clips(folder)
     places = np.linspace(0, len(clips) - 1, min(most or len(clips), len(clips))).round().astype(int)
     measured, unreadable, survey = [], [], Survey(controls)
@@ -148,7 +153,7 @@ def inspect_dataset(
         try:
             measured.append(measure(clip, controls))
             if clip.take:
-                survey.add(clip, _recording(str(clip.audio)), read_curves(clip.curves))
+                survey.add(clip, _recording(str(clip.audio)), _curves(clip, controls))
         except UserError as error:
             unreadable.append(f"{clip.name} ({error})")
         progress((done + 1) / len(places))
@@ -166,7 +171,7 @@ def inspect_dataset(
 
 def measure(clip: Clip, controls: ControlSet) -> Measured:
     """Read one clip and measure it; its phones and intensity are read too."""
-    recording, curves = _recording(str(clip.audio)), read_curves(clip.curves)
+    recording, curves = _recording(str(clip.audio)), _curves(clip, controls)
     times = curves.times + clip.offset_seconds
     if clip.phones is not None:
         read_phones(clip.phones)
@@ -196,6 +201,10 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         _open_in_silence(jaw, speaking),
         recording.clipped_fraction,
     )
+
+
+def _curves(clip: Clip, controls: ControlSet) -> RigCurves:
+    return read_curves(clip.curves, controls=None if controls.id == DEFAULT_ID else controls)
 
 
 @lru_cache(maxsize=8)

@@ -114,6 +114,8 @@ def _frozen(values: Float32, fps: float, speaking: Bool) -> float:
 
 
 def _together(values: Float32, one: str, other: str, controls: ControlSet) -> float:
+    if one not in controls or other not in controls:
+        return float("nan")
     a, b = (values[:, controls.index(name)].astype(np.float64) for name in (one, other))
     if min(a.std(), b.std()) < LEAST_MOVEMENT:
         return float("nan")

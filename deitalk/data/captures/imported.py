@@ -14,7 +14,7 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.labels import Labelling, Labels
-from deitalk.data.captures.mapping import Mapping, read_mapping
+from deitalk.data.captures.mapping import read_mapping
 from deitalk.data.captures.reports import (
     TAKE_HEADER,
     Imported,
@@ -28,7 +28,7 @@ from deitalk.data.captures.sources import Source, find_sound, find_takes
 from deitalk.data.captures.splits import Piece, divide
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.errors import DataError
-from rig import default_controls, write_curves
+from rig import ControlSet, write_curves
 from rig.errors import UserError
 from rig.files import output_folder
 
@@ -49,6 +49,7 @@ def import_captures(
     *,
     labels: Labelling = Labelling(),
     mapping: Path | None = None,
+    rig: ControlSet | None = None,
     fps: float | None = None,
     audio: Sequence[Path] = (),
     longest: float = LONGEST_SECONDS,
@@ -71,7 +72,9 @@ def import_captures(
     labels : Labelling
         Actor, emotion and style of the takes.
     mapping : Path or None
-        Table of another rig's curves (`deitalk.data.captures.mapping`).
+        Table of another rig's curves to the board (`deitalk.data.captures.mapping`).
+    rig : ControlSet or None
+        Another rig, whose curves stay as they are; the dataset is for models of that rig.
     fps : float or None
         Rate of files that hold none.
     audio : sequence of Path
@@ -100,14 +103,20 @@ def import_captures(
     """
     if not 2.0 <= longest <= 60.0:
         raise DataError(f"`longest={longest:g}` must be from 2 to 60 seconds", parameter="longest")
+    if mapping is not None and rig is not None:
+        raise DataError(
+            "`mapping` converts to the board, `rig` keeps another rig; give one of both"
+        )
     table = None if mapping is None else read_mapping(mapping)
-    takes, skipped = find_takes(sources, table)
+    columns = set(rig.names) if rig is not None else None if table is None else table.sources
+    takes, skipped = find_takes(sources, columns)
     faults = []
     with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)
         for done, source in enumerate(takes):
             try:
-                capture, sound = _read(source, takes, table, fps, audio)
+                capture = read_capture(source.curves, mapping=table, rig=rig, fps=fps)
+                sound = load_audio(find_sound(source, capture.audio, audio, takes))
                 writer.take(source, labels.of(source), capture, sound)
             except UserError as error:
                 faults.append(error)
@@ -123,17 +132,6 @@ def import_captures(
         writer.left_out,
         (*skipped_files(skipped), *warnings_of(writer.reports)),
     )
-
-
-def _read(
-    source: Source,
-    takes: Sequence[Source],
-    mapping: Mapping | None,
-    fps: float | None,
-    audio: Sequence[Path],
-) -> tuple[CapturedCurves, Recording]:
-    capture = read_capture(source.curves, mapping=mapping, fps=fps)
-    return capture, load_audio(find_sound(source, capture.audio, audio, takes))
 
 
 def _fault(faults: Sequence[UserError], n_takes: int) -> DataError:
@@ -252,7 +250,7 @@ class _Writer:
 
     def _known(self, capture: CapturedCurves) -> str:
         """Path of the list of known channels; empty where all are."""
-        if len(capture.known) == len(default_controls()):
+        if len(capture.known) == len(capture.curves.names):
             return ""
         if capture.known not in self.lists:
             count = sum(path.startswith(f"known/{capture.kind}") for path in self.lists.values())

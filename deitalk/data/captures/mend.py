@@ -1,13 +1,14 @@
-"""`deitalk data check --fix`: offsets, drift, rest poses and names of emotions are put right.
+"""`deitalk data check --fix`: offsets, drift, rest poses, known controls and names of emotions.
 
 Recordings and captured curves stay as they are. ``offset_s`` of the clips is changed; clips whose
-actor's rest pose is removed get a new file ``mended/<clip>.npz``, and ``clips.csv``, replaced last
-and whole, names it. ``check/`` holds the report with its pictures, and the table as it was before
-the first change.
+actor's rest pose is removed get a new file ``mended/<clip>.npz``; channels that never move are left
+out of new lists ``mended/known-<n>.txt``. ``clips.csv``, replaced last and whole, names these.
+``check/`` holds the report with its pictures, and the table as it was before the first change.
 """
 
 import csv
 import io
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +17,15 @@ import numpy as np
 
 from deitalk.data.captures.labels import SPELLINGS
 from deitalk.data.captures.rest import without_rest
-from deitalk.data.captures.survey import Survey
+from deitalk.data.captures.survey import ClipSurvey, Survey
 from deitalk.data.captures.sync import LAGS, peak
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS
 from deitalk.figures.canvas import can_draw
 from deitalk.figures.captures import TakeLags, draw_lags, draw_rests
-from rig import read_curves, write_curves
-from rig.arrays import Float32
+from rig import ControlSet, read_curves, write_curves
+from rig.arrays import Bool, Float32
+from rig.controls import DEFAULT_ID
 from rig.errors import TargetError
 from rig.files import atomic_write, claim, kind_of, record, replace_recorded
 from rig.files.reading import read_text
@@ -39,6 +41,8 @@ class Mended:
     moved_takes: int
     rest_poses: dict[str, int]
     """Controls by actor."""
+    dead: int
+    """Controls that never move and are no longer known."""
     emotions: int
     files: tuple[str, ...]
 
@@ -51,6 +55,8 @@ class Mended:
         if self.moved_takes:
             parts.append(f"offset of {self.moved_takes} takes")
         parts += [f"rest pose of {a} ({n} controls)" for a, n in self.rest_poses.items()]
+        if self.dead:
+            parts.append(f"{self.dead} controls that never move")
         return f"fixed: {', '.join(parts)}" if parts else "nothing to fix"
 
 
@@ -97,39 +103,53 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0
         for actor, pose in survey.rests().items()
         if (pose != survey.controls.rest).any()
     }
+    dead = survey.dead()
     with claim(folder):
         header, table = _read(folder)
         by_name = {row["clip"]: row for row in table}
-        files: list[str] = []
+        files: dict[str, None] = {}
         for c in survey.clips:
-            row = by_name[c.clip.name]
-            take = sync[c.clip.take]
+            row, take = by_name[c.clip.name], sync[c.clip.take]
             if c.clip.take in shifted and take is not None:
                 middle = c.clip.span[0] + c.seconds / 2
                 row["offset_s"] = f"{c.clip.offset_seconds - take.lag_at(middle):.4f}"
             if c.clip.speaker in rests:
-                row["curves"] = _without_rest(
-                    folder, c.clip.name, c.clip.curves, c.known, rests[c.clip.speaker], survey
-                )
-                files.append(row["curves"])
+                row["curves"] = _without_rest(folder, c, rests[c.clip.speaker], survey.controls)
+                files[row["curves"]] = None
+            if (c.known & dead).any() and (c.known & ~dead).any():
+                row["known"] = _list_of_known(folder, c.known & ~dead, survey.controls)
+                files[row["known"]] = None
         report = _report(folder, survey, rows, rests)
-        if shifted or rests:
-            header = [*header, *(["offset_s"] if "offset_s" not in header else [])]
+        if shifted or rests or dead.any():
+            header = list(dict.fromkeys([*header, "offset_s", "known"]))
             _write(folder, header, table)
         if kind_of(folder) is not None:
             record(folder, [*files, *report], kind=KIND)
     counts = {actor: int((pose != survey.controls.rest).sum()) for actor, pose in rests.items()}
-    return Mended(len(shifted), counts, emotions, tuple(report))
+    return Mended(len(shifted), counts, int(dead.sum()), emotions, tuple(report))
 
 
-def _without_rest(
-    folder: Path, name: str, source: Path, known: np.ndarray, pose: Float32, survey: Survey
-) -> str:
-    target = f"mended/{name}.npz"
-    path = folder / target
-    path.parent.mkdir(exist_ok=True)
-    curves = without_rest(read_curves(source), pose, known, survey.controls)
-    write_curves(path, curves)
+def _without_rest(folder: Path, c: ClipSurvey, pose: Float32, controls: ControlSet) -> str:
+    target = f"mended/{c.clip.name}.npz"
+    (folder / "mended").mkdir(exist_ok=True)
+    own = None if controls.id == DEFAULT_ID else controls
+    curves = read_curves(c.clip.curves, controls=own)
+    write_curves(folder / target, without_rest(curves, pose, c.known, controls))
+    return target
+
+
+def _list_of_known(folder: Path, known: Bool, controls: ControlSet) -> str:
+    """Path of a list of controls; equal lists are one file."""
+    text = "".join(f"{controls.names[i]}\n" for i in np.flatnonzero(known))
+    (folder / "mended").mkdir(exist_ok=True)
+    for number in itertools.count(1):
+        target = f"mended/known-{number}.txt"
+        if not (folder / target).exists():
+            break
+        if (folder / target).read_text(encoding="utf-8") == text:
+            return target
+    with atomic_write(folder / target) as beside:
+        beside.write_text(text, encoding="utf-8")
     return target
 
 

@@ -6,10 +6,10 @@ A Live Link Face take is a folder as the app leaves it: ``<Slate>_<Take>_<Device
 """
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
-from deitalk.data.captures.mapping import Mapping
 from deitalk.data.captures.take import kind_of
 from deitalk.errors import DataError
 from rig.errors import UserError
@@ -45,7 +45,7 @@ class Source:
 
 
 def find_takes(
-    sources: Sequence[Path], mapping: Mapping | None = None
+    sources: Sequence[Path], columns: AbstractSet[str] | None = None
 ) -> tuple[list[Source], list[Path]]:
     """Find the takes of files and folders.
 
@@ -53,8 +53,8 @@ def find_takes(
     ----------
     sources : sequence of Path
         Files of curves, or folders that are searched to any depth.
-    mapping : Mapping or None
-        With it tables with its columns are the takes.
+    columns : set of str or None
+        Names of another rig: tables that have some of them are the takes.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def find_takes(
             takes.append(Source(source, _place(source, source.absolute().parent.parent)))
             continue
         files = [p for p in sorted(source.rglob("*")) if _may_hold_curves(p, source)]
-        curves = [p for p in files if _holds_curves(p, mapping)]
+        curves = [p for p in files if _holds_curves(p, columns)]
         skipped += [p for p in files if p not in set(curves)]
         chosen = _one_a_take(curves)
         if not chosen:
@@ -148,11 +148,11 @@ def _may_hold_curves(path: Path, top: Path) -> bool:
     return known and not hidden and not path.stem.endswith("_neutral") and path.is_file()
 
 
-def _holds_curves(path: Path, mapping: Mapping | None) -> bool:
+def _holds_curves(path: Path, columns: AbstractSet[str] | None) -> bool:
     try:
-        if mapping is not None:
+        if columns is not None:
             is_csv = path.suffix.lower() == ".csv"
-            return not is_csv or bool(mapping.sources & set(read_header(path)))
+            return not is_csv or not columns.isdisjoint(read_header(path))
         return kind_of(path) is not None
     except UserError:
         return True  # its error is reported with the take

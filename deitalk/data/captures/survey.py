@@ -18,6 +18,7 @@ from deitalk.data.offset import predicted_curves
 from deitalk.emotions.rules import RULE, style_scores
 from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float32, Float64
+from rig.controls import DEFAULT_ID
 
 AROUND_SPEECH_SECONDS = 0.2
 """Frames so near to speech are not silent: the mouth opens before and shuts after the sound."""
@@ -36,7 +37,7 @@ class ClipSurvey:
     lags: ClipLags | None
     known: Bool
     scores: Float64
-    """Of happy, sad, angry and surprised during speech, less those at rest [shape=(4,)]."""
+    """Of happy, sad, angry and surprised during speech [shape=(4,)]."""
     asymmetry: Float64
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""
@@ -78,11 +79,17 @@ class Survey:
                     offset=clip.offset_seconds, start=clip.span[0],
                 ),
                 known,
-                style_scores(values, speaking, self.controls).astype(np.float64),
+                self._scores(values, speaking),
                 asymmetry(values, known, self.controls),
                 prosody.pitch[prosody.voiced],
             )
         )  # fmt: skip
+
+    def _scores(self, values: Float32, speaking: Bool) -> Float64:
+        """Scores of the expressions; 0 for another rig, of which no rule is known."""
+        if self.controls.id != DEFAULT_ID:
+            return np.zeros(len(RULE))
+        return style_scores(values, speaking, self.controls).astype(np.float64)
 
     def by_take(self) -> dict[str, list[ClipSurvey]]:
         """Clips of every take."""
@@ -106,6 +113,13 @@ class Survey:
             for actor, emotions in self.silent.items()
         }
         return {actor: pose for actor, pose in poses.items() if pose is not None}
+
+    def dead(self) -> Bool:
+        """Controls that a source can know and that never move in any clip [shape=(C,)]."""
+        known = np.any([c.known for c in self.clips], axis=0)
+        moving = np.any([c.faults.moving for c in self.clips], axis=0)
+        dead: Bool = known & ~moving
+        return dead
 
     def swapped(self) -> list[str]:
         """Takes whose left and right are swapped in whole or in part."""

@@ -3,8 +3,9 @@
 Jaw, contacts, rounding, spreading and lips of the capture are correlated with the same groups of
 the model's curves of the recording at lags of up to a second; the squares of the correlations are
 summed over groups, and over the clips of a take along lines of lag by time. The sum peaks sharper
-and at fewer wrong places than the correlation of any one group. Where there is no model or no lips
-move, the level of the vowels replaces the model and the jaw the lips.
+and at fewer wrong places than the correlation of any one group. Of another rig than the board the
+first principal components of its curves replace the groups; where there is no model, the level of
+the vowels replaces its curves.
 
 Measured on clips of 5 to 15 s (40 of a hand-animated rig, 44 of lips on video, 20 of a built
 corpus) that were moved by 1 to 15 thirtieths of a second, against the same clips unmoved: the move
@@ -24,6 +25,7 @@ from deitalk.audio.load import Recording
 from deitalk.data.offset import JAW, loudness, vowel_band
 from rig import RigCurves
 from rig.arrays import Bool, Float64
+from rig.controls import DEFAULT_ID
 
 RATE = 120
 REACH = RATE
@@ -46,6 +48,8 @@ GROUPS = {
 """Parts of names of the controls whose mean is one signal."""
 SMOOTH_SECONDS = 0.3
 """Slower movement is removed: postures and expressions."""
+COMPONENTS = 3
+"""Of another rig's controls: jaw, rounding and lips; six and more find fewer planted lags."""
 STILL = 1e-3
 LEAST_SECONDS = 2.0
 LEAST_CORRELATION = 0.3
@@ -124,7 +128,8 @@ def clip_lags(
     Parameters
     ----------
     curves : RigCurves
-        Captured board channels.
+        Captured board channels, or controls of another rig: their principal components
+        then replace the groups.
     recording : Recording
         The clip's sound.
     predicted : RigCurves or None
@@ -145,7 +150,12 @@ def clip_lags(
     if predicted is None:
         wanted: Mapping[str, Float64] = {"jaw": _level(recording, at)}
     else:
-        wanted = _signals(predicted, names, predicted.times, at)
+        on_board = curves.control_set == DEFAULT_ID
+        wanted = _signals(
+            predicted, names if on_board else set(predicted.names), predicted.times, at
+        )
+    if curves.control_set != DEFAULT_ID:
+        return _rig_lags(curves, names, curves.times + offset, at, list(wanted.values()), start)
     captured = _signals(curves, names, curves.times + offset, at)
     groups = [
         _lag_correlations(_quick(captured[name]), _quick(wanted[name]))
@@ -182,6 +192,35 @@ def take_sync(clips: Sequence[ClipLags], *, by: str = "model") -> TakeSync | Non
     off = own - (lag + drift * (centres - middle))
     spread = max(1.4826 * float(np.median(np.abs(off))), CLIP_ERROR_SECONDS)
     return TakeSync(lag, drift, middle, correlation, spread / len(clips) ** 0.5, by)
+
+
+def _rig_lags(
+    curves: RigCurves,
+    names: set[str],
+    times: Float64,
+    at: Float64,
+    wanted: Sequence[Float64],
+    start: float,
+) -> ClipLags | None:
+    """Lags of another rig: how much of the groups its first components explain."""
+    columns = [curves[name].astype(np.float64) for name in curves.names if name in names]
+    moving = [_quick(np.interp(at, times, c)) for c in columns if np.ptp(c) > STILL]
+    targets = [_quick(signal) for signal in wanted if np.ptp(signal) > STILL]
+    if len(moving) < COMPONENTS or not targets:
+        return None
+    captured, target = np.stack(moving, axis=1), np.stack(targets, axis=1)
+    parts = np.linalg.svd(captured - captured.mean(axis=0), full_matrices=False)[0]
+    parts, n = parts[:, :COMPONENTS], len(at)
+    scores = np.zeros(2 * REACH + 1)
+    for place, k in enumerate(range(-REACH, REACH + 1)):
+        if n - abs(k) < n / 2:
+            continue
+        a, b = parts[max(0, k) : n - max(0, -k)], target[max(0, -k) : n - max(0, k)]
+        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+        explained = np.linalg.qr(a)[0].T @ b
+        scores[place] = ((explained**2).sum(axis=0) / np.maximum((b * b).sum(axis=0), 1e-12)).sum()
+    seconds = n / RATE
+    return ClipLags(scores, len(targets), start + seconds / 2, seconds)
 
 
 def _signals(curves: RigCurves, names: set[str], times: Float64, at: Float64) -> dict[str, Float64]:

@@ -36,22 +36,26 @@ LEAST_KNOWN = 3
 
 @dataclass(frozen=True, eq=False)
 class CapturedCurves:
-    """A capture as board channels."""
+    """A capture as board channels, or as controls of another rig."""
 
     curves: RigCurves
     known: tuple[str, ...]
-    """Board channels that the source can know."""
+    """Controls that the source can know."""
     kind: str
-    """livelink, arkit, board, raw, emoface, mapped or unreal."""
+    """livelink, arkit, board, raw, emoface, mapped, unreal or rig."""
     audio: str = ""
     """Name of the recording, where the file has one."""
     notes: tuple[str, ...] = ()
 
 
 def read_capture(
-    path: Path, *, mapping: Mapping | None = None, fps: float | None = None
+    path: Path,
+    *,
+    mapping: Mapping | None = None,
+    rig: ControlSet | None = None,
+    fps: float | None = None,
 ) -> CapturedCurves:
-    """Read a file of captured curves; the face of a take at 185 channels.
+    """Read a file of captured curves: the face of a take as channels of the board, or of a rig.
 
     Parameters
     ----------
@@ -59,7 +63,9 @@ def read_capture(
         Live Link Face, board, raw, RigMapper, ARKit or Audio2Face CSV; JSON and NPZ of curves;
         what the script inside Unreal exports; EmoFace text; with `mapping` any table of curves.
     mapping : Mapping or None
-        Of another rig's curves.
+        Of another rig's curves to the board.
+    rig : ControlSet or None
+        Another rig, whose curves stay as they are.
     fps : float or None
         Of files without a rate.
 
@@ -68,6 +74,8 @@ def read_capture(
     DataError, rig.errors.RigError
         One line: what is wrong with the file and where.
     """
+    if rig is not None:
+        return _of_rig(path, rig, fps)
     if mapping is not None:
         return _mapped(path, mapping, fps)
     kind = kind_of(path)
@@ -155,6 +163,28 @@ def _mapped(path: Path, mapping: Mapping, fps: float | None) -> CapturedCurves:
         present=mapping.targets,
         notes=(*named.notes, *(notes if unused else ())),
     )
+
+
+def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:
+    """Controls of another rig; those that the file lacks rest and are not known."""
+    named = read_named(path, fps)
+    present = [name for name in named.names if name in rig]
+    if not present:
+        raise DataError(
+            f"{path}: {describe_columns(named.names)} are no controls of {rig.id}; "
+            "mend the rig file"
+        )
+    canonical = dict(zip(present, rig.resolve(present), strict=True))
+    curves, clipped = clamp(named.to_curves(canonical, rig.id).reorder(rig), rig)
+    notes = list(named.notes)
+    if missing := rig.missing(present):
+        notes.append(f"lacks {len(missing)} controls, not known: {describe_columns(missing)}")
+    if left := [name for name in named.names if name not in rig]:
+        notes.append(f"{len(left)} columns are left out: {describe_columns(left)}")
+    if clipped:
+        notes.append(str(clipped))
+    known = tuple(name for name in rig.names if name in set(canonical.values()))
+    return CapturedCurves(curves, known, "rig", notes=tuple(notes))
 
 
 def _from_set(

@@ -101,9 +101,9 @@ def _channels(survey: Survey) -> list[Row]:
     ]
     rows.append(_listed("frozen", frozen, "the face moves in every frame", "clips stand still"))
     known = np.any([c.known for c in survey.clips], axis=0)
-    moving = np.any([c.faults.moving for c in survey.clips], axis=0)
-    dead = [survey.controls.names[i] for i in np.flatnonzero(known & ~moving)]
-    rows.append(_listed("dead", dead, f"all {known.sum()} known move", "known channels never move"))
+    dead = [survey.controls.names[i] for i in np.flatnonzero(survey.dead())]
+    fault = "channels never move, and would be learnt as still"
+    rows.append(_listed("dead", dead, f"all {known.sum()} known move", fault))
     return rows
 
 

@@ -267,3 +267,38 @@ def test_command_names_its_own_options(tmp_path):
     with pytest.raises(UserError) as caught:
         import_captures([tmp_path / "a.csv"], tmp_path / "data")
     assert "give --mapping, a table" in name_option(caught.value)
+
+
+def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
+    from typer.testing import CliRunner
+
+    from deitalk.cli.data import app
+    from deitalk.config.rig_file import read_controls
+
+    (tmp_path / "rig.yaml").write_text(
+        "id: puppet@1\ncontrols:\n  jaw: {}\n  wide: {minimum: -1}\n  hat: {}\n  brow: {}\n"
+    )
+    (tmp_path / "t").mkdir()
+    values = {n: np.clip(rng.normal(0.4, 0.2, 240), 0, 1) for n in ("wide", "jaw", "brow", "tail")}
+    frame = pd.DataFrame({"frame": range(240), **values})
+    frame.to_csv(tmp_path / "t" / "a.csv", index=False)
+    soundfile.write(tmp_path / "t" / "a.wav", bursts(8), 16000)
+    rig = read_controls(str(tmp_path / "rig.yaml"))
+    out = tmp_path / "data"
+    result = import_captures([tmp_path / "t"], out, rig=rig, fps=30, labels=ANNA)
+    notes = " ".join(result.takes[0].notes)
+    assert "lacks 1 controls, not known: 'hat'" in notes and "left out: 'tail'" in notes
+    (clip, *_) = read_clips(out)
+    curves = read_curves(clip.curves, controls=rig)
+    assert curves.names == ("jaw", "wide", "hat", "brow")
+    start = round(clip.span[0] * 30)
+    np.testing.assert_allclose(curves["jaw"], values["jaw"][start:][: len(curves)], atol=1e-6)
+    assert list(read_known(clip.known, rig)) == [True, True, False, True]
+    checked = CliRunner().invoke(app, ["check", str(out), "--rig", str(tmp_path / "rig.yaml")])
+    assert checked.exit_code == 0, checked.output
+    assert "warning  jittering" in checked.stdout
+
+
+def test_map_and_rig_exclude_each_other(tmp_path):
+    with pytest.raises(DataError, match="give one of both"):
+        import_captures([tmp_path], tmp_path / "d", mapping=tmp_path / "m.csv", rig=CONTROLS)

@@ -13,7 +13,7 @@ from deitalk.data.captures.imported import import_captures
 from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.mend import rename_emotions
 from deitalk.data.checks import check_dataset
-from deitalk.data.clips import read_clips
+from deitalk.data.clips import read_clips, read_known
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
@@ -74,9 +74,11 @@ def test_offset_of_the_late_take_and_the_open_jaw_are_found_and_fixed(data):
     for row in rows_of(data):
         expected = -LATE if row["take"] == "promise" else 0.0
         assert float(row["offset_s"]) == pytest.approx(expected, abs=1 / 90)
-        assert row["curves"].startswith("mended/")
+        assert row["curves"].startswith("mended/") and row["known"] == "mended/known-1.txt"
         jaw = read_curves(data / row["curves"])[JAW]
         assert float(np.percentile(jaw, 10)) < 0.02
+    known = read_known(data / "mended/known-1.txt", CONTROLS)
+    assert known[CONTROLS.index(JAW)] and not known[CONTROLS.index("CTRL_lookAtSwitch.ty")]
     kept = ("audio", "curves", "known")
     assert all(p.read_bytes() == b for p, b in before.items() if p.parent.name in kept)
     assert (data / "check/clips.csv").read_bytes() == before[data / "clips.csv"]
@@ -86,7 +88,7 @@ def test_offset_of_the_late_take_and_the_open_jaw_are_found_and_fixed(data):
     assert changed_files(data) == []
 
     again = {c.name: c for c in check_dataset(data)}
-    assert again["offset"].level == again["rest pose"].level == "ok"
+    assert {again[n].level for n in ("offset", "rest pose", "dead")} == {"ok"}
     table = (data / "clips.csv").read_bytes()
     assert CliRunner().invoke(app, ["check", str(data), "--fix"]).exit_code == 0
     assert (data / "clips.csv").read_bytes() == table

@@ -96,3 +96,21 @@ def test_loudness_replaces_the_model():
     lags = clip_lags(face, recording, predicted=None, offset=0.2)
     assert lags is not None and lags.n_groups == 1
     assert peak(lags.scores) == pytest.approx(0.2, abs=0.06)
+
+
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+def test_offset_of_another_rig_is_found_by_its_components(rng):
+    """Mixtures of another model's curves under other names stand for another rig."""
+    recording = load_audio(ROOT / "docs/samples/amiable.flac")
+    predicted = animate(recording, "neutral", model=load_model("default")).curves
+    face = animate(recording, "neutral", model=load_model("compact")).curves
+    mixed = face.values @ rng.normal(size=(len(face.names), 12)).astype(np.float32)
+    names = tuple(f"puppet_{i}" for i in range(12))
+    puppet = RigCurves(mixed, names, fps=face.fps, control_set="puppet@1")
+    still = clip_lags(puppet, recording, predicted=predicted)
+    assert still is not None and abs(peak(still.scores)) < FRAME
+    for frames in SHIFTS:
+        moved = clip_lags(puppet, recording, predicted=predicted, offset=frames * FRAME)
+        assert moved is not None
+        found = peak(moved.scores) - peak(still.scores)
+        assert found == pytest.approx(frames * FRAME, abs=FRAME / 3)
