@@ -117,6 +117,13 @@ def test_importing_a_package_loads_nothing_heavy(package):
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
+def test_reading_a_model_leaves_the_compiler_of_torch_out():
+    """It takes two seconds to import; initial values on the meta device would need it."""
+    code = "import sys, deitalk; deitalk.load_model(); print('torch._dynamo' in sys.modules)"
+    done = run(code)
+    assert done.stdout.strip() == "False", done.stdout + done.stderr
+
+
 def test_rig_works_without_torch():
     code = (
         "import sys; sys.modules['torch'] = None; import rig; "

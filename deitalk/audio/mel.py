@@ -68,7 +68,9 @@ class MelSpectrogram(nn.Module):
             sr=SAMPLE_RATE, n_fft=self.n_fft, n_mels=n_mels, fmin=50, fmax=7600, norm=None
         )
         self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
-        self.register_buffer("window", torch.hann_window(self.length), persistent=False)
+        # On the meta device it would import the compiler: two seconds.
+        window = torch.hann_window(self.length, device="cpu")
+        self.register_buffer("window", window, persistent=False)
 
     def forward(self, waveform: Tensor, n_spectra: int, first: int = 0, shift: int = 0) -> Tensor:
         """Map (B, S) to (B, 3, F, n_spectra), beginning with spectrum `first` of the waveform.

@@ -7,6 +7,7 @@ with the shapes of the network that its configuration describes.
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,7 +102,7 @@ def network_shapes(make: "Callable[[], nn.Module]") -> Shapes:
     import torch
 
     try:
-        with torch.device("meta"):
+        with torch.device("meta"), _without_random_numbers():
             state = make().state_dict()
     except (ValueError, TypeError, RuntimeError, AssertionError) as error:
         if isinstance(error, ConfigError | CheckpointError):
@@ -143,3 +144,18 @@ def _text(shape: tuple[int, ...] | None) -> str:
 
 def _damaged(path: Path, reason: str) -> CheckpointError:
     return CheckpointError(f"{path}: no safetensors file ({reason}); copy it again")
+
+
+def _without_random_numbers() -> AbstractContextManager[Any]:
+    """Leave initial values out: on the meta device they would import the compiler, two seconds."""
+    from torch.overrides import TorchFunctionMode
+
+    class Without(TorchFunctionMode):
+        def __torch_function__(
+            self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
+            if getattr(func, "__name__", "") in ("normal_", "uniform_"):
+                return args[0] if args else kwargs["tensor"]
+            return func(*args, **(kwargs or {}))
+
+    return Without()

@@ -1,14 +1,13 @@
 """Jobs: results, progress, cancelling, idempotency, restarts."""
 
 import json
-import os
-import signal
 import time
 
 import numpy as np
 import pytest
 
 from tests.api.conftest import bearer, wav
+from tests.api.kill import descendants, kill, run
 from tests.api.server import start, stop, wait_until
 
 LONG = wav(6.0)
@@ -118,51 +117,14 @@ def restartable(tmp_path):
         stop(server)
 
 
-def test_jobs_survive_kills_of_worker_and_server(restartable):
-    server = restartable()
-    with server.client() as client:
-        ids = [
-            submit(client, recording=wav(5 + k / 10), name=f"n{k}").json()["id"] for k in range(6)
-        ]
-    time.sleep(0.3)
-    for child in descendants(server.process.pid):  # workers and the process they are forked from
-        kill(child)
-    time.sleep(1.0)
-    server.process.kill()
-    server.process.wait()
-    server = restartable()
-    with server.client() as client:
-        jobs = [wait(client, job_id) for job_id in ids]
-        assert {job["status"] for job in jobs} == {"done"}, jobs
-        assert len(client.get("/v1/jobs").json()["jobs"]) == len(ids)
-        for k, job in enumerate(jobs):
-            result = client.get(job["result"])
-            assert result.json()["n_frames"] == np.ceil(30 * (5 + k / 10))
-    import sqlite3
-
-    with sqlite3.connect(server.log.parent / "jobs.sqlite") as table:
-        assert table.execute("SELECT min(ends), max(ends) FROM deitalk_jobs").fetchone() == (1, 1)
+def test_jobs_survive_kills_of_worker_and_server(tmp_path):
+    assert run(2, 0, tmp_path / "data") == {"server": 1, "worker": 1, "jobs": 6}
 
 
-def descendants(pid: int) -> list[int]:
-    found, parents = [], [pid]
-    while parents:
-        parent = parents.pop()
-        try:
-            with open(f"/proc/{parent}/task/{parent}/children") as file:
-                children = [int(child) for child in file.read().split()]
-        except OSError:
-            children = []
-        found += children
-        parents += children
-    return found
-
-
-def kill(pid: int) -> None:
-    try:
-        os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
+@pytest.mark.slow
+def test_jobs_survive_fifty_kills(tmp_path):
+    counts = run(50, 1, tmp_path / "data")
+    assert counts["server"] == 25 and counts["jobs"] == 150
 
 
 def test_server_answers_after_its_worker_was_killed(server, client):

@@ -1,7 +1,10 @@
 """Requests made from the OpenAPI schema: none is answered by a 5xx or outside the schema."""
 
+import json
 import os
+from contextlib import suppress
 
+import httpx
 import hypothesis
 import pytest
 import schemathesis
@@ -37,8 +40,12 @@ def test_requests_of_the_schema_are_answered_within_it(server):
 
 @pytest.mark.slow
 def test_wrong_requests_of_the_schema_are_no_server_errors(server):
-    """Also requests that break the schema."""
-    schema = schemathesis.openapi.from_url(f"{server.url}/openapi.json")
+    """Also requests that break the schema; texts stand for files, which the generator lacks."""
+    text = httpx.get(f"{server.url}/openapi.json").text.replace(',"format":"binary"', "")
+    assert '"binary"' not in text
+    schema = schemathesis.openapi.from_dict(json.loads(text))
+    schema.config.update(base_url=server.url)
+    n_cases = 0
     for result in schema.get_all_operations():
         operation = result.ok()
 
@@ -50,6 +57,10 @@ def test_wrong_requests_of_the_schema_are_no_server_errors(server):
             case=operation.as_strategy(generation_mode=schemathesis.GenerationMode.NEGATIVE)
         )
         def answers(case):
+            nonlocal n_cases
+            n_cases += 1
             case.validate_response(case.call(), checks=(not_a_server_error,))
 
-        answers()
+        with suppress(hypothesis.errors.Unsatisfiable):  # a route without parameters
+            answers()
+    assert n_cases > CASES * 10
