@@ -28,7 +28,8 @@ def test_killed_conversion_leaves_complete_files_and_succeeds_again():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", ["animate-new", "animate-replace", "train", "corpus", "preview", "receive"]
+    "command",
+    ["animate-new", "animate-replace", "train", "import", "fix", "corpus", "preview", "receive"],
 )
 def test_killed_command_leaves_complete_files_and_succeeds_again(command):
     kill(command, 3)

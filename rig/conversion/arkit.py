@@ -114,7 +114,8 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     values = shapes.values @ _poses() + raw.rest
     jaw = shapes["JawOpen"]
     held = np.maximum(jaw, SMALLEST_JAW)
-    ratio = np.where(jaw > SMALLEST_JAW, shapes["MouthClose"] * held / (held**2 + least_jaw**2), 0)
+    share = shapes["MouthClose"] / held / (1 + (least_jaw / held) ** 2)
+    ratio = np.where(jaw > SMALLEST_JAW, share, 0)
     values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
     values = np.clip(values, 0, 1)
     return replace(shapes, values=values, names=raw.names, control_set=RAW_ID)

@@ -88,7 +88,8 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
         if isinstance(numbers, list) and len(numbers) != n_frames:
             raise FormatError(f"{path}: {name} has {len(numbers)} values, not {n_frames}")
         try:
-            values[:, place] = numbers
+            with np.errstate(over="ignore"):  # what becomes infinite is named by RigCurves
+                values[:, place] = numbers
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"{path}: {name} is no list of numbers") from None
     try:
@@ -125,9 +126,13 @@ def _board_columns(path: Path, board: dict[str, Any]) -> dict[str, Any]:
 
 def _length_and_rate(path: Path, data: dict[str, Any], n_curves: int) -> tuple[int, float]:
     n_frames, rate = data.get("n_frames"), data.get("frame_rate")
-    if not isinstance(n_frames, int) or not 1 <= n_frames <= FRAMES or n_curves > CONTROLS:
+    if type(n_frames) is not int or not 1 <= n_frames <= FRAMES or n_curves > CONTROLS:
         raise FormatError(f"{path}: n_frames is {quoted(n_frames)}; must be 1 to {FRAMES}")
-    if not isinstance(rate, list) or [type(part) for part in rate] != [int, int] or min(rate) < 1:
+    if (
+        not isinstance(rate, list)
+        or [type(part) for part in rate] != [int, int]
+        or not 1 <= min(rate) <= max(rate) < 2**31
+    ):
         raise FormatError(f"{path}: frame_rate is {quoted(rate)}; must be two whole numbers")
     check_expansion(4 * n_frames * n_curves, path.stat().st_size, path, error=FormatError)
     return n_frames, rate[0] / rate[1]

@@ -3,49 +3,24 @@
 import io
 import json
 import random
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .captures import capture_readers
 from .mutate import (
-    Mutation,
     mutated,
     mutated_glb,
     mutated_json,
     mutated_npz,
     mutated_safetensors,
 )
+from .readers_types import Reader, Seed
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-
-
-@dataclass(frozen=True)
-class Seed:
-    """A valid file: its name in the folder, its bytes and its mutation."""
-
-    name: str
-    data: bytes
-    mutate: Mutation
-
-
-@dataclass(frozen=True)
-class Reader:
-    """A reader to fuzz.
-
-    Parameters
-    ----------
-    seeds : callable
-        Folder to write to -> seeds; every seed is read without an error.
-    read : callable
-        Reads the file at a path.
-    """
-
-    seeds: Callable[[Path], list[Seed]]
-    read: Callable[[Path], object]
 
 
 def input_of(seeds: Sequence[Seed], key: str) -> tuple[str, bytes]:
@@ -358,6 +333,7 @@ def readers() -> dict[str, Reader]:
         for suffix in (".obj", ".ply", ".glb", ".npz")
     }
     return found | {
+        **capture_readers(),
         "emotion": Reader(_track_seeds, _read_emotion),
         "intensity": Reader(_intensity_seeds, _read_intensity),
         "landmarks": Reader(_landmark_seeds, _read_landmarks),

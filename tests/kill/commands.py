@@ -55,6 +55,15 @@ def all_commands() -> dict[str, Command]:
             ("train", str(TINY), "--data", "data", "-o", "run", "--resume", *training),
             _dataset, "run", ("data/clips.csv", "data/audio/0.flac", "notes.txt"),
         ),
+        "import": Command(
+            ("data", "import", "takes", "--actor", "anna", "-o", "data"),
+            _takes, "data", ("takes/joy_0.csv", "takes/joy_0.wav", "notes.txt"),
+            refusals=(" exists",),
+        ),
+        "fix": Command(
+            ("data", "check", "data", "--fix"),
+            _imported, "data", ("takes/joy_0.csv", "data/mine.txt", "notes.txt"),
+        ),
         "corpus": Command(
             ("corpus", "build", "--hours", "0.003", "--seed", "1", "-o", "corpus"),
             _notes, "corpus", ("notes.txt",),
@@ -100,6 +109,23 @@ def _dataset(folder: Path) -> None:
 
     _notes(folder)
     write_dataset(folder / "data", n_train=2, n_validation=1)
+
+
+def _takes(folder: Path) -> None:
+    from tests.takes import write_live_link
+
+    _notes(folder)
+    for number in range(2):
+        write_live_link(folder / "takes" / f"joy_{number}.csv", 6)
+
+
+def _imported(folder: Path) -> None:
+    _takes(folder)
+    arguments = ("data", "import", "takes", "--actor", "anna", "-o", "data")
+    process = Process(arguments, folder)
+    assert process.wait() == 0, process.printed
+    process.close()
+    (folder / "data" / "mine.txt").write_text(NOTES)
 
 
 def _curves(folder: Path) -> None:

@@ -7,6 +7,7 @@
     JSON    {"facsNames": […], "weightMat": [[…]], "exportFps": 60}          NVIDIA Audio2Face
             {"names": […], "values": [[…]], "fps": 60}
             [{"time": 0.0, "blendShapes": {"jawOpen": 0.1, …}}, …], or "frames" of an object
+            {"names": […], "frames": [{"time": 0.0, "weights": […]}, …]}
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ from rig.controls import check_unique
 from rig.curves import check_clip, snap_fps
 from rig.errors import quoted
 from rig.files.reading import read_json, read_npz
-from rig.formats.wide_csv import read_header, read_numbers
+from rig.formats.wide_csv import LARGEST, read_header, read_numbers
 from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
 
 FOREIGN_ID = "foreign"
@@ -112,18 +113,29 @@ def _read_npz(path: Path) -> Table:
     if "names" not in data or "values" not in data:
         raise DataError(f"{path}: holds {', '.join(data) or 'nothing'}; needs names and values")
     names = tuple(str(name) for name in np.atleast_1d(data["names"]))
-    rate = float(np.ravel(data["fps"])[0]) if "fps" in data and np.size(data["fps"]) else None
-    return names, _matrix(path, data["values"], len(names)), None, rate
+    rate = np.ravel(data["fps"])[0] if np.size(data.get("fps", ())) else None
+    values = _matrix(path, np.atleast_1d(data["values"]), len(names))
+    return names, values, None, None if rate is None else _rate(path, rate)
+
+
+def _rate(path: Path, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise DataError(f"{path}: rate {quoted(value)} is no number") from None
 
 
 def _read_json(path: Path) -> Table:
     data = read_json(path, JSON_CURVES_BYTES)
     if isinstance(data, dict):
         names, rows, rate = (_first(data, keys) for keys in (NAME_KEYS, VALUE_KEYS, RATE_KEYS))
-        rate = float(rate) if isinstance(rate, int | float) else None
+        rate = None if rate is None else _rate(path, rate)
         if isinstance(names, list) and isinstance(rows, list):
-            texts = tuple(str(name) for name in names)
-            return texts, _matrix(path, rows, len(texts)), None, rate
+            texts, times = tuple(str(name) for name in names), None
+            if rows and all(isinstance(row, dict) for row in rows):
+                times = _times(path, rows)
+                rows = [_first(row, WEIGHT_KEYS) for row in rows]
+            return texts, _matrix(path, rows, len(texts)), times, rate
         data = rows
     else:
         rate = None
@@ -145,9 +157,13 @@ def _rows(path: Path, frames: Sequence[dict[str, Any]]) -> tuple[tuple[str, ...]
         if not isinstance(frame, dict) or frame.keys() != weights[0].keys():
             raise DataError(f"{path}: frame {place + 1} has other curves than the first frame")
     values = _matrix(path, [[frame[name] for name in names] for frame in weights], len(names))
+    return names, values, _times(path, frames)
+
+
+def _times(path: Path, frames: Sequence[dict[str, Any]]) -> Float64 | None:
+    """Times of frames that are objects; None if they hold none."""
     keys = [key for key in frames[0] if key.lower() in TIMES]
-    times = _matrix(path, [[f.get(keys[0])] for f in frames], 1)[:, 0] if keys else None
-    return names, values, times
+    return _matrix(path, [[f.get(keys[0])] for f in frames], 1)[:, 0] if keys else None
 
 
 def _first(data: Mapping[str, Any], keys: Sequence[str]) -> Any:
@@ -165,8 +181,9 @@ def _matrix(path: Path, rows: Any, n_columns: int) -> Float64:
         raise DataError(
             f"{path}: values have shape {values.shape}; must be frames x {n_columns} names"
         )
-    if not np.isfinite(values).all():
-        row = int(np.argwhere(~np.isfinite(values))[0, 0])
+    usable = np.abs(values) <= LARGEST
+    if not usable.all():
+        row = int(np.argwhere(~usable)[0, 0])
         raise DataError(f"{path}: frame {row + 1} holds NaN or infinity; mend or cut it")
     return values
 

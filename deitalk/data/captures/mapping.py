@@ -77,9 +77,9 @@ class Mapping:
         for row in self.rows:
             largest = np.max([curves[name] for name in row.sources], axis=0)
             values[:, self.targets.index(row.target)] += row.weight * largest + row.offset
-        return RigCurves(
-            values.astype(np.float32), self.targets, curves.fps, control_set=self.control_set
-        )
+        with np.errstate(over="ignore"):  # what becomes infinite is named by RigCurves
+            rounded = values.astype(np.float32)
+        return RigCurves(rounded, self.targets, curves.fps, control_set=self.control_set)
 
 
 def read_mapping(path: Path) -> Mapping:
@@ -92,12 +92,17 @@ def read_mapping(path: Path) -> Mapping:
         several sets.
     """
     lines = csv.DictReader(io.StringIO(read_text(path, POINTS_BYTES, error=DataError)))
-    header = [name.strip() for name in lines.fieldnames or ()]
-    lines.fieldnames = header
-    missing = [name for name in HEADER[:2] if name not in header]
-    if missing:
-        raise DataError(f"{path}: lacks the column {missing[0]}; the header is {','.join(HEADER)}")
-    rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
+    try:
+        header = [name.strip() for name in lines.fieldnames or ()]
+        lines.fieldnames = header
+        missing = [name for name in HEADER[:2] if name not in header]
+        if missing:
+            raise DataError(
+                f"{path}: lacks the column {missing[0]}; the header is {','.join(HEADER)}"
+            )
+        rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
+    except csv.Error as error:
+        raise DataError(f"{path}: is no CSV: {error}") from None
     rows = [row for row in rows if row is not None]
     if not rows:
         raise DataError(f"{path}: has no rows; each names a target and a source")

@@ -21,17 +21,26 @@ from deitalk.data.captures.survey import ClipSurvey, Survey
 from deitalk.data.captures.sync import LAGS, peak
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
 from deitalk.figures.canvas import can_draw
 from deitalk.figures.captures import TakeLags, draw_lags, draw_rests
 from rig import ControlSet, read_curves, write_curves
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.errors import TargetError
-from rig.files import atomic_write, claim, kind_of, record, replace_recorded
+from rig.files import (
+    atomic_write,
+    claim,
+    kind_of,
+    record,
+    remove_leftovers,
+    replace_recorded,
+)
 from rig.files.reading import read_text
 from rig.limits import DATASET_TABLE_BYTES
 
 KIND = "dataset"
+REPORT = "check/report.md"
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,6 @@ class Mended:
     dead: int
     """Controls that never move and are no longer known."""
     emotions: int
-    files: tuple[str, ...]
 
     @property
     def summary(self) -> str:
@@ -105,9 +113,11 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0
     }
     dead = survey.dead()
     with claim(folder):
+        for place in (folder, folder / "check", folder / "mended"):
+            remove_leftovers(place)  # of a fix that was killed
         header, table = _read(folder)
         by_name = {row["clip"]: row for row in table}
-        files: dict[str, None] = {}
+        files: set[str] = set()
         for c in survey.clips:
             row, take = by_name[c.clip.name], sync[c.clip.take]
             if c.clip.take in shifted and take is not None:
@@ -115,18 +125,20 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0
                 row["offset_s"] = f"{c.clip.offset_seconds - take.lag_at(middle):.4f}"
             if c.clip.speaker in rests:
                 row["curves"] = _without_rest(folder, c, rests[c.clip.speaker], survey.controls)
-                files[row["curves"]] = None
+                files.add(row["curves"])
             if (c.known & dead).any() and (c.known & ~dead).any():
                 row["known"] = _list_of_known(folder, c.known & ~dead, survey.controls)
-                files[row["known"]] = None
-        report = _report(folder, survey, rows, rests)
-        if shifted or rests or dead.any():
+                files.add(row["known"])
+        is_wrong = bool(shifted or rests or files)
+        if is_wrong or not (folder / REPORT).exists():
+            _report(folder, survey, rows, rests)
+        if is_wrong:
             header = list(dict.fromkeys([*header, "offset_s", "known"]))
             _write(folder, header, table)
         if kind_of(folder) is not None:
-            record(folder, [*files, *report], kind=KIND)
+            record(folder, _written(folder), kind=KIND)
     counts = {actor: int((pose != survey.controls.rest).sum()) for actor, pose in rests.items()}
-    return Mended(len(shifted), counts, int(dead.sum()), emotions, tuple(report))
+    return Mended(len(shifted), counts, int(dead.sum()), emotions)
 
 
 def _without_rest(folder: Path, c: ClipSurvey, pose: Float32, controls: ControlSet) -> str:
@@ -156,7 +168,10 @@ def _list_of_known(folder: Path, known: Bool, controls: ControlSet) -> str:
 def _read(folder: Path) -> tuple[list[str], list[dict[str, str]]]:
     text = read_text(folder / "clips.csv", DATASET_TABLE_BYTES)
     reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
-    rows = list(reader)
+    try:
+        rows = list(reader)
+    except csv.Error as error:
+        raise DataError(f"{folder / 'clips.csv'}: is no CSV: {error}") from None
     return list(reader.fieldnames or ()), rows
 
 
@@ -181,14 +196,22 @@ def _write(folder: Path, header: Sequence[str], rows: Sequence[dict[str, str]]) 
     replace_recorded(folder, "clips.csv", stream.getvalue())
 
 
-def _report(
-    folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]
-) -> list[str]:
-    """Write the report and its pictures; return their paths within the folder."""
+def _written(folder: Path) -> list[str]:
+    """Paths of all that a fix wrote, also of one that was killed."""
+    return [
+        path.relative_to(folder).as_posix()
+        for name in ("check", "mended")
+        for path in sorted((folder / name).glob("*"))
+        if path.is_file() and not path.name.startswith(".")
+    ]
+
+
+def _report(folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]) -> None:
+    """Write the report and its pictures, the report last."""
     (folder / "check").mkdir(exist_ok=True)
     if (folder / "check").is_symlink():
         raise TargetError(f"{folder / 'check'} is a symbolic link; remove it")
-    files = ["check/report.md"]
+    files = [REPORT]
     if can_draw():
         draw_lags(_drawn(survey), folder / "check/lags.png")
         files.append("check/lags.png")
@@ -197,7 +220,6 @@ def _report(
             files.append("check/rest.png")
     with atomic_write(folder / files[0]) as beside:
         beside.write_text(_markdown(survey, rows, rests, files), encoding="utf-8")
-    return files
 
 
 def _drawn(survey: Survey) -> list[TakeLags]:

@@ -19,7 +19,7 @@ from rig.conversion.convert import KNOWN, convert
 from rig.conversion.raw import RAW_ID
 from rig.conversion.reach import reached_controls
 from rig.curves.edit import clamp
-from rig.files.reading import open_file
+from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json
 from rig.formats.table import format_of_header
 from rig.formats.wide_csv import read_header
@@ -95,7 +95,7 @@ def read_capture(
 def kind_of(path: Path) -> str | None:
     """Return how a file of curves is read; None if it holds no curves that are known.
 
-    Names of columns are not looked at for JSON and NPZ.
+    Names of columns are not compared for JSON and NPZ.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
@@ -118,7 +118,9 @@ def kind_of(path: Path) -> str | None:
         with open_file(path, JSON_CURVES_BYTES) as stream:
             columns = stream.readline(1 << 16).count(b",") + 1
         return "emoface" if columns == len(emoface_txt.columns()) else None
-    return {".npz": "curves"}.get(suffix)
+    if suffix == ".npz":
+        return "curves" if "schema" in read_npz(path) else "table"
+    return None
 
 
 def _live_link(path: Path) -> CapturedCurves:
