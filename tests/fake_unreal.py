@@ -1,11 +1,19 @@
 """A substitute for Unreal's Python module with the checks of Unreal.
 
 Signatures and types follow Unreal's generated API pages: AnimationDataController's bracket, frame
-rate and number of frames; AnimationLibrary's curves; ControlRigSequencerLibrary's plural setters;
-AssetImportTask. It keeps the written values for tests. It shows that the script calls the documented
-interfaces, not that the script runs in Unreal.
+rate and number of frames; AnimationLibrary's curves; channels of a control rig's section;
+ControlRigSequencerLibrary; AssetImportTask. It keeps the written values for tests. It shows that the
+script calls the documented interfaces, not that the script runs in Unreal.
+
+Rules of the editor that it keeps: a new AnimSequence has 30 fps, and a rate that is neither a
+multiple nor a factor of the present one is logged and ignored; a bracket opened with a transaction
+leaves it open unless it is closed with one; setters and getters of controls do nothing unless
+Sequencer has the sequence open; an object of a channel is called as the channel with a number of its
+own behind.
 """
 
+from bisect import bisect_right
+from fractions import Fraction
 from types import ModuleType
 
 
@@ -62,28 +70,47 @@ class RigElementKey:
         self.type, self.name = type, name
 
 
+class DataModel:
+    def __init__(self, controller):
+        self.controller = controller
+
+    def get_frame_rate(self):
+        return self.controller.rate
+
+
 class Controller:
     def __init__(self):
-        self.depth = self.n_brackets = 0
-        self.rate = self.n_frames = None
+        self.depth = self.n_brackets = self.n_transactions = 0
+        self.rate, self.n_frames = FrameRate(30, 1), 1
+        self.errors = []
 
     def open_bracket(self, title, should_transact=True):
         check(title, str, "title")
         self.depth += 1
         self.n_brackets += 1
+        self.n_transactions += should_transact
 
     def close_bracket(self, should_transact=True):
         assert self.depth > 0
         self.depth -= 1
+        self.n_transactions -= should_transact
+
+    def get_model_interface(self):
+        return DataModel(self)
 
     def set_frame_rate(self, frame_rate, should_transact=True):
         check(frame_rate, FrameRate, "frame_rate")
-        self.rate = frame_rate
+        assert max(frame_rate.numerator, frame_rate.denominator) < 2**31
+        ratio = Fraction(frame_rate.numerator, frame_rate.denominator)
+        ratio /= Fraction(self.rate.numerator, self.rate.denominator)
+        if 1 in (ratio.numerator, ratio.denominator):
+            self.rate = frame_rate
+        else:
+            self.errors.append("Incompatible frame rate provided: not a multiple or factor")
 
     def set_number_of_frames(self, new_length_in_frames, should_transact=True):
         check(new_length_in_frames, FrameNumber, "new_length_in_frames")
         assert new_length_in_frames.value > 0, "has to be positive and non-zero"
-        assert self.rate is not None, "the frame rate comes first"
         self.n_frames = new_length_in_frames.value
 
 
@@ -188,9 +215,88 @@ class Hierarchy:
         return RigControlSettings(kinds.get(self.controls[key.name], RigControlType.TRANSFORM))
 
 
+class FrameTime:
+    def __init__(self, frame):
+        self.frame_number = FrameNumber(frame)
+
+
+class MovieSceneKeyInterpolation:
+    LINEAR = "LINEAR"
+
+
+class Key:
+    def __init__(self, frame, value):
+        self.frame, self.value = frame, value
+
+    def get_time(self, time_unit):
+        assert time_unit.endswith(".DISPLAY_RATE")
+        return FrameTime(self.frame)
+
+    def get_value(self):
+        return self.value
+
+
+class Channel:
+    def __init__(self, name):
+        self.name, self.keys, self.n_calls = name, [], 0
+
+    def get_name(self):
+        return self.name
+
+    def get_keys(self):
+        return list(self.keys)
+
+    def remove_key(self, key):
+        self.keys.remove(key)
+
+    def add_key(self, time, new_value, sub_frame, time_unit, interpolation):
+        check(time, FrameNumber, "time")
+        check(new_value, float, "new_value")
+        check(sub_frame, float, "sub_frame")
+        assert time_unit.endswith(".DISPLAY_RATE")
+        assert interpolation == MovieSceneKeyInterpolation.LINEAR
+        assert all(key.frame != time.value for key in self.keys), "two keys on one frame"
+        self.n_calls += 1
+        self.keys.append(Key(time.value, new_value))
+        self.keys.sort(key=lambda key: key.frame)
+
+    def at(self, frame):
+        frames = [key.frame for key in self.keys]
+        after = bisect_right(frames, frame)
+        if not frames or after in (0, len(frames)):
+            return self.keys[0 if after == 0 else -1].value if frames else 0.0
+        low, high = self.keys[after - 1], self.keys[after]
+        return low.value + (high.value - low.value) * (frame - low.frame) / (high.frame - low.frame)
+
+
+class ControlRigSection:
+    """Channels of the float and Vector2D controls, as objects with a number behind their name."""
+
+    def __init__(self, controls):
+        names = []
+        for name, kind in controls.items():
+            names += {float: [name], Vector2D: [f"{name}.X", f"{name}.Y"]}.get(kind, [])
+        self.channels = {name: Channel(f"{name}_{i}") for i, name in enumerate(names)}
+
+    def get_all_channels(self):
+        return list(self.channels.values())
+
+
+class ControlRigTrack:
+    def __init__(self, rig):
+        self.rig = rig
+
+    def get_sections(self):
+        return [self.rig.section]
+
+    def add_section(self):
+        raise AssertionError("the track has a section")
+
+
 class ControlRig:
     def __init__(self, name, controls):
-        self.name, self.controls, self.keys = name, controls, {}
+        self.name, self.controls = name, controls
+        self.section = ControlRigSection(controls)
 
     def get_name(self):
         return self.name
@@ -198,10 +304,15 @@ class ControlRig:
     def get_hierarchy(self):
         return Hierarchy(self.controls)
 
+    def keys(self, channel):
+        """Keys of a channel for tests, as (frames, values)."""
+        keys = self.section.channels[channel].keys
+        return [key.frame for key in keys], [key.value for key in keys]
+
 
 class Proxy:
     def __init__(self, rig):
-        self.control_rig = rig
+        self.control_rig, self.track = rig, ControlRigTrack(rig)
 
 
 class AssetImportData:
@@ -286,6 +397,21 @@ class ScopedSlowTask:
         check(text, str, "text")
 
 
+class ScopedEditorTransaction:
+    n_open = 0
+
+    def __init__(self, desc):
+        check(desc, str, "desc")
+
+    def __enter__(self):
+        ScopedEditorTransaction.n_open += 1
+        return self
+
+    def __exit__(self, *_):
+        ScopedEditorTransaction.n_open -= 1
+        return False
+
+
 class AssetListing:
     assets = ()
 
@@ -296,7 +422,7 @@ class AssetListing:
 
 
 class ControlRigReading:
-    display_rate = None
+    display_rate = opened = None
 
     @classmethod
     def _get(cls, kind, sequence, rig, name, frames, time_unit):
@@ -305,10 +431,13 @@ class ControlRigReading:
         check(name, str, "control_name")
         check_list(frames, FrameNumber, "frames")
         assert time_unit == cls.display_rate and rig.controls[name] is kind
-        keyed, values = rig.keys.get(name, ([], []))
-        rest = 0.0 if kind is float else Vector2D(0.0, 0.0)
-        by_frame = dict(zip(keyed, values, strict=True))
-        return [by_frame.get(f.value, values[-1] if values else rest) for f in frames]
+        if cls.opened() is not sequence:
+            return []
+        channels = rig.section.channels
+        if kind is float:
+            return [channels[name].at(f.value) for f in frames]
+        pair = channels[f"{name}.X"], channels[f"{name}.Y"]
+        return [Vector2D(*(channel.at(f.value) for channel in pair)) for f in frames]
 
     @classmethod
     def get_local_control_rig_floats(
@@ -328,40 +457,20 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
     module = ModuleType("unreal")
     unit = type(time_unit, (), {"DISPLAY_RATE": f"{time_unit}.DISPLAY_RATE"})
     module.assets = {path: object() for path in skeletons}
-    module.saved, module.messages = [], []
+    module.saved, module.messages, module.opened = [], [], level_sequence
     tools = AssetTools(module)
 
     class ControlRigSequencerLibrary(ControlRigReading):
         display_rate = unit.DISPLAY_RATE
 
+        @staticmethod
+        def opened():
+            return module.opened
+
         @classmethod
         def get_control_rigs(cls, level_sequence):
             check(level_sequence, LevelSequence, "level_sequence")
             return [Proxy(rig) for rig in level_sequence.rigs]
-
-        @classmethod
-        def _set(cls, kind, sequence, rig, name, frames, values, time_unit):
-            check(sequence, LevelSequence, "level_sequence")
-            check(rig, ControlRig, "control_rig")
-            check(name, str, "control_name")
-            check_list(frames, FrameNumber, "frames")
-            check_list(values, kind, "values")
-            assert time_unit == unit.DISPLAY_RATE
-            assert len(frames) == len(values), "Unreal logs an error and sets nothing"
-            assert rig.controls[name] is kind, f"{name} is no {kind.__name__} control"
-            rig.keys[name] = ([f.value for f in frames], values)
-
-        @classmethod
-        def set_local_control_rig_floats(
-            cls, level_sequence, control_rig, control_name, frames, values, time_unit
-        ):
-            cls._set(float, level_sequence, control_rig, control_name, frames, values, time_unit)
-
-        @classmethod
-        def set_local_control_rig_vector2_ds(
-            cls, level_sequence, control_rig, control_name, frames, values, time_unit
-        ):
-            cls._set(Vector2D, level_sequence, control_rig, control_name, frames, values, time_unit)
 
     class EditorAssetLibrary(AssetListing):
         assets = module.assets
@@ -371,15 +480,27 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
             return asset_path in module.assets
 
         @classmethod
+        def delete_asset(cls, asset_path_to_delete):
+            return module.assets.pop(asset_path_to_delete, None) is not None
+
+        @classmethod
         def save_loaded_asset(cls, asset_to_save, only_if_is_dirty=True):
-            assert asset_to_save.controller.depth == 0, "saved inside a bracket"
+            controller = asset_to_save.controller
+            assert controller.depth == 0, "saved inside a bracket"
+            assert controller.n_transactions == 0, "an undo transaction stays open"
             module.saved.append(asset_to_save)
             return True
 
     class LevelSequenceEditorBlueprintLibrary:
         @classmethod
         def get_current_level_sequence(cls):
-            return level_sequence
+            return module.opened
+
+        @classmethod
+        def open_level_sequence(cls, level_sequence):
+            check(level_sequence, LevelSequence, "level_sequence")
+            module.opened = level_sequence
+            return True
 
         @classmethod
         def refresh_current_level_sequence(cls):
@@ -396,6 +517,7 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
             "load_asset": module.assets.get,
             "log": module.messages.append,
             "log_warning": module.messages.append,
+            "log_error": module.messages.append,
         }
     )
     for kind in (
@@ -405,12 +527,15 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
         AssetImportTask,
         FrameNumber,
         FrameRate,
+        LevelSequence,
         LiveLinkFaceImporterFactory,
         MovieSceneAudioTrack,
+        MovieSceneKeyInterpolation,
         RawCurveTrackTypes,
         RigControlType,
         RigElementKey,
         RigElementType,
+        ScopedEditorTransaction,
         ScopedSlowTask,
         Vector2D,
     ):

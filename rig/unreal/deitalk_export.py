@@ -19,6 +19,7 @@ import json
 import os
 from typing import Any
 
+import deitalk_clip  # type: ignore[import-not-found]
 import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 RAW_PREFIX = "ctrl_expressions_"
@@ -239,7 +240,7 @@ def _write(
     os.makedirs(folder, exist_ok=True)
     path = os.path.join(folder, f"{name}.unreal.json")
     data = {
-        "schema": importer.SCHEMA,
+        "schema": deitalk_clip.SCHEMA,
         "frame_rate": list(rate),
         "n_frames": n_frames,
         "audio": audio,

@@ -18,17 +18,30 @@ Face Importer.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
+from fractions import Fraction
 from typing import Any
+
+sys.path.append(os.path.dirname(os.path.abspath(__file__)))
+from deitalk_clip import (  # type: ignore[import-not-found]
+    DeitalkError,
+    asset_name,
+    describe,
+    frame_count,
+    key_frames,
+    load,
+    rate_steps,
+    resampled,
+    standard_rate,
+    subject_of,
+)
 
 try:
     import unreal  # type: ignore[import-not-found]
 except ImportError:  # outside the editor: dry runs only
     unreal = None
 
-SCHEMA = "deitalk.unreal/1"
 FOLDER = "/Game/deitalk"
 SKELETONS = (
     "/Game/MetaHumans/Common/Face/Face_Archetype_Skeleton",
@@ -42,10 +55,6 @@ OLDER_NAMES = {
     "CTRL_C_tongue_bendTwist": "CTRL_C_tongue_roll",
 }
 """Controls that boards of 2021 to 2023 spell differently."""
-
-
-class DeitalkError(RuntimeError):
-    """An error that the user can correct; the message says how."""
 
 
 def anim_sequence(
@@ -72,28 +81,21 @@ def anim_sequence(
     """
     data = load(path)
     name = name or asset_name(path)
-    n_frames, rate = data["n_frames"], data["frame_rate"]
-    say(
-        f"AnimSequence {folder}/{name}: {len(data['raw'])} curves, {n_frames} frames at "
-        f"{rate[0]}/{rate[1]} fps"
-    )
+    rate = standard_rate(data)
+    n_frames = frame_count(data, rate)
+    raw = {curve: resampled(data, values, rate) for curve, values in data["raw"].items()}
+    say(f"AnimSequence {folder}/{name}: {len(raw)} curves, {n_frames} frames at {rate} fps")
     if dry_run:
-        for curve, values in data["raw"].items():
-            say(f"  {curve}: {_describe(values)}")
+        for curve, values in raw.items():
+            say(f"  {curve}: {describe(values)}")
         return None
     need_unreal()
     sequence = _new_sequence(name, folder, _skeleton(skeleton))
-    controller = sequence.controller
-    controller.open_bracket("deitalk")
     try:
-        controller.set_frame_rate(unreal.FrameRate(rate[0], rate[1]), False)
-        # a sequence has one key more than frames
-        controller.set_number_of_frames(unreal.FrameNumber(max(n_frames - 1, 1)), False)
-        times = [i * rate[1] / rate[0] for i in range(n_frames)]
-        for curve, values in data["raw"].items():
-            _add_curve(sequence, curve, times, values)
-    finally:
-        controller.close_bracket(False)
+        _fill(sequence, raw, rate, n_frames)
+    except BaseException:
+        unreal.EditorAssetLibrary.delete_asset(f"{folder}/{name}")
+        raise
     unreal.EditorAssetLibrary.save_loaded_asset(sequence)
     say(f"saved {folder}/{name}; drag it onto the Face track, then Bake to Control Rig to edit it")
     return sequence
@@ -102,7 +104,11 @@ def anim_sequence(
 def control_rig(
     path: str, sequence: str = "", rig: str = BOARD, start_frame: int = 0, dry_run: bool = False
 ) -> list[str]:
-    """Key the face board in a Level Sequence; controls that never move get one key.
+    """Key the face board in a Level Sequence; one that never moves gets one key.
+
+    Keys are written to the channels of the rig's section. Unreal's setters of controls take about
+    35 ms a key, and change nothing unless Sequencer has the sequence open. Keys that lie within the
+    clip are replaced; the last one of the channel that moves most is read back.
 
     Parameters
     ----------
@@ -127,28 +133,38 @@ def control_rig(
     if dry_run:
         for control, channels in data["board"].items():
             kind = "float" if "value" in channels else "Vector2D"
-            keys = ", ".join(f"{axis} {_describe(values)}" for axis, values in channels.items())
+            keys = ", ".join(f"{axis} {describe(values)}" for axis, values in channels.items())
             say(f"  {control} ({kind}): {keys}")
         return []
     need_unreal()
     level_sequence = find_sequence(sequence)
-    board = find_rig(level_sequence, rig)
+    proxy = find_proxy(level_sequence, rig)
     display = level_sequence.get_display_rate()
-    fps = display.numerator / display.denominator
-    skipped = []
-    with unreal.ScopedSlowTask(len(data["board"]), "deitalk: keys on the face board") as task:
-        task.make_dialog(True)
-        for control, channels in data["board"].items():
-            if task.should_cancel():
-                raise DeitalkError("cancelled; undo to remove the keys written so far")
-            task.enter_progress_frame(1, control)
-            resampled = {axis: _resampled(data, values, fps) for axis, values in channels.items()}
-            if not _set_keys(level_sequence, board, control, resampled, start_frame):
-                skipped.append(control)
+    fps = Fraction(display.numerator, display.denominator)
+    last = start_frame + frame_count(data, fps) - 1
+    section, skipped, written = _channels(proxy), [], []
+    title = "deitalk: keys on the face board"
+    with unreal.ScopedEditorTransaction(title):
+        with unreal.ScopedSlowTask(len(data["board"]), title) as task:
+            task.make_dialog(True)
+            for control, axes in data["board"].items():
+                if task.should_cancel():
+                    raise DeitalkError("cancelled; undo to remove the keys written so far")
+                task.enter_progress_frame(1, control)
+                channels = _channels_of(proxy.control_rig, section, control, axes)
+                if not channels:
+                    skipped.append(control)
+                for axis, channel in channels.items():
+                    values = resampled(data, axes[axis], fps)
+                    n_keys = _write_channel(channel, values, start_frame, last)
+                    written.append((max(values) - min(values), n_keys, channel, values[-1]))
     unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
     if skipped:
-        _warn(f"this board has no {', '.join(skipped)}; left out")
-    say(f"keyed {len(data['board']) - len(skipped)} controls of {rig}")
+        unreal.log_warning(f"this board has no {', '.join(skipped)}; left out")
+    _check_written(written, rig)
+    n_keys = sum(n for _, n, _, _ in written)
+    n_controls = len(data["board"]) - len(skipped)
+    say(f"wrote {n_keys} keys of {n_controls} controls of {rig}, frames {start_frame} to {last}")
     return skipped
 
 
@@ -158,7 +174,7 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     Parameters
     ----------
     path : str
-        ``<Slate>_<Take>_<Subject>.csv``; the subject is what you choose as ARKit Face Subject.
+        Live Link Face CSV; its subject, see `subject_of`, is chosen as ARKit Face Subject.
     folder : str
         Where the asset goes. It must hold no asset of the file's name: that would be a re-import.
     dry_run : bool
@@ -171,10 +187,7 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     """
     if not os.path.isfile(path):
         raise DeitalkError(f"{path} does not exist")
-    parts = asset_name(path).split("_")
-    if len(parts) < 3:
-        raise DeitalkError(f"{path}: the name must be <Slate>_<Take>_<Subject>.csv")
-    say(f"import {path} into {folder}, Live Link subject {parts[2]!r}")
+    say(f"import {path} into {folder}, Live Link subject {subject_of(path)!r}")
     if dry_run:
         return []
     need_unreal()
@@ -193,59 +206,76 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     return list(task.imported_object_paths)
 
 
-def load(path: str) -> dict[str, Any]:
-    """Read and check a ``*.unreal.json``."""
+def _fill(sequence: Any, raw: dict[str, list[float]], rate: Fraction, n_frames: int) -> None:
+    """Set rate and length of a new AnimSequence and add its curves, without an undo step."""
+    controller = sequence.controller
+    controller.open_bracket("deitalk", False)
     try:
-        with open(path, encoding="utf-8") as stream:
-            data = json.load(stream)
-    except (OSError, ValueError) as error:
-        raise DeitalkError(f"cannot read {path}: {error}") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise DeitalkError(f"{path} is not of schema {SCHEMA}; write it with deitalk convert")
-    n_frames = data.get("n_frames")
-    if not isinstance(n_frames, int) or n_frames < 1:
-        raise DeitalkError(f"{path}: n_frames is {n_frames!r}; it must be 1 or more")
-    channels = list(data.get("raw", {}).values())
-    channels += [v for channel in data.get("board", {}).values() for v in channel.values()]
-    for values in channels:
-        if isinstance(values, list) and len(values) != n_frames:
-            raise DeitalkError(f"{path}: a curve has {len(values)} values, not {n_frames}")
-    return data
+        for step in rate_steps(_rate_of(controller), rate):
+            controller.set_frame_rate(unreal.FrameRate(step.numerator, step.denominator), False)
+        if _rate_of(controller) != rate:
+            raise DeitalkError(f"Unreal keeps {_rate_of(controller)} fps and refuses {rate}")
+        # a sequence has one key more than frames
+        controller.set_number_of_frames(unreal.FrameNumber(max(n_frames - 1, 1)), False)
+        times = [float(i / rate) for i in range(n_frames)]
+        library = unreal.AnimationLibrary
+        for name, values in raw.items():
+            at = times if len(values) == n_frames else [times[0], times[-1]]
+            numbers = values if len(values) == n_frames else [values[0]] * 2
+            library.add_curve(sequence, name, unreal.RawCurveTrackTypes.RCT_FLOAT, False)
+            library.add_float_curve_keys(sequence, name, at, numbers)
+    finally:
+        controller.close_bracket(False)
 
 
-def asset_name(path: str) -> str:
-    """Return the file's name as an asset name: letters, digits and underscores."""
-    stem = os.path.basename(path).split(".")[0]
-    return "".join(c if c.isalnum() or c == "_" else "_" for c in stem)
+def _rate_of(controller: Any) -> Fraction:
+    get_model = getattr(controller, "get_model_interface", None) or controller.get_model  # < 5.2
+    rate = get_model().get_frame_rate()
+    return Fraction(rate.numerator, rate.denominator)
 
 
-def _add_curve(sequence: Any, name: str, times: list[float], values: Any) -> None:
-    library = unreal.AnimationLibrary
-    library.add_curve(sequence, name, unreal.RawCurveTrackTypes.RCT_FLOAT, False)
-    if isinstance(values, list):
-        library.add_float_curve_keys(sequence, name, times, [float(v) for v in values])
-    else:
-        ends = [times[0], times[-1]] if len(times) > 1 else [times[0]]
-        library.add_float_curve_keys(sequence, name, ends, [float(values)] * len(ends))
+def _channels(proxy: Any) -> dict[str, Any]:
+    """Return the channels of a rig's section by lower-case name, ``ctrl_c_jaw.x``.
+
+    Names of the objects end in a number of their own, ``CTRL_C_jaw.X_41``.
+    """
+    sections = proxy.track.get_sections()
+    section = sections[0] if sections else proxy.track.add_section()
+    channels = {}
+    for channel in section.get_all_channels():
+        name = str(channel.get_name()).lower()
+        stem, _, number = name.rpartition("_")
+        channels[stem if number.isdigit() else name] = channel
+    return channels
 
 
-def _set_keys(
-    sequence: Any, board: Any, control: str, keys: dict[str, list[float]], start: int
-) -> bool:
-    """Key one control under the name it has on this board; return whether it has one."""
-    name = _name_on(board, control)
-    if not name:
-        return False
-    length = max(len(values) for values in keys.values())
-    frames = [unreal.FrameNumber(start + i) for i in range(length)]
-    library, unit = unreal.ControlRigSequencerLibrary, display_rate()
-    if "value" in keys:
-        library.set_local_control_rig_floats(sequence, board, name, frames, keys["value"], unit)
-        return True
-    x, y = (keys[a] * length if len(keys[a]) == 1 else keys[a] for a in ("x", "y"))
-    pairs = [unreal.Vector2D(x[i], y[i]) for i in range(length)]
-    library.set_local_control_rig_vector2_ds(sequence, board, name, frames, pairs, unit)
-    return True
+def _channels_of(board: Any, section: dict[str, Any], control: str, axes: Any) -> dict[str, Any]:
+    """Return the channels of one control by axis; none if this board has no such control."""
+    name = _name_on(board, control).lower()
+    names = {axis: name if axis == "value" else f"{name}.{axis}" for axis in axes}
+    has_all = all(full in section for full in names.values())
+    return {axis: section[full] for axis, full in names.items()} if name and has_all else {}
+
+
+def _write_channel(channel: Any, values: list[float], start: int, last: int) -> int:
+    """Replace the keys from start to last; return how many there are now."""
+    for key in channel.get_keys():
+        if start <= key.get_time(display_rate()).frame_number.value <= last:
+            channel.remove_key(key)
+    linear, keyed = unreal.MovieSceneKeyInterpolation.LINEAR, key_frames(values)
+    for i in keyed:
+        channel.add_key(unreal.FrameNumber(start + i), values[i], 0.0, display_rate(), linear)
+    return len(keyed)
+
+
+def _check_written(written: list[Any], rig: str) -> None:
+    """Read the last key of the channel that moves most."""
+    if not written:
+        raise DeitalkError(f"the section of {rig} has none of the channels; add the track again")
+    _, _, channel, value = max(written, key=lambda entry: entry[0])
+    keys = sorted(channel.get_keys(), key=lambda k: k.get_time(display_rate()).frame_number.value)
+    if not any(abs(key.get_value() - value) < 1e-4 for key in keys):
+        raise DeitalkError(f"{channel.get_name()} of {rig} does not hold the key just written")
 
 
 def _name_on(board: Any, control: str) -> str:
@@ -265,23 +295,6 @@ def has_control(board: Any, name: str) -> bool:
     """Return whether a control rig has a control."""
     key = unreal.RigElementKey(type=unreal.RigElementType.CONTROL, name=name)
     return bool(board.get_hierarchy().contains(key))
-
-
-def _resampled(data: dict[str, Any], values: Any, fps: float) -> list[float]:
-    """Return values at the sequence's rate, linear between frames; one number stays one."""
-    if not isinstance(values, list):
-        return [float(values)]
-    own = data["frame_rate"][0] / data["frame_rate"][1]
-    if abs(own - fps) < 1e-3:
-        return [float(v) for v in values]
-    last = len(values) - 1
-    out = []
-    for i in range(int(last * fps / own + 1e-6) + 1):
-        position = min(i * own / fps, last)
-        low = int(position)
-        high = min(low + 1, last)
-        out.append(values[low] + (position - low) * (values[high] - values[low]))
-    return out
 
 
 def display_rate() -> Any:
@@ -312,31 +325,30 @@ def _skeleton(path: str) -> Any:
 
 
 def find_sequence(path: str) -> Any:
-    """Return the Level Sequence at an asset path, or the one open in Sequencer."""
-    if path:
-        sequence = unreal.load_asset(path)
-    else:
-        sequence = unreal.LevelSequenceEditorBlueprintLibrary.get_current_level_sequence()
-    if sequence is None:
+    """Return the Level Sequence at an asset path, opened, or the one open in Sequencer."""
+    library = unreal.LevelSequenceEditorBlueprintLibrary
+    current = library.get_current_level_sequence()
+    sequence = unreal.load_asset(path) if path else current
+    if not isinstance(sequence, unreal.LevelSequence):
         raise DeitalkError("open a Level Sequence in Sequencer, or give its asset path")
+    if sequence != current and not library.open_level_sequence(sequence):
+        raise DeitalkError(f"Sequencer does not open {path}; open it there, then try again")
     return sequence
 
 
 def find_rig(sequence: Any, name: str) -> Any:
     """Return the control rig of a sequence whose name begins with `name`."""
-    proxies = unreal.ControlRigSequencerLibrary.get_control_rigs(sequence)
-    found = [proxy.control_rig for proxy in proxies]
-    for rig in found:
-        if rig.get_name().startswith(name):
-            return rig
-    names = ", ".join(rig.get_name() for rig in found) or "none"
+    return find_proxy(sequence, name).control_rig
+
+
+def find_proxy(sequence: Any, name: str) -> Any:
+    """Return the control rig whose name begins with `name`, with its track."""
+    found = unreal.ControlRigSequencerLibrary.get_control_rigs(sequence)
+    for proxy in found:
+        if proxy.control_rig.get_name().startswith(name):
+            return proxy
+    names = ", ".join(proxy.control_rig.get_name() for proxy in found) or "none"
     raise DeitalkError(f"the sequence has no control rig {name} (it has: {names}); add the track")
-
-
-def _describe(values: Any) -> str:
-    if isinstance(values, list):
-        return f"{len(values)} keys, {min(values):g} to {max(values):g}"
-    return f"constant {values:g}"
 
 
 def need_unreal() -> None:
@@ -353,13 +365,14 @@ def say(text: str) -> None:
         unreal.log(text)
 
 
-def _warn(text: str) -> None:
-    unreal.log_warning(text)
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> Any:
+        raise DeitalkError(f"{message}; such as: py deitalk_unreal.py anim C:/take/x.unreal.json")
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run from a command line, inside Unreal or (dry) outside."""
-    parser = argparse.ArgumentParser(description="Bring deitalk animation into Unreal Engine.")
+    """Run from a command line, inside Unreal or (dry) outside; a mistake is one line."""
+    parser = _Parser(description="Bring deitalk animation into Unreal Engine.")
     parser.add_argument("route", choices=("anim", "rig", "livelink"))
     parser.add_argument("path", help="a *.unreal.json, or a Live Link Face CSV for livelink")
     parser.add_argument("--skeleton", default="", help="asset path of the face skeleton (anim)")
@@ -367,14 +380,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--start-frame", type=int, default=0, help="first frame (rig)")
     parser.add_argument("--folder", default=FOLDER, help="folder of new assets")
     parser.add_argument("--dry-run", action="store_true", help="print what would be done")
-    options = parser.parse_args(arguments)
-    dry = options.dry_run
-    if options.route == "anim":
-        anim_sequence(options.path, options.skeleton, folder=options.folder, dry_run=dry)
-    elif options.route == "rig":
-        control_rig(options.path, options.sequence, start_frame=options.start_frame, dry_run=dry)
-    else:
-        live_link_csv(options.path, options.folder, dry_run=dry)
+    try:
+        given = parser.parse_args(arguments)
+        dry = given.dry_run
+        if given.route == "anim":
+            anim_sequence(given.path, given.skeleton, folder=given.folder, dry_run=dry)
+        elif given.route == "rig":
+            control_rig(given.path, given.sequence, start_frame=given.start_frame, dry_run=dry)
+        else:
+            live_link_csv(given.path, given.folder, dry_run=dry)
+    except DeitalkError as error:
+        if unreal is None:
+            raise SystemExit(f"error: {error}") from None
+        unreal.log_error(f"deitalk: {error}")
 
 
 if __name__ == "__main__":

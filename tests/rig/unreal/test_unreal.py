@@ -2,8 +2,10 @@
 
 import ast
 import importlib.util
+import itertools
 import json
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ def run_inside(module, monkeypatch):
         monkeypatch.setitem(sys.modules, "unreal", None)
     else:
         monkeypatch.setitem(sys.modules, "unreal", module)
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
     spec = importlib.util.spec_from_file_location("deitalk_unreal", SCRIPT)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
@@ -76,38 +79,144 @@ def test_bracket_is_closed_when_a_curve_fails(take, monkeypatch):
     module = fake_unreal.make_unreal(skeletons=[SKELETON])
     script = run_inside(module, monkeypatch)
 
+    closed = []
+    close = fake_unreal.Controller.close_bracket
+
     def fail(*_):
         raise RuntimeError("no memory")
+
+    def note(controller, *arguments):
+        close(controller, *arguments)
+        closed.append(controller.depth)
+
+    monkeypatch.setattr(fake_unreal.Controller, "close_bracket", note)
 
     monkeypatch.setattr(fake_unreal.AnimationLibrary, "add_float_curve_keys", fail)
     with pytest.raises(RuntimeError, match="no memory"):
         script.anim_sequence(take)
-    assert module.assets["/Game/deitalk/my_take"].controller.depth == 0
+    assert closed == [0]  # the bracket is closed, then the half-filled asset is removed
+    assert "/Game/deitalk/my_take" not in module.assets
+
+
+@pytest.mark.parametrize(
+    "rate", [(24, 1), (25, 1), (24000, 1001), (30000, 1001), (15, 1), (48, 1), (50, 1),
+             (60000, 1001), (60, 1), (120, 1)],
+)  # fmt: skip
+def test_rates_that_are_no_multiple_of_the_new_assets_30_are_set(tmp_path, monkeypatch, rate):
+    write_curves(tmp_path / "a.unreal.json", speech(13, rate[0] / rate[1]))
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    sequence = run_inside(module, monkeypatch).anim_sequence(str(tmp_path / "a.unreal.json"))
+    controller = sequence.controller
+    assert (controller.rate.numerator, controller.rate.denominator) == rate
+    assert controller.n_frames == 12 and controller.errors == []
+    times, values = sequence.curves["CTRL_expressions_jawOpen"]
+    assert times == pytest.approx([i * rate[1] / rate[0] for i in range(13)])
+    assert values == pytest.approx([i / 13 for i in range(13)], abs=1e-6)
+
+
+def test_odd_rate_of_a_phone_is_put_on_the_nearest_standard_rate_in_true_time(
+    tmp_path, monkeypatch
+):
+    write_curves(tmp_path / "a.unreal.json", speech(600, 10000 / 167))
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    sequence = run_inside(module, monkeypatch).anim_sequence(str(tmp_path / "a.unreal.json"))
+    rate = sequence.controller.rate
+    assert (rate.numerator, rate.denominator) == (60000, 1001)
+    times, values = sequence.curves["CTRL_expressions_jawOpen"]
+    # the ramp rises by 1/600 each 167/10000 s
+    assert values == pytest.approx(np.array(times) * 10000 / 167 / 600, abs=1e-5)
+    assert times[-1] == pytest.approx(599 * 0.0167, abs=1001 / 60000)
+
+
+@pytest.mark.parametrize("wanted", ["24", "25", "30000/1001", "60", "10000/167", "23/7"])
+@pytest.mark.parametrize("current", ["30", "24", "60000/1001"])
+def test_every_step_of_the_rate_is_a_multiple_or_a_factor(monkeypatch, current, wanted):
+    script = run_inside(None, monkeypatch)
+    steps = [Fraction(current), *script.rate_steps(Fraction(current), Fraction(wanted))]
+    assert steps[-1] == Fraction(wanted)
+    for before, after in itertools.pairwise(steps):
+        assert 1 in ((after / before).denominator, (before / after).denominator)
+
+
+def test_rate_that_unreal_keeps_is_an_error(take, monkeypatch):
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    script = run_inside(module, monkeypatch)
+    monkeypatch.setattr(script, "rate_steps", lambda current, wanted: [Fraction(24)])
+    with pytest.raises(script.DeitalkError, match="keeps 30 fps and refuses 24"):
+        write_curves(take, speech(4, 24.0))
+        script.anim_sequence(take)
 
 
 @pytest.mark.parametrize("unit", ["MovieSceneTimeUnit", "SequenceTimeUnit"])
-def test_board_is_keyed_by_the_plural_setters(take, monkeypatch, unit):
+def test_board_is_keyed_on_the_channels_of_its_section(take, monkeypatch, unit):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
     other = fake_unreal.ControlRig("MetaHuman_ControlRig", {})
     sequence = fake_unreal.LevelSequence([other, rig])
     module = fake_unreal.make_unreal(level_sequence=sequence, time_unit=unit)
     assert run_inside(module, monkeypatch).control_rig(take, start_frame=100) == []
-    assert len(rig.keys) == 162
-    frames, values = rig.keys["CTRL_C_jaw"]
-    assert frames == [100, 101, 102, 103]
-    assert [v.x for v in values] == [0, 0, 0, 0]
-    assert [v.y for v in values] == pytest.approx([0, 0.25, 0.5, 0.75])
-    assert rig.keys["CTRL_L_brow_raiseIn"] == ([100, 101, 102, 103], [0, 0.5, 0, 0.5])
-    assert rig.keys["CTRL_L_nose_wrinkleUpper"] == ([100], [1.0])
+    assert sum(bool(rig.keys(channel)[0]) for channel in rig.section.channels) == 148 + 2 * 14
+    assert rig.keys("CTRL_C_jaw.X") == ([100], [0])
+    frames, values = rig.keys("CTRL_C_jaw.Y")
+    assert frames == [100, 101, 102, 103] and values == pytest.approx([0, 0.25, 0.5, 0.75])
+    assert rig.keys("CTRL_L_brow_raiseIn") == ([100, 101, 102, 103], [0, 0.5, 0, 0.5])
+    assert rig.keys("CTRL_L_nose_wrinkleUpper") == ([100], [1.0])
+    n_keys = sum(len(rig.keys(channel)[0]) for channel in rig.section.channels)
+    assert any(f"wrote {n_keys} keys of 162 controls" in text for text in module.messages)
+
+
+def test_keys_are_left_out_only_where_the_straight_line_holds(monkeypatch):
+    script = run_inside(None, monkeypatch)
+    values = [0.0, 0.0, 0.0, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0]
+    frames = script.key_frames(values)
+    assert frames == [0, 2, 3, 4, 5, 6, 8]
+    assert np.interp(range(9), frames, [values[i] for i in frames]) == pytest.approx(values)
+    assert script.key_frames([1.0]) == [0] and script.key_frames([1.0, 1.0]) == [0, 1]
+
+
+def test_sequence_that_is_not_open_is_opened_first(take, monkeypatch):
+    rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
+    sequence = fake_unreal.LevelSequence([rig])
+    module = fake_unreal.make_unreal()
+    module.assets["/Game/LS_talk"] = sequence
+    script = run_inside(module, monkeypatch)
+    script.control_rig(take, "/Game/LS_talk")
+    assert module.opened is sequence and rig.keys("CTRL_C_jaw.Y")[0] == [0, 1, 2, 3]
+    module.assets["/Game/Mesh"] = object()
+    with pytest.raises(script.DeitalkError, match="give its asset path"):
+        script.control_rig(take, "/Game/Mesh")
+
+
+def test_second_run_replaces_the_keys_of_the_clip_and_keeps_others(take, monkeypatch):
+    rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
+    sequence = fake_unreal.LevelSequence([rig])
+    script = run_inside(fake_unreal.make_unreal(level_sequence=sequence), monkeypatch)
+    script.control_rig(take, start_frame=10)
+    script.control_rig(take, start_frame=12)
+    frames, values = rig.keys("CTRL_C_jaw.Y")
+    assert frames == [10, 11, 12, 13, 14, 15]
+    assert values == pytest.approx([0, 0.25, 0, 0.25, 0.5, 0.75])
+
+
+def test_keys_that_are_not_kept_are_an_error(take, monkeypatch):
+    rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
+    sequence = fake_unreal.LevelSequence([rig])
+    script = run_inside(fake_unreal.make_unreal(level_sequence=sequence), monkeypatch)
+    monkeypatch.setattr(fake_unreal.Channel, "add_key", lambda *_: None)
+    with pytest.raises(script.DeitalkError, match="does not hold the key just written"):
+        script.control_rig(take)
+    rig.section.channels.clear()
+    with pytest.raises(script.DeitalkError, match="has none of the channels"):
+        script.control_rig(take)
+    assert fake_unreal.ScopedEditorTransaction.n_open == 0
 
 
 def test_keys_are_put_into_the_rate_of_the_sequence(take, monkeypatch):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
     sequence = fake_unreal.LevelSequence([rig], rate=(60, 1))
     run_inside(fake_unreal.make_unreal(level_sequence=sequence), monkeypatch).control_rig(take)
-    frames, values = rig.keys["CTRL_C_jaw"]
+    frames, values = rig.keys("CTRL_C_jaw.Y")
     assert frames == [0, 1, 2, 3, 4, 5, 6]
-    assert [v.y for v in values] == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75])
+    assert values == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75])
 
 
 def test_older_board_gets_its_own_names_without_newer_controls(take, monkeypatch):
@@ -116,9 +225,9 @@ def test_older_board_gets_its_own_names_without_newer_controls(take, monkeypatch
     module = fake_unreal.make_unreal(level_sequence=sequence)
     skipped = run_inside(module, monkeypatch).control_rig(take)
     assert "CTRL_C_tongue_thickThin" in skipped and "CTRL_C_tongue_move" not in skipped
-    assert "CTRL_C_tongue" in rig.keys
+    assert rig.keys("CTRL_C_tongue.X")[0] == [0]
     assert "CTRL_C_tongue_roll" in skipped  # the newer roll; the older one is bendTwist
-    assert type(rig.keys["CTRL_C_tongue_roll"][1][0]) is fake_unreal.Vector2D
+    assert rig.keys("CTRL_C_tongue_roll.Y")[0] == [0]
     assert any("left out" in message for message in module.messages)
 
 
@@ -148,8 +257,6 @@ def test_script_rejects_what_the_user_can_correct(take, tmp_path, monkeypatch):
     (tmp_path / "x.json").write_text("{}")
     with pytest.raises(script.DeitalkError, match=r"not of schema deitalk\.unreal/1"):
         script.anim_sequence(str(tmp_path / "x.json"))
-    with pytest.raises(script.DeitalkError, match="<Slate>_<Take>_<Subject>"):
-        script.live_link_csv(take)
     empty = fake_unreal.LevelSequence([fake_unreal.ControlRig("Body", {})])
     script = run_inside(fake_unreal.make_unreal(level_sequence=empty), monkeypatch)
     with pytest.raises(script.DeitalkError, match="it has: Body"):
@@ -170,25 +277,74 @@ def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, ca
     out = capsys.readouterr().out
     assert ("CTRL_expressions_jawOpen: 4 keys, 0 to 0.75" in out) == (route == "anim")
     assert ("CTRL_C_jaw (Vector2D): x constant 0, y 4 keys, 0 to 0.75" in out) == (route == "rig")
-    with pytest.raises(script.DeitalkError, match="runs inside the Unreal editor"):
+    with pytest.raises(SystemExit, match="runs inside the Unreal editor"):
         script.main([route, take])
 
 
-def test_script_rejects_wrong_lengths(take, monkeypatch):
-    data = json.loads(Path(take).read_text())
-    data["raw"]["CTRL_expressions_jawOpen"] = [0, 1]
-    Path(take).write_text(json.dumps(data))
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["anim", "absent.json"], "cannot read absent.json"),
+        (["anim"], "required: path"),
+        (["walk", "x"], "invalid choice"),
+        (["rig", "TAKE", "--start-frame", "x"], "invalid int value"),
+        (["rig", "TAKE"], "open a Level Sequence"),
+        (["livelink", "absent.csv"], "absent.csv does not exist"),
+    ],
+)
+def test_mistake_on_the_command_line_is_one_line_of_the_log(take, monkeypatch, arguments, message):
+    module = fake_unreal.make_unreal()
+    script = run_inside(module, monkeypatch)
+    script.main([take if argument == "TAKE" else argument for argument in arguments])
+    assert message in module.messages[-1] and "\n" not in module.messages[-1]
+    assert module.messages[-1].startswith("deitalk: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"raw": {"CTRL_expressions_jawOpen": [0, 1]}}, "a curve has 2 values, not 4"),
+        ({"raw": {"CTRL_expressions_jawOpen": [0, 1, 2, None]}}, "raw or board is damaged"),
+        ({"raw": {"CTRL_expressions_jawOpen": float("nan")}}, "a curve has NaN"),
+        ({"raw": []}, "raw or board is damaged"),
+        ({"board": {"CTRL_C_jaw": 1}}, "raw or board is damaged"),
+        ({"frame_rate": [30]}, "must be two whole numbers"),
+        ({"frame_rate": [0, 1]}, "must be two whole numbers"),
+        ({"n_frames": "4"}, "must be 1 or more"),
+    ],
+)
+def test_script_rejects_damaged_files(take, monkeypatch, change, message):
+    Path(take).write_text(json.dumps(json.loads(Path(take).read_text()) | change))
     script = run_inside(None, monkeypatch)
-    with pytest.raises(script.DeitalkError, match="a curve has 2 values, not 4"):
+    with pytest.raises(script.DeitalkError, match=message):
         script.anim_sequence(take, dry_run=True)
 
 
+@pytest.mark.parametrize(
+    ("name", "subject"),
+    [
+        ("Speech_1_anna.csv", "Speech_1_anna"),
+        ("My_Scene_1_anna.csv", "anna"),
+        ("MySlate_164_iPhone_cal.csv", "MySlate_164_iPhone"),
+        ("My_Slate_2_my_phone_raw.csv", "my_phone"),
+        ("a_b_c_d.csv", "a_b_c_d"),
+        ("1_2_3_4.csv", "3_4"),
+        ("a_b_c_1.csv", "a_b_c_1"),
+    ],
+)
+def test_subject_is_the_one_of_unreals_importer(monkeypatch, name, subject):
+    """More than three tokens: the first is dropped, then all up to the first number."""
+    assert run_inside(None, monkeypatch).subject_of(f"C:/x/{name}") == subject
+
+
 def test_script_depends_on_unreal_alone_and_parses_in_its_oldest_python():
-    tree = ast.parse(SCRIPT.read_text(), feature_version=(3, 9))
     modules = set()
-    for node in ast.walk(tree):
+    files = [SCRIPT, SCRIPT.with_name("deitalk_clip.py")]
+    trees = [ast.parse(path.read_text(), feature_version=(3, 9)) for path in files]
+    for node in (node for tree in trees for node in ast.walk(tree)):
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             modules.add(node.module)
-    assert modules <= {"__future__", "argparse", "json", "os", "sys", "typing", "unreal"}
+    standard = {"__future__", "argparse", "fractions", "json", "math", "os", "sys", "typing"}
+    assert modules <= standard | {"unreal", "deitalk_clip"}

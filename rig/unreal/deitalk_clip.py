@@ -1,0 +1,119 @@
+"""A clip for Unreal: its file, its rate and its names; used by ``deitalk_unreal.py`` beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+from fractions import Fraction
+from math import gcd, lcm
+from typing import Any
+
+SCHEMA = "deitalk.unreal/1"
+RATES = [Fraction(fps) for fps in (24, 25, 30, 48, 50, 60, 120)]
+RATES += [Fraction(fps, 1001) for fps in (24000, 30000, 60000)]
+"""Frames per second that clips of an odd rate, such as a phone's 10000/167, are put on."""
+
+
+class DeitalkError(RuntimeError):
+    """An error that the user can correct; the message says how."""
+
+
+def load(path: str) -> dict[str, Any]:
+    """Read and check a ``*.unreal.json``."""
+    try:
+        with open(path, encoding="utf-8") as stream:
+            data = json.load(stream)
+    except (OSError, ValueError) as error:
+        raise DeitalkError(f"cannot read {path}: {error}") from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise DeitalkError(f"{path} is not of schema {SCHEMA}; write it with deitalk convert")
+    n_frames, rate = data.get("n_frames"), data.get("frame_rate")
+    if type(n_frames) is not int or n_frames < 1:
+        raise DeitalkError(f"{path}: n_frames is {n_frames!r}; it must be 1 or more")
+    if not isinstance(rate, list) or [type(n) for n in rate] != [int, int] or min(rate) < 1:
+        raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
+    try:
+        channels = [*data["raw"].values()]
+        channels += [values for axes in data["board"].values() for values in axes.values()]
+        lists = [values if isinstance(values, list) else [values] for values in channels]
+        finite = all(-1e9 < value < 1e9 for values in lists for value in values)
+    except (KeyError, AttributeError, TypeError) as error:
+        raise DeitalkError(f"{path}: raw or board is damaged; write it again") from error
+    lengths = {len(values) for values in channels if isinstance(values, list)} - {n_frames}
+    if lengths or not finite:
+        what = f"{min(lengths)} values, not {n_frames}" if lengths else "NaN or a huge number"
+        raise DeitalkError(f"{path}: a curve has {what}; write it again")
+    return data
+
+
+def asset_name(path: str) -> str:
+    """Return the file's name as an asset name: letters, digits and underscores."""
+    stem = os.path.basename(path).split(".")[0]
+    return "".join(c if c.isalnum() or c == "_" else "_" for c in stem)
+
+
+def subject_of(path: str) -> str:
+    """Return the Live Link subject that Unreal's importer takes from a file name.
+
+    ``_cal``, ``_raw`` or ``_neutral`` at the end are left out. More than three words between
+    underscores: those after the first number that is not the first word; else the whole name.
+    """
+    stem = os.path.basename(path).rsplit(".", 1)[0]
+    for ending in ("_cal", "_raw", "_neutral"):
+        stem = stem[: -len(ending)] if stem.endswith(ending) else stem
+    words = stem.split("_")
+    numbers = [i for i, word in enumerate(words) if i and word.isdigit()]
+    rest = words[numbers[0] + 1 :] if len(words) > 3 and numbers else []
+    return "_".join(rest) or stem
+
+
+def standard_rate(data: dict[str, Any]) -> Fraction:
+    """Return the frames per second of a clip, or the nearest of `RATES` if it is an odd rate."""
+    own = Fraction(*data["frame_rate"])
+    if own.denominator in (1, 1001):
+        return own
+    return min(RATES, key=lambda rate: abs(rate / own - 1))
+
+
+def frame_count(data: dict[str, Any], fps: Fraction) -> int:
+    """Return the number of frames of a clip at another rate."""
+    return int((data["n_frames"] - 1) * fps / Fraction(*data["frame_rate"])) + 1
+
+
+def resampled(data: dict[str, Any], values: Any, fps: Fraction) -> list[float]:
+    """Return values at another rate, linear between frames; one number stays one."""
+    own = Fraction(*data["frame_rate"])
+    if not isinstance(values, list) or own == fps:
+        return [float(v) for v in (values if isinstance(values, list) else [values])]
+    step, last, out = float(own / fps), len(values) - 1, []
+    for i in range(frame_count(data, fps)):
+        low = min(int(i * step + 1e-9), last)
+        high = min(low + 1, last)
+        out.append(values[low] + (i * step - low) * (values[high] - values[low]))
+    return out
+
+
+def rate_steps(current: Fraction, wanted: Fraction) -> list[Fraction]:
+    """Return the rates to set one after the other.
+
+    Unreal refuses a rate that is neither a multiple nor a factor of the present one, so others go
+    through a common multiple: from 30 to 24 through 120.
+    """
+    if 1 in ((current / wanted).denominator, (wanted / current).denominator):
+        return [wanted]
+    common = lcm(current.numerator, wanted.numerator)
+    return [Fraction(common, gcd(current.denominator, wanted.denominator)), wanted]
+
+
+def key_frames(values: list[float]) -> list[int]:
+    """Return the frames that need a key: all but those within a run of one value."""
+    last = len(values) - 1
+    around = [values[max(i - 1, 0) : i + 2] for i in range(len(values))]
+    return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
+
+
+def describe(values: Any) -> str:
+    """Return a line on a curve."""
+    if isinstance(values, list) and len(values) > 1:
+        return f"{len(values)} keys, {min(values):g} to {max(values):g}"
+    return f"constant {values[0] if isinstance(values, list) else values:g}"
