@@ -34,6 +34,9 @@ def animate(
         str, typer.Option("--out", "-o", help="Take folder/, or one file: .csv .json .npz …")
     ],
     emotion: Emotion = "neutral",
+    actor: Annotated[
+        str | None, typer.Option(help="Whose style, of a model tuned on several actors.")
+    ] = None,
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
     model: Model = "default",
@@ -70,6 +73,7 @@ def animate(
     _check(target, is_folder, inputs, fps=fps, preview=preview, force=force)
     options: dict[str, Any] = {
         "emotion": emotion,
+        "actor": actor,
         "intensity": intensity,
         "intensity_curve": intensity_curve,
         "idle": idle,

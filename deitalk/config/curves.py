@@ -36,6 +36,11 @@ class ModelConfig(Section):
         description="frames the embedding of Eq. 5 is pooled over; null: the whole clip",
     )
     style_size: Width = Field(default=16, description="width of the emotional style embedding")
+    actors: tuple[Annotated[str, Field(min_length=1, max_length=100)], ...] = Field(
+        default=(),
+        max_length=limits.WIDTH,
+        description="actors whose styles are added to the emotional one; not in the paper",
+    )
     motion_channels: tuple[Width, ...] = Field(
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )

@@ -39,7 +39,7 @@ class Window(NamedTuple):
     curves: Tensor
     """[shape=(T, C)]."""
     emotion: Tensor
-    """One-hot of the curves' emotion [shape=(5,)]."""
+    """One-hot of the curves' emotion, then of the actor [shape=(5 + actors,)]."""
     voice: Tensor
     """One-hot of the emotion the voice acts [shape=(5,)]."""
     intensity: Tensor
@@ -208,6 +208,8 @@ class WindowBatches(SeededBatches[Window]):
         without augmentation.
     clean : bool
         Windows carry the sound before augmentation too.
+    actors : sequence of str
+        Speakers that the emotion's vector tells apart.
 
     Raises
     ------
@@ -226,11 +228,13 @@ class WindowBatches(SeededBatches[Window]):
         *,
         frozen_features: "FrozenFeatures | None" = None,
         clean: bool = False,
+        actors: Sequence[str] = (),
     ) -> None:
         if not clips:
             raise DataError("no clips to train on; the dataset has none in this split")
         super().__init__(seed, batch_size, share)
         self.clips, self.controls, self.config = list(clips), controls, config
+        self.actors = tuple(actors)
         self.frozen_features, self.clean = None if config.augment else frozen_features, clean
         self.measured, self.others = self._divided()
         self.recorded = np.array([clip.source == "recording" for clip in self.others])
@@ -267,8 +271,8 @@ class WindowBatches(SeededBatches[Window]):
         return Window(
             sound,
             torch.from_numpy(curves),
-            _one_hot(clip.emotion),
-            _one_hot(clip.voice),
+            torch.cat((_one_hot(clip.emotion, EMOTIONS), _one_hot(clip.speaker, self.actors))),
+            _one_hot(clip.voice, EMOTIONS),
             torch.from_numpy(intensity),
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
@@ -335,5 +339,6 @@ def _other_voices(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float
     return [steps.astype(np.float32) * np.float32(unit) for steps, unit in chosen]
 
 
-def _one_hot(emotion: str) -> Tensor:
-    return torch.eye(len(EMOTIONS))[EMOTIONS.index(emotion)]
+def _one_hot(name: str, names: Sequence[str]) -> Tensor:
+    """1 at the place of a name, if it is there [shape=(names,)]."""
+    return torch.tensor([float(name == other) for other in names])

@@ -48,6 +48,7 @@ class Example(NamedTuple):
     phones: list[tuple[float, float, str]]
     known: Bool
     """Controls that the curves hold [shape=(C,)]."""
+    speaker: str
 
 
 def lips_together(curves: Float32, controls: ControlSet) -> Float32:
@@ -144,7 +145,7 @@ def load_example(clip: Clip, controls: ControlSet) -> Example:
     n_frames = n_clip_frames(len(material.waveform))
     waveform, curves, intensity, _ = cut(material, 0, n_frames)
     phones = read_phones(clip.phones) if clip.phones else []
-    return Example(waveform, curves, clip.emotion, intensity, phones, material.known)
+    return Example(waveform, curves, clip.emotion, intensity, phones, material.known, clip.speaker)
 
 
 @torch.no_grad()
@@ -154,7 +155,8 @@ def predict(model: DEITalk, example: Example) -> tuple[Float32, Float32 | None]:
     device = next(model.parameters()).device
     analysis = model.analyse(torch.from_numpy(example.waveform).to(device), n_frames)
     one_hot = torch.eye(len(EMOTIONS), device=device)[EMOTIONS.index(example.emotion)]
-    curves: Float32 = model.decode(analysis, one_hot.expand(n_frames, -1)).cpu().numpy()
+    styles = model.styles(one_hot.expand(n_frames, -1), example.speaker)
+    curves: Float32 = model.decode(analysis, styles).cpu().numpy()
     return curves, None if analysis.strength is None else analysis.strength.cpu().numpy()
 
 

@@ -304,7 +304,8 @@ def _mesh_parts(folder: Path, config: SDFAConfig, about: About) -> dict[str, Any
 
 
 def _about_curves(model: DEITalk) -> About:
-    return {"control_set": model.controls.id, "controls": list(model.controls.names)}
+    about: About = {"control_set": model.controls.id, "controls": list(model.controls.names)}
+    return about | ({"actors": list(model.config.actors)} if model.config.actors else {})
 
 
 def _about_mesh_head(model: MeshHead) -> About:

@@ -99,6 +99,7 @@ class DEITalk(nn.Module):
             dilations=config.decoder_dilations,
             kernel_size=config.kernel_size,
             n_emotions=n_emotions,
+            n_actors=len(config.actors),
             rest=torch.tensor(self.controls.rest),
             dropout=config.dropout,
             residual=config.decoder_residual,
@@ -119,8 +120,8 @@ class DEITalk(nn.Module):
         waveform : Tensor [shape=(B, S)]
             16 kHz, level-normalised; begins with the first frame of the window. Or its speech
             features [shape=(B, T, D)].
-        emotion : Tensor [shape=(B, 5)]
-            Weights of the emotional styles.
+        emotion : Tensor [shape=(B, 5) or (B, 5 + actors)]
+            Weights of the emotional styles, and of the actors.
         frames : Tensor [shape=(B, T)]
             Frame indices in the whole clip.
         total : Tensor [shape=(B,)]
@@ -148,6 +149,23 @@ class DEITalk(nn.Module):
     def device(self) -> torch.device:
         """Device of the weights."""
         return next(self.parameters()).device
+
+    def styles(self, emotion: Tensor, actor: str) -> Tensor:
+        """Weights of all styles: those of the emotions, and 1 for an actor.
+
+        Parameters
+        ----------
+        emotion : Tensor [shape=(T, 5)]
+            Weights of the emotional styles.
+        actor : str
+            One of ``config.actors``; any other is nobody, whose style the base model had.
+
+        Returns
+        -------
+        Tensor [shape=(T, 5 + actors)]
+        """
+        chosen = emotion.new_tensor([float(name == actor) for name in self.config.actors])
+        return torch.cat((emotion, chosen.expand(len(emotion), -1)), dim=-1)
 
     def place(self, speech: Tensor, frames: Tensor, total: Tensor) -> Tensor:
         """Add the dynamic positional encoding (Eq. 3)."""
@@ -218,8 +236,8 @@ class DEITalk(nn.Module):
         ----------
         analysis : Analysis
             Of the whole clip.
-        emotion : Tensor [shape=(T, 5)]
-            Weights of the emotional styles, frame by frame.
+        emotion : Tensor [shape=(T, 5) or (T, 5 + actors)]
+            Weights of the emotional styles, and of the actors (`styles`), frame by frame.
 
         Returns
         -------

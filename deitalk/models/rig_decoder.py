@@ -27,6 +27,8 @@ class RigDecoder(nn.Module):
     dropout : float
     residual : bool
         Add a layer's input to its output, the first excepted (not in the paper).
+    n_actors : int
+        Actors whose styles are added to the emotional one; they begin at 0 (not in the paper).
     """
 
     def __init__(
@@ -42,11 +44,13 @@ class RigDecoder(nn.Module):
         rest: Tensor,
         dropout: float = 0.0,
         residual: bool = False,
+        n_actors: int = 0,
     ) -> None:
         super().__init__()
         self.residual = residual
         self.margin = receptive_margin(dilations, kernel_size)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
+        self.actors = nn.Linear(n_actors, style_size, bias=False) if n_actors else None
         extra = style_size + guidance_size
         widths = [in_size] + [channels] * len(dilations)
         self.layers = nn.ModuleList(
@@ -57,6 +61,8 @@ class RigDecoder(nn.Module):
         nn.init.normal_(self.output.weight, std=0.01)
         with torch.no_grad():
             self.output.bias.copy_(rest)
+            if self.actors is not None:
+                self.actors.weight.zero_()
 
     def forward(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Decode one window or clip.
@@ -65,8 +71,9 @@ class RigDecoder(nn.Module):
         ----------
         speech : Tensor [shape=(B, T, D)]
             With its positional encoding added.
-        emotion : Tensor [shape=(B, 5) or (B, T, 5)]
-            Weights of the emotional styles; the paper's is one-hot and constant.
+        emotion : Tensor [shape=(B, 5 + A) or (B, T, 5 + A)]
+            Weights of the emotional styles, of which the paper's is one-hot and constant, then of
+            the actors; these may be left out.
         guidance : Tensor [shape=(B, T, E)] or None
             E_in; None if the decoder was made without.
 
@@ -81,7 +88,10 @@ class RigDecoder(nn.Module):
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1).expand(-1, speech.shape[1], -1)
-        style = self.style(emotion)
+        n_emotions = self.style.in_features
+        style = self.style(emotion[..., :n_emotions])
+        if self.actors is not None and emotion.shape[-1] > n_emotions:
+            style = style + self.actors(emotion[..., n_emotions:])
         extra = style if guidance is None else torch.cat((style, guidance), dim=-1)
         extra = extra.transpose(1, 2)  # (B, style + E, T)
         x = speech.transpose(1, 2)  # (B, D, T)

@@ -12,8 +12,9 @@ from torch import Tensor
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
-from deitalk.config import RulesConfig
+from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import Direction, EmotionTrack, IntensityCurve
+from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
@@ -23,6 +24,7 @@ from deitalk.postprocess.blinks import add_idle_motion
 from deitalk.postprocess.curve_rules import Expression
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.errors import quoted
 
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
@@ -33,6 +35,7 @@ def animate(
     *,
     sample_rate: float | None = None,
     model: str | Path | DEITalk = "default",
+    actor: str | None = None,
     intensity: float = 1.0,
     intensity_curve: str | Path | IntensityCurve | None = None,
     idle: bool = True,
@@ -53,6 +56,8 @@ def animate(
         Hz, of an array or a tensor; nothing else takes it.
     model : str, Path or DEITalk
         Name of an embedded model, a model folder, or a loaded model.
+    actor : str, optional
+        Whose style, of a model that was tuned on several actors; by default its first.
     intensity : float, range 0 to 4
         Factor on the intensity predicted from the voice; 0 gives the neutral reading.
     intensity_curve : path or IntensityCurve, optional
@@ -76,8 +81,7 @@ def animate(
         One line each: the value, the rule and the way out.
     """
     clock = _Clock()
-    direction = Direction.of(emotion, intensity, intensity_curve)
-    seed = whole_seed(seed)
+    direction, seed = Direction.of(emotion, intensity, intensity_curve), whole_seed(seed)
     check_progress(progress)
     recording = _with_note_on(direction.curve, recording_of(audio, sample_rate))
     clock.lap("audio")
@@ -86,14 +90,14 @@ def animate(
     rules = RulesConfig.none() if raw else network.rules
     speech = Speech.of(recording.waveform, rules.gates)
     weights = direction.emotion.at(speech.times)
-    neutral, emotional, intensities = _read(network, speech, weights, direction, rules, progress)
+    neutral, emotional, intensities = _read(
+        network, speech, weights, actor, direction, rules, progress
+    )
     clock.lap("network")
     controls = network.controls
     values = _apply_rules(Expression(controls, rules), neutral, emotional, intensities, speech)
     if idle and rules.idle is not None and speech.activity.any():
-        for reading in (neutral, values):
-            rng = np.random.default_rng(seed)
-            add_idle_motion(reading, controls, fps=FRAME_RATE, rng=rng, idle=rules.idle)
+        _add_idle_motion((neutral, values), controls, rules.idle, seed)
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     clock.lap("expression")
@@ -105,24 +109,44 @@ def animate(
         recording,
         clipped,
         clock.laps,
-        _settings(emotion, direction.intensity, intensity_curve, idle=idle, raw=raw, seed=seed),
+        _settings(
+            emotion,
+            direction.intensity,
+            intensity_curve,
+            idle=idle,
+            raw=raw,
+            seed=seed,
+            actor=actor,
+        ),
         str(model) if isinstance(model, str | Path) else "",
     )
+
+
+def _actor(network: DEITalk, actor: str | None) -> str:
+    """The actor whose style is wanted, or the model's first, or nobody."""
+    actors = network.config.actors
+    if actor is not None and actor not in actors:
+        known = ", ".join(actors) or "none: it is of one actor, or of nobody"
+        raise CheckpointError(f"actor {quoted(actor)} is unknown; the model's are {known}")
+    return actor or next(iter(actors), "")
 
 
 def _read(
     network: DEITalk,
     speech: Speech,
     weights: Float32,
+    actor: str | None,
     direction: Direction,
     rules: RulesConfig,
     progress: Callable[[float], None],
 ) -> tuple[Float32, Float32, Intensities]:
     """Neutral and emotional reading [shape=(T, C)], and intensities; the analysis is freed."""
+    name = _actor(network, actor)
     analysis = network.analyse(speech.sound, speech.n_frames, progress)
 
     def decode(weights: Tensor) -> Float32:
-        return np.asarray(network.decode(analysis, weights).cpu().numpy())
+        styles = network.styles(weights, name)
+        return np.asarray(network.decode(analysis, styles).cpu().numpy())
 
     neutral, emotional = read_twice(decode, weights, network.device)
     rule = rules.voice_intensity
@@ -146,6 +170,15 @@ def _apply_rules(
         rules.apply_dead_zone(reading)
         rules.rest_in_silence(reading, speech.mouth, speech.shown)
     return values
+
+
+def _add_idle_motion(
+    readings: tuple[Float32, ...], controls: ControlSet, idle: Idle, seed: int
+) -> None:
+    """Add the same blinks and gaze to each reading, in place."""
+    for reading in readings:
+        rng = np.random.default_rng(seed)
+        add_idle_motion(reading, controls, fps=FRAME_RATE, rng=rng, idle=idle)
 
 
 def _settings(emotion: Any, intensity: float, curve: Any, **others: Any) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Performance:
     timings : dict of str to float
         Seconds spent per stage.
     settings : mapping
-        Arguments: emotion, intensity, intensity_curve, idle, seed, raw.
+        Arguments: emotion, intensity, intensity_curve, idle, seed, raw, actor.
     model : str
         Name or folder of the model; empty for a loaded model.
     """

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from deitalk.config import FinetuneConfig, load_config
 from deitalk.config.load import parse_config, read_tree
-from deitalk.data.clips import REHEARSED, read_clips
+from deitalk.data.clips import REHEARSED, Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import Window, WindowBatches
@@ -39,8 +39,8 @@ from deitalk.training.trainer import Progress, run_training, silent
 from rig import ControlSet
 from rig.arrays import Bool
 
-FRONTEND_SLOWER = 10
-"""The frontend, if it learns, learns at a rate so many times lower."""
+ACTORS_FASTER = 30
+"""Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
 RIDGE = 1000.0
 """Of the first fit of a new last layer, squared units of its input."""
 
@@ -92,6 +92,8 @@ def read_recipe(
 ) -> FinetuneConfig:
     """Settings of a recipe, with the network of the base model.
 
+    Where the frontend learns too, windows are augmented unless the recipe says otherwise.
+
     Parameters
     ----------
     recipe : Path or None
@@ -117,6 +119,8 @@ def read_recipe(
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})
+    if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
+        tree["data"] = {"augment": True} | (tree.get("data") or {})
     return cast("FinetuneConfig", parse_config(tree))
 
 
@@ -140,7 +144,8 @@ class FinetuneTask(CurveTask):
     config: FinetuneConfig
 
     def __init__(self, config: FinetuneConfig, data: Path) -> None:
-        super().__init__(config, data)
+        super().__init__(_with_actors(config, read_clips(data, "train")), data)
+        config = self.config
         if not self.clips or not self.validation_clips:
             raise DataError(
                 f"{data}: needs clips to train on and to validate; fill the column split, or "
@@ -154,7 +159,7 @@ class FinetuneTask(CurveTask):
         self.captures = [replace(clip, source="recording") for clip in self.clips]
         if config.tune.corpus is not None:
             others = read_clips(config.tune.corpus, "train")
-            self.captures += [replace(clip, source=REHEARSED) for clip in others]
+            self.captures += [replace(clip, source=REHEARSED, speaker="") for clip in others]
 
     def build(self, device: torch.device) -> None:
         """Build the model with the base's weights; keep the base as the teacher."""
@@ -169,6 +174,10 @@ class FinetuneTask(CurveTask):
             )
         self.model = self._network()
         start_as(self.model, base)
+        if base.decoder.actors is not None and self.model.decoder.actors is not None:
+            known = base.decoder.actors.weight
+            with torch.no_grad():
+                self.model.decoder.actors.weight[:, : known.shape[1]] = known
         if tune.part != "all":
             self.frozen_features = FrozenFeatures(tune.base)
         if not self.is_same_rig:
@@ -192,6 +201,8 @@ class FinetuneTask(CurveTask):
             add_adapters([decoder.style, decoder.layers], self.config.tune.rank)
         elif part == "decoder":
             decoder.requires_grad_(True)
+        if decoder.actors is not None:
+            decoder.actors.requires_grad_(True)
         if part == "head" or not self.is_same_rig:
             decoder.output.requires_grad_(True)
 
@@ -218,13 +229,13 @@ class FinetuneTask(CurveTask):
         output.bias.copy_(centre - weight @ mean)
 
     def optimizer(self) -> torch.optim.Optimizer:
-        """AdamW or Adam; a frontend that learns does so `FRONTEND_SLOWER`."""
+        """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""
         settings = self.config.train
         rates: dict[float, list[nn.Parameter]] = {}
         for name, parameter in self.model.named_parameters():
-            slower = FRONTEND_SLOWER if name.startswith("frontend.") else 1
+            faster = ACTORS_FASTER if name.startswith("decoder.actors.") else 1
             if parameter.requires_grad:
-                rates.setdefault(settings.learning_rate / slower, []).append(parameter)
+                rates.setdefault(settings.learning_rate * faster, []).append(parameter)
         kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
         groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
         return kind(groups, weight_decay=settings.weight_decay)
@@ -240,6 +251,7 @@ class FinetuneTask(CurveTask):
             settings.batch_size,
             share,
             frozen_features=self.frozen_features,
+            actors=self.config.model.actors,
         )
 
     def set_training(self) -> None:
@@ -269,17 +281,19 @@ class FinetuneTask(CurveTask):
         return batch._replace(curves=curves, emotion=other)
 
     def _base_curves(self, batch: Window, emotion: Tensor) -> Tensor:
-        curves: Tensor = self.base(batch.waveform, emotion, batch.frames, batch.total).curves
+        known = emotion[:, : len(EMOTIONS) + len(self.base.config.actors)]
+        curves: Tensor = self.base(batch.waveform, known, batch.frames, batch.total).curves
         return curves
 
     def _other_emotion(self, emotion: Tensor) -> Tensor:
-        """The emotion, or by `TuneConfig.rehearsal` one that no capture has [shape=(B, 5)]."""
+        """The styles, whose emotion by `TuneConfig.rehearsal` becomes one that no capture has."""
         if not self.unseen:
             return emotion
         changes = torch.rand(len(emotion)) < self.config.tune.rehearsal
         places = torch.tensor(self.unseen)[torch.randint(len(self.unseen), (len(emotion),))]
-        chosen = torch.eye(len(EMOTIONS))[places]
-        return torch.where(changes[:, None].to(emotion.device), chosen.to(emotion), emotion)
+        chosen = torch.eye(len(EMOTIONS))[places].to(emotion)
+        chosen = torch.cat((chosen, emotion[:, len(EMOTIONS) :]), dim=-1)
+        return torch.where(changes[:, None].to(emotion.device), chosen, emotion)
 
     def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
         """Scores of `CaptureSet`, and the clips that are drawn."""
@@ -292,6 +306,16 @@ class FinetuneTask(CurveTask):
         whole = self._network()
         whole.load_state_dict(merged_weights(model))
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
+
+
+def _with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
+    """The configuration with the speakers of captures as actors, if there are several."""
+    before = config.model.actors
+    speakers = sorted({clip.speaker for clip in clips} - {*before})
+    if len(speakers) + len(before) < 2:
+        return config
+    model = config.model.model_copy(update={"actors": (*before, *speakers)})
+    return config.model_copy(update={"model": model})
 
 
 def _learnt(config: FinetuneConfig, controls: ControlSet) -> Bool:

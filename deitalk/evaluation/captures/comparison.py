@@ -200,11 +200,15 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _markdown(report: dict[str, Any]) -> str:
-    unseen = "the same that chose the weights" if report["choose_the_weights_too"] else "of no use"
+    unseen = (
+        "which also chose the weights"
+        if report["choose_the_weights_too"]
+        else "not used in training"
+    )
     lines = [
         "# Before and after",
         "",
-        f"{report['clips']} held-out clips, {unseen} in training; {report['moving_controls']} "
+        f"{report['clips']} held-out clips, {unseen}; {report['moving_controls']} "
         "controls move in the captures and are scored. Curves of the network alone, without rules.",
         "",
         *table("", report["scores"]),

@@ -41,6 +41,9 @@ class Playback(torch.nn.Module):
         strength = None if self.strengths is None else torch.from_numpy(self.strengths[self.i])
         return Analysis(torch.zeros(n_frames, 1), None, None, strength)
 
+    def styles(self, emotion: torch.Tensor, actor: str) -> torch.Tensor:
+        return emotion
+
     def decode(self, analysis: Analysis, emotion: torch.Tensor) -> torch.Tensor:
         assert len(emotion) == len(analysis.speech)
         self.emotions.append(int(emotion[0].argmax()))

@@ -35,6 +35,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
         "idle": True,
         "seed": 0,
         "raw": False,
+        "actor": None,
     }
     assert about["model"]["control_set"] == "metahuman-185@mh4"
 

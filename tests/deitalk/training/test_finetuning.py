@@ -16,7 +16,7 @@ from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import ConfigError
+from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
@@ -59,7 +59,7 @@ def data(tmp_path_factory) -> Path:
     """Clips in all emotions but surprised, of which the jaw alone is known in the first two."""
     folder = write_dataset(tmp_path_factory.mktemp("data"))
     (folder / "known.txt").write_text(f"{JAW}\n")
-    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="")
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="", speaker="anna")
     table.loc[:1, "known"] = "known.txt"
     table.to_csv(folder / "clips.csv", index=False)
     return folder
@@ -106,7 +106,10 @@ def test_adapters_are_changes_of_low_rank(base, data, tmp_path):
 
 
 def test_all_weights_learn_with_the_frontend(base, data, tmp_path):
-    finetune(recipe(base, "tune.part=all"), data, tmp_path / "run")
+    config = recipe(base, "tune.part=all")
+    assert config.data.augment and not recipe(base).data.augment
+    assert not recipe(base, "tune.part=all", "data.augment=false").data.augment
+    finetune(config, data, tmp_path / "run")
     assert any(name.startswith("frontend") for name in changed(base, tmp_path / "run" / "last"))
 
 
@@ -239,6 +242,50 @@ def test_rig_file_rejects(tmp_path, text, match):
 def test_control_set_rejects_another_name():
     with pytest.raises(ConfigError, match=r"neither 'metahuman-185@mh4' nor a rig file"):
         read_controls("metahuman-185@mh3")
+
+
+def test_actors_of_one_model_move_in_their_own_style(base, data, tmp_path):
+    """Anna's mouth is open and Ben's is not, in the same recordings."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    known = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
+    parts = []
+    place = CONTROLS.index(JAW)
+    for name, opening in (("anna", 0.8), ("ben", 0.0)):
+        values = np.tile(CONTROLS.rest, (180, 1))
+        values[:, place] = opening
+        write_curves(folder / f"{name}.npz", RigCurves(values, CONTROLS.names, fps=FPS))
+        parts.append(known.assign(clip=name + known["clip"], speaker=name, curves=f"{name}.npz"))
+    pd.concat(parts).to_csv(folder / "clips.csv", index=False)
+    config = recipe(base, "train.steps=60", "train.evaluate_every=60", "train.learning_rate=3e-3")
+    finetune(config, folder, tmp_path / "run")
+    model = load_model(tmp_path / "run" / "last")
+    assert model.config.actors == ("anna", "ben")
+    audio = read_clips(folder)[0].audio
+    jaws = {
+        actor: animate(audio, model=model, actor=actor, raw=True).curves.values[:, place].mean()
+        for actor in ("anna", "ben", None)
+    }
+    assert jaws["anna"] > jaws["ben"] + 0.01
+    assert jaws[None] == jaws["anna"], "the first actor is the default"
+    with pytest.raises(CheckpointError, match="actor 'eve' is unknown; the model's are anna, ben"):
+        animate(audio, model=model, actor="eve")
+    with pytest.raises(CheckpointError, match="of one actor, or of nobody"):
+        animate(audio, model=base, actor="anna")
+
+
+def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str)
+    table.assign(speaker=["a", "b"] * 3).to_csv(folder / "clips.csv", index=False)
+    task = FinetuneTask(recipe(base), folder)
+    task.build(torch.device("cpu"))
+    example = load_example(read_clips(folder, "validation")[0], CONTROLS)
+    expected = predict(load_model(base), example)[0]
+    np.testing.assert_allclose(predict(task.model.eval(), example)[0], expected, atol=1e-5)
+    batch = next(iter(task.batches(Share())))
+    assert batch.emotion.shape == (4, 7) and (batch.emotion[:, 5:].sum(dim=1) == 1).all()
 
 
 def test_report_compares_before_after_and_baselines(base, data, tmp_path):
