@@ -35,6 +35,7 @@ FLOORS = {
     """,
     "api": """
         commands
+        serving
         app
         routes docs_page
         live

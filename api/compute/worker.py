@@ -135,6 +135,15 @@ class Worker:
             self._connection.close()
 
 
+def start_early() -> None:
+    """Start the process that workers are forked from, which takes seconds, beside other work."""
+    if sys.platform.startswith("linux"):
+        _context()
+        from multiprocessing import forkserver
+
+        forkserver.ensure_running()
+
+
 def _context() -> BaseContext:
     if not sys.platform.startswith("linux"):
         return multiprocessing.get_context("spawn")

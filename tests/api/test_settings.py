@@ -1,10 +1,14 @@
 """Settings, keys, rates and formats without a server."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
+import yaml
 from typer.testing import CliRunner
 
+import api
 from api.app import create_app
 from api.errors import Problem, problem_of, without_paths
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
@@ -159,3 +163,15 @@ def test_command_writes_the_schema(tmp_path):
     assert form["required"] == ["recording"] and "emotion" in form["properties"]
     for path in schema["paths"]:
         assert path.startswith("/v1/") or path in ("/healthz", "/readyz", "/metrics")
+
+
+def test_container_files_name_settings_and_paths_that_exist():
+    folder = Path(api.__file__).parent / "container"
+    compose = yaml.safe_load((folder / "compose.yaml").read_text())
+    text = (folder / "Dockerfile").read_text()
+    named = {*compose["services"]["service"]["environment"], *re.findall(r"DEITALK_\w+(?==)", text)}
+    known = {f"DEITALK_{name.upper()}" for name in Settings.model_fields}
+    assert len(named) >= 4 and named <= known
+    for line in re.findall(r"^COPY (.+) \S+$", text, re.MULTILINE):
+        for name in line.split():
+            assert (folder.parents[1] / name).exists(), name

@@ -1,0 +1,117 @@
+"""Files of jobs in every kind of store, and what is removed of them."""
+
+import time
+import uuid
+
+import pytest
+
+from api.errors import Problem
+from api.guard.keys import Caller
+from api.jobs.queue import Queue, new_id
+from api.jobs.runner import remove_old
+from api.jobs.store import Store
+from api.jobs.table import JOBS, open_database
+from api.settings import SCOPES, Settings
+
+CALLER = Caller("farm", SCOPES, 3, 600)
+WORK = {"order": {"kind": "animation"}, "format": "json"}
+
+
+@pytest.fixture(params=["folder", "memory"])
+def store(request, tmp_path):
+    if request.param == "folder":
+        return Store(str(tmp_path / "files"))
+    return Store(f"memory://{uuid.uuid4().hex}")
+
+
+@pytest.fixture
+def queue(tmp_path):
+    made = Queue(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 60.0, 3, 5)
+    yield made
+    made.engine.dispose()
+
+
+def add(queue, store, tmp_path, content=b"sound"):
+    folder = tmp_path / "sent"
+    folder.mkdir(exist_ok=True)
+    (folder / "recording").write_bytes(content)
+    job_id = new_id()
+    store.put_folder(folder, job_id)
+    return queue.add(job_id, CALLER, WORK, "0" * 64, None, None)
+
+
+def test_files_come_back_as_they_went(store, tmp_path):
+    sent, back = tmp_path / "sent", tmp_path / "back"
+    sent.mkdir()
+    back.mkdir()
+    (sent / "recording").write_bytes(bytes(range(256)) * 9000)
+    (sent / "emotion.csv").write_text("time")
+    store.put_folder(sent, "a")
+    store.get_folder("a", back)
+    assert {path.name: path.read_bytes() for path in back.iterdir()} == {
+        path.name: path.read_bytes() for path in sent.iterdir()
+    }
+    name = store.put_result(sent / "recording", "a", "holder")
+    assert b"".join(store.read(name)) == (sent / "recording").read_bytes()
+    assert store.jobs() == {"a"} and store.age("a") < 60
+    store.remove("a")
+    assert store.jobs() == set()
+
+
+def finished(queue, store, tmp_path, n_bytes):
+    job = add(queue, store, tmp_path)
+    claimed = queue.claim()
+    assert claimed is not None and claimed.id == job.id
+    name = store.put_result(tmp_path / "sent" / "recording", job.id, claimed.holder)
+    assert queue.finish(claimed, name, n_bytes, {"notes": [], "facts": {}})
+    return job.id
+
+
+def test_old_jobs_and_the_oldest_beyond_the_size_are_removed(queue, store, tmp_path):
+    settings = Settings(data=tmp_path, keep_days=1, keep_mb=10)
+    old, first, second = (finished(queue, store, tmp_path, 6 * 2**20) for _ in range(3))
+    with queue.engine.begin() as connection:
+        yesterday = JOBS.update().where(JOBS.c.id == old).values(finished=time.time() - 90_000)
+        connection.execute(yesterday)
+    waiting = add(queue, store, tmp_path).id
+    assert remove_old(queue, store, settings) == 2
+    assert store.jobs() == {second, waiting}
+    assert {job.id for job in queue.newest(CALLER, None, 9, None)} == {second, waiting}
+    assert first not in store.jobs()
+
+
+def test_files_of_no_job_are_removed_after_a_while(queue, store, tmp_path, monkeypatch):
+    (tmp_path / "recording").write_bytes(b"x")
+    store.put_result(tmp_path / "recording", "lost", "holder")
+    settings = Settings(data=tmp_path)
+    remove_old(queue, store, settings)
+    assert store.jobs() == {"lost"}  # a request may be about to add its job
+    monkeypatch.setattr(store, "age", lambda job_id: 1000.0)
+    remove_old(queue, store, settings)
+    assert store.jobs() == set()
+
+
+def test_full_queues_refuse_jobs(queue, store, tmp_path):
+    for _ in range(3):
+        queue.check_room(CALLER)
+        add(queue, store, tmp_path)
+    with pytest.raises(Problem) as refused:
+        queue.check_room(CALLER)
+    assert refused.value.status == 429
+    for _ in range(2):
+        add(queue, store, tmp_path)
+    with pytest.raises(Problem) as refused:
+        queue.check_room(Caller("other", SCOPES, 3, 600))
+    assert refused.value.status == 503
+
+
+def test_cancelling_a_job_that_runs_waits_for_its_holder(queue, store, tmp_path):
+    waiting = add(queue, store, tmp_path)
+    running = queue.claim()
+    assert running.id == waiting.id and queue.renew(running, 0.25)
+    queue.cancel(running)
+    assert queue.get(running.id, CALLER).status == "running"
+    assert not queue.renew(running, 0.5)
+    assert queue.confirm_cancelled(running) and not queue.confirm_cancelled(running)
+    assert queue.get(running.id, CALLER).status == "cancelled"
+    assert not queue.remove(add(queue, store, tmp_path)) and queue.remove(running)

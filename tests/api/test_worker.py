@@ -1,0 +1,99 @@
+"""The worker process: limits of time and memory, and a new process after each."""
+
+import pytest
+
+from api.compute.order import TooLarge
+from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
+from tests.api.conftest import wav
+from tests.api.kill import kill
+
+OPTIONS = {"emotion": {"happy": 1.0}, "format": "json", "suffix": ".json"}
+
+
+def limits(**given):
+    return {
+        "memory_bytes": 2**30,
+        "max_channels": 2,
+        "max_pixels": 1e9,
+        "models": {"default": "default"},
+        "preload": ["default"],
+        "device": "cpu",
+        "threads": 1,
+    } | given
+
+
+@pytest.fixture(scope="module")
+def worker():
+    made = Worker(limits())
+    yield made
+    made.stop()
+
+
+def order(folder, recording, **options):
+    (folder / "recording").write_bytes(recording)
+    return {
+        "kind": "animation",
+        "folder": str(folder),
+        "options": OPTIONS | options,
+        "at_once_seconds": 60.0,
+        "most_seconds": 100.0,
+    }
+
+
+def test_answer_names_a_file_of_the_folder(worker, tmp_path):
+    shares = []
+    answer = worker.run(order(tmp_path, wav(1.0), name="line 7"), 60, shares.append)
+    assert answer["file"] == "out/line 7.json" and (tmp_path / answer["file"]).stat().st_size
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    assert answer["facts"]["frames"] == 30
+
+
+def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_path):
+    asked = order(tmp_path, wav(2.0)) | {"at_once_seconds": 1.0}
+    assert worker.run(asked, 60) == {"long": 2.0}
+    beyond = worker.run(asked | {"most_seconds": 1.5}, 60)
+    assert beyond["error"] == [TooLarge.__name__]
+
+
+def test_order_beyond_its_time_ends_the_process_and_the_next_has_another(worker, tmp_path):
+    worker.start()
+    before = worker.pid
+    with pytest.raises(OutOfTime):
+        worker.run(order(tmp_path, wav(50.0)), 0.05)
+    assert worker.run(order(tmp_path, wav(0.5)), 60)["facts"]["frames"] == 15
+    assert worker.pid != before
+
+
+def test_order_is_stopped_by_its_owner(worker, tmp_path):
+    with pytest.raises(Stopped):
+        worker.run(order(tmp_path, wav(50.0)), 60, stopped=lambda: True)
+
+
+def test_process_that_is_killed_is_noticed(worker, tmp_path):
+    worker.start()
+
+    def kill_it() -> bool:
+        kill(worker.pid)
+        return False
+
+    with pytest.raises(WorkerLost):
+        worker.run(order(tmp_path, wav(50.0)), 60, stopped=kill_it)
+
+
+def test_order_beyond_the_memory_is_refused(tmp_path):
+    small = Worker(limits(memory_bytes=2**26))
+    try:
+        answer = small.run(order(tmp_path, wav(60.0, 192_000, 2)), 60)
+        assert answer["error"] == [TooLarge.__name__] and "memory" in answer["message"]
+    except WorkerLost:
+        pass  # a library ended the process
+    finally:
+        small.stop()
+
+
+def test_error_of_ours_has_no_text_of_the_request(worker, tmp_path):
+    asked = order(tmp_path, wav(0.5)) | {"kind": "unknown /etc/passwd"}
+    answer = worker.run(asked, 60)
+    assert answer["error"] == ["Internal"]
+    assert "passwd" not in answer["message"]
+    assert answer["message"].startswith("KeyError in api.compute.process._answer:")
