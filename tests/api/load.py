@@ -60,8 +60,8 @@ def at_once(server: Server, clients: int, each: int) -> list[float]:
     return sorted(times)
 
 
-def library(count: int) -> list[float]:
-    """Times of the same work by the package alone, ms."""
+def beside_the_library(server: Server, count: int) -> tuple[list[float], list[float]]:
+    """Times of one client and of the same work by the package alone, ms, one after the other."""
     import torch
 
     import deitalk
@@ -75,7 +75,9 @@ def library(count: int) -> list[float]:
         with tempfile.TemporaryDirectory() as folder:
             write_curves(Path(folder) / "curves.json", performance.curves)
 
-    return sorted(timed(work) for _ in range(count + 1))[:count]
+    work()
+    pairs = [(at_once(server, 1, 1)[0], timed(work)) for _ in range(count)]
+    return sorted(service for service, _ in pairs), sorted(alone for _, alone in pairs)
 
 
 def resident_mb(server: Server) -> float:
@@ -132,7 +134,7 @@ def main() -> None:
                 soak(server, given.soak)
                 return
             at_once(server, 2, 2)
-            one, alone = at_once(server, 1, 20), library(20)
+            one, alone = beside_the_library(server, 20)
             ten = at_once(server, 10, 6)
             overhead = statistics.median(one) - statistics.median(alone)
             say(f"one client: median {statistics.median(one):.0f} ms, p95 {one[18]:.0f} ms; library "

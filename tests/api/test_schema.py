@@ -15,9 +15,9 @@ CASES = int(os.environ.get("SCHEMA_CASES", "4"))
 """Cases of each route; the long run takes 500."""
 
 
-def test_requests_of_the_schema_are_answered_within_it(server):
+def test_requests_of_the_schema_are_answered_within_it(server, record_property):
     schema = schemathesis.openapi.from_url(f"{server.url}/openapi.json")
-    n_routes = 0
+    n_routes = n_cases = 0
     for result in schema.get_all_operations():
         operation = result.ok()
         n_routes += 1
@@ -31,15 +31,18 @@ def test_requests_of_the_schema_are_answered_within_it(server):
         )
         @hypothesis.given(case=operation.as_strategy())
         def answers(case):
+            nonlocal n_cases
+            n_cases += 1
             response = case.call()
             case.validate_response(response, checks=(not_a_server_error, status_code_conformance))
 
         answers()
     assert n_routes >= 18
+    record_property("cases", n_cases)
 
 
 @pytest.mark.slow
-def test_wrong_requests_of_the_schema_are_no_server_errors(server):
+def test_wrong_requests_of_the_schema_are_no_server_errors(server, record_property):
     """Also requests that break the schema; texts stand for files, which the generator lacks."""
     text = httpx.get(f"{server.url}/openapi.json").text.replace(',"format":"binary"', "")
     assert '"binary"' not in text
@@ -64,3 +67,4 @@ def test_wrong_requests_of_the_schema_are_no_server_errors(server):
         with suppress(hypothesis.errors.Unsatisfiable):  # a route without parameters
             answers()
     assert n_cases > CASES * 10
+    record_property("cases", n_cases)
