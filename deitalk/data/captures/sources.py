@@ -13,6 +13,7 @@ from pathlib import Path
 from deitalk.data.captures.take import kind_of
 from deitalk.errors import DataError
 from rig.errors import UserError
+from rig.formats.table import FORMATS
 from rig.formats.wide_csv import read_header
 
 CURVES = (".csv", ".json", ".npz", ".txt")
@@ -117,7 +118,7 @@ def find_sound(
     ]
     near = [p for place in places for p in _sounds(place)]
     far = [p for folder in folders for p in _sounds(folder, deep=True)]
-    stems = {source.stem.lower(), source.curves.name.split(".")[0].lower()}
+    stems = {source.stem.lower(), _without_suffix(source.curves).lower()}
     if named:
         stems = {Path(named.replace("\\", "/")).stem.lower(), *stems}
     for group in (far, near):
@@ -145,7 +146,9 @@ def _sounds(folder: Path, *, deep: bool = False) -> list[Path]:
 def _may_hold_curves(path: Path, top: Path) -> bool:
     hidden = any(part.startswith(".") for part in path.relative_to(top).parts)
     known = path.suffix.lower() in CURVES and path.name.lower() not in SIDE_FILES
-    return known and not hidden and not path.stem.endswith("_neutral") and path.is_file()
+    return (
+        known and not hidden and not _without_suffix(path).endswith("_neutral") and path.is_file()
+    )
 
 
 def _holds_curves(path: Path, columns: AbstractSet[str] | None) -> bool:
@@ -163,25 +166,34 @@ def _one_a_take(paths: Sequence[Path]) -> list[Path]:
     best: dict[tuple[Path, str], Path] = {}
 
     def rank(path: Path) -> tuple[int, int]:
-        ending = path.stem[len(_stem(path)) :]
+        ending = _without_suffix(path)[len(_stem(path)) :]
         formats = (".npz", ".json", ".csv", ".txt")
         return VARIANTS.index(ending), formats.index(path.suffix.lower())
 
     for path in paths:
-        key = (path.parent, _stem(path).split(".")[0])
+        key = (path.parent, _stem(path))
         if key not in best or rank(path) < rank(best[key]):
             best[key] = path
     return sorted(best.values())
 
 
 def _stem(path: Path) -> str:
+    """Name of a take: of its file without the format's suffix and without variant."""
+    name = _without_suffix(path)
     for variant in VARIANTS:
-        if variant and path.stem.endswith(variant):
-            return path.stem.removesuffix(variant)
-    return path.stem
+        if variant and name.endswith(variant):
+            return name.removesuffix(variant)
+    return name
+
+
+def _without_suffix(path: Path) -> str:
+    """Name of a file without the longest suffix of a format: ``a.unreal.json`` is ``a``."""
+    endings = [s for f in FORMATS for s in f.suffixes if path.name.lower().endswith(s)]
+    longest = max((len(s) for s in endings), default=len(path.suffix))
+    return path.name[: len(path.name) - longest] or path.name
 
 
 def _place(path: Path, top: Path) -> str:
     path = path.absolute()
     inside = path.relative_to(top.absolute()) if path.is_relative_to(top.absolute()) else path
-    return inside.with_suffix("").as_posix()
+    return inside.with_name(_without_suffix(path)).as_posix()

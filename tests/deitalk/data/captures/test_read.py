@@ -158,3 +158,14 @@ def test_values_out_of_range_are_clamped_and_noted(tmp_path):
     capture = read_capture(tmp_path / "a.csv")
     assert capture.curves.values.max() <= default_controls().maximum.max()
     assert "were clamped to their ranges" in " ".join(capture.notes)
+
+
+def test_names_with_points_are_takes_of_their_own(tmp_path):
+    for name in ("scene.1.csv", "scene.2.csv"):
+        write_live_link(tmp_path / name, 1)
+    write_curves(tmp_path / "talk.unreal.json", rest_curves(30, fps=30))
+    write_live_link(tmp_path / "talk.csv", 1)  # another format of the same take
+    takes, _ = find_takes([tmp_path])
+    assert [take.stem for take in takes] == ["scene.1", "scene.2", "talk"]
+    assert takes[2].place.endswith("/talk")
+    assert find_sound(takes[1], "", (), takes).name == "scene.2.wav"
