@@ -25,7 +25,7 @@ from deitalk.data.captures.reports import (
 )
 from deitalk.data.captures.segments import LONGEST_SECONDS, Span, cut_at_silences
 from deitalk.data.captures.sources import Source, find_sound, find_takes
-from deitalk.data.captures.splits import Piece, divide
+from deitalk.data.captures.splits import Piece, check_way, divide
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
@@ -103,9 +103,11 @@ def import_captures(
     """
     if not 2.0 <= longest <= 60.0:
         raise DataError(f"`longest={longest:g}` must be from 2 to 60 seconds", parameter="longest")
+    check_way(split_by)
     if mapping is not None and rig is not None:
         raise DataError(
-            "`mapping` converts to the board, `rig` keeps another rig; give one of both"
+            "curves of another rig stay as they are: leave `mapping` out, it converts to the board",
+            parameter="mapping",
         )
     table = None if mapping is None else read_mapping(mapping)
     columns = set(rig.names) if rig is not None else None if table is None else table.sources

@@ -83,7 +83,9 @@ def find_takes(
         chosen = _one_a_take(curves)
         if not chosen:
             raise DataError(
-                f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves"
+                f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves; for "
+                "another rig give `mapping`, a table",
+                parameter="mapping",
             )
         takes += [Source(path, _place(path, source.parent)) for path in chosen]
     return list(dict.fromkeys(takes)), skipped

@@ -36,6 +36,12 @@ class Piece:
     """Given by the user; empty: to be chosen."""
 
 
+def check_way(way: str) -> None:
+    """Refuse a way that is none of `WAYS`."""
+    if way not in WAYS:
+        raise DataError(f"`split_by={way}` must be one of {', '.join(WAYS)}", parameter="split_by")
+
+
 def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     """Return the split of every clip; an empty one is left out.
 
@@ -51,8 +57,7 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     DataError
         If whole actors are wanted of fewer than three.
     """
-    if way not in WAYS:
-        raise DataError(f"`split_by={way}` must be one of {', '.join(WAYS)}", parameter="split_by")
+    check_way(way)
     minutes: dict[str, float] = defaultdict(float)
     for piece in pieces:
         minutes[piece.actor] += (piece.stop - piece.start) / 60

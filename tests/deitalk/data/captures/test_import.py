@@ -300,5 +300,5 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
 
 
 def test_map_and_rig_exclude_each_other(tmp_path):
-    with pytest.raises(DataError, match="give one of both"):
+    with pytest.raises(DataError, match="leave `mapping` out"):
         import_captures([tmp_path], tmp_path / "d", mapping=tmp_path / "m.csv", rig=CONTROLS)
