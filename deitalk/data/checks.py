@@ -173,6 +173,9 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     """Read one clip and measure it; its phones and intensity are read too."""
     recording, curves = _recording(str(clip.audio)), _curves(clip, controls)
     times = curves.times + clip.offset_seconds
+    end = float(times[-1])
+    if clip.take:  # its curves go on beyond the clip
+        end = min(end, recording.duration - 1 / curves.fps)
     if clip.phones is not None:
         read_phones(clip.phones)
     if clip.intensity is not None:
@@ -191,7 +194,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         curves.fps,
         recording.source_rate,
         recording.duration,
-        float(times[-1]),
+        end,
         tuple(name for name in wanted if name not in set(present)),
         low,
         high,

@@ -36,6 +36,8 @@ HEADER = (
     "clip", "audio", "curves", "emotion", "speaker", "split", "voice", "source", "offset_s",
     "known", "style", "take", "start_s", "stop_s",
 )  # fmt: skip
+MARGIN_SECONDS = 0.6
+"""Curves before and after a clip, where the take has them: a mended offset finds its frames."""
 LENGTH_SECONDS = 0.1
 """Difference of curves and sound that is reported."""
 LEAST_SECONDS = 0.5
@@ -219,7 +221,7 @@ class _Writer:
         capture: CapturedCurves,
         sound: Recording,
     ) -> None:
-        """Write one clip; it starts with a frame of the curves."""
+        """Write one clip; its sound starts with a frame, its curves `MARGIN_SECONDS` earlier."""
         curves = capture.curves
         first = int(np.floor(span[0] * curves.fps + 1e-6))
         last = min(int(np.ceil(span[1] * curves.fps - 1e-6)), len(curves))
@@ -230,7 +232,9 @@ class _Writer:
             (self.stage / path).parent.mkdir(parents=True, exist_ok=True)
         peak = max(float(np.abs(samples).max(initial=0)), 1.0)
         soundfile.write(self.stage / audio, samples / peak, SAMPLE_RATE, subtype="PCM_16")
-        write_curves(self.stage / target, curves.slice_frames(first, last))
+        margin = round(MARGIN_SECONDS * curves.fps)
+        begin = max(first - margin, 0)
+        write_curves(self.stage / target, curves.slice_frames(begin, last + margin))
         self.pieces.append(Piece(labels.actor, labels.emotion, take, start, stop, labels.split))
         self.rows.append(
             {
@@ -241,7 +245,7 @@ class _Writer:
                 "speaker": labels.actor,
                 "voice": labels.voice,
                 "source": "recording",
-                "offset_s": "0",
+                "offset_s": f"{(begin - first) / curves.fps:.4f}",
                 "known": self._known(capture),
                 "style": labels.style,
                 "take": take,

@@ -61,9 +61,11 @@ class Survey:
         board = curves.reorder(self.controls)
         predicted = predicted_curves(recording)
         self.by = "loudness" if predicted is None else "model"
-        speaking = _at(speech_activity(recording.waveform) > 0, board, clip.offset_seconds)
+        speech = speech_activity(recording.waveform) > 0
+        speaking = _at(speech, board, clip.offset_seconds, beyond=False)
         margin = round(AROUND_SPEECH_SECONDS * curves.fps)
-        near = np.convolve(speaking, np.ones(2 * margin + 1), mode="same") > 0
+        loud = _at(speech, board, clip.offset_seconds, beyond=True)
+        near = np.convolve(loud, np.ones(2 * margin + 1), mode="same") > 0
         emotions = self.silent.setdefault(clip.speaker, {})
         emotions.setdefault(clip.emotion, []).append(values[~near])
         self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
@@ -163,11 +165,11 @@ class Survey:
         return dict(seconds)
 
 
-def _at(speaking: Bool, curves: RigCurves, offset: float) -> Bool:
-    """Speech at the frames of curves [shape=(T,)]."""
-    places = ((curves.times + offset) * FRAME_RATE).astype(int)
-    inside = (places >= 0) & (places < len(speaking))
-    result: Bool = inside & speaking[np.clip(places, 0, max(len(speaking) - 1, 0))]
+def _at(speech: Bool, curves: RigCurves, offset: float, *, beyond: bool) -> Bool:
+    """Speech at the frames of curves [shape=(T,)]; `beyond` the clip's sound."""
+    places = np.floor((curves.times + offset) * FRAME_RATE + 1e-6).astype(int)
+    inside = (places >= 0) & (places < len(speech))
+    result: Bool = np.where(inside, speech[np.clip(places, 0, max(len(speech) - 1, 0))], beyond)
     return result
 
 

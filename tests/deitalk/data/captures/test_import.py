@@ -58,9 +58,11 @@ def test_curves_and_sound_of_a_clip_are_the_takes(tmp_path):
         start = round(30 * float(row["start_s"])) / 30
         cut = whole[round(start * 16000) :][: len(sound)]
         np.testing.assert_allclose(sound - sound.mean(), cut - cut.mean(), atol=1e-3)
-        assert len(sound) / 16000 == pytest.approx(curves.duration, abs=1e-3)
-        assert curves.duration <= 15
-        opens = is_open(start + curves.times).astype(float)
+        seconds, first = len(sound) / 16000, start + float(row["offset_s"])
+        assert seconds <= 15
+        assert first == pytest.approx(max(start - 0.6, 0), abs=1e-3)
+        assert curves.duration == pytest.approx(min(start + seconds + 0.6, 40) - first, abs=0.04)
+        opens = is_open(first + curves.times).astype(float)
         assert np.corrcoef(opens, curves[JAW])[0, 1] > 0.99
 
 
@@ -83,7 +85,7 @@ def test_lips_of_a_face_at_rest_are_not_together(tmp_path):
     import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
     (row, *_) = rows_of(tmp_path / "data")
     lips = read_curves(tmp_path / "data" / row["curves"])[LIPS]
-    first = round(float(row["start_s"]) * 30)
+    first = round((float(row["start_s"]) + float(row["offset_s"])) * 30)
     inside = np.zeros(len(lips), bool)
     inside[60 - first : 90 - first] = True
     assert lips[inside].min() > 0.9 and lips[~inside].max() < 0.25
@@ -291,7 +293,7 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
     (clip, *_) = read_clips(out)
     curves = read_curves(clip.curves, controls=rig)
     assert curves.names == ("jaw", "wide", "hat", "brow")
-    start = round(clip.span[0] * 30)
+    start = round((clip.span[0] + clip.offset_seconds) * 30)
     np.testing.assert_allclose(curves["jaw"], values["jaw"][start:][: len(curves)], atol=1e-6)
     assert list(read_known(clip.known, rig)) == [True, True, False, True]
     checked = CliRunner().invoke(app, ["check", str(out), "--rig", str(tmp_path / "rig.yaml")])
