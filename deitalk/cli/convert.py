@@ -58,7 +58,7 @@ def convert(
     --------
     deitalk convert take/ speech.unreal.json
 
-    deitalk convert take/curves.json Slate_1_anna.csv --to livelink --fps 60
+    deitalk convert take/curves.json speech_take_1_anna.csv --to livelink --fps 60
 
     deitalk convert MySlate_1_iPhone.csv curves.csv --gain brow=1.5 --smooth 0.03
 

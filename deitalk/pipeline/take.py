@@ -9,7 +9,7 @@
       neutral.npz      the neutral reading: what intensity 0 gives
       intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
       audio.wav        the recording, 16 kHz mono, in time with the curves
-      <Slate>_1_deitalk.csv    Live Link Face, for Unreal's importer
+      <Slate>_take_1_deitalk.csv  Live Link Face, for Unreal's importer
       <Slate>.unreal.json      for the script that runs inside Unreal
 """
 

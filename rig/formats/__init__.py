@@ -41,7 +41,8 @@ class WriteReport:
     dropped : tuple of str
         Tracks the format cannot hold.
     note : str
-        Other losses, in one line: the residual of ARKit shapes; empty if nothing.
+        Other losses and additions, in one line: the residual of ARKit shapes, rows that hold the
+        last frame; empty if nothing.
     """
 
     path: Path
@@ -167,7 +168,8 @@ def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport
         curves, note = fit.curves, str(fit)
     elif wanted is not None:
         curves = convert(curves, wanted)
-    return curves, clipped, note
+    more = chosen.note(curves) if chosen.note else ""
+    return curves, clipped, "; ".join(line for line in (note, more) if line)
 
 
 def check_range(curves: RigCurves, controls: ControlSet, *, where: str) -> RigCurves:

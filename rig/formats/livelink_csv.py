@@ -1,9 +1,11 @@
 """Live Link Face CSV, recorded by the iPhone app and imported by Unreal, Blender and Maya.
 
-Columns are ``Timecode, BlendShapeCount`` and 61 ARKit names; a row is a frame. The time code
+Columns are ``Timecode, BlendshapeCount`` and 61 ARKit names; a row is a frame. The time code
 ``HH:MM:SS:FF.mmm`` counts **sixtieths of a second whatever the rate** (``.mmm`` are thousandths of
-a sixtieth). A writer that counts FF up to 29 at 30 fps squeezes each second into its first half:
-Unreal's importer reads ``H*3600 + M*60 + S + FF/60``.
+a sixtieth), except that a file in which FF never exceeds 30.0 counts thirtieths: the app does so at
+30 fps, and Unreal's importer (since August 2023) takes its rate from that. A file in sixtieths that
+ends within half a second would be read at half speed, so `write_take` holds its last frame until FF
+exceeds 30.
 
 A recorded take has its own, slightly uneven times, so it is kept as `LiveLinkTake` with its time
 codes to the last digit; `to_curves` puts it on an even grid.
@@ -31,8 +33,10 @@ TICKS_PER_SECOND = 60_000
 TICKS_PER_DAY = 24 * 3600 * TICKS_PER_SECOND
 DECIMALS = 10
 TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,2})(?:\.(\d{1,3}))?")
-SUBJECT = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+?)(?:_(?:cal|raw|neutral))?")
-"""How the importer reads a file name: ``<Slate>_<Take>_<Subject>[_cal|_raw|_neutral].csv``."""
+ENDINGS = ("_cal", "_raw", "_neutral")
+"""Ends of file names that the importer leaves out of the subject."""
+COUNT = "BlendshapeCount"
+"""Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +51,14 @@ class LiveLinkTake:
         As in the file, not clamped.
     names : tuple of str [length C]
         Columns after the time code and the count.
+    count_column : str
+        Spelling of the second column.
     """
 
     ticks: Int64
     values: Float64
     names: tuple[str, ...]
+    count_column: str = COUNT
 
     @property
     def fps(self) -> float:
@@ -112,15 +119,17 @@ def read_take(path: Path) -> LiveLinkTake:
         or does not rise, or a cell is no finite number.
     """
     header = read_header(path)
-    if [cell.lower() for cell in header[:2]] != ["timecode", "blendshapecount"] or len(header) < 3:
+    if [cell.lower() for cell in header[:2]] != ["timecode", COUNT.lower()] or len(header) < 3:
         raise FormatError(
-            f"{path} begins with {', '.join(header[:2])!r}; a Live Link Face CSV begins with "
-            "'Timecode, BlendShapeCount' and has a column per curve"
+            f"{path} begins with {', '.join(header[:2])[:80]!r}; a Live Link Face CSV begins with "
+            f"'Timecode,{COUNT}' and has a column per curve, with commas between"
         )
     names = header[2:]
     check_unique(names, where=str(path))
     numbers, (timecodes,) = read_numbers(path, header, text_columns=(0,))
     ticks = np.array([parse_timecode(t, row=i, where=path) for i, t in enumerate(timecodes, 1)])
+    if counts_thirtieths(ticks):
+        ticks += ticks % TICKS_PER_SECOND
     ticks += TICKS_PER_DAY * np.concatenate([[0], np.cumsum(np.diff(ticks) < -TICKS_PER_DAY // 2)])
     still = np.diff(ticks) <= 0
     if still.any():
@@ -128,20 +137,55 @@ def read_take(path: Path) -> LiveLinkTake:
         raise FormatError(
             f"{path}: data row {row} has time code {timecodes[row - 1]}, not after the one before"
         )
-    return LiveLinkTake(ticks, numbers[:, 1:], names)
+    return LiveLinkTake(ticks, numbers[:, 1:], names, header[1])
+
+
+def counts_thirtieths(ticks: Int64) -> bool:
+    """Return whether no frame field of time codes exceeds 30.0, which Unreal takes as 30 fps."""
+    return bool((ticks % TICKS_PER_SECOND).max(initial=0) <= TICKS_PER_SECOND // 2)
 
 
 def write_take(path: Path, take: LiveLinkTake) -> None:
-    """Write a take, ten decimals, one row per frame."""
-    n_curves = np.full((len(take.ticks), 1), len(take.names))
+    """Write a take, ten decimals, one row per frame, and `padding` after them."""
+    held = padding(take.ticks)
+    ticks = np.concatenate([take.ticks, held])
+    values = np.concatenate([take.values, np.repeat(take.values[-1:], len(held), axis=0)])
+    n_curves = np.full((len(ticks), 1), len(take.names))
     blocks: list[Block | Text] = [
-        Text(timecode_text(take.ticks)),
+        Text(timecode_text(ticks)),
         Block(n_curves, 0),
-        Block(take.values, DECIMALS, trim=False),
+        Block(values, DECIMALS, trim=False),
     ]
     with path.open("wb") as stream:
-        stream.write(",".join(("Timecode", "BlendShapeCount", *take.names)).encode() + b"\n")
+        stream.write(",".join(("Timecode", take.count_column, *take.names)).encode() + b"\n")
         stream.writelines(rows(blocks))
+
+
+def padding(ticks: Int64) -> Int64:
+    """Return the times of rows that hold the last frame, so that FF exceeds 30; usually none.
+
+    Without them the sixtieths of a take that ends within half a second are read as thirtieths.
+    """
+    none: Int64 = np.empty(0, np.int64)
+    if not counts_thirtieths(ticks) or not (ticks % TICKS_PER_SECOND).any():
+        return none
+    step = int(np.median(np.diff(ticks))) if len(ticks) > 1 else 2000
+    more = ticks[-1] + step * np.arange(1, TICKS_PER_SECOND // 1000 + 1)
+    over = more % TICKS_PER_SECOND > TICKS_PER_SECOND // 2
+    if not over.any():  # of two frames a second
+        return ticks[-1:] // TICKS_PER_SECOND * TICKS_PER_SECOND + TICKS_PER_SECOND // 2 + 1000
+    return np.asarray(more[: int(np.argmax(over)) + 1], np.int64)
+
+
+def padding_note(curves: RigCurves) -> str:
+    """Return a line on the padding of a clip; empty if there is none."""
+    n_held = len(padding(frame_ticks(len(curves), curves.fps)))
+    if not n_held:
+        return ""
+    return (
+        f"the last frame is held for {n_held} more rows: Unreal plays a Live Link CSV that ends "
+        "within half a second at half speed"
+    )
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
@@ -201,26 +245,37 @@ def parse_timecode(text: str, *, row: int, where: Path) -> int:
     return (((hours * 60 + minutes) * 60 + seconds) * 60 + sixtieths) * 1000 + thousandths
 
 
-def subject_of(path: Path) -> str | None:
-    """Return the Live Link subject that the importer takes from a file name, or None."""
-    match = SUBJECT.fullmatch(path.stem)
-    return match["subject"] if match else None
+def subject_of(path: Path) -> str:
+    """Return the Live Link subject that Unreal's importer takes from a file name.
+
+    An end of `ENDINGS` is left out. If the name then has more than three words between
+    underscores, the subject is what follows the first number (that is not the first word):
+    ``My_Scene_1_anna.csv`` gives ``anna``. Else it is the whole name: ``Speech_1_anna``.
+    """
+    stem = path.stem
+    for ending in ENDINGS:
+        stem = stem.removesuffix(ending)
+    words = stem.split("_")
+    numbers = [i for i, word in enumerate(words) if i and word.isdecimal()]
+    rest = words[numbers[0] + 1 :] if len(words) > 3 and numbers else []
+    return "_".join(rest) or stem
 
 
 def take_name(slate: str, take: int, subject: str) -> str:
-    """Return a file name that the importer reads, ``<Slate>_<Take>_<Subject>.csv``.
+    """Return a name whose subject the importer takes, ``<Slate>_take_<Take>_<Subject>.csv``.
 
     Raises
     ------
     CurveError
-        If a part is empty, or the subject holds an underscore.
+        If a part is empty, or the importer would take another subject.
     """
-    if not slate or not subject or "_" in subject or take < 0:
+    name = f"{slate}_take_{take}_{subject}.csv"
+    if not slate or not subject or take < 0 or subject_of(Path(name)) != subject:
         raise CurveError(
-            f"slate {slate!r}, take {take}, subject {subject!r}: none may be empty, and "
-            "the subject may hold no underscore (the importer splits there)"
+            f"slate {slate!r}, take {take}, subject {subject!r}: none may be empty, the slate may "
+            f"hold no number between underscores, the subject may not end in {', '.join(ENDINGS)}"
         )
-    return f"{slate}_{take}_{subject}.csv"
+    return name
 
 
 def _controls_of(names: tuple[str, ...]) -> ControlSet:

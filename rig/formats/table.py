@@ -47,6 +47,8 @@ class Format:
         Whether emotion and intensity are kept.
     begins : tuple of str
         First cells (lower case) of a CSV of this format, by which it is recognised.
+    note : callable, optional
+        A line on what the writer adds to curves, or an empty one.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Format:
     control_set: str | None = None
     has_tracks: bool = False
     begins: tuple[str, ...] = ()
+    note: Callable[[RigCurves], str] | None = None
 
 
 def _write_glb(path: Path, curves: RigCurves) -> None:
@@ -126,6 +129,7 @@ FORMATS: tuple[Format, ...] = (
         livelink_csv.write,
         ARKIT_ID,
         begins=("timecode", "blendshapecount"),
+        note=livelink_csv.padding_note,
     ),
     Format(
         "livelink-raw",
@@ -134,6 +138,7 @@ FORMATS: tuple[Format, ...] = (
         livelink_csv.read,
         livelink_csv.write,
         RAW_ID,
+        note=livelink_csv.padding_note,
     ),
     Format(
         "a2f",

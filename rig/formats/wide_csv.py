@@ -177,6 +177,7 @@ def _bad_cell(path: Path, header: Sequence[str], table: pd.DataFrame) -> FormatE
     row, place = (int(i) for i in np.argwhere(~(np.abs(numbers) <= LARGEST))[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]
+    cell = cell.item() if isinstance(cell, np.generic) else cell
     got = "empty or NaN" if pd.isna(cell) else quoted(cell)
     return FormatError(
         f"{path}: data row {row + 1}, column {header[column]!r} is {got}; "

@@ -7,7 +7,7 @@ Needs nothing but Unreal's own Python (3.9 or later) and a ``*.unreal.json`` tha
     import deitalk_unreal as d
     d.anim_sequence(r"C:/take/speech.unreal.json")              # raw curves, one AnimSequence
     d.control_rig(r"C:/take/speech.unreal.json")                # keys on the open Level Sequence
-    d.live_link_csv(r"C:/take/Slate_1_deitalk.csv")             # Live Link take
+    d.live_link_csv(r"C:/take/speech_take_1_anna.csv")          # Live Link take
 
 or from the command field: ``py "C:/…/deitalk_unreal.py" anim "C:/take/speech.unreal.json"``.
 With ``dry_run=True`` (``--dry-run``) every step is printed and nothing is changed; that also works
@@ -203,7 +203,9 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     task.automated = True
     task.save = True
     unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
-    return list(task.imported_object_paths)
+    if task.imported_object_paths:
+        return list(task.imported_object_paths)
+    raise DeitalkError(f"Unreal refuses {path}; run: deitalk validate {path}")
 
 
 def _fill(sequence: Any, raw: dict[str, list[float]], rate: Fraction, n_frames: int) -> None:
@@ -320,8 +322,8 @@ def _skeleton(path: str) -> Any:
         skeleton = unreal.load_asset(place)
         if skeleton is not None:
             return skeleton
-    tried = path or ", ".join(SKELETONS)
-    raise DeitalkError(f"no skeleton at {tried}; give skeleton='/Game/…/Face_Archetype_Skeleton'")
+    tried = path or " or ".join(SKELETONS)
+    raise DeitalkError(f"no skeleton at {tried}; give the face's: skeleton='/Game/…'")
 
 
 def find_sequence(path: str) -> Any:
@@ -359,10 +361,8 @@ def need_unreal() -> None:
 
 def say(text: str) -> None:
     """Print a line in Unreal's log, or on stdout outside the editor."""
-    if unreal is None:
-        sys.stdout.write(text + "\n")
-    else:
-        unreal.log(text)
+    write = unreal.log if unreal else lambda line: sys.stdout.write(line + "\n")
+    write(text)
 
 
 class _Parser(argparse.ArgumentParser):

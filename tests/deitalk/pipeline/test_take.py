@@ -32,7 +32,7 @@ def test_take_describes_each_of_its_files(tmp_path, performance):
     about = json.loads((take / "take.json").read_text())
     assert {path.name for path in take.iterdir() if path.name[0] != "."} == set(about["files"])
     assert set(FILES) <= set(about["files"])
-    assert any(name.endswith("_1_deitalk.csv") for name in about["files"])
+    assert any(name.endswith("_take_1_deitalk.csv") for name in about["files"])
     assert about["frames"] == 75
     assert about["control_set"] == "metahuman-185@mh4"
     assert about["settings"] == {"emotion": "happy"}

@@ -16,15 +16,11 @@ from rig.formats.livelink_csv import (
     timecode_text,
     write_take,
 )
+from tests import unreal_live_link
+from tests.rig.unreal.test_unreal import SUBJECTS
 
 ALEX = "data/curves/livelink/alex_rom_3.csv"
 HEADER = ",".join(["Timecode", "BlendShapeCount", *arkit_controls().names])
-
-
-def seconds_as_unreal_reads(timecode):
-    """The importer's formula, written from its description and not from our code."""
-    hours, minutes, seconds, frames = timecode.split(":")
-    return int(hours) * 3600 + int(minutes) * 60 + int(seconds) + float(frames) / 60
 
 
 def codes(n_frames, fps):
@@ -55,8 +51,7 @@ def test_timecodes_of_hand_worked_times(fps, frame, timecode):
 @pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60])
 def test_files_play_at_the_right_speed_by_the_importers_formula(tmp_path, fps):
     write_curves(tmp_path / "S_1_me.csv", rest_curves(300, fps=fps), format="livelink")
-    lines = (tmp_path / "S_1_me.csv").read_text().splitlines()[1:]
-    times = [seconds_as_unreal_reads(line.split(",")[0]) for line in lines]
+    times = unreal_live_link.import_csv(tmp_path / "S_1_me.csv").times
     rate = 30000 / 1001 if fps == 29.97 else fps
     assert times == pytest.approx(np.arange(300) / rate, abs=1e-5)
 
@@ -105,16 +100,18 @@ def test_file_has_the_form_of_the_app(tmp_path):
     curves = RigCurves(values, arkit_controls().names, control_set=ARKIT_ID)
     write_curves(tmp_path / "a.livelink.csv", curves)
     lines = (tmp_path / "a.livelink.csv").read_text().split("\n")
-    assert lines[0] == HEADER
+    assert lines[0] == HEADER.replace("BlendShapeCount", "BlendshapeCount")
     assert lines[1] == "00:00:00:00.000,61" + ",0.0000000000" * 61
     assert lines[2].split(",")[:2] == ["00:00:00:02.000", "61"]
     assert lines[2].split(",")[19] == "0.2500000000"
-    assert lines[3] == "" and len(lines) == 4
+    # held until FF exceeds 30, else Unreal reads 00:02 as a fifteenth of a second
+    assert lines[-2].split(",")[0] == "00:00:00:32.000" and lines[-1] == "" and len(lines) == 19
+    assert {line.split(",", 1)[1] for line in lines[3:-1]} == {lines[2].split(",", 1)[1]}
 
 
 def test_loss_is_reported_when_the_board_is_written(tmp_path):
     report = write_curves(tmp_path / "a.livelink.csv", rest_curves(3))
-    assert "lossy preview: 0%" in report.note
+    assert "lossy preview: 0%" in report.note and "last frame is held for 14" in report.note
     curves = rest_curves(3)
     values = curves.values.copy()
     values[:, curves.index("CTRL_L_ear_up.ty")] = 1
@@ -127,7 +124,7 @@ def test_raw_curves_survive_as_live_link_columns(tmp_path):
     write_curves(tmp_path / "a.livelink-raw.csv", curves)
     back = read_curves(tmp_path / "a.livelink-raw.csv", control_set=None)
     assert back.control_set == RAW_ID
-    assert back.values == pytest.approx(board_to_raw(curves).values)
+    assert back.values[:4] == pytest.approx(board_to_raw(curves).values)
 
 
 def test_takes_that_cross_midnight_keep_rising(tmp_path):
@@ -171,23 +168,60 @@ def test_read_curves_rejects_doubled_and_foreign_columns(tmp_path):
         read_curves(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(
-    ("name", "subject"),
-    [
-        ("MySlate_164_iPhone_cal.csv", "iPhone"),
-        ("My_Slate_2_me.csv", "me"),
-        ("speech_1_deitalk.csv", "deitalk"),
-        ("curves.csv", None),
-    ],
-)
+@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
 def test_subject_is_what_the_importer_takes_from_the_name(tmp_path, name, subject):
     assert subject_of(tmp_path / name) == subject
+    if name != "a_b_c_1.csv":  # nothing is left of it there
+        assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-def test_names_of_takes():
-    assert take_name("My_Slate", 3, "anna") == "My_Slate_3_anna.csv"
-    with pytest.raises(CurveError, match="may hold no underscore"):
-        take_name("slate", 1, "my_phone")
+@pytest.mark.parametrize("slate", ["My_Slate", "speech", "2"])
+@pytest.mark.parametrize("subject", ["anna", "my_phone", "7"])
+def test_names_of_takes_give_their_subject_in_unreal(slate, subject):
+    name = take_name(slate, 3, subject)
+    assert name == f"{slate}_take_3_{subject}.csv"
+    assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
+
+
+@pytest.mark.parametrize(
+    ("slate", "subject"), [("", "a"), ("a", ""), ("a_2_b", "c"), ("a", "b_cal")]
+)
+def test_names_of_which_unreal_takes_another_subject_are_refused(slate, subject):
+    with pytest.raises(CurveError, match="none may be empty"):
+        take_name(slate, 1, subject)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
+@pytest.mark.parametrize("fps", [2, 24, 30, 60, 10000 / 167])
+def test_files_of_any_length_play_at_the_right_speed_in_unreal(tmp_path, fps, n_frames):
+    values = np.zeros((n_frames, 61), np.float32)
+    values[:, 17] = np.linspace(0.1, 0.5, n_frames)
+    curves = RigCurves(values, arkit_controls().names, fps, control_set=ARKIT_ID)
+    report = write_curves(tmp_path / "a_take_1_me.csv", curves, format="livelink")
+    there = unreal_live_link.import_csv(tmp_path / "a_take_1_me.csv")
+    assert there.times[:n_frames] == pytest.approx(np.arange(n_frames) / fps, abs=2e-5)
+    assert there.columns["JawOpen"][:n_frames] == pytest.approx(values[:, 17])
+    n_held = len(there.times) - n_frames
+    assert set(there.columns["JawOpen"][n_frames:]) <= {there.columns["JawOpen"][n_frames - 1]}
+    assert ("last frame is held" in report.note) == (n_held > 0)
+    assert n_held == 0 or (n_frames - 1) / fps <= 0.5 or fps == 2
+    if fps == 2:
+        return
+    back = read_curves(tmp_path / "a_take_1_me.csv", control_set=None)
+    assert back["JawOpen"][:n_frames] == pytest.approx(values[:, 17], abs=1e-3)
+
+
+def test_take_of_the_app_that_counts_frames_to_29_is_read_at_30(tmp_path):
+    rows = [f"10:00:{i // 30:02}:{i % 30:02}.652,61" + f",{i / 251:.10f}" * 61 for i in range(251)]
+    (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]))
+    curves = read_curves(tmp_path / "a.csv", control_set=None)
+    there = unreal_live_link.import_csv(tmp_path / "a.csv")
+    assert there.rate == 30 and curves.fps == 30 and len(curves) == 251
+    assert curves["JawOpen"][90] == pytest.approx(90 / 251, abs=1 / 251)
+    take = read_take(tmp_path / "a.csv")
+    assert (take.ticks - take.ticks[0]) / 60000 == pytest.approx(
+        np.array(there.times) - there.times[0], abs=1e-5
+    )
 
 
 def test_take_rejects_hours_without_frames(tmp_path):

@@ -17,6 +17,18 @@ from tests import fake_unreal
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
 SKELETON = "/Game/MetaHumans/Common/Face/Face_Archetype_Skeleton"
 BOARD = default_controls()
+SUBJECTS = [
+    ("Speech_1_anna.csv", "Speech_1_anna"),
+    ("My_Scene_1_anna.csv", "anna"),
+    ("MySlate_164_iPhone_cal.csv", "MySlate_164_iPhone"),
+    ("My_Slate_2_my_phone_raw.csv", "my_phone"),
+    ("a_b_c_d.csv", "a_b_c_d"),
+    ("1_2_3_4.csv", "3_4"),
+    ("a_b_c_1.csv", "a_b_c_1"),
+    ("speech_take_1_deitalk.csv", "deitalk"),
+    ("curves.csv", "curves"),
+]
+"""Names of files and the Live Link subject that Unreal's importer makes of them."""
 
 
 def run_inside(module, monkeypatch):
@@ -232,16 +244,23 @@ def test_older_board_gets_its_own_names_without_newer_controls(take, monkeypatch
 
 
 def test_live_link_take_is_imported(tmp_path, monkeypatch):
-    path = tmp_path / "Slate_1_anna.csv"
+    path = tmp_path / "Slate_take_1_anna.csv"
     write_curves(path, rest_curves(2), format="livelink")
     module = fake_unreal.make_unreal()
     script = run_inside(module, monkeypatch)
     assert script.live_link_csv(str(path)) == ["/Game/deitalk/imported"]
-    module.assets["/Game/deitalk/Slate_1_anna"] = object()
+    assert module.imported[0].subject == "anna"
+    assert any("Live Link subject 'anna'" in text for text in module.messages)
+    text = path.read_text()
+    path.write_text(text.replace(",", ", "))
+    with pytest.raises(script.DeitalkError, match=r"Unreal refuses .*; run: deitalk validate"):
+        script.live_link_csv(str(path))
+    path.write_text(text)
+    module.assets["/Game/deitalk/Slate_take_1_anna"] = object()
     with pytest.raises(script.DeitalkError, match="exists; rename"):
         script.live_link_csv(str(path))
     del module.LiveLinkFaceImporterFactory
-    del module.assets["/Game/deitalk/Slate_1_anna"]
+    del module.assets["/Game/deitalk/Slate_take_1_anna"]
     with pytest.raises(script.DeitalkError, match="enable the plugin"):
         script.live_link_csv(str(path))
 
@@ -320,18 +339,7 @@ def test_script_rejects_damaged_files(take, monkeypatch, change, message):
         script.anim_sequence(take, dry_run=True)
 
 
-@pytest.mark.parametrize(
-    ("name", "subject"),
-    [
-        ("Speech_1_anna.csv", "Speech_1_anna"),
-        ("My_Scene_1_anna.csv", "anna"),
-        ("MySlate_164_iPhone_cal.csv", "MySlate_164_iPhone"),
-        ("My_Slate_2_my_phone_raw.csv", "my_phone"),
-        ("a_b_c_d.csv", "a_b_c_d"),
-        ("1_2_3_4.csv", "3_4"),
-        ("a_b_c_1.csv", "a_b_c_1"),
-    ],
-)
+@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
 def test_subject_is_the_one_of_unreals_importer(monkeypatch, name, subject):
     """More than three tokens: the first is dropped, then all up to the first number."""
     assert run_inside(None, monkeypatch).subject_of(f"C:/x/{name}") == subject

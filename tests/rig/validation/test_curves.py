@@ -11,6 +11,7 @@ from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
 from rig.formats.table import FORMATS
 from rig.validation.curves import validate
+from tests.unreal_live_link import import_csv
 
 BOARD = default_controls()
 
@@ -36,11 +37,11 @@ def test_our_files_are_valid(tmp_path, suffix):
 
 
 def test_our_live_link_take_is_valid(tmp_path):
-    write_curves(tmp_path / "Slate_1_anna.csv", talking(), format="livelink")
-    validation = validate(tmp_path / "Slate_1_anna.csv")
-    assert validation.ok and not texts(tmp_path / "Slate_1_anna.csv", "warning")
+    write_curves(tmp_path / "Slate_take_1_anna.csv", talking(), format="livelink")
+    validation = validate(tmp_path / "Slate_take_1_anna.csv")
+    assert validation.ok and not texts(tmp_path / "Slate_take_1_anna.csv", "warning")
     assert "Unreal makes the Live Link subject 'anna'" in texts(
-        tmp_path / "Slate_1_anna.csv", "note"
+        tmp_path / "Slate_take_1_anna.csv", "note"
     )
 
 
@@ -60,21 +61,99 @@ def take(ticks, **values):
     return LiveLinkTake(np.asarray(ticks), table, arkit_controls().names)
 
 
-def test_frames_counted_instead_of_sixtieths_are_found(tmp_path):
-    frames = np.arange(150)
-    ticks = frames // 30 * 60_000 + frames % 30 * 1000
-    write_take(tmp_path / "S_1_a.csv", take(ticks))
-    (error,) = texts(tmp_path / "S_1_a.csv", "error")
-    assert "FF never passes 29" in error
-    write_take(tmp_path / "S_1_a.csv", take(frame_ticks(150, 30)))
+HEADER = ",".join(["Timecode", "BlendShapeCount", *arkit_controls().names])
+
+
+def rows_of(n_frames, per_second, zero=",0"):
+    return [
+        f"00:00:{i // per_second:02}:{i % per_second:02}.000,61{zero * 61}" for i in range(n_frames)
+    ]
+
+
+def test_frames_counted_to_29_are_a_warning_for_older_importers(tmp_path):
+    (tmp_path / "S_1_a.csv").write_text("\n".join([HEADER, *rows_of(150, 30)]))
     assert validate(tmp_path / "S_1_a.csv").ok
+    text = texts(tmp_path / "S_1_a.csv", "warning")[0]
+    assert "read as 30 frames a second" in text and "older importer" in text
+    assert "150 frames at 30 fps" in texts(tmp_path / "S_1_a.csv", "note")[0]
+    write_take(tmp_path / "S_1_a.csv", take(frame_ticks(150, 30)))
+    assert "FF" not in " ".join(texts(tmp_path / "S_1_a.csv", "warning"))
 
 
-def test_names_values_and_open_mouths_are_found(tmp_path):
-    write_take(tmp_path / "mine.csv", take(frame_ticks(5, 30), JawOpen=1.2))
+def test_short_file_in_sixtieths_plays_at_half_speed(tmp_path):
+    (tmp_path / "S_1_a.csv").write_text("\n".join([HEADER, *rows_of(20, 60)]))
+    assert "plays at half speed" in texts(tmp_path / "S_1_a.csv", "warning")[0]
+    write_curves(tmp_path / "S_1_a.csv", rest_curves(20, fps=60), format="livelink")
+    assert "half speed" not in " ".join(texts(tmp_path / "S_1_a.csv", "warning"))
+
+
+def spoilt(kind):
+    """A take that Unreal refuses, or whose import it ends before the end."""
+    lines = [HEADER, *rows_of(100, 60)]
+    if kind == "spaces":
+        lines[0] = lines[0].replace(",", ", ")
+    elif kind == "quotes":
+        lines[0] = ",".join(f'"{cell}"' for cell in lines[0].split(","))
+    elif kind == "semicolons":
+        lines = [line.replace(",", ";") for line in lines]
+    elif kind == "short row":
+        lines[7] = lines[7][:-4]
+    elif kind == "long row":
+        lines[7] += ",0"
+    elif kind == "empty cell":
+        lines[7] = lines[7].replace(",0", ",", 1)
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("spaces", "white space at ' BlendShapeCount'"),
+        ("quotes", "quotes in its first line"),
+        ("semicolons", "semicolons between its cells; Unreal reads commas"),
+        ("short row", "data row 7 has 61 filled cells, the header 63"),
+        ("long row", "data row 7 has 64 filled cells, the header 63"),
+        ("empty cell", "data row 7 has 62 filled cells, the header 63"),
+    ],
+)
+def test_what_unreal_refuses_is_an_error_of_one_short_line(tmp_path, kind, message):
+    path = tmp_path / "S_1_a.csv"
+    path.write_text(spoilt("nothing"))
+    assert validate(path).ok and len(import_csv(path).times) == 100
+    path.write_text(spoilt(kind))
+    with pytest.raises(AssertionError):
+        import_csv(path)
+    (error,) = texts(path, "error")
+    assert message in error and len(error) - len(str(path)) < 120
+
+
+def test_infinite_value_is_named_as_in_the_file(tmp_path):
+    lines = [HEADER, *rows_of(100, 60)]
+    lines[3] = lines[3].replace(",0", ",inf", 1)
+    (tmp_path / "S_1_a.csv").write_text("\n".join(lines))
+    assert "data row 3, column 'EyeBlinkLeft' is inf;" in texts(tmp_path / "S_1_a.csv", "error")[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "note"),
+    [
+        (
+            "Speech_1_anna.csv",
+            "'Speech_1_anna', the whole name; Speech_take_1_anna.csv gives 'anna'",
+        ),
+        ("Speech_take_1_anna.csv", "subject 'anna'"),
+        ("mine.csv", "subject 'mine'"),
+    ],
+)
+def test_subject_is_the_one_that_unreal_makes(tmp_path, name, note):
+    (tmp_path / name).write_text("\n".join([HEADER, *rows_of(100, 60)]))
+    assert texts(tmp_path / name, "note")[1].endswith(note)
+
+
+def test_values_and_open_mouths_are_found(tmp_path):
+    write_take(tmp_path / "mine.csv", take(frame_ticks(50, 30), JawOpen=1.2))
     warnings = " ".join(texts(tmp_path / "mine.csv", "warning"))
-    assert "the importer finds no subject" in warnings
-    assert "5 values are outside 0 to 1, by 0.2 at most" in warnings
+    assert "50 values are outside 0 to 1, by 0.2 at most" in warnings
     assert "ends with the mouth open (JawOpen 1.20)" in warnings
 
 
