@@ -1,4 +1,4 @@
-"""Import of captured faces: takes of a capture system to a dataset folder, and its mending.
+"""Captured faces: takes of a capture system to a dataset folder, their checks and corrections.
 
 ::
 
@@ -9,6 +9,13 @@
     labels.py      actor, emotion and style from options, a pattern, folders or a table
     segments.py    long takes to clips, cut in silence
     splits.py      train, validation and test, by actors or by blocks of time
-    reports.py     what was imported, and warnings
     imported.py    all of it, into a staged folder
+    reports.py     what was imported, and warnings
+
+    sync.py        offset and drift of a take against the model's curves of its sound
+    channels.py    channels that are clipped, frozen, jittering; sides that are swapped
+    rest.py        an actor's pose at rest, and its removal
+    survey.py      measures of all clips, takes and actors
+    verdicts.py    rows of `deitalk data check`
+    mend.py        `deitalk data check --fix`
 """

@@ -17,6 +17,7 @@ from deitalk.data.captures.labels import Labelling, Labels
 from deitalk.data.captures.mapping import read_mapping
 from deitalk.data.captures.reports import (
     TAKE_HEADER,
+    VOICED_FRAMES,
     Imported,
     TakeReport,
     row_of,
@@ -41,7 +42,8 @@ MARGIN_SECONDS = 0.6
 LENGTH_SECONDS = 0.1
 """Difference of curves and sound that is reported."""
 LEAST_SECONDS = 0.5
-VOICED_FRAMES = 60
+"""Of curves and sound of a take."""
+
 Progress = Callable[[float], None]
 
 

@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 
+from deitalk.data.captures.reports import (
+    LITTLE_SECONDS,
+    NAMED,
+    VOICED_FRAMES,
+    VOICES_SEMITONES,
+)
 from deitalk.data.captures.survey import Survey
-
-NAMED = 3
-VOICES_SEMITONES = 7.0
-"""As in `deitalk.data.captures.reports`."""
-LITTLE_SECONDS = 120.0
 
 Row = tuple[str, Literal["ok", "warning", "error"], str]
 """Name, level and text."""
@@ -113,7 +114,7 @@ def _voices(survey: Survey) -> Row:
         takes: dict[str, list[float]] = {}
         for c in clips:
             takes.setdefault(c.clip.take, []).extend(c.voiced.tolist())
-        pitch = {take: float(np.median(v)) for take, v in takes.items() if len(v) >= 60}
+        pitch = {take: float(np.median(v)) for take, v in takes.items() if len(v) >= VOICED_FRAMES}
         if pitch and max(pitch.values()) - min(pitch.values()) > VOICES_SEMITONES:
             low, high = min(pitch, key=lambda t: pitch[t]), max(pitch, key=lambda t: pitch[t])
             found.append(f"{actor} ({low}, {high})")
