@@ -25,8 +25,9 @@ OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
 """Answered without a key and without a count: they tell nothing about anyone's work."""
 MOST_HEADERS = 100
 HEADER_BYTES = 16 * 1024
-SUBPROTOCOL = "deitalk.key."
-"""A browser's WebSocket cannot send headers: its key comes as a subprotocol."""
+SUBPROTOCOL, KEY_SUBPROTOCOL = "deitalk", "deitalk.key."
+"""A browser's WebSocket cannot send headers: its key comes as a subprotocol beside the one that the
+server names in its answer."""
 ADDED_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
@@ -173,8 +174,8 @@ def _key(headers: dict[bytes, str]) -> str | None:
     if scheme.lower() == "bearer":
         return key.strip()
     for part in headers.get(b"sec-websocket-protocol", "").split(","):
-        if part.strip().startswith(SUBPROTOCOL):
-            return part.strip().removeprefix(SUBPROTOCOL)
+        if part.strip().startswith(KEY_SUBPROTOCOL):
+            return part.strip().removeprefix(KEY_SUBPROTOCOL)
     return None
 
 

@@ -28,9 +28,8 @@ async def live(websocket: WebSocket) -> None:
         raise Problem(503, "all live sessions are taken; try again later", "busy")
     service.live_sessions += 1
     try:
-        given = websocket.scope.get("subprotocols", [])
-        key = next((name for name in given if name.startswith(SUBPROTOCOL)), None)
-        await websocket.accept(subprotocol=key)
+        is_offered = SUBPROTOCOL in websocket.scope.get("subprotocols", [])
+        await websocket.accept(subprotocol=SUBPROTOCOL if is_offered else None)
         async with service.stage.folder() as folder:
             await _serve(websocket, Session(websocket, service, folder))
     finally:

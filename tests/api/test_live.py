@@ -218,7 +218,8 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
     with live(keyed_server, additional_headers=bearer("farm")) as session:
         assert begin(session)["type"] == "header"
     key = bearer("farm")["Authorization"].removeprefix("Bearer ")
-    with live(keyed_server, subprotocols=[f"deitalk.key.{key}"]) as session:
+    with live(keyed_server, subprotocols=["deitalk", f"deitalk.key.{key}"]) as session:
+        assert session.subprotocol == "deitalk" and key not in str(session.response)
         assert begin(session)["type"] == "header"
     with ExitStack() as sessions:
         for _ in range(4):

@@ -111,10 +111,20 @@ def test_format_that_nothing_writes_is_refused():
         assert refused.value.status == 400
 
 
-def test_weights_are_labels_or_pairs_only():
+def test_weights_are_labels_or_pairs_only(tmp_path):
+    track = tmp_path / "happy.csv"
+    track.write_text("time,emotion,strength\n0,happy,1\n")
     assert weights_of("happy") == {"happy": 1.0}
     assert weights_of("happy=0.25, sad=0.5") == {"neutral": 0.25, "happy": 0.25, "sad": 0.5}
-    for text in ("moods.csv", "happy=0.5.json", "happy=1/../x.csv", "", "happy=", "a" * 500):
+    for text in (
+        str(track),
+        f"happy=1{track}",
+        "happy=0.5.json",
+        "happy=1/../x.csv",
+        "",
+        "happy=",
+        "a" * 500,
+    ):
         with pytest.raises(EmotionError):
             weights_of(text)
 

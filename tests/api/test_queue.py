@@ -1,4 +1,4 @@
-"""Jobs in PostgreSQL, on a real server that the test starts."""
+"""The table of jobs in SQLite and in PostgreSQL, on a real server that the test starts."""
 
 import os
 import pwd
@@ -29,7 +29,7 @@ def programs() -> Path | None:
 
 
 @pytest.fixture(scope="module")
-def database():
+def postgres():
     """URL of an empty database; PostgreSQL refuses to run as root."""
     place = programs()
     if place is None:
@@ -57,6 +57,13 @@ def database():
     finally:
         run(str(place / "pg_ctl"), "-D", str(data), "-m", "immediate", "stop")
         shutil.rmtree(folder)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request, tmp_path):
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    return request.getfixturevalue("postgres")
 
 
 def _exists(name: str) -> bool:
@@ -97,8 +104,8 @@ def test_lease_that_is_over_passes_the_job_on_until_its_attempts_are_used(databa
     queue.engine.dispose()
 
 
-def test_service_keeps_its_jobs_there(database, tmp_path):
-    with serving(tmp_path / "a", database=database) as server, server.client() as client:
+def test_service_keeps_its_jobs_in_postgresql(postgres, tmp_path):
+    with serving(tmp_path / "a", database=postgres) as server, server.client() as client:
         job = wait(client, submit(client, recording=wav(1.0), format="csv").json()["id"])
         assert job["status"] == "done"
         assert len(client.get(job["result"]).text.splitlines()) == 31
