@@ -31,7 +31,7 @@ def export(
     --------
     deitalk model export runs/mel/best -o my_model --data "my captures"
     """
-    from deitalk.config import load_config
+    from deitalk.config.load import load_config, without_paths
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import describe_model, model_folder
@@ -39,10 +39,10 @@ def export(
     source = model_folder(model)
     reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
     network = require_model(model, DEITalk)
-    config = load_config(
-        source / "config.yaml", ["data.noise_folder=null", "data.room_folder=null"]
-    )
+    config = without_paths(load_config(source / "config.yaml"))
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
+    if "base" in summary:
+        summary["base"] = Path(summary["base"]).name
     save_model(out, network, config, summary, half=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 

@@ -88,6 +88,20 @@ def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[st
     return tree
 
 
+def without_paths(config: AnyConfig) -> AnyConfig:
+    """A configuration without folders of this machine; of a model's the last part of it stays."""
+    tree = config.model_dump(mode="json")
+    tree["data"] |= {"noise_folder": None, "room_folder": None}
+    sections = [(tree["model"]["frontend"], "checkpoint")]
+    if "tune" in tree:
+        tree["tune"]["corpus"] = None
+        sections.append((tree["tune"], "base"))
+    for section, key in sections:
+        if section.get(key) is not None and Path(section[key]).is_absolute():
+            section[key] = Path(section[key]).name
+    return parse_config(tree)
+
+
 def _override(tree: dict[str, Any], override: str) -> None:
     key, equals, value = override.partition("=")
     if not equals:

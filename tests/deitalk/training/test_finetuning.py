@@ -8,9 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from deitalk import animate
 from deitalk.audio.load import Recording
+from deitalk.cli import app
 from deitalk.config import RulesConfig, load_config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
@@ -286,6 +288,19 @@ def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path):
     np.testing.assert_allclose(predict(task.model.eval(), example)[0], expected, atol=1e-5)
     batch = next(iter(task.batches(Share())))
     assert batch.emotion.shape == (4, 7) and (batch.emotion[:, 5:].sum(dim=1) == 1).all()
+
+
+def test_exported_model_names_no_folder_of_the_machine(base, data, tmp_path):
+    corpus = write_dataset(tmp_path / "corpus")
+    finetune(recipe(base, f"tune.corpus={corpus}"), data, tmp_path / "run")
+    done = CliRunner().invoke(
+        app, ["model", "export", f"{tmp_path}/run/best", "-o", f"{tmp_path}/small"]
+    )
+    assert done.exit_code == 0
+    for name in ("config.yaml", "model.json"):
+        text = (tmp_path / "small" / name).read_text()
+        assert str(tmp_path) not in text and str(Path(base).parent) not in text
+    assert load_model(tmp_path / "small").rules == RulesConfig.for_captures()
 
 
 def test_report_compares_before_after_and_baselines(base, data, tmp_path):
