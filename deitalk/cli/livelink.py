@@ -15,6 +15,7 @@ from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
     from rig import RigCurves
+    from rig.formats.livelink_csv import LiveLinkTake
 
 app = CheckedCommands(help="Send a face live over UDP, receive one, replay a take.")
 
@@ -107,7 +108,7 @@ def replay(
 
 @app.command()
 def receive(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Live Link Face CSV to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write; .csv: Live Link Face.")],
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 is the whole network.")
     ] = "127.0.0.1",
@@ -125,19 +126,22 @@ def receive(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Record Live Link Face packets, from a phone or from `send`, into a CSV.
+    """Record Live Link Face packets, from a phone or from `send`, into a file.
 
-    Ctrl-C, SIGTERM and SIGHUP end the take; received frames are written.
+    A .csv keeps the packets' own times; any other format of `convert` has an even rate. Ctrl-C,
+    SIGTERM and SIGHUP end the take; received frames are written.
 
     Examples
     --------
-    deitalk livelink receive -o Take_1_iPhone.csv --host 0.0.0.0
+    deitalk livelink receive -o scene_take_1_anna.csv --host 0.0.0.0
+
+    deitalk livelink receive -o anna.json --subject anna
     """
     from deitalk.cli.signals import held
-    from rig.files import atomic_write
-    from rig.formats.livelink_csv import write_take
+    from rig.formats import find_format
     from rig.livelink import Receiver
 
+    find_format(out, writable=True)
     reserve_file(out, force=force)
     with Receiver(host, port) as receiver, held() as signals:
         console().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
@@ -145,13 +149,31 @@ def receive(
             subject=subject, seconds=seconds, idle_seconds=idle, is_over=lambda: bool(signals)
         )
         take = recording.to_take()
-        with atomic_write(out) as beside:
-            write_take(beside, take)
+        _write_recording(out, take)
         signals.clear()  # handled: the take has ended
     console().print(
         f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
         f"{recording.n_late} late, {recording.n_garbage} invalid datagrams"
     )
+    if recording.n_other:
+        names = ", ".join(map(repr, recording.others))
+        console().note(
+            f"{recording.n_other} frames of other subjects left out: {names}; "
+            "--subject takes one of them"
+        )
+
+
+def _write_recording(out: Path, take: "LiveLinkTake") -> None:
+    from rig import write_curves
+    from rig.files import atomic_write
+    from rig.formats import find_format
+    from rig.formats.livelink_csv import write_take
+
+    if find_format(out, writable=True).name in ("csv", "livelink"):
+        with atomic_write(out) as beside:
+            write_take(beside, take)
+    else:
+        write_curves(out, take.to_curves())
 
 
 def _send(
@@ -276,11 +298,12 @@ def _player(audio: Path | None) -> Callable[[], None]:
 
 def _signal(address: str) -> Callable[[], None]:
     """Return a function that signals the first frame to another program."""
-    from rig.livelink import osc
+    from rig.livelink import check_address, osc
 
     host, colon, port = address.rpartition(":")
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
         raise DeitalkError(f"--start-signal {address!r} must be HOST:PORT, such as 127.0.0.1:8000")
+    check_address((host, int(port)))
 
     def send_start() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

@@ -4,9 +4,12 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cache, cached_property
 from typing import Protocol
 
 from rig.arrays import Float32
+from rig.controls import default_controls
+from rig.controls.control import NEWER_ONLY
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.errors import FormatError, quoted
 from rig.livelink import osc
@@ -49,9 +52,13 @@ class LiveLinkFace:
 
 @dataclass(frozen=True)
 class PropertyJson:
-    """Named properties as JSON, the form of FACEGOOD's FgLiveLinkReceiver.
+    """Named properties as JSON, for FACEGOOD's FgLiveLinkReceiver and FgControlRig.
 
-    A receiver takes names and order from the first datagram, so they never change.
+    Controls of the board have the names that FgControlRig looks up (its FgControlRigBPLibrary and
+    FgControlRigTypes): a float the bare name, a two-dimensional one ``CTRL_C_jaw.translateX`` and
+    ``.translateY``, both in the spelling of the boards up to 2023. Controls that those had not,
+    switches and multipliers are left out. The text is ASCII, as the receiver decodes Latin-1. A
+    receiver takes names and order from the first datagram, so they never change.
     """
 
     subject: str = "deitalk"
@@ -67,17 +74,38 @@ class PropertyJson:
             If the names and values need more.
         """
         properties = [
-            {"Name": name, "Value": round(float(value), 6)}
-            for name, value in zip(self.names, values, strict=True)
+            {"Name": name, "Value": round(float(values[i]), 6)} for i, name in self._properties
         ]
         content = {self.subject: {"FrameId": frame, "Properties": properties}}
-        data = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+        data = json.dumps(content, separators=(",", ":")).encode("ascii")
         if len(data) > MAX_JSON_BYTES:
             raise FormatError(
                 f"a frame of {len(properties)} properties needs {len(data)} bytes; a datagram "
                 f"holds {MAX_JSON_BYTES}; send fewer curves"
             )
         return [data]
+
+    @cached_property
+    def _properties(self) -> list[tuple[int, str]]:
+        """Columns that are sent, and their names there."""
+        spelt = facegood_names()
+        named = [(i, spelt.get(name, name)) for i, name in enumerate(self.names)]
+        return [(i, name) for i, name in named if name]
+
+
+@cache
+def facegood_names() -> dict[str, str]:
+    """Return FgControlRig's name of every control of the board; empty for one it has not."""
+    names = {}
+    for control in default_controls().controls:
+        older, _, axis = (control.mh3_name or control.name).partition(".")
+        if older == NEWER_ONLY or control.role in ("switch", "multiplier"):
+            names[control.name] = ""
+        elif control.type == "Vector2D":
+            names[control.name] = f"{older}.translate{axis[-1].upper()}"
+        else:
+            names[control.name] = older
+    return names
 
 
 @dataclass(frozen=True)

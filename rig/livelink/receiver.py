@@ -20,6 +20,8 @@ MAX_DATAGRAM = 65_535
 POLL_SECONDS = 0.2
 MAX_PACKETS = 120 * 3600 * 4
 """Four hours at 120 Hz: a recording is bounded."""
+MAX_OTHERS = 16
+"""Other subjects that a recording names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,8 @@ class Recording:
     n_lost, n_late, n_garbage, n_other : int
         Frame numbers that never came; packets that came after a later one; datagrams that are no
         packet; packets of other subjects.
+    others : tuple of str
+        Names of other subjects, at most `MAX_OTHERS`.
     """
 
     subject: str
@@ -43,6 +47,7 @@ class Recording:
     n_late: int = 0
     n_garbage: int = 0
     n_other: int = 0
+    others: tuple[str, ...] = ()
 
     def to_take(self) -> LiveLinkTake:
         """Return the recording as a Live Link Face take, with the packets' own times.
@@ -53,6 +58,11 @@ class Recording:
             If nothing was received.
         """
         if not self.packets:
+            if self.others:
+                raise FormatError(
+                    f"no packet of {self.subject!r} was received, but {self.n_other} of "
+                    f"{', '.join(map(repr, self.others))}; name one of these"
+                )
             raise FormatError("no packet was received; check host, port and firewall")
         ticks = np.array([round(p.seconds * TICKS_PER_SECOND) for p in self.packets], np.int64)
         order = np.argsort(udp_order())
@@ -163,22 +173,26 @@ class Receiver:
             See `packets`.
         """
         taken: list[Packet] = []
-        n_other = 0
+        n_other, others = 0, dict[str, None]()
         try:
             for packet in self.packets(seconds=seconds, idle_seconds=idle_seconds, is_over=is_over):
                 subject = subject or packet.subject
                 if packet.subject != subject:
                     n_other += 1
+                    if len(others) < MAX_OTHERS:
+                        others[packet.subject] = None
                     continue
                 taken.append(packet)
                 if len(taken) >= min(n_packets, MAX_PACKETS):
                     break
         except KeyboardInterrupt:
             pass
-        return _recording(subject or "", taken, self.n_garbage, n_other)
+        return _recording(subject or "", taken, self.n_garbage, n_other, tuple(others))
 
 
-def _recording(subject: str, taken: list[Packet], n_garbage: int, n_other: int) -> Recording:
+def _recording(
+    subject: str, taken: list[Packet], n_garbage: int, n_other: int, others: tuple[str, ...]
+) -> Recording:
     """Sort packets by time and count lost and late ones."""
     highest, n_late = -1.0, 0
     for packet in taken:
@@ -188,4 +202,4 @@ def _recording(subject: str, taken: list[Packet], n_garbage: int, n_other: int) 
     packets = tuple(by_time[seconds] for seconds in sorted(by_time))
     frames = {packet.frame for packet in packets}
     n_lost = max(frames) - min(frames) + 1 - len(frames) if frames else 0
-    return Recording(subject, packets, n_lost, n_late, n_garbage, n_other)
+    return Recording(subject, packets, n_lost, n_late, n_garbage, n_other, others)

@@ -182,6 +182,7 @@ def test_convert_rejects_hostile_numbers_and_names(
         (["--host", "\udcff"], "cannot send to"),
         (["--host", "a" * 70], "cannot send to"),
         (["--host", ".."], "cannot send to"),
+        (["--host", "no-such-host.invalid"], "cannot send to no-such-host.invalid"),
         (["--subject", "\udcff"], "is no UTF-8"),
         (["--subject", ""], "subject has 0 bytes"),
         (["--subject", "x" * 10_000], "subject has 10000 bytes"),
@@ -203,7 +204,13 @@ def test_livelink_receive_rejects_hostile_addresses(refused, host):
 
 
 @pytest.mark.parametrize(
-    "options", [["--emotion", "furious"], ["--intensity", "-1"], ["--rig", "face"]]
+    "options",
+    [
+        ["--emotion", "furious"],
+        ["--intensity", "-1"],
+        ["--rig", "face"],
+        ["--start-signal", "no-such-host.invalid:8000"],
+    ],
 )
 def test_livelink_send_checks_the_options_of_recordings(refused, options):
     assert refused("livelink", "send", "no-such-file", *options)[0] == 1

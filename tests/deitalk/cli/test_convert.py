@@ -13,9 +13,10 @@ from deitalk.cli import livelink as livelink_module
 from deitalk.cli import validate as validate_module
 from deitalk.errors import DeitalkError, MissingError
 from rig import RigCurves, default_controls, read_curves, write_curves
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
-from rig.livelink import Receiver, osc
+from rig.livelink import Receiver, make_protocol, osc, send
 
 BOARD = default_controls()
 app = typer.Typer()
@@ -161,6 +162,36 @@ def test_sent_frames_are_received(curves_file, tmp_path):
     assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
 
 
+def received_file(out, *options):
+    """Run `receive` into a file while two subjects are sent; return its output."""
+    names = arkit_controls().names
+    curves = RigCurves([[0.5] * len(names)] * 20, names, 120.0, control_set=ARKIT_ID)
+    command = [sys.executable, "-c", "from deitalk.cli.livelink import app; app()", "receive"]
+    options = ["-o", str(out), "--port", "0", "--seconds", "15", "--idle", "0.5", *options]
+    with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as receiver:
+        port = int(re.search(r"listening on 127.0.0.1:(\d+)", receiver.stderr.readline())[1])
+        for subject in ("anna", "ben"):
+            send(curves, make_protocol("livelink", subject, names), ("127.0.0.1", port))
+        words = " ".join(receiver.stderr.read().split())
+    return receiver.returncode, words
+
+
+def test_recording_counts_and_names_other_subjects(tmp_path):
+    code, words = received_file(tmp_path / "a.json")
+    assert code == 0 and "frames of 'anna'" in words
+    assert re.search(r"\d+ frames of other subjects left out: 'ben'; --subject", words)
+    curves = read_curves(tmp_path / "a.json", control_set=None)  # JSON by its suffix, not a CSV
+    assert curves.control_set == ARKIT_ID
+    assert curves["JawOpen"][0] == pytest.approx(0.5)
+
+
+def test_recording_of_an_absent_subject_names_those_that_came(tmp_path):
+    code, words = received_file(tmp_path / "a.csv", "--subject", "eve")
+    assert code != 0 and "no packet of 'eve' was received" in words
+    assert "'anna', 'ben'; name one of these" in words
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("protocol", ["json", "vmc"])
 def test_other_protocols_send_every_frame(curves_file, protocol):
     result = run("livelink", "replay", curves_file, "--protocol", protocol, "--port", 9)
@@ -171,7 +202,7 @@ def test_other_protocols_send_every_frame(curves_file, protocol):
 
 def test_json_sends_the_given_rig(curves_file):
     with Receiver(port=0) as probe:
-        for rig, name in (("board", "CTRL_C_jaw.ty"), ("raw", "CTRL_expressions_jawOpen")):
+        for rig, name in (("board", "CTRL_C_jaw.translateY"), ("raw", "CTRL_expressions_jawOpen")):
             arguments = ["--protocol", "json", "--port", probe.port, "--rig", rig, "--fps", 60]
             assert run("livelink", "send", curves_file, *arguments).exit_code == 0
             properties = json.loads(probe._socket.recv(65535))["deitalk"]["Properties"]

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import RigCurves, rest_curves
+from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import read_take, write_take
@@ -257,7 +257,7 @@ def test_lost_late_invalid_and_foreign_packets_are_counted():
         recording = receiver.record(seconds=5, idle_seconds=0.3)
     assert [p.frame for p in recording.packets] == [5, 6, 8, 9, 11]
     assert (recording.n_lost, recording.n_garbage, recording.n_other) == (2, 6, 1)
-    assert recording.n_late == 2
+    assert recording.n_late == 2 and recording.others == ("other",)
     take = recording.to_take()
     assert np.diff(take.ticks).tolist() == [2000, 4000, 2000, 4000]
     assert take.values[:, take.names.index("JawOpen")] == pytest.approx(
@@ -286,11 +286,67 @@ def test_json_properties_of_a_hand_worked_frame():
         "anna": {
             "FrameId": 7,
             "Properties": [
-                {"Name": "CTRL_C_jaw.ty", "Value": 0.5},
+                {"Name": "CTRL_C_jaw.translateY", "Value": 0.5},
                 {"Name": "b", "Value": -0.25},
             ],
         }
     }
+
+
+VECTORS = {
+    "CTRL_C_mouth", "CTRL_C_jaw", "CTRL_L_eye", "CTRL_R_eye", "CTRL_C_eye", "CTRL_L_nose",
+    "CTRL_R_nose", "CTRL_L_mouth_corner", "CTRL_R_mouth_corner", "CTRL_C_teethU", "CTRL_C_teethD",
+    "CTRL_C_tongue", "CTRL_C_tongue_tip", "CTRL_C_tongue_roll",
+}  # fmt: skip
+"""Two-dimensional fields of FgControlRig's structure (FgControlRigTypes.h)."""
+
+
+def fg_control_rig(data):
+    """The values that FgControlRig takes from a datagram, after FgControlRigBPLibrary.cpp.
+
+    A name is split at its first point: behind it must be translateX or translateY; a name without a
+    point is a float. A float of the name of a two-dimensional field would damage that field.
+    """
+    properties = json.loads(data.decode("latin-1"))["anna"]["Properties"]
+    vectors, floats = {}, {}
+    for place in properties:
+        left, _, right = place["Name"].partition(".")
+        if not right:
+            floats[left] = place["Value"]
+        else:
+            vectors.setdefault(left, {})[right] = place["Value"]
+    assert len(properties) == 2 * len(vectors) + len(floats), "names are read again every frame"
+    assert not VECTORS & set(floats)
+    return vectors, floats
+
+
+def test_json_of_the_board_is_what_fg_control_rig_reads():
+    board = default_controls()
+    values = np.arange(len(board.names), dtype=np.float32) / 256
+    protocol = make_protocol("json", "anna", board.names)
+    (data,) = protocol.datagrams(1, 0.0, 30, values)
+    vectors, floats = fg_control_rig(data)
+    assert set(vectors) == VECTORS
+    assert all(set(pair) == {"translateX", "translateY"} for pair in vectors.values())
+
+    def sent(name):
+        return pytest.approx(values[board.index(name)], abs=1e-6)
+
+    assert vectors["CTRL_C_jaw"]["translateY"] == sent("CTRL_C_jaw.ty")
+    assert vectors["CTRL_C_jaw"]["translateX"] == sent("CTRL_C_jaw.tx")
+    assert floats["CTRL_L_brow_down"] == sent("CTRL_L_brow_down.ty")
+    # its names are those of the boards up to 2023
+    assert vectors["CTRL_C_tongue_roll"]["translateX"] == sent("CTRL_C_tongue_bendTwist.tx")
+    assert floats["CTRL_C_tongue_narrowWide"] == sent("CTRL_C_tongue_wideNarrow.ty")
+    assert "CTRL_C_tongue_thickThin" not in floats
+    assert not any(
+        c.role in ("switch", "multiplier") and c.ue_control in floats for c in board.controls
+    )
+
+
+def test_json_is_ascii_for_a_receiver_that_decodes_latin_1():
+    (data,) = make_protocol("json", "Jörg", ("ä",)).datagrams(0, 0.0, 30, np.zeros(1, np.float32))
+    assert data.isascii() and list(json.loads(data.decode("latin-1"))) == ["Jörg"]
 
 
 def test_json_of_the_board_fits_a_datagram_and_more_is_rejected():
