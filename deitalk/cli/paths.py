@@ -11,6 +11,19 @@ import typer
 from deitalk.errors import DeitalkError
 
 PICTURES = (".png", ".svg", ".pdf")
+RECORDINGS = (
+    ".wav",
+    ".flac",
+    ".mp3",
+    ".m4a",
+    ".ogg",
+    ".opus",
+    ".aac",
+    ".aif",
+    ".aiff",
+    ".mp4",
+    ".mov",
+)
 Inputs = Iterable[Path | str | None]
 
 _targets: ContextVar[ExitStack | None] = ContextVar("targets", default=None)
@@ -81,6 +94,10 @@ def curves_of(source: Path) -> Path:
     from rig.files import recover
 
     if not source.is_dir():
+        if source.suffix.lower() in RECORDINGS:
+            raise DeitalkError(
+                f"{source} is a recording: make a take with deitalk animate {source}"
+            )
         return source
     recover(source)  # where a replacement of the take was interrupted
     for name in ("curves.json", "curves.npz", "curves.csv"):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import AnyFloat, Float32
 from rig.controls import ControlSet
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import RigCurves
@@ -43,7 +44,11 @@ def write(path: Path, curves: RigCurves) -> None:
     )
     pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim()).CreateBlendShapesAttr(shapes)
     weights = animation.CreateBlendShapeWeightsAttr()
-    _samples(pxr, weights, morph_head()[0].weights(curves))
+    rows = morph_head()[0].weights(curves)
+    _samples(pxr, weights, rows)
+    box = pxr.Vt.Vec3fArray.FromNumpy(_extent(rows))
+    mesh.CreateExtentAttr(box)
+    root.CreateExtentAttr(box)
     raw = board_to_raw(curves)
     types = pxr.Sdf.ValueTypeNames
     animation.GetPrim().CreateAttribute(NAMES, types.TokenArray).Set(list(raw.names))
@@ -129,6 +134,21 @@ def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
         targets.append(shape.GetPath())
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
     return mesh, shapes
+
+
+def _extent(weights: AnyFloat) -> Float32:
+    """Return a box around the head in all frames [shape=(2, 3)], cm.
+
+    Each vertex moves at most by the sum of its shapes at their greatest weights of the clip.
+    """
+    shapes = morph_head()[0].shapes
+    low = shapes.neutral.vertices.astype(np.float64)
+    high = low.copy()
+    for weight, delta in zip(weights.max(axis=0), shapes.deltas, strict=True):
+        if weight > 0:
+            low += weight * np.minimum(delta, 0)
+            high += weight * np.maximum(delta, 0)
+    return np.stack([low.min(axis=0), high.max(axis=0)]).astype(np.float32)
 
 
 def _skeleton(pxr: Any, stage: Any) -> Any:

@@ -185,6 +185,13 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
+def test_recording_is_no_curves_and_animate_is_named(tmp_path):
+    (tmp_path / "speech.wav").write_bytes(b"RIFF")
+    result = run("convert", tmp_path / "speech.wav", tmp_path / "a.json")
+    assert result.exit_code == 1 and "make a take with deitalk animate" in str(result.exception)
+    assert not (tmp_path / "a.json").exists()
+
+
 def test_recording_of_an_absent_subject_names_those_that_came(tmp_path):
     code, words = received_file(tmp_path / "a.csv", "--subject", "eve")
     assert code != 0 and "no packet of 'eve' was received" in words

@@ -148,6 +148,28 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     assert error.max() < 0.15  # cm
 
 
+def test_usd_extents_hold_every_point_of_every_frame_by_usd_core(usd_path, curves):
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.Open(str(usd_path))
+    mesh, root = (stage.GetPrimAtPath(p) for p in ("/head/face", "/head"))
+    assert root.IsA(UsdSkel.Root)
+    box = np.array(UsdGeom.Mesh(mesh).GetExtentAttr().Get())
+    assert np.array(UsdGeom.Boundable(root).GetExtentAttr().Get()) == pytest.approx(box)
+    points = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get())
+    weights = UsdSkel.Animation(stage.GetPrimAtPath("/head/animation")).GetBlendShapeWeightsAttr()
+    targets = UsdSkel.BindingAPI(mesh).GetBlendShapeTargetsRel().GetTargets()
+    shapes = [UsdSkel.BlendShape(stage.GetPrimAtPath(target)) for target in targets]
+    for frame in range(len(curves)):
+        posed = points.copy()
+        for weight, shape in zip(weights.Get(frame), shapes, strict=True):
+            if weight:
+                indices = np.array(shape.GetPointIndicesAttr().Get())
+                posed[indices] += weight * np.array(shape.GetOffsetsAttr().Get())
+        assert (posed >= box[0] - 1e-3).all() and (posed <= box[1] + 1e-3).all()
+    assert (box[1] - box[0] < 1.5 * np.ptp(points, axis=0)).all()
+
+
 def test_usd_carries_the_raw_curves_and_reads_back(usd_path, curves):
     from pxr import Usd
 
