@@ -90,7 +90,7 @@ def import_(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """Write a dataset folder of captured takes: iPhone, MetaHuman Animator, Audio2Face, any rig.
+    r"""Write a dataset folder of captured takes: iPhone, MetaHuman Animator, Audio2Face, any rig.
 
     Live Link Face takes are read as the app leaves them (CSV beside .mov). Takes are cut in pauses
     into clips; every clip lists the controls that its source can know. Sources, labels and faults:
@@ -100,7 +100,7 @@ def import_(
     --------
     deitalk data import takes/ --actor anna -o anna_data/
 
-    deitalk data import takes/ --pattern "(?P<actor>[a-z]+)_(?P<emotion>[a-z]+)" -o data/
+    deitalk data import takes/ --pattern "(?P<actor>\w+?)_(?P<emotion>\w+?)_" -o data/
 
     deitalk data import mocap/ --map my_rig.csv --fps 30 -o data/
 

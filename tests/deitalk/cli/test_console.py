@@ -116,10 +116,10 @@ def test_bar_off_a_terminal_writes_lines_to_stderr(capsys, monkeypatch):
 
 
 def test_train_shows_steps_loss_and_evaluations():
-    from deitalk.cli.train import _shown_on
+    from deitalk.cli.train import shown_on
 
     texts = []
-    progress = _shown_on(lambda share, text, *, always: texts.append((share, text, always)))
+    progress = shown_on(lambda share, text, *, always: texts.append((share, text, always)))
     progress(25, 100, {"total": 0.5, "learning_rate": 1e-3})
     progress(50, 100, {"dev_score": 0.25})
     assert texts == [
