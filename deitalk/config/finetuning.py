@@ -3,9 +3,9 @@
 A recipe has no ``model`` section: the network is that of the base model.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from deitalk.config.curves import Config, DataConfig, LossConfig, TrainConfig
 from deitalk.config.rules import RulesConfig
@@ -63,3 +63,14 @@ class FinetuneConfig(Config):
         patience=3,
     )
     tune: TuneConfig = TuneConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _over_the_recipe(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """A section that names some settings leaves the others as the recipe has them."""
+        recipe = {
+            name: field.default.model_dump()
+            for name, field in cls.model_fields.items()
+            if isinstance(field.default, Section) and isinstance(tree.get(name), dict)
+        }
+        return tree | {name: settings | tree[name] for name, settings in recipe.items()}

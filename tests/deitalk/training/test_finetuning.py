@@ -290,6 +290,17 @@ def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path):
     assert batch.emotion.shape == (4, 7) and (batch.emotion[:, 5:].sum(dim=1) == 1).all()
 
 
+def test_settings_that_are_not_named_are_those_of_the_recipe(base):
+    """The model's default too is a section: its settings are the base's."""
+    whole = read_recipe(None, base=base)
+    changed = read_recipe(None, ["train.steps=7", "rules.dead_zone={}"], base=base)
+    assert changed.train == whole.train.model_copy(update={"steps": 7})
+    assert changed.rules.dead_zone is not None and changed.rules.sharpen_contacts is None
+    assert changed.model == whole.model == load_model(base).config
+    written = read_recipe(TINY.parent / "finetune.yaml", base=base).model_dump()
+    assert written == whole.model_dump() | {"model": written["model"]}
+
+
 def test_exported_model_names_no_folder_of_the_machine(base, data, tmp_path):
     corpus = write_dataset(tmp_path / "corpus")
     finetune(recipe(base, f"tune.corpus={corpus}"), data, tmp_path / "run")
