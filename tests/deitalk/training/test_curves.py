@@ -220,6 +220,9 @@ class Constant(torch.nn.Module):
             torch.zeros(n_frames, 1), None, None, strength if self.has_intensity else None
         )
 
+    def styles(self, emotion: torch.Tensor, actor: str) -> torch.Tensor:
+        return emotion
+
     def decode(self, analysis: Analysis, emotion: torch.Tensor) -> torch.Tensor:
         return torch.full((len(emotion), len(CONTROLS.names)), float(self.value.detach()))
 
