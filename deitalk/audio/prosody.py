@@ -22,8 +22,14 @@ WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 ACTIVE_DB = 25.0  # below the loudest speech; quieter frames are not active
 VOICED = 0.35  # least autocorrelation
 SHORTEST, LONGEST = 36, 230  # samples of a period: 444 to 70 Hz
-FLOOR_PERCENTILE = 20.0  # of all frames: pauses are at least a fifth of speech
 PIECE = 2048  # frames at once, so that an hour fits
+BANDS = 26
+BAND_EDGES_HZ = 700 * (
+    (1 + 80 / 700) ** (1 - np.linspace(0, 1, BANDS + 1))
+    * (1 + 7600 / 700) ** np.linspace(0, 1, BANDS + 1)
+    - 1
+)
+"""Of equal width on the mel scale, 80 to 7600 Hz."""
 
 
 class Prosody(NamedTuple):
@@ -41,6 +47,10 @@ class Prosody(NamedTuple):
     """Loud enough to be speech [shape=(T,)]."""
     voiced: Bool
     """Active and periodic [shape=(T,)]."""
+    periodicity: Float64
+    """Largest autocorrelation at the lags of a pitch, -1 to 1 [shape=(T,)]."""
+    bands: Float64
+    """Power in bands of equal mel width [shape=(T, 26)]."""
 
     @property
     def tilt(self) -> Float64:
@@ -93,14 +103,15 @@ def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
         _measure(waveform, np.arange(first, min(first + PIECE, n_frames)))
         for first in range(0, n_frames, PIECE)
     ]
-    measured = np.concatenate(columns, axis=1) if columns else np.zeros((5, 0))
-    level, bright, dark, pitch, strength = measured
+    measured = np.concatenate(columns, axis=1) if columns else np.zeros((5 + BANDS, 0))
+    level, bright, dark, pitch, periodicity = measured[:5]
     active = level > np.percentile(level, 95) - ACTIVE_DB if n_frames else np.zeros(0, bool)
-    return Prosody(level, bright, dark, pitch, active, active & (strength > VOICED))
+    voiced = active & (periodicity > VOICED)
+    return Prosody(level, bright, dark, pitch, active, voiced, periodicity, measured[5:].T)
 
 
 def _measure(waveform: Float32, frames: Int64) -> Float64:
-    """Level, bright and dark power, pitch and its strength [shape=(5, T)]."""
+    """Level, bright and dark power, pitch, periodicity and power of the bands [shape=(31, T)]."""
     centres = frame_centres(frames)
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
     piece = waveform[max(low, 0) : high].astype(np.float64)
@@ -110,6 +121,8 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
     frequency = np.fft.rfftfreq(2 * WINDOW, 1 / SAMPLE_RATE)
     above = power[:, (frequency > 1000) & (frequency < 4000)].sum(axis=1)
     below = power[:, (frequency > 80) & (frequency < 1000)].sum(axis=1)
+    edges = np.searchsorted(frequency, BAND_EDGES_HZ)
+    bands = np.add.reduceat(power, edges, axis=1)[:, :-1]
     correlation = np.fft.irfft(power, axis=1)[:, :LONGEST]
     correlation = correlation / (correlation[:, :1] + 1e-12)
     lag = correlation[:, SHORTEST:].argmax(axis=1) + SHORTEST
@@ -120,6 +133,7 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
             below,
             12 * np.log2(SAMPLE_RATE / lag / 100),
             correlation[np.arange(len(lag)), lag],
+            *bands.T,
         ]
     )
 
@@ -138,28 +152,6 @@ def prosody_index(prosody: Prosody) -> Float64:
     ]
     index: Float64 = np.mean(parts, axis=0)
     return index
-
-
-def vocal_effort_db(prosody: Prosody) -> float:
-    """Spectral tilt of all voiced speech, without the noise of its pauses.
-
-    It rises with vocal effort and does not depend on the gain: an alpha ratio, as in eGeMAPS
-    (Eyben et al. 2016), of the powers above the noise floor.
-
-    Returns
-    -------
-    float
-        dB; about -12.5 for read speech. NaN where nothing is voiced.
-    """
-    if not prosody.voiced.any():
-        return float("nan")
-    bright, dark = (
-        max(
-            power[prosody.voiced].mean() - np.percentile(power, FLOOR_PERCENTILE), power.max() / 1e4
-        )
-        for power in (prosody.bright, prosody.dark)
-    )
-    return float(10 * np.log10(bright / dark))
 
 
 def _standard(values: Float64, known: Bool, spread: float) -> Float64:

@@ -8,6 +8,7 @@ import typer
 
 from deitalk import __version__
 from deitalk.cli.ablate import ablate
+from deitalk.cli.actor import app as actor_app
 from deitalk.cli.animate import animate
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.attention import attention
@@ -61,6 +62,7 @@ app.add_typer(livelink_app, name="livelink")
 app.add_typer(face_app, name="face")
 app.add_typer(data_app, name="data")
 app.add_typer(corpus_app, name="corpus")
+app.add_typer(actor_app, name="actor")
 app.add_typer(model_app, name="model")
 
 

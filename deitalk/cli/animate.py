@@ -19,6 +19,7 @@ from deitalk.cli.options import (
     Json,
     Model,
     Threads,
+    Voice,
 )
 from deitalk.cli.paths import reserve_file, reserve_folder
 
@@ -39,6 +40,7 @@ def animate(
     ] = None,
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
+    voice: Voice = None,
     model: Model = "default",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
@@ -69,19 +71,22 @@ def animate(
     """
     is_folder = _is_folder(out)
     target = Path(out)
-    inputs = (speech, emotion, intensity_curve)
+    inputs = (speech, emotion, intensity_curve, voice)
     _check(target, is_folder, inputs, fps=fps, preview=preview, force=force)
     options: dict[str, Any] = {
         "emotion": emotion,
         "actor": actor,
         "intensity": intensity,
         "intensity_curve": intensity_curve,
+        "voice": voice,
         "idle": idle,
         "raw": raw,
         "seed": seed,
     }
     performance = _perform(speech, model, device, threads, options)
-    settings = options | {"intensity_curve": intensity_curve and intensity_curve.name}
+    settings = options | {
+        "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
+    }  # fmt: skip
     if is_folder:
         _write_take(target, performance, settings, model, fps, preview=preview, force=force)
     else:
@@ -117,7 +122,7 @@ def _is_folder(out: str) -> bool:
 def _check(
     out: Path,
     is_folder: bool,
-    inputs: tuple[str, str, Path | None],
+    inputs: tuple[str, *tuple[str | Path | None, ...]],
     *,
     fps: float | None,
     preview: bool,
@@ -171,12 +176,19 @@ def _perform(
 def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
     """Read the inputs before the network is loaded, so that errors are reported early."""
     from deitalk.audio.load import load_audio
-    from deitalk.emotions import check_intensity, parse_emotion, read_intensity_curve
+    from deitalk.emotions import (
+        check_intensity,
+        parse_emotion,
+        read_actor,
+        read_intensity_curve,
+    )
 
     check_intensity(options["intensity"])
     given = options | {"emotion": parse_emotion(options["emotion"])}
     if options["intensity_curve"] is not None:
         given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])
+    if options["voice"] is not None:
+        given["voice"] = read_actor(options["voice"])
     return load_audio(sys.stdin.buffer.read() if speech == "-" else speech), given
 
 

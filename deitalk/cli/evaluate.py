@@ -1,7 +1,7 @@
 """`deitalk evaluate`: score a model on a dataset folder."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,6 +10,9 @@ from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import Force, Json, Most
 from deitalk.cli.paths import reserve_file, reserve_picture
 from deitalk.errors import DataError
+
+if TYPE_CHECKING:
+    from deitalk.models.curve_model import DEITalk
 
 
 def evaluate(
@@ -45,6 +48,10 @@ def evaluate(
         list[str] | None,
         typer.Option(help="Speaker of measured lips to score; repeatable."),
     ] = None,
+    acted: Annotated[
+        Path | None,
+        typer.Option(help="Table of actors at three strengths, instead of a dataset folder."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
     ] = None,
@@ -65,6 +72,8 @@ def evaluate(
     deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
 
     deitalk evaluate default --lips grid_lips/
+
+    deitalk evaluate default --acted crema/clips.csv --split test
     """
     if out is not None:
         if out.suffix not in (".md", ".json"):
@@ -75,8 +84,13 @@ def evaluate(
     from deitalk.models.folder import product_of
 
     if product_of(model) == "mesh":
-        _refuse("not for mesh models", noise=noise, captured=captured, picture=picture, lips=lips)
+        _refuse("not for mesh models", noise=noise, captured=captured, picture=picture)
+        _refuse("not for mesh models", lips=lips, acted=acted)
         report, markdown = _score_mesh(model, data, split=split, most=most, transitions=transitions)
+    elif acted is not None:
+        _refuse("not with acted strengths", noise=noise, captured=captured, picture=picture)
+        _refuse("not with acted strengths", lips=lips, speaker=speaker)
+        report, markdown = _score_acted(model, acted, split=split)
     elif lips is not None:
         _refuse("not with measured lips", noise=noise, captured=captured, picture=picture)
         report, markdown = _score_lips(model, lips, speakers=speaker or (), most=most)
@@ -95,13 +109,10 @@ def evaluate(
 
 def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:
     """Report on a curve model, and its Markdown."""
-    with console().status("loading"):
-        from deitalk.evaluation.curves import evaluate
-        from deitalk.evaluation.report import as_markdown
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
+    network = _curve_model(model)
+    from deitalk.evaluation.curves import evaluate
+    from deitalk.evaluation.report import as_markdown
 
-        network = require_model(model, DEITalk)
     with bar("evaluating") as progress:
         report = evaluate(network, data, **options, progress=progress)
     return report, as_markdown(report)
@@ -109,14 +120,21 @@ def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any
 
 def _score_lips(model: str, folder: Path, **options: Any) -> tuple[dict[str, Any], str]:
     """Report on measured lips, and its Markdown."""
-    with console().status("loading"):
-        from deitalk.evaluation.lips import as_markdown, evaluate_lips
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
+    network = _curve_model(model)
+    from deitalk.evaluation.people.lips import as_markdown, evaluate_lips
 
-        network = require_model(model, DEITalk)
     with bar("evaluating") as progress:
         report = evaluate_lips(network, folder, **options, progress=progress)
+    return report, as_markdown(report)
+
+
+def _score_acted(model: str, path: Path, *, split: str) -> tuple[dict[str, Any], str]:
+    """Report on acted strengths, and its Markdown."""
+    network = _curve_model(model)
+    from deitalk.evaluation.people.acted import as_markdown, evaluate_acted
+
+    with bar("evaluating") as progress:
+        report = evaluate_acted(network, path, split=split, progress=progress)
     return report, as_markdown(report)
 
 
@@ -131,6 +149,15 @@ def _score_mesh(model: str, data: Path, **options: Any) -> tuple[dict[str, Any],
     with bar("evaluating") as progress:
         report = evaluate_mesh(network, data, **options, progress=progress)
     return report, as_markdown(report)
+
+
+def _curve_model(model: str) -> "DEITalk":
+    """A model of curves."""
+    with console().status("loading"):
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
+
+        return require_model(model, DEITalk)
 
 
 def _refuse(reason: str, **options: object) -> None:

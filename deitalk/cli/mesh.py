@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Device, Emotion, Force, Intensity, IntensityCurve, Json, MeshOut
+from deitalk.cli.options import (
+    Device,
+    Emotion,
+    Force,
+    Intensity,
+    IntensityCurve,
+    Json,
+    MeshOut,
+    Voice,
+)
 from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
 
@@ -20,6 +29,7 @@ def mesh(
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
+    voice: Voice = None,
     model: Annotated[
         str, typer.Option(help="default, compact, mesh_head, sdfa, or a model folder.")
     ] = "default",
@@ -58,14 +68,19 @@ def mesh(
 
     deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
     """
-    reserve_mesh(out, force=force, inputs=(speech, emotion, intensity_curve, mesh, landmarks))
+    reserve_mesh(
+        out, force=force, inputs=(speech, emotion, intensity_curve, voice, mesh, landmarks)
+    )
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     _check(emotion, intensity, fps, mesh, landmarks)
-    curve = None if intensity_curve is None else str(intensity_curve)
     settings: dict[str, Any] = {
-        "emotion": emotion, "intensity": intensity, "intensity_curve": curve, "model": model
-    }  # fmt: skip
+        "emotion": emotion,
+        "intensity": intensity,
+        "intensity_curve": intensity_curve and str(intensity_curve),
+        "voice": voice and str(voice),
+        "model": model,
+    }
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech

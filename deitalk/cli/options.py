@@ -22,6 +22,10 @@ Intensity = Annotated[
 IntensityCurve = Annotated[
     Path | None, typer.Option(help="Edited intensity.csv of a take, instead of the prediction.")
 ]
+Voice = Annotated[
+    Path | None,
+    typer.Option(help="Usual voice of the actor, from `deitalk actor build`."),
+]
 Model = Annotated[str, typer.Option(help="default, compact, or a model folder.")]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
 Threads = Annotated[

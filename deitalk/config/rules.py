@@ -23,8 +23,8 @@ class VoiceIntensity(Section):
     index_weight: float = Field(
         default=0.6, ge=0, le=10, description="deviations of liveliness per one of the prosody"
     )
-    effort_weight: float = Field(
-        default=0.08, ge=0, le=10, description="deviations per decibel of vocal effort"
+    strength_weight: float = Field(
+        default=0.15, ge=0, le=10, description="deviations per decibel of the voice's strength"
     )
 
 
@@ -47,8 +47,8 @@ class ScaleOpening(Section):
 
     gain: Share = Field(default=0.45, description="increase of the opening per unit of intensity")
     usual: Share = Field(default=0.575, description="intensity at which the increase is 0")
-    effort: Share = Field(
-        default=0.3, description="increase of a take per standard deviation of vocal effort"
+    take: Share = Field(
+        default=0.12, description="increase of a take per standard deviation of its strength"
     )
 
 

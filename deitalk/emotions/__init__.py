@@ -1,5 +1,6 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
+from deitalk.emotions.actor import ActorReference, read_actor
 from deitalk.emotions.direction import Direction
 from deitalk.emotions.tracks import (
     EMOTIONS,
@@ -14,11 +15,13 @@ from deitalk.emotions.tracks import (
 
 __all__ = [
     "EMOTIONS",
+    "ActorReference",
     "Direction",
     "EmotionTrack",
     "IntensityCurve",
     "check_intensity",
     "parse_emotion",
+    "read_actor",
     "read_emotion_track",
     "read_intensity_curve",
     "write_intensity_csv",

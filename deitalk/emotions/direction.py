@@ -6,6 +6,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from deitalk.emotions.actor import ActorReference, read_actor
 from deitalk.emotions.tracks import (
     EmotionTrack,
     IntensityCurve,
@@ -29,16 +30,19 @@ class Direction:
         Factor on the intensity predicted from the voice; 0 gives the neutral reading.
     curve : IntensityCurve, optional
         Replaces the predicted intensity.
+    voice : ActorReference, optional
+        Usual voice of the speaker, with which the recording is compared.
     """
 
     emotion: EmotionTrack
     intensity: float = 1.0
     curve: IntensityCurve | None = None
+    voice: ActorReference | None = None
 
     @property
     def is_neutral(self) -> bool:
-        """Whether emotion and intensity are those of `Direction.of()`."""
-        is_plain = self.intensity == 1 and self.curve is None
+        """Whether emotion, intensity and voice are those of `Direction.of()`."""
+        is_plain = self.intensity == 1 and self.curve is None and self.voice is None
         return is_plain and bool((self.emotion.weights[:, 0] == 1).all())
 
     @classmethod
@@ -47,15 +51,16 @@ class Direction:
         emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
         intensity: float = 1.0,
         intensity_curve: str | Path | IntensityCurve | None = None,
+        voice: str | Path | ActorReference | None = None,
     ) -> "Direction":
-        """Check the three arguments of `deitalk.animate`, and read those that are files.
+        """Check these arguments of `deitalk.animate`, and read those that are files.
 
         Raises
         ------
         EmotionError
             If one has the wrong type, is out of its range or is a malformed file.
         """
-        return cls(_track(emotion), _factor(intensity), _curve(intensity_curve))
+        return cls(_track(emotion), _factor(intensity), _curve(intensity_curve), _voice(voice))
 
 
 def _track(emotion: Any) -> EmotionTrack:
@@ -82,3 +87,13 @@ def _curve(curve: Any) -> IntensityCurve | None:
             "IntensityCurve"
         )
     return read_intensity_curve(curve)
+
+
+def _voice(voice: Any) -> ActorReference | None:
+    if voice is None or isinstance(voice, ActorReference):
+        return voice
+    if not isinstance(voice, str | Path):
+        raise EmotionError(
+            f"voice {quoted(voice)} is a {type(voice).__name__}; give a file or an ActorReference"
+        )
+    return read_actor(Path(voice))

@@ -13,7 +13,7 @@ from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
-from deitalk.emotions import Direction, EmotionTrack, IntensityCurve
+from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -38,6 +38,7 @@ def animate(
     actor: str | None = None,
     intensity: float = 1.0,
     intensity_curve: str | Path | IntensityCurve | None = None,
+    voice: str | Path | ActorReference | None = None,
     idle: bool = True,
     raw: bool = False,
     seed: int = 0,
@@ -62,6 +63,8 @@ def animate(
         Factor on the intensity predicted from the voice; 0 gives the neutral reading.
     intensity_curve : path or IntensityCurve, optional
         Intensity to apply instead of the predicted one, as in a take's ``intensity.csv``.
+    voice : path or ActorReference, optional
+        Usual voice of the speaker (`deitalk actor build`), from which intensity counts.
     idle : bool
         Add blinks and small motions of the gaze, if the model's rules have them.
     raw : bool
@@ -81,7 +84,7 @@ def animate(
         One line each: the value, the rule and the way out.
     """
     clock = _Clock()
-    direction, seed = Direction.of(emotion, intensity, intensity_curve), whole_seed(seed)
+    direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
     check_progress(progress)
     recording = _with_note_on(direction.curve, recording_of(audio, sample_rate))
     clock.lap("audio")
@@ -101,6 +104,7 @@ def animate(
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     clock.lap("expression")
+    others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
     return Performance(
         _curves(controls, values, emotion=weights, intensity=intensities.applied),
         _curves(controls, neutral),
@@ -109,15 +113,7 @@ def animate(
         recording,
         clipped,
         clock.laps,
-        _settings(
-            emotion,
-            direction.intensity,
-            intensity_curve,
-            idle=idle,
-            raw=raw,
-            seed=seed,
-            actor=actor,
-        ),
+        _settings(emotion, direction, intensity_curve, **others),
         str(model) if isinstance(model, str | Path) else "",
     )
 
@@ -163,7 +159,7 @@ def _apply_rules(
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.sharpen_contacts(reading)
-        rules.scale_opening(reading, intensities.voice, intensities.network, intensities.effort)
+        rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
     values = rules.blend(neutral, emotional, intensities.scale)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)
@@ -181,15 +177,21 @@ def _add_idle_motion(
         add_idle_motion(reading, controls, fps=FRAME_RATE, rng=rng, idle=idle)
 
 
-def _settings(emotion: Any, intensity: float, curve: Any, **others: Any) -> dict[str, Any]:
+def _settings(emotion: Any, direction: Direction, curve: Any, **others: Any) -> dict[str, Any]:
     """Arguments of `animate`, as a take stores them."""
-    name = Path(curve).name if isinstance(curve, str | Path) else None
     return {
         "emotion": emotion_text(emotion),
-        "intensity": intensity,
-        "intensity_curve": name if curve is None or name else "a curve in memory",
+        "intensity": direction.intensity,
+        "intensity_curve": _name(curve),
         **others,
     }
+
+
+def _name(argument: Any) -> str | None:
+    """Name of the file of an optional argument."""
+    if argument is None:
+        return None
+    return Path(argument).name if isinstance(argument, str | Path) else "in memory"
 
 
 def _curves(controls: ControlSet, values: Float32, **tracks: Float32) -> RigCurves:

@@ -87,7 +87,7 @@ def animate_mesh(
     progress : callable
         Called with the share of the work that is done, 0 to 1.
     **options
-        More of `deitalk.animate`'s: intensity_curve, idle, seed.
+        More of `deitalk.animate`'s: intensity_curve, voice, idle, seed.
 
     Returns
     -------
@@ -98,7 +98,9 @@ def animate_mesh(
     DeitalkError, RigError
         One line each: the value, the rule and the way out.
     """
-    direction = Direction.of(emotion, intensity, options.get("intensity_curve"))
+    direction = Direction.of(
+        emotion, intensity, options.get("intensity_curve"), options.get("voice")
+    )
     whole_seed(options.get("seed", 0))
     check_progress(progress)
     if fps is not None:

@@ -19,13 +19,14 @@ from torch import Tensor
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
+from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.config import Gates, VoiceIntensity
 from deitalk.emotions import EMOTIONS, Direction
 from deitalk.models.curve_model import Analysis
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
-from deitalk.postprocess.voice_intensity import vocal_effort_z, voice_intensity
+from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
 
 Rows = TypeVar("Rows", Tensor, Float32)
@@ -95,6 +96,11 @@ class Speech:
         """Level, spectral tilt and pitch of each frame."""
         return measure_prosody(self.waveform, self.n_frames)
 
+    @cached_property
+    def strength(self) -> float:
+        """Strength of the whole voice at any gain, dB above the usual."""
+        return vocal_strength().measure(strength_frames(self.prosody, self.activity))
+
 
 class Intensities(NamedTuple):
     """Emotional intensity of each frame [shape=(T,)], from the network to the face."""
@@ -111,8 +117,8 @@ class Intensities(NamedTuple):
     """`predicted` times the direction's factor, or the direction's curve, 0 to 4."""
     scale: Float32
     """Factor on the difference of the emotional and the neutral reading."""
-    effort: float
-    """Vocal effort of the whole recording, standard deviations from the usual."""
+    take: float
+    """Strength of the whole recording, standard deviations from the usual."""
 
 
 def measure_intensities(
@@ -130,17 +136,18 @@ def measure_intensities(
     saliency = np.zeros(speech.n_frames, np.float32)
     if analysis.strength is not None and analysis.saliency is not None:
         network, saliency = analysis.strength.cpu().numpy(), analysis.saliency.cpu().numpy()
-    voice, effort = network, 0.0
+    voice, take = network, 0.0
     if rule is not None:
-        voice = voice_intensity(network, speech.prosody, speech.activity, rule)
-        effort = vocal_effort_z(speech.prosody, rule)
+        usual = 0.0 if direction.voice is None else direction.voice.strength
+        take = take_z(speech.strength - usual, rule)
+        voice = voice_intensity(network, speech.prosody, speech.activity, take, rule)
     predicted = voice * speech.shown
     base = predicted if direction.curve is None else direction.curve.at(speech.times)
     applied = (base * direction.intensity).astype(np.float32)
     scale = expression_scale(applied, network * speech.shown)
     if rule is None and direction.curve is None:
         scale = np.full(speech.n_frames, direction.intensity, np.float32)
-    return Intensities(saliency, network, voice, predicted, applied, scale, effort)
+    return Intensities(saliency, network, voice, predicted, applied, scale, take)
 
 
 def read_twice(

@@ -116,14 +116,14 @@ class Expression:
         curves[:, self.seals] = heights * _decided(shares, shoulder, rule.steepness)
 
     def scale_opening(
-        self, curves: Float32, voice: Float32, network: Float32, effort: float = 0.0
+        self, curves: Float32, voice: Float32, network: Float32, take: float = 0.0
     ) -> None:
         """Open the mouth for the corrected intensity of the voice, in place.
 
         The network opens it for the intensity that it predicts, by the law of its training data:
         45 % more per unit of intensity (`deitalk.corpus.rig_targets`). The opening is scaled by
         the same law at the corrected intensity; closed lips stay closed. Loud talkers lower the jaw
-        further, which a network with all takes at one level cannot predict: hence the effort.
+        further, which a network with all takes at one level cannot predict: hence `take`.
 
         Parameters
         ----------
@@ -131,16 +131,16 @@ class Expression:
             A reading after `sharpen_contacts`.
         voice, network : array [shape=(T,), range 0 to 1]
             Corrected intensity, and the one that the network predicts.
-        effort : float
-            Vocal effort of the whole take, standard deviations above the usual
-            (`deitalk.postprocess.voice_intensity.vocal_effort_z`).
+        take : float
+            Strength of the whole take, standard deviations above the usual
+            (`deitalk.postprocess.voice_intensity.take_z`).
         """
         rule = self.settings.scale_opening
         if rule is None:
             return
         free = 1 - self.contact(curves)
         ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
-        ratio *= 1 + rule.effort * effort
+        ratio *= max(0.0, 1 + rule.take * take)
         curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
 
     def limit_contact_speed(self, curves: Float32) -> None:

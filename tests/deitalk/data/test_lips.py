@@ -20,7 +20,7 @@ from deitalk.data.lips.regression import LipRidge
 from deitalk.data.lips.transfer import CONTACT, LipTransfer
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
-from deitalk.evaluation.lips import PREDICTIONS, as_markdown, evaluate_lips
+from deitalk.evaluation.people.lips import PREDICTIONS, as_markdown, evaluate_lips
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig import default_controls, limits, read_curves
@@ -379,7 +379,7 @@ def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
 
 def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatch, lips):
     """A prediction that moves the head as was measured has r and ratios of 1."""
-    from deitalk.evaluation import lips as scoring
+    from deitalk.evaluation.people import lips as scoring
 
     clips = {clip.sound: clip for clip in read_lips(measured, lips.eye_distance)}
     monkeypatch.setattr(

@@ -32,6 +32,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
         "emotion": "happy",
         "intensity": 1.5,
         "intensity_curve": None,
+        "voice": None,
         "idle": True,
         "seed": 0,
         "raw": False,
@@ -186,7 +187,7 @@ def test_settings_hold_any_emotion_as_a_line(network):
     sound = recording(0.2)
     mixed = animate(sound, {"happy": 0.7, "sad": 0.1}, model=network, intensity_curve=still(1.0))
     assert mixed.settings["emotion"] == "happy=0.7,sad=0.1"
-    assert mixed.settings["intensity_curve"] == "a curve in memory"
+    assert mixed.settings["intensity_curve"] == "in memory"
     track = EmotionTrack(np.zeros(1), np.eye(5)[:1])
     assert animate(sound, track, model=network).settings["emotion"] == "a track of 1 keys"
 

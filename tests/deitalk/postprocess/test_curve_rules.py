@@ -226,7 +226,7 @@ def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
 def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
-    RULES.scale_opening(curves, usual, usual, effort=0.6)
+    RULES.scale_opening(curves, usual, usual, take=1.5)
     np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)
 
 

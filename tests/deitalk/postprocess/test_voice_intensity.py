@@ -5,19 +5,23 @@ import pytest
 
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.voice_intensity import MOST_EFFORT, vocal_effort_z, voice_intensity
+from deitalk.config import VoiceIntensity
+from deitalk.postprocess.voice_intensity import MOST_TAKE, take_z, voice_intensity
 from tests.deitalk.audio.test_prosody import voice
 
 
-def corrected(waveform: np.ndarray, strength: np.ndarray) -> np.ndarray:
+def corrected(waveform: np.ndarray, strength: np.ndarray, take: float = 0.0) -> np.ndarray:
     prosody = measure_prosody(waveform, len(strength))
-    return voice_intensity(strength, prosody, speech_activity(waveform))
+    return voice_intensity(strength, prosody, speech_activity(waveform), take)
 
 
-def test_brighter_take_has_a_higher_intensity_everywhere():
+def test_stronger_take_has_a_higher_intensity_everywhere():
+    """z = 1 in place of 0 multiplies the odds of the share above 0.15 by exp(1.3)."""
     flat = np.full(90, 0.5, np.float32)
-    soft, loud = corrected(voice(fall=1.2), flat), corrected(voice(fall=0.8), flat)
-    assert (loud[5:80] > soft[5:80] + 0.03).all()
+    usual, strong = corrected(voice(), flat), corrected(voice(), flat, take=1.0)
+    share = [(x[10:75] - 0.15) / 0.85 for x in (usual, strong)]
+    odds = [s / (1 - s) for s in share]
+    np.testing.assert_allclose(odds[1] / odds[0], np.exp(1.3), rtol=1e-3)
 
 
 def test_mean_of_the_network_over_a_take_is_not_used():
@@ -70,7 +74,10 @@ def test_intensity_without_voiced_speech_is_the_network_s():
     assert corrected(np.zeros(0, np.float32), strength[:0]).shape == (0,)
 
 
-def test_vocal_effort_stays_within_its_limit():
-    for fall in (0.2, 5.0):
-        prosody = measure_prosody(voice(fall=fall), 90)
-        assert abs(vocal_effort_z(prosody)) <= MOST_EFFORT
+def test_take_rises_with_strength_and_stays_within_its_limit():
+    rule = VoiceIntensity(strength_weight=0.5)
+    assert take_z(0.0, rule) == 0
+    assert take_z(0.02, rule) == pytest.approx(0.01, rel=1e-3)
+    values = [take_z(s, rule) for s in (-100.0, -1.0, 0.5, 2.0, 5.0, 8.0, 100.0)]
+    assert values == sorted(values) and len(set(values[1:-1])) == 5
+    assert max(map(abs, values)) <= MOST_TAKE

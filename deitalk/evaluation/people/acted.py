@@ -1,0 +1,106 @@
+"""Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
+
+Every recording of an actor in anger, joy or sadness at three strengths is animated in that emotion,
+with its gain removed as always; the mean intensity over speech and the mean distance of the curves
+from rest, of the whole face and of its parts, should be ordered as the strengths.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.strength_clips import ACTORS, LEVELS, StrengthClip, read_strength_clips
+from deitalk.errors import DataError
+from deitalk.evaluation.people.strength import Scores, acted_order
+from deitalk.evaluation.report import table
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import animate
+from rig.arrays import Float32
+
+EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad"}
+"""Emotions of the table (CREMA-D's names) that have a style."""
+GROUPS = {"anger and joy": ("ANG", "HAP"), "sadness": ("SAD",)}
+PARTS = {"brows": ("brow",), "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",)}
+"""Parts of the face, by parts of the names of their controls."""
+
+
+def evaluate_acted(
+    model: DEITalk,
+    path: Path,
+    *,
+    split: str = "test",
+    progress: Callable[[float], None] = lambda share: None,
+) -> Scores:
+    """Score a model on acted strengths.
+
+    Parameters
+    ----------
+    model : DEITalk
+        In evaluation mode.
+    path : Path
+        Table of actors (`deitalk.data.strength_clips`).
+    split : str
+        Actors to score: ``test``, ``validation`` or ``train``.
+    progress : callable
+        Called with the share done, 0 to 1.
+
+    Returns
+    -------
+    dict
+        By group of emotions: share of pairs in which high is above low, and mean rank correlation
+        of low, middle and high, of every measure.
+
+    Raises
+    ------
+    DataError
+        If the table is not as described, or holds no actor of the split at three strengths.
+    """
+    clips = [
+        clip
+        for clip in read_strength_clips(path, ACTORS)
+        if clip.split == split and clip.level in LEVELS and clip.emotion in EMOTIONS
+    ]
+    if not clips:
+        raise DataError(f"{path}: no actor of the {split} split at the strengths {LEVELS}")
+    rows = {}
+    for number, clip in enumerate(clips, 1):
+        rows[clip.speaker, clip.emotion, clip.level] = _measures(model, clip)
+        progress(number / len(clips))
+    return {group: _orders(rows, emotions) for group, emotions in GROUPS.items()}
+
+
+def _measures(model: DEITalk, clip: StrengthClip) -> dict[str, float]:
+    """Mean intensity over speech, and mean distance of the curves from rest."""
+    performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, idle=False)
+    speaking = speech_activity(performance.recording.waveform) > 0
+    if not speaking.any():
+        return dict.fromkeys(("intensity", "whole face", *PARTS), 0.0)
+    controls = performance.curves.names
+    moved: Float32 = np.abs(performance.curves.values - model.controls.rest)[speaking]
+    measures = {
+        "intensity": float(performance.predicted[speaking].mean()),
+        "whole face": float(moved.sum(axis=1).mean()),
+    }
+    for part, names in PARTS.items():
+        inside = [any(name in control for name in names) for control in controls]
+        measures[part] = float(moved[:, inside].sum(axis=1).mean())
+    return measures
+
+
+def _orders(
+    rows: dict[tuple[str, str, str], dict[str, float]], emotions: Sequence[str]
+) -> dict[str, float]:
+    scores: dict[str, float] = {}
+    for measure in next(iter(rows.values())):
+        order = acted_order({key: row[measure] for key, row in rows.items()}, emotions)
+        scores[f"{measure}: high above low"] = order["high above low"]
+        scores[f"{measure}: rank correlation"] = order["rank correlation"]
+        scores["actors and emotions"] = order["actors and emotions"]
+    return scores
+
+
+def as_markdown(report: Scores) -> str:
+    """A Markdown table; columns are groups of emotions."""
+    return "\n".join(["Acted strengths:", "", *table("", report)])

@@ -1,0 +1,45 @@
+"""Order of acted strengths in the face."""
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+from deitalk.data.strength_clips import ACTORS, StrengthClip
+from deitalk.errors import DataError
+from deitalk.evaluation.people.acted import PARTS, as_markdown, evaluate_acted
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from tests.deitalk.audio.test_prosody import voice
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """One test actor whose strengths are voices of rising pitch and brightness."""
+    folder = tmp_path_factory.mktemp("acted")
+    names = (str(i) for i in range(99))
+    actor = next(n for n in names if StrengthClip(ACTORS, folder, n, n).split == "test")
+    rows = ["clip,actor,emotion,level"]
+    for number, level in enumerate(("LO", "MD", "HI")):
+        for emotion in ("ANG", "HAP"):
+            name = f"{emotion}_{level}.wav"
+            sound = voice(110 + 60 * number, 1.6 - 0.35 * number, seconds=2)
+            sf.write(folder / name, sound / np.abs(sound).max() / 3, 16_000)
+            rows.append(f"{name},{actor},{emotion},{level}")
+    (folder / "clips.csv").write_text("\n".join(rows) + "\n")
+    return folder / "clips.csv"
+
+
+def test_rising_voices_have_rising_intensity_and_faces(table):
+    report = evaluate_acted(require_model("default", DEITalk), table)
+    scores = report["anger and joy"]
+    assert scores["actors and emotions"] == 2
+    for measure in ("intensity", "whole face", *PARTS):
+        assert scores[f"{measure}: high above low"] == 1, measure
+    assert scores["intensity: rank correlation"] == 1
+    assert np.isnan(report["sadness"]["intensity: high above low"])
+    assert "whole face: high above low" in as_markdown(report)
+
+
+def test_evaluate_acted_rejects_a_split_without_actors(table):
+    with pytest.raises(DataError, match="no actor of the train split"):
+        evaluate_acted(require_model("default", DEITalk), table, split="train")

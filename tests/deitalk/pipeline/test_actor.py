@@ -1,0 +1,93 @@
+"""The usual voice of an actor, and its effect on the intensity."""
+
+import json
+
+import numpy as np
+import pytest
+import soundfile as sf
+from typer.testing import CliRunner
+
+from deitalk import animate
+from deitalk.audio.load import load_audio
+from deitalk.cli import app
+from deitalk.emotions import ActorReference, Direction, read_actor
+from deitalk.errors import AudioError, EmotionError
+from deitalk.pipeline.actor import measure_actor
+from deitalk.pipeline.speech import Speech
+from tests.deitalk.audio.test_prosody import voice
+
+SOFT, USUAL, STRONG = voice(110, 1.6), voice(140, 1.2), voice(220, 0.8)
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    for name, sound in (("soft", SOFT), ("usual", USUAL), ("strong", STRONG)):
+        sf.write(tmp_path / f"{name}.wav", sound, 16_000)
+    sf.write(tmp_path / "silence.wav", np.zeros(16_000), 16_000)
+    return tmp_path
+
+
+def test_usual_strength_is_the_median_and_silence_does_not_count(recordings):
+    actor = measure_actor(sorted(recordings.glob("*.wav")))
+    strengths = sorted(
+        Speech.of(load_audio(recordings / f"{n}.wav").waveform).strength
+        for n in ("soft", "usual", "strong")
+    )
+    assert actor.strength == pytest.approx(strengths[1])
+    assert (actor.recordings, actor.seconds) == (3, pytest.approx(9))
+    with pytest.raises(AudioError, match="no voice"):
+        measure_actor([recordings / "silence.wav"])
+
+
+def test_reference_file_gives_the_reference_back(tmp_path):
+    actor = ActorReference(1.25, 12, 63.5)
+    path = tmp_path / "anna.json"
+    path.write_text(actor.as_json())
+    assert read_actor(path) == actor
+    assert Direction.of(voice=path).voice == actor
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        [],
+        {"format": "deitalk-actor", "version": 2},
+        {"format": "deitalk-actor", "version": 1, "strength": "x", "recordings": 1, "seconds": 1},
+        {"format": "deitalk-actor", "version": 1, "strength": 1e9, "recordings": 1, "seconds": 1},
+        {"format": "deitalk-actor", "version": 1, "recordings": 1, "seconds": 1},
+    ],
+)
+def test_read_actor_rejects_other_files_in_one_line(tmp_path, content):
+    path = tmp_path / "anna.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(EmotionError) as error:
+        read_actor(path)
+    assert "anna.json" in str(error.value) and "\n" not in str(error.value)
+    with pytest.raises(EmotionError, match="give a file or an ActorReference"):
+        Direction.of(voice=3)
+
+
+def test_intensity_counts_from_the_actor_s_usual_voice():
+    strong = Speech.of(STRONG).strength
+    plain, of_strong, of_soft = (
+        animate(STRONG, "angry", sample_rate=16_000, voice=actor, idle=False).mean_intensity
+        for actor in (None, ActorReference(strong, 1, 3.0), ActorReference(strong - 10, 1, 3.0))
+    )
+    assert of_strong < plain or strong < 0
+    assert of_soft > of_strong + 0.1
+
+
+def test_commands_build_and_use_a_reference(recordings):
+    out = recordings / "anna.json"
+    run = CliRunner().invoke
+    built = run(app, ["actor", "build", str(recordings / "strong.wav"), "-o", str(out)])
+    assert built.exit_code == 0 and "1 recordings" in built.output
+    again = run(app, ["actor", "build", str(recordings / "strong.wav"), "-o", str(out)])
+    assert again.exit_code == 1
+    take = recordings / "take"
+    sound = str(recordings / "strong.wav")
+    done = run(app, ["animate", sound, "-e", "angry", "--voice", str(out), "-o", f"{take}/"])
+    assert done.exit_code == 0, done.output
+    assert json.loads((take / "take.json").read_text())["settings"]["voice"] == "anna.json"
+    assert run(app, ["actor", "build", sound, "-o", "x.wav"]).exit_code == 1
