@@ -57,7 +57,7 @@ def key(
     scopes: Annotated[
         str, typer.Option(help="Of animate, jobs, live and metrics, with commas.")
     ] = "animate,jobs,live",
-    per_minute: Annotated[int, typer.Option(min=1, help="Requests a minute.")] = 600,
+    per_minute: Annotated[int, typer.Option(min=1, max=1_000_000, help="Requests a minute.")] = 600,
 ) -> None:
     """Print a new API key, once, and the lines of settings that accept it.
 
