@@ -96,7 +96,15 @@ def _control_set(rig: str, target: Path, to: str | None) -> str | None:
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
     if rig not in sets:
         raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
-    return None if find_format(target, to, writable=True).control_set else sets[rig]
+    chosen = find_format(target, to, writable=True)
+    if chosen.control_set is None:
+        return sets[rig]
+    if rig in ("raw", "arkit") and chosen.control_set != sets[rig]:
+        raise DeitalkError(
+            f"--rig {rig} does not apply to {chosen.name}, whose curves are {chosen.control_set}; "
+            "leave it out, or write csv, json or npz"
+        )
+    return None
 
 
 def _edited(

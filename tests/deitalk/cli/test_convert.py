@@ -185,6 +185,14 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("name", ["a.glb", "a.unreal.json", "a.txt"])
+def test_rig_that_a_format_cannot_hold_is_refused(curves_file, tmp_path, name):
+    result = run("convert", curves_file, tmp_path / name, "--rig", "arkit")
+    assert result.exit_code == 1
+    assert re.search("--rig arkit does not apply to .*; leave it out", str(result.exception))
+    assert not (tmp_path / name).exists()
+
+
 def test_recording_is_no_curves_and_animate_is_named(tmp_path):
     (tmp_path / "speech.wav").write_bytes(b"RIFF")
     result = run("convert", tmp_path / "speech.wav", tmp_path / "a.json")
