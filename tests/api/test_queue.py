@@ -23,7 +23,7 @@ CALLER = Caller("farm", SCOPES, 10, 600)
 
 def programs() -> Path | None:
     found = shutil.which("initdb")
-    places = [Path(found).parent] if found else []
+    places = [Path(found).resolve().parent] if found else []  # not a link into a private folder
     places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
     return next((place for place in places if (place / "initdb").exists()), None)
 
