@@ -137,7 +137,7 @@ def test_errors_of_the_library_have_their_status():
 
 
 def test_paths_are_cut_from_messages():
-    text = "/work/stage/abc/mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
+    text = "/srv/stage/abc/mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
     assert without_paths(text) == "mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
 
 
