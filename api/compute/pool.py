@@ -7,12 +7,14 @@ from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from stat import S_ISDIR
 from time import time
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import InternalError, Problem, named_problem
 
+ORDER_PREFIX = "deitalk-order-"
 OLD_SECONDS = 86_400.0
 """Age of a folder that a killed server left behind."""
 
@@ -115,19 +117,23 @@ def checked(answer: Answer) -> Answer:
 
 
 class Stage:
-    """Folders of orders below one folder, with names that nobody can guess."""
+    """Folders of orders below one folder, with random names.
+
+    Those that a killed server left behind are removed, by their prefix; nothing else is.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
-        for left in root.iterdir():
+        for left in root.glob(f"{ORDER_PREFIX}*"):
             with suppress(OSError):
-                if time() - left.stat().st_mtime > OLD_SECONDS:
+                about = left.lstat()
+                if S_ISDIR(about.st_mode) and time() - about.st_mtime > OLD_SECONDS:
                     shutil.rmtree(left, ignore_errors=True)
 
     def make(self) -> Path:
         """Return a new folder with a place for results."""
-        folder = Path(tempfile.mkdtemp(dir=self.root))
+        folder = Path(tempfile.mkdtemp(dir=self.root, prefix=ORDER_PREFIX))
         (folder / OUT).mkdir()
         return folder
 

@@ -2,8 +2,10 @@
 
 ::
 
-    inputs/<id>/<name>              what a request sent
-    results/<id>/<holder>-<name>    what a worker made; the table names the one that counts
+    deitalk-inputs/<id>/<name>              what a request sent
+    deitalk-results/<id>/<holder>-<name>    what a worker made; the table names the one that counts
+
+Other folders of the place are never listed, and never removed.
 """
 
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ from typing import Any
 
 import fsspec
 
+INPUTS, RESULTS = "deitalk-inputs", "deitalk-results"
 BLOCK_BYTES = 1 << 20
 UNKNOWN_SECONDS = 86_400.0
 
@@ -33,19 +36,19 @@ class Store:
 
     def put_folder(self, folder: Path, job_id: str) -> None:
         """Copy the files of a folder to be a job's inputs."""
-        self._make(f"inputs/{job_id}")
+        self._make(f"{INPUTS}/{job_id}")
         for path in sorted(path for path in folder.iterdir() if path.is_file()):
-            self.files.put_file(str(path), self._at(f"inputs/{job_id}/{path.name}"))
+            self.files.put_file(str(path), self._at(f"{INPUTS}/{job_id}/{path.name}"))
 
     def get_folder(self, job_id: str, folder: Path) -> None:
         """Copy a job's inputs into a folder."""
-        for name in self.files.ls(self._at(f"inputs/{job_id}"), detail=False):
+        for name in self.files.ls(self._at(f"{INPUTS}/{job_id}"), detail=False):
             self.files.get_file(name, str(folder / name.rpartition("/")[2]))
 
     def put_result(self, path: Path, job_id: str, holder: str) -> str:
         """Copy a result; return its name."""
-        name = f"results/{job_id}/{holder}-{path.name}"
-        self._make(f"results/{job_id}")
+        name = f"{RESULTS}/{job_id}/{holder}-{path.name}"
+        self._make(f"{RESULTS}/{job_id}")
         self.files.put_file(str(path), self._at(name))
         return name
 
@@ -57,17 +60,17 @@ class Store:
 
     def remove(self, job_id: str) -> None:
         """Remove all files of a job."""
-        for kind in ("inputs", "results"):
+        for kind in (INPUTS, RESULTS):
             self._remove(self._at(f"{kind}/{job_id}"))
 
     def remove_inputs(self, job_id: str) -> None:
         """Remove what a job's request sent."""
-        self._remove(self._at(f"inputs/{job_id}"))
+        self._remove(self._at(f"{INPUTS}/{job_id}"))
 
     def jobs(self) -> set[str]:
         """Ids of all jobs that have files."""
         found: set[str] = set()
-        for kind in ("inputs", "results"):
+        for kind in (INPUTS, RESULTS):
             if self.files.exists(self._at(kind)):
                 listed = self.files.ls(self._at(kind), detail=False, refresh=True)
                 found |= {name.rstrip("/").rpartition("/")[2] for name in listed}
@@ -76,7 +79,7 @@ class Store:
     def age(self, job_id: str) -> float:
         """Seconds since the newest file of a job was written; a day where that is unknown."""
         newest = 0.0
-        for kind in ("inputs", "results"):
+        for kind in (INPUTS, RESULTS):
             if self.files.exists(self._at(f"{kind}/{job_id}")):
                 for about in self.files.find(self._at(f"{kind}/{job_id}"), detail=True).values():
                     newest = max(newest, _written(about))

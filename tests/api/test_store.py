@@ -1,10 +1,12 @@
 """Files of jobs in every kind of store, and what is removed of them."""
 
+import os
 import time
 import uuid
 
 import pytest
 
+from api.compute.pool import ORDER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
@@ -115,3 +117,21 @@ def test_cancelling_a_job_that_runs_waits_for_its_holder(queue, store, tmp_path)
     assert queue.confirm_cancelled(running) and not queue.confirm_cancelled(running)
     assert queue.get(running.id, CALLER).status == "cancelled"
     assert not queue.remove(add(queue, store, tmp_path)) and queue.remove(running)
+
+
+def test_clearing_up_leaves_the_user_s_own_folders(tmp_path, queue):
+    """Storage and data may be folders that hold old ``results/``, ``inputs/`` and ``stage/``."""
+    day = 30 * 86_400
+    for name in ("results/shot_1/take.csv", "inputs/anna/line.wav", "stage/set/notes.txt"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text("mine")
+        for path in (tmp_path / name, (tmp_path / name).parent):
+            os.utime(path, (time.time() - day, time.time() - day))
+    orphan = tmp_path / "stage" / f"{ORDER_PREFIX}x"
+    orphan.mkdir()
+    os.utime(orphan, (time.time() - day, time.time() - day))
+    remove_old(queue, Store(str(tmp_path)), Settings())
+    Stage(tmp_path / "stage")
+    left = {path.name for path in tmp_path.rglob("*.*") if "sqlite" not in path.name}
+    assert left == {"take.csv", "line.wav", "notes.txt"}
+    assert not orphan.exists()
