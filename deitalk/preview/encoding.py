@@ -14,6 +14,7 @@ from rig.arrays import Float32
 from rig.face.render.picture import Picture
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import OutputContainer
 
 ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -25,6 +26,8 @@ ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
 """Video encoders, the best first, and their options; builds of FFmpeg have different encoders."""
 BIT_RATES = {"libx264": 0, "mpeg4": 6_000_000}  # bit/s; 0 is set by the quality
 USUAL_BIT_RATE = 4_000_000
+BT709, VIDEO_RANGE, FULL_RANGE = 1, 1, 2  # FFmpeg's numbers of colour space and of range
+KEYFRAME_FRAMES = 15  # between keyframes: a player seeks within half a second
 SOUND_BIT_RATE = 160_000
 SOUND_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000)  # Hz, of AAC
 SOUND_FRAME = 1024  # samples of an AAC frame
@@ -122,7 +125,7 @@ def write_mp4(
             video = _video_track(container, chosen, fps, size)
             sound = _Sound(container, samples, sample_rate) if sample_rate else None
             for index, picture in enumerate(pictures):
-                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                frame = _bt709(av.VideoFrame.from_ndarray(picture, format="rgb24"))
                 frame.pts, frame.time_base = index, video.codec_context.time_base
                 container.mux(video.encode(frame))
                 if sound is not None:
@@ -144,9 +147,25 @@ def _video_track(
     track.pix_fmt = "yuv420p"
     track.codec_context.time_base = 1 / rate
     track.codec_context.thread_count = 2
+    track.codec_context.gop_size = KEYFRAME_FRAMES
+    colors = track.codec_context
+    colors.colorspace = colors.color_primaries = colors.color_trc = BT709
+    colors.color_range = VIDEO_RANGE
     if bit_rate := BIT_RATES.get(encoder.name, USUAL_BIT_RATE):
         track.bit_rate = bit_rate
     return track
+
+
+def _bt709(frame: "VideoFrame") -> "VideoFrame":
+    """An RGB picture as yuv420p by ITU-R BT.709, levels 16 to 235."""
+    converted = frame.reformat(
+        format="yuv420p",
+        dst_colorspace=BT709,
+        src_color_range=FULL_RANGE,
+        dst_color_range=VIDEO_RANGE,
+    )
+    converted.colorspace, converted.color_range = BT709, VIDEO_RANGE
+    return converted
 
 
 class _Sound:

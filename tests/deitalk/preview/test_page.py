@@ -161,6 +161,13 @@ def page(browser, page_file):
         yield tab
 
 
+@pytest.fixture(scope="module")
+def shared(browser, page_file):
+    """One tab of tests that leave it as it was."""
+    with opened(browser, page_file / "one.html") as tab:
+        yield tab
+
+
 def shown_vertices(page) -> np.ndarray:
     return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
 
@@ -274,6 +281,109 @@ def test_a_control_can_be_added_by_name(page):
     page.fill("#search", "CTRL_C_tongue_inOut.ty")
     page.press("#search", "Enter")
     assert "C_tongue_inOut.ty" in page.inner_text("#curves")
+
+
+def frame_of(page) -> int:
+    return page.evaluate("deitalk.page.state().frame")
+
+
+def is_playing(page) -> bool:
+    return page.get_attribute("#play", "aria-pressed") == "true"
+
+
+def test_keys_play_and_step_after_a_click_on_loop_or_speed(page):
+    page.click("#loop")
+    page.keyboard.press(".")
+    assert frame_of(page) == 1
+    page.keyboard.press("Space")
+    assert is_playing(page) and page.is_checked("#loop")
+    page.keyboard.press("Space")
+    page.click("#speed")
+    page.keyboard.press("Escape")
+    page.select_option("#speed", "2")
+    before = frame_of(page)
+    page.keyboard.press(",")
+    assert frame_of(page) == before - 1
+    page.keyboard.press("Space")
+    assert is_playing(page)
+
+
+def test_checkbox_reached_by_tab_keeps_the_space_key(shared):
+    shared.focus("#loop")
+    shared.keyboard.press("Space")
+    assert shared.is_checked("#loop") and not is_playing(shared)
+    shared.uncheck("#loop")
+
+
+def test_end_goes_to_the_last_frame_and_stays(shared):
+    shared.click("#loop")
+    shared.keyboard.press("End")
+    shared.wait_for_timeout(150)
+    assert frame_of(shared) == 90 and not is_playing(shared)
+    shared.uncheck("#loop")
+
+
+def test_twice_the_speed_plays_twice_as_fast(shared):
+    shared.select_option("#speed", "2")
+    assert shared.evaluate("deitalk.page.clock.audio.playbackRate") == 2
+
+
+def test_solo_is_undone_by_a_second_press(shared):
+    muted = "deitalk.page.takes[0].muted.size"
+    solo = shared.get_by_role("button", name="Only mouth")
+    solo.click()
+    assert shared.evaluate(muted) > 5 and solo.get_attribute("aria-pressed") == "true"
+    solo.click()
+    assert shared.evaluate(muted) == 0 and solo.get_attribute("aria-pressed") == "false"
+
+
+def test_search_finds_controls_by_words(shared):
+    shared.fill("#search", "left TONGUE")
+    assert "no control" in shared.inner_text("#found")
+    shared.fill("#search", "tongue tip")
+    found = shared.locator("#found button").all_inner_texts()
+    assert found and all("tongue" in name and "tip" in name.lower() for name in found)
+    shared.locator("#found button").first.click()
+    assert found[0].replace("CTRL_", "") in shared.inner_text("#curves")
+
+
+def test_status_gives_the_mean_of_the_applied_intensity(shared):
+    source = make_source("first")
+    assert f"(mean {source.curves.intensity.mean():.2f})" in shared.inner_text("#status")
+
+
+def test_second_take_has_its_curves(browser, page_file):
+    with opened(browser, page_file / "two.html") as tab:
+        assert "C_jaw.ty (second)" in tab.inner_text("#curves")
+
+
+def test_targets_are_at_least_24_pixels(shared):
+    sizes = shared.evaluate(
+        """() => [...document.querySelectorAll("button, select, input:not([type=file])")]
+             .filter((e) => e.offsetParent).map((e) => [e.id || e.textContent, e.offsetWidth, e.offsetHeight])"""
+    )
+    assert len(sizes) > 20
+    assert [small for small in sizes if min(small[1:]) < 24] == []
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_placeholder_has_the_contrast_of_text(shared, scheme):
+    shared.emulate_media(color_scheme=scheme)
+    color, back = shared.evaluate(
+        """() => { const e = document.getElementById("search");
+             return [getComputedStyle(e, "::placeholder").color, getComputedStyle(e).backgroundColor]; }"""
+    )
+    assert contrast(color, back) >= 4.5
+
+
+def contrast(first: str, second: str) -> float:
+    """Ratio of the relative luminances of two rgb() colours (WCAG 2)."""
+    levels = []
+    for color in (first, second):
+        rgb = np.array([float(part) for part in re.findall(r"[\d.]+", color)[:3]]) / 255
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        levels.append(float(linear @ [0.2126, 0.7152, 0.0722]))
+    return (max(levels) + 0.05) / (min(levels) + 0.05)
 
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])

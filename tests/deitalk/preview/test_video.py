@@ -298,3 +298,24 @@ def test_failing_encoder_leaves_no_file(tmp_path, monkeypatch):
     with pytest.raises(PreviewError, match="cannot be written: No space left"):
         render_video(make_source(5), tmp_path / "v.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_video_has_bt709_colours_and_a_keyframe_every_half_second(tmp_path):
+    red = np.zeros((64, 96, 3), np.uint8)
+    red[..., 0] = 255
+    encoding.write_mp4(
+        tmp_path / "red.mp4",
+        iter([red] * 40),
+        fps=30,
+        size=(96, 64),
+        samples=np.zeros(0, np.float32),
+        sample_rate=0,
+    )
+    with av.open(str(tmp_path / "red.mp4")) as container:
+        track = container.streams.video[0].codec_context
+        assert (track.colorspace, track.color_primaries, track.color_trc) == (1, 1, 1)
+        assert track.color_range == 1
+        frames = list(container.decode(video=0))
+    assert [k for k, frame in enumerate(frames) if frame.key_frame] == [0, 15, 30]
+    luma = frames[0].to_ndarray(format="yuv420p")[10, 10]
+    assert luma == pytest.approx(16 + 219 * 0.2126, abs=2)  # BT.601 would give 81

@@ -11,7 +11,10 @@ export class Clock {
     if (!wav) return;
     this.audio = new Audio(URL.createObjectURL(new Blob([wav as BlobPart], { type: "audio/wav" })));
     this.audio.preload = "auto";
-    this.audio.addEventListener("ended", () => (this.running = false));
+  }
+
+  get isAtEnd(): boolean {
+    return this.time >= this.seconds - 0.001 || !!this.audio?.ended;
   }
 
   get playing(): boolean {

@@ -1,4 +1,4 @@
-/** Curve lanes: key controls and any the user adds, on one uPlot with the playhead. */
+/** Curve lanes: key controls and any the user adds, on one uPlot with the playhead; a second take is dashed. */
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -20,29 +20,30 @@ export class CurveLanes {
 
   constructor(
     private readonly box: HTMLElement,
-    private readonly take: Take,
+    private readonly takes: Take[],
     private readonly controls: string[],
     private readonly seek: (seconds: number) => void,
   ) {
     this.build();
   }
 
-  add(name: string): boolean {
-    if (!this.controls.includes(name)) return false;
+  add(name: string): void {
     if (!this.names.includes(name)) this.names.push(name);
     this.build();
-    return true;
   }
 
   build(): void {
     this.chart?.destroy();
-    const times = Array.from({ length: this.take.frames }, (_, k) => k / this.take.fps);
-    const frames = times.map((_, k) => this.take.frame(k));
-    const data = this.names.map((name) => {
-      const c = this.controls.indexOf(name);
-      return frames.map((f) => f[c]);
+    const [first] = this.takes;
+    const times = Array.from({ length: first.frames }, (_, k) => k / first.fps);
+    const data = this.takes.flatMap((take) => {
+      const frames = times.map((time) => (time < take.seconds ? take.at(time) : undefined));
+      return this.names.map((name) => {
+        const c = this.controls.indexOf(name);
+        return frames.map((values) => values?.[c] ?? null);
+      });
     });
-    const lowest = Math.min(0, ...data.flat());
+    const lowest = Math.min(0, ...data.flat().map(Number));
     const color = getComputedStyle(document.body).color;
     const axis = { stroke: color, grid: { stroke: "#8883", width: 1 } };
     this.chart = new uPlot(
@@ -50,14 +51,15 @@ export class CurveLanes {
         width: this.box.clientWidth || 300,
         height: HEIGHT,
         padding: [8, 0, 0, 0],
-        scales: { x: { time: false, range: [0, this.take.seconds] }, y: { range: [lowest - 0.03, 1.03] } },
+        scales: { x: { time: false, range: [0, first.seconds] }, y: { range: [lowest - 0.03, 1.03] } },
         // keeps the lane as wide as the others; the first label would be cut off
         axes: [{ ...axis, size: 26, values: (_u, times) => times.map((t) => (t ? String(t) : "")) }, { ...axis, size: 0, ticks: { show: false }, values: () => [] }],
         series: [
           { label: "s" },
-          ...this.names.map((name, k) => ({
-            label: name.replace("CTRL_", ""), stroke: STROKES[k % STROKES.length], width: 1.2, points: { show: false },
-          })),
+          ...this.takes.flatMap((take, which) => this.names.map((name, k) => ({
+            label: name.replace("CTRL_", "") + (which ? ` (${take.title})` : ""), stroke: STROKES[k % STROKES.length],
+            width: 1.2, dash: which ? [5, 4] : undefined, points: { show: false },
+          }))),
         ],
         legend: { live: false },
         hooks: {

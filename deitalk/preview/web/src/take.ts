@@ -25,7 +25,7 @@ export class Take {
   readonly emotion?: Float32Array;
   readonly intensity?: Float32Array;
   points: Point[];
-  readonly muted = new Set<string>();
+  muted = new Set<string>();
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
   /** Warnings from `deitalk.preview.warnings`, which has phones and loudness. */
@@ -79,6 +79,16 @@ export class Take {
       }
     }
     return p[p.length - 1].value;
+  }
+
+  /** Mean of the applied intensity over the take; 0 if every frame is neutral. */
+  get meanIntensity(): number {
+    const n = this.emotions.length, place = this.emotions.indexOf("neutral");
+    const isNeutral = !this.emotion?.some((weight, k) => k % n === place && weight < 1);
+    if (isNeutral) return 0;
+    let sum = 0;
+    for (let k = 0; k < this.frames; k++) sum += this.intensityAt(k);
+    return sum / this.frames;
   }
 
   /** All controls at a time, linear between frames. */

@@ -4,7 +4,7 @@ import type { Clock } from "./clock";
 import { $, timeCode } from "./page";
 
 const KEYS: [string, string][] = [
-  ["Space", "play or pause"], [", .", "one frame back, on"], ["Home", "to the start"], ["L", "loop"],
+  ["Space", "play or pause"], [", .", "one frame back, on"], ["Home End", "to the start, to the end"], ["L", "loop"],
   ["- +", "slower, faster"], ["1 2 3 4", "face, three quarter, side, mouth"], ["O", "open a GLB"],
   ["?", "this list"], ["↑ ↓", "move the intensity point in focus"],
 ];
@@ -24,6 +24,7 @@ export class Transport {
     this.bindButtons();
     this.bindScrubbing($<HTMLCanvasElement>("sound"));
     this.bindKeys();
+    this.bindFocus();
     this.loop();
   }
 
@@ -53,9 +54,9 @@ export class Transport {
   }
 
   private async toggle(): Promise<void> {
-    if (this.clock.playing) this.clock.pause();
-    else await this.clock.play();
+    const started = this.clock.playing ? this.clock.pause() : this.clock.play();
     this.labelPlay();
+    await started;
   }
 
   private labelPlay(): void {
@@ -68,7 +69,7 @@ export class Transport {
     const { clock } = this;
     if (clock.playing) this.showAhead();
     else if (Math.abs(clock.time - this.shown) > 1e-3) this.show(clock.time);
-    if (clock.time >= clock.seconds - 0.001 || clock.audio?.ended) this.atEnd();
+    if (clock.playing && clock.isAtEnd) this.atEnd();
     requestAnimationFrame(this.loop);
   };
 
@@ -82,9 +83,9 @@ export class Transport {
   }
 
   private atEnd(): void {
-    if ($<HTMLInputElement>("loop").checked && this.shown > 0) void this.clock.play();
-    else if (this.clock.playing) this.clock.pause();
-    if ($("play").textContent === "Pause" && !this.clock.playing) this.labelPlay();
+    if ($<HTMLInputElement>("loop").checked) void this.clock.play();
+    else this.clock.pause();
+    this.labelPlay();
   }
 
   private bindButtons(): void {
@@ -115,6 +116,19 @@ export class Transport {
     sound.addEventListener("pointermove", (e) => { if (sound.hasPointerCapture(e.pointerId)) scrub(e); });
   }
 
+  /** A control that was clicked gives the keys back to playback; one reached by Tab keeps its own. */
+  private bindFocus(): void {
+    let byPointer = false;
+    addEventListener("pointerdown", () => (byPointer = true), true);
+    addEventListener("keydown", () => (byPointer = false), true);
+    const release = (event: Event) => {
+      const target = event.target as HTMLElement;
+      if (byPointer && !isText(target)) (target.closest("button, select, input, summary") as HTMLElement)?.blur();
+    };
+    addEventListener("click", (event) => (event.target as HTMLElement).tagName !== "SELECT" && release(event));
+    addEventListener("change", release);
+  }
+
   private bindKeys(): void {
     const speed = $<HTMLSelectElement>("speed");
     const change = (by: number) => {
@@ -123,18 +137,26 @@ export class Transport {
     };
     const actions: Record<string, () => void> = {
       " ": () => void this.toggle(), ",": () => this.step(-1), ".": () => this.step(1),
-      ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), Home: () => this.seek(0),
+      ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), Home: () => this.seek(0), End: () => this.seek(this.clock.seconds),
       l: () => $("loop").click(), "-": () => change(-1), "+": () => change(1),
       "?": () => $("help-button").click(), ...this.moreKeys,
     };
     addEventListener("keydown", (event) => {
-      const target = event.target as HTMLElement;
-      if (/^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName) || event.ctrlKey || event.metaKey) return;
-      if (event.key === " " && /^(BUTTON|SUMMARY)$/.test(target.tagName)) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || ownKeys(event.target as HTMLElement, event.key)) return;
       const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
       if (!action) return;
       event.preventDefault();
       action();
     });
   }
+}
+
+const isText = (target: HTMLElement) =>
+  target.tagName === "TEXTAREA" || (target.tagName === "INPUT" && !/^(checkbox|range|button)$/.test((target as HTMLInputElement).type));
+
+/** Whether an element that has the focus uses a key itself. */
+function ownKeys(target: HTMLElement, key: string): boolean {
+  if (isText(target)) return true;
+  if (key === " ") return /^(BUTTON|SUMMARY|INPUT)$/.test(target.tagName);
+  return /^(SELECT|INPUT)$/.test(target.tagName) && /^(Arrow|Home|End)/.test(key);
 }

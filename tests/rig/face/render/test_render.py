@@ -251,3 +251,13 @@ def test_text_is_cut_off_at_the_edge_and_fits_its_width():
     assert cut.shape == blank.shape and cut[:, :49].max() == 0 and cut.max() == 9
     width = text_width("jaw", 9)
     assert np.flatnonzero(write_text(blank, "jaw", (0, 3), height=9).any(axis=(0, 2)))[-1] <= width
+
+
+@pytest.mark.parametrize("identity", [0, 1, 3])
+def test_face_view_holds_the_chin_of_an_open_jaw(identity):
+    head = build_head(identity)
+    posed = head.pose(pose_values({"CTRL_C_jaw.ty": 1.0}))
+    jaw = posed[np.flatnonzero(head.jaw.skin_weights > 0.95)]
+    clip = np.c_[jaw, np.ones(len(jaw))] @ VIEWS["face"].matrix(540 / 480).T
+    height = clip[:, 1] / clip[:, 3]
+    assert height.min() > -0.98
