@@ -13,7 +13,7 @@ from api.settings import Settings
 
 
 class Service:
-    """Everything that lives as long as the application.
+    """Objects made at the start of the application and closed at its end.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ PHONES = tuple(
     "SIL Q IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY P B M F V TH DH T D N L DX S Z SH ZH "
     "CH JH K G NG HH R W Y".split()
 )
+SILENCE = "SIL"
 VOWELS = frozenset("IY IH IX EY EH AE AA AO AH AX ER UH UW OW AY AW OY".split())
 BILABIALS = frozenset("PBM")
 LABIODENTALS = frozenset("FV")

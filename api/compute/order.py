@@ -1,4 +1,4 @@
-"""What the service asks of a worker process, and its answers: JSON, and files in one folder.
+"""Orders of the service to a worker process, and its answers: JSON, and files in one folder.
 
 Names of files are fixed here: no text of a request becomes a path.
 

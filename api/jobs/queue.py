@@ -186,7 +186,7 @@ class Queue:
         return self._end([*self._mine(job), JOBS.c.cancel == 1], CANCELLED)
 
     def remove(self, job: Job) -> bool:
-        """Forget a job that has ended."""
+        """Delete the row of a job that has ended."""
         where = (JOBS.c.id == job.id, JOBS.c.status.in_(ENDED))
         with self.engine.begin() as connection:
             return connection.execute(sql.delete(JOBS).where(*where)).rowcount == 1

@@ -105,7 +105,7 @@ def cancel(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
 
 @router.delete("/{job_id}", status_code=204, responses=problems(409))
 def delete(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
-    """Forget a job that has ended, with its files; 409 while it is queued or runs."""
+    """Delete a job that has ended, with its files; 409 while it is queued or runs."""
     job = service.queue.get(job_id, caller)
     if not service.queue.remove(job):
         raise Problem(409, f"the job is {job.status}; cancel it first", "job_active")

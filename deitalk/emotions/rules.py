@@ -1,4 +1,4 @@
-"""Emotion recognition from curves by a rule in action units, and the range of the lips.
+"""Scores of expressions in curves by a rule in action units.
 
 The rule uses the prototypes of EMFACS (Ekman, Friesen and Hager 2002) on means of the curves over
 the frames with speech:
@@ -9,8 +9,6 @@ the frames with speech:
 - angry: AU4 + AU7 + AU23: mean of brow down, inner squint and lip tightening
 - surprised: AU1 + AU2 + AU5: mean of inner and outer brow raise and the lids' widening
 
-The highest score gives the emotion; below `FAINT` the face is neutral.
-
 Letters: T frames, C controls.
 """
 
@@ -18,9 +16,6 @@ import numpy as np
 
 from rig import ControlSet
 from rig.arrays import Bool, Float32
-
-FAINT = 0.1
-"""Least score of an expression, control units."""
 
 RULE: dict[str, tuple[tuple[str, float], ...]] = {
     "happy": (("mouth_cornerPull.ty", 0.5), ("eye_cheekRaise.ty", 0.5)),
@@ -53,33 +48,3 @@ def style_scores(curves: Float32, speaking: Bool, controls: ControlSet) -> Float
 def _sides(face: Float32, name: str, controls: ControlSet) -> float:
     left, right = (face[controls.index(f"CTRL_{side}_{name}")] for side in "LR")
     return float(left + right) / 2
-
-
-def recognise(curves: Float32, speaking: Bool, controls: ControlSet) -> str:
-    """The emotion of curves by the rule of this module.
-
-    Parameters
-    ----------
-    curves : ndarray [shape=(T, C)]
-        Without blinks.
-    speaking : ndarray of bool [shape=(T,)]
-        Frames to use; all if none is set.
-    controls : ControlSet
-        Controls of the columns.
-    """
-    scores = style_scores(curves, speaking, controls)
-    best = int(scores.argmax())
-    return list(RULE)[best] if scores[best] >= FAINT else "neutral"
-
-
-def face_distance(first: Float32, second: Float32) -> float:
-    """Euclidean distance over the controls, averaged over frames: control units."""
-    return float(np.sqrt(np.square(first - second).sum(axis=1)).mean())
-
-
-def lip_range(opening: Float32, speaking: Bool) -> float:
-    """Range from the 5th to the 95th percentile of the mouth's opening during speech."""
-    if not speaking.any():
-        return float("nan")
-    low, high = np.percentile(opening[speaking], (5, 95))
-    return float(high - low)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from deitalk.audio.voice_activity import speech_activity
-from deitalk.phones import Phones
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.phones import SILENCE, Phones
 from rig import ControlSet
 from rig.arrays import Float32
 
@@ -11,6 +11,8 @@ JAW = "CTRL_C_jaw.ty"
 OPENING = (JAW, "CTRL_L_mouth_upperLipRaise.ty", "CTRL_R_mouth_upperLipRaise.ty",
            "CTRL_L_mouth_lowerLipDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty")  # fmt: skip
 """Controls whose mean is the mouth's opening."""
+LONG_SECONDS = 0.6
+"""Least length of a pause in which the mouth should close."""
 
 
 def mouth_opening(curves: Float32, controls: ControlSet) -> Float32:
@@ -19,15 +21,31 @@ def mouth_opening(curves: Float32, controls: ControlSet) -> Float32:
     return mean
 
 
-def opening_in_silence(opening: Float32, waveform: Float32, phones: Phones) -> float:
-    """Mean opening in long pauses over its 95th percentile in speech; NaN without either."""
-    speaking = speech_activity(waveform) > 0
-    times = np.arange(len(opening)) / 30
-    silent = np.zeros(len(opening), bool)
+def opening_in_silence(opening: Float32, phones: Phones) -> float:
+    """Mean opening in long pauses over its 95th percentile in speech.
+
+    Pauses are those of the phones' times, not of the detector that closes the mouth in them. Their
+    first 0.25 s and last 0.15 s, in which people relax and prepare, do not count.
+
+    Parameters
+    ----------
+    opening : ndarray [shape=(T,)]
+        At 30 frames per second.
+    phones : sequence of (start, end, name)
+        Seconds.
+
+    Returns
+    -------
+    float
+        NaN without a pause of `LONG_SECONDS`, or without speech.
+    """
+    times = np.arange(len(opening)) / FRAME_RATE
+    silent, speaking = np.zeros(len(opening), bool), np.zeros(len(opening), bool)
     for start, end, name in phones:
-        if name == "SIL" and end - start > 0.6:
+        if name != SILENCE:
+            speaking |= (times >= start) & (times < end)
+        elif end - start > LONG_SECONDS:
             silent |= (times > start + 0.25) & (times < end - 0.15)
-    silent &= ~speaking
     if not silent.any() or not speaking.any():
         return float("nan")
     return float(opening[silent].mean() / (np.percentile(opening[speaking], 95) + 1e-9))

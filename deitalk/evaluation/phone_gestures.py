@@ -13,11 +13,22 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.metrics import area_under_curve, correlation, hit_rate
-from deitalk.phones import CLEAR_SECONDS, VOWELS, WIDEN_FRAMES, Phones
+from deitalk.phones import (
+    BILABIALS,
+    CLEAR_SECONDS,
+    LABIODENTALS,
+    SILENCE,
+    VOWELS,
+    WIDEN_FRAMES,
+    Phones,
+)
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 
 MAX_LAG_FRAMES = 4
+CONTACTS = BILABIALS | LABIODENTALS
+SHUT = 0.5
+"""Least value of the lips-together controls of lips that count as shut."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +110,54 @@ def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[
             "auc": area_under_curve(np.array(pooled[name]), others),
         }
         for name in gesture.phones
+    }
+
+
+def shut_frames(lips: Float32, phones: Phones) -> dict[str, tuple[int, int]]:
+    """Frames of every sound that needs no contact of the lips, and how many of them are shut.
+
+    Only frames that are `CLEAR_SECONDS` away from every p, b, m, f and v count, for the lips are on
+    their way there before and after; silence does not.
+
+    Parameters
+    ----------
+    lips : ndarray [shape=(T,)]
+        Mean of the lips-together controls, shut at `SHUT` and above.
+    phones : sequence of (start, end, name)
+        Seconds.
+
+    Returns
+    -------
+    dict
+        Phone: frames, and shut frames.
+    """
+    times = np.arange(len(lips)) / FRAME_RATE
+    near = np.zeros(len(lips), bool)
+    for start, end, name in phones:
+        if name in CONTACTS:
+            near |= (times > start - CLEAR_SECONDS) & (times < end + CLEAR_SECONDS)
+    counts: dict[str, tuple[int, int]] = {}
+    for start, end, name in phones:
+        if name in CONTACTS or name == SILENCE:
+            continue
+        within = (times >= start) & (times < end) & ~near
+        frames, shut = counts.get(name, (0, 0))
+        counts[name] = frames + int(within.sum()), shut + int((lips[within] >= SHUT).sum())
+    return counts
+
+
+def shut_table(collected: Sequence[dict[str, tuple[int, int]]]) -> dict[str, dict[str, float]]:
+    """Per phone, and for ``all``: number of frames ``n``, and share that is ``shut``."""
+    total: dict[str, list[int]] = {"all": [0, 0]}
+    for counts in collected:
+        for name, (frames, shut) in counts.items():
+            for key in (name, "all"):
+                pair = total.setdefault(key, [0, 0])
+                pair[0] += frames
+                pair[1] += shut
+    return {
+        name: {"n": frames, "shut": shut / frames if frames else float("nan")}
+        for name, (frames, shut) in sorted(total.items())
     }
 
 

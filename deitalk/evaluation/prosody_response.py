@@ -1,43 +1,44 @@
-"""Response of the face to the prosody of modified recordings.
+"""Rank correlation of intensity with labels, and of simple measures of the voice beside it.
 
-`deitalk.corpus.prosody_contours.apply_contour` changes level, treble, pitch and speed along a known
-contour. Two scores: the rank correlation of predicted intensity with the contour (Spearman, within
-speech), and the share of pairs in which the take of raised prosody opens and expresses more. The
-baseline of the first is the level of the recording at a fixed gain, smoothed over speech as the
-label is. The label is the sum of the contour and the voice's own prosody, weighted as in the
-corpus. Letters: T frames.
+Two labels. The corpus' own (`deitalk.corpus.performance`) holds ``NATURAL_WEIGHT`` times the
+prosody index, which is a term of the prediction too: a score on it is circular, and the index
+alone, which is printed beside, reaches nearly the same. The other is the contour along which
+`deitalk.corpus.prosody_contours.apply_contour` changes level, treble, pitch and speed of a
+recording: it is known exactly, and no measure of the voice is in it. Labels of people: acted
+strengths (`deitalk.evaluation.people.acted`). Letters: T frames.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import spearmanr
 
 from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.load import Recording
 from deitalk.audio.prosody import level_db
-from deitalk.corpus.performance import NATURAL_WEIGHT
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.corpus.prosody_contours import (
     SMOOTHING_SECONDS,
-    Contour,
     apply_contour,
     contour_at,
     prosody_index,
     random_contour,
 )
-from rig.arrays import Bool, Float32
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import animate
+from deitalk.pipeline.performance import Performance
+from rig.arrays import Bool, Float32, Float64
 
-STEP_Z = 1.2
-"""Standard deviations by which the prosody of a take is raised or lowered."""
-RAMP_SECONDS = 0.3
+EMOTION = "happy"
+CONTOURS = 4
+"""Random contours per recording; one contour of a few seconds has a large error."""
 
 
-def spearman(label: Float32, predicted: Float32, within: Bool) -> float:
+def spearman(label: Float32, predicted: Float32 | Float64, within: Bool) -> float:
     """Rank correlation over some frames; NaN if one is constant or there are under 10."""
-    a, b = label[within], predicted[within]
+    a, b = np.asarray(label[within], np.float64), np.asarray(predicted[within], np.float64)
     if len(a) < 10 or np.ptp(a) < 1e-6 or np.ptp(b) < 1e-6:
         return float("nan")
     return float(spearmanr(a, b).statistic)
@@ -65,48 +66,81 @@ def level_curve(waveform: Float32, n_frames: int) -> Float32:
     return smooth
 
 
-class Modified(NamedTuple):
-    """A recording with modified prosody."""
+def follow(performance: Performance, network: Float32, label: Float32) -> dict[str, float]:
+    """Spearman's rank correlation with a label, within speech.
 
-    take: Recording
-    z: Float32
-    """The contour at every frame of the take [shape=(T,)]."""
-    frames: NDArray[np.intp]
-    """Frame of the recording for every frame of the take [shape=(T,)]."""
-
-
-def modified(recording: Recording, contour: Contour) -> Modified:
-    """Recording modified along a contour."""
-    waveform, (source, moved) = apply_contour(recording.waveform, contour)
-    take = replace(recording, waveform=waveform)
-    times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
-    frames = np.round(times * FRAME_RATE).astype(np.intp).clip(0, recording.n_frames - 1)
-    return Modified(take, contour_at(contour, times).astype(np.float32), frames)
-
-
-def constant(z: float, seconds: float) -> Contour:
-    """Constant contour."""
-    return np.array([0.0, max(seconds, 0.1)]), np.array([z, z])
-
-
-def halves(z: float, seconds: float) -> Contour:
-    """Contour of `z` in the first half and -`z` in the second."""
-    middle = seconds / 2
-    knots = np.array([0.0, middle - RAMP_SECONDS / 2, middle + RAMP_SECONDS / 2, seconds])
-    return knots, np.array([z, z, -z, -z])
-
-
-def wandering(recording: Recording, seed: int) -> tuple[Recording, Float32, Float32]:
-    """Recording along a random contour, the contour and the resulting label [shape=(T,)].
-
-    The label is the contour plus `NATURAL_WEIGHT` times the voice's own prosody, as in the corpus.
+    Parameters
+    ----------
+    performance : Performance
+        A take as `deitalk animate` returns it: ``intensity_rho``.
+    network : ndarray [shape=(T,)]
+        Intensity of the network alone: ``network_rho``.
+    label : ndarray [shape=(T,)]
+        Intensity, or a contour. The recording's prosody index alone is ``index_rho``, its level
+        at a fixed gain ``level_rho``.
     """
+    waveform = performance.recording.waveform
+    within = speech_activity(waveform) > 0
+    n = min(len(within), len(label))
+    tracks: dict[str, Float32 | Float64] = {
+        "intensity_rho": performance.predicted,
+        "network_rho": network,
+        "index_rho": prosody_index(waveform, len(within)),
+        "level_rho": level_curve(waveform, len(within)),
+    }
+    return {name: spearman(label[:n], track[:n], within[:n]) for name, track in tracks.items()}
+
+
+def contours_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Recordings modified along random contours: correlations of intensity with the contour.
+
+    Returns
+    -------
+    dict
+        Means over recordings of the scores of `follow`, `CONTOURS` contours each;
+        ``above_level``, ``above_index``: intensity less level and less index, with standard errors
+        over recordings (``..._error``).
+    """
+    rows = [_contours_of(model, recording, seed) for seed, recording in enumerate(recordings)]
+    columns = {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
+    report = {name: _mean(values) for name, values in columns.items()}
+    for other in ("level", "index"):
+        rise = np.subtract(columns.get("intensity_rho", []), columns.get(f"{other}_rho", []))
+        report |= {f"above_{other}": _mean(rise), f"above_{other}_error": _error(rise)}
+    return report
+
+
+def _contours_of(model: DEITalk, recording: Recording, seed: int) -> dict[str, float]:
+    """`follow` of one recording, averaged over its contours."""
+    rows = []
+    for number in range(CONTOURS):
+        take, contour = wandering(recording, CONTOURS * seed + number)
+        performance = animate(take, EMOTION, model=model, idle=False)
+        network = animate(take, EMOTION, model=model, raw=True).predicted
+        rows.append(follow(performance, network, contour))
+    return {name: _mean([row[name] for row in rows]) for name in rows[0]}
+
+
+def wandering(recording: Recording, seed: int) -> tuple[Recording, Float32]:
+    """Recording along a random contour, and the contour [shape=(T,)]."""
     contour = random_contour(recording.duration, np.random.default_rng(seed))
     waveform, (source, moved) = apply_contour(recording.waveform, contour)
     take = replace(recording, waveform=waveform)
     times = np.interp(np.arange(take.n_frames) / FRAME_RATE, moved, source)
-    applied = contour_at(contour, times)
-    own = prosody_index(recording.waveform, recording.n_frames)
-    natural = np.interp(times, np.arange(recording.n_frames) / FRAME_RATE, own)
-    label = applied + NATURAL_WEIGHT * natural
-    return take, applied.astype(np.float32), label.astype(np.float32)
+    return take, contour_at(contour, times).astype(np.float32)
+
+
+def _mean(values: Sequence[float] | Float64) -> float:
+    finite = _finite(values)
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
+def _error(values: Sequence[float] | Float64) -> float:
+    """Standard error of a mean."""
+    finite = _finite(values)
+    return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else float("nan")
+
+
+def _finite(values: Sequence[float] | Float64) -> Float64:
+    numbers = np.asarray(values, np.float64)
+    return numbers[np.isfinite(numbers)]

@@ -5,6 +5,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from deitalk.audio.frames import FRAME_RATE
+
+MOST_PHONES = 6
+"""Sounds of each group in the table of shut lips."""
+
 
 def as_json(report: dict[str, Any]) -> str:
     """JSON; values that are not finite are null."""
@@ -18,18 +23,25 @@ def _known(value: Any) -> Any:
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """Markdown tables of scores per group, phones, emotions, modified prosody and noise."""
+    """Markdown tables of scores per group, phones, styles, modified prosody and noise."""
     parts = [
-        f"Split: {report['split']}. LPE over {report['lpe_set']}; EPE over {report['epe_set']}; "
-        "both in squared control units.",
+        f"Split: {report['split']}. LPE over {report['lpe_set']}; EPE over {report['epe_set']}, of "
+        "acted takes; both in squared control units.",
+        "",
+        "As `deitalk animate` returns them:",
         "",
         *table("", report["groups"]),
+        "",
+        "The network alone:",
+        "",
+        *table("", report["network"]),
         *_phones(report.get("phones", {})),
-        *_emotions(report.get("emotions", {})),
+        *_shut(report.get("shut", {})),
+        *_styles(report.get("styles", {})),
     ]
-    if "lively" in report:
-        parts += ["", "Takes of raised against lowered prosody of one recording:", ""]
-        parts += table("", report["lively"])
+    if "contours" in report:
+        parts += ["", "Rank correlation with the contour of modified recordings:", ""]
+        parts += table("", report["contours"])
     if "noise" in report:
         parts += ["", "In noise:", "", *table("", report["noise"])]
     if "captured" in report:
@@ -70,30 +82,29 @@ def _phones(groups: dict[str, Any]) -> list[str]:
     return ["", title, "", *_rows(["", "gesture", "phone", "n", "found", "AUC"], rows)]
 
 
-def _emotions(groups: dict[str, Any]) -> list[str]:
+def _shut(groups: dict[str, Any]) -> list[str]:
+    """The sounds on which the lips are shut most, of those with a second of frames."""
+    rows = [
+        [name, phone, score["n"], score["shut"]]
+        for name, phones in groups.items()
+        for phone, score in sorted(phones.items(), key=lambda item: -item[1]["shut"])[:MOST_PHONES]
+        if score["n"] >= FRAME_RATE
+    ]
+    if not rows:
+        return []
+    title = "Share of frames with shut lips on sounds other than p b m f v; the highest:"
+    return ["", title, "", *_rows(["", "phone", "frames", "shut"], rows)]
+
+
+def _styles(groups: dict[str, Any]) -> list[str]:
     lines: list[str] = []
     for name, scores in groups.items():
         lines += [
             "",
-            f"Emotions on {scores['recordings']} recordings of {name}: "
-            f"{scores['recognised']:.0%} recognised, neutral stays in "
-            f"{scores['neutral_stays']:.0%}. Given emotion in rows, recognised in columns:",
+            f"Styles on {scores['recordings']} recordings of {name}: spread over recordings and "
+            "distance of mean faces in control units; range: factors on the neutral range of the "
+            "mouth's opening.",
             "",
-            *_rows(["", *scores["named"]], [[k, *v.values()] for k, v in scores["named"].items()]),
-            "",
-            "Factor on the neutral range of the mouth's opening:",
-            "",
-            *table(
-                "",
-                {
-                    "predicted intensity": scores["range"],
-                    "intensity 1": scores["range_strong"],
-                    "intensity 1, jaw alone": scores["range_jaw"],
-                },
-            ),
-            "",
-            "Distance of two faces (control units, Euclidean, mean of the frames):",
-            "",
-            *[f"- {pair}: {value:.3f}" for pair, value in scores["distances"].items()],
+            *table("", scores["styles"]),
         ]
     return lines

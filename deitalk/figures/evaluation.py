@@ -1,4 +1,4 @@
-"""Figure of the evaluation: closures, channels, emotions, noise."""
+"""Figure of the evaluation: closures, channels, styles, noise."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
     Parameters
     ----------
     report : dict
-        Groups, phones, emotions and noise; the panel of a missing part is empty.
+        Groups, phones, styles and noise; the panel of a missing part is empty.
     path : Path
         .png, .svg or .pdf.
 
@@ -28,7 +28,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
         axes = figure.subplots(2, 2)
         _phones(axes[0, 0], report["phones"])
         _channels(axes[0, 1], report["groups"])
-        _distances(axes[1, 0], report.get("emotions", {}))
+        _distances(axes[1, 0], report.get("styles", {}))
         _noise(axes[1, 1], report.get("noise", {}))
 
 
@@ -76,7 +76,7 @@ def _distances(axis: Any, groups: dict[str, Any]) -> None:
     axis.set_yticks(range(len(EMOTIONS)), EMOTIONS)
     for (i, j), value in np.ndenumerate(matrix):
         axis.text(j, i, f"{value:.2f}", ha="center", va="center", color="w")
-    axis.set_title("distance of two faces, control units", loc="left")
+    axis.set_title("distance of two styles' mean faces, control units", loc="left")
 
 
 def _noise(axis: Any, steps: dict[str, dict[str, float]]) -> None:

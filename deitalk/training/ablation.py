@@ -32,9 +32,11 @@ METRICS = {
     "lpe": "LPE", "epe": "EPE", "bilabial_window_auc": "bilabial AUC",
     "bilabial_hits_at_5_percent": "bilabials found", "jaw_r": "jaw r",
     "articulation_r": "mean r", "intensity_rho": "intensity Spearman",
-    "jerk_per_speed": "jerk / speed", "recognised": "emotions named",
+    "jerk_per_speed": "jerk / speed", "separation": "style separation",
 }  # fmt: skip
-"""Rows of the evaluation that are in the table, and their titles there."""
+"""Rows of the evaluation that are in the tables, and their titles there."""
+PREDICTIONS = {"network": "the network alone", "groups": "with the rules of the model"}
+"""Parts of the evaluation that are compared: rules after a network hide what it lacks."""
 FULL = "full"
 """The variant that comes first in the table."""
 KIND = "ablations"
@@ -96,7 +98,7 @@ def ablate(
     seeds: int = 3,
     split: str = "test",
     most: int | None = None,
-    probes: int = 2,
+    probes: int = 4,
     overrides: Sequence[str] = (),
     progress: Progress = lambda run, share: None,
 ) -> dict[str, Any]:
@@ -124,7 +126,8 @@ def ablate(
     Returns
     -------
     dict
-        Variant: {source: {metric: {mean, sd, n}}}; written to `out` too.
+        Variant: {prediction: {source: {metric: {mean, sd, n}}}}, predictions being `PREDICTIONS`;
+        written to `out` too.
 
     Raises
     ------
@@ -220,16 +223,21 @@ def _train(
     )
 
 
-def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
-    """Mean and standard deviation over the seeds, per source."""
+def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Mean and standard deviation over the seeds, per prediction and source."""
     return {
-        source: {metric: _spread(reports, source, metric) for metric in METRICS}
-        for source in reports[0]["groups"]
+        prediction: {
+            source: {metric: _spread(reports, prediction, source, metric) for metric in METRICS}
+            for source in reports[0]["groups"]
+        }
+        for prediction in PREDICTIONS
     }
 
 
-def _spread(reports: Sequence[dict[str, Any]], source: str, metric: str) -> dict[str, float]:
-    values = [_value(report, source, metric) for report in reports]
+def _spread(
+    reports: Sequence[dict[str, Any]], prediction: str, source: str, metric: str
+) -> dict[str, float]:
+    values = [_value(report, prediction, source, metric) for report in reports]
     finite = [value for value in values if value is not None]
     if not finite:
         return {"mean": float("nan"), "sd": float("nan"), "n": 0}
@@ -237,9 +245,13 @@ def _spread(reports: Sequence[dict[str, Any]], source: str, metric: str) -> dict
     return {"mean": float(np.mean(finite)), "sd": sd, "n": len(finite)}
 
 
-def _value(report: dict[str, Any], source: str, metric: str) -> float | None:
-    groups = report.get("emotions", {}) if metric == "recognised" else report["groups"]
-    value: float | None = groups.get(source, {}).get(metric)
+def _value(report: dict[str, Any], prediction: str, source: str, metric: str) -> float | None:
+    """A score; the separation of styles is that of the two nearest, with the model's rules."""
+    if metric == "separation":
+        styles = report.get("styles", {}).get(source, {}).get("styles", {})
+        known = [style["separation"] for style in styles.values() if style["separation"]]
+        return min(known) if known and prediction == "groups" else None
+    value: float | None = report[prediction].get(source, {}).get(metric)
     return value
 
 
@@ -249,15 +261,19 @@ def _write(out: Path, table: dict[str, Any], split: str, seeds: int) -> None:
 
 
 def as_markdown(table: dict[str, Any], split: str, seeds: int) -> str:
-    """One table a source: variants down, metrics across, mean ± standard deviation."""
+    """Two tables a source: variants down, metrics across, mean ± standard deviation."""
     lines = [f"Split: {split}; {seeds} seeds, mean ± standard deviation."]
-    sources = list(dict.fromkeys(source for scores in table.values() for source in scores))
+    sources = list(
+        dict.fromkeys(source for scores in table.values() for source in scores["network"])
+    )
     for source in sources:
-        lines += ["", f"## {source}", "", "| | " + " | ".join(METRICS.values()) + " |"]
-        lines.append("|---" * (len(METRICS) + 1) + "|")
-        for name, scores in table.items():
-            cells = [_cell(scores.get(source, {}).get(metric)) for metric in METRICS]
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        for prediction, title in PREDICTIONS.items():
+            lines += ["", f"## {source}, {title}", "", "| | " + " | ".join(METRICS.values()) + " |"]
+            lines.append("|---" * (len(METRICS) + 1) + "|")
+            for name, scores in table.items():
+                row = scores[prediction].get(source, {})
+                cells = [_cell(row.get(metric)) for metric in METRICS]
+                lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 

@@ -32,6 +32,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.distillation import Teacher, read_teacher, start_as
+from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, Task, run_training, silent
 from rig import ControlSet
 
@@ -149,15 +150,12 @@ class CurveTask(Task[Window]):
     def optimizer(self) -> torch.optim.Optimizer:
         """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`."""
         settings = self.config.train
-        rates: dict[float, list[nn.Parameter]] = {}
-        for name, parameter in self.model.named_parameters():
+
+        def factor(name: str) -> float:
             is_started = settings.teacher is not None and not name.startswith("frontend.")
-            rate = settings.learning_rate / (STARTED_SLOWER if is_started else 1)
-            if parameter.requires_grad:
-                rates.setdefault(rate, []).append(parameter)
-        kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
-        groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
-        return kind(groups, weight_decay=settings.weight_decay)
+            return 1 / STARTED_SLOWER if is_started else 1
+
+        return new_optimizer(self.model, settings, factor)
 
     def batches(self, share: Share) -> WindowBatches:
         """Windows of the training clips."""

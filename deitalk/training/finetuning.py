@@ -35,6 +35,7 @@ from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.distillation import start_as
 from deitalk.training.low_rank import add_adapters, merged_weights
+from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
 from rig import ControlSet
 from rig.arrays import Bool
@@ -230,15 +231,11 @@ class FinetuneTask(CurveTask):
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""
-        settings = self.config.train
-        rates: dict[float, list[nn.Parameter]] = {}
-        for name, parameter in self.model.named_parameters():
-            faster = ACTORS_FASTER if name.startswith("decoder.actors.") else 1
-            if parameter.requires_grad:
-                rates.setdefault(settings.learning_rate * faster, []).append(parameter)
-        kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
-        groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
-        return kind(groups, weight_decay=settings.weight_decay)
+
+        def factor(name: str) -> float:
+            return ACTORS_FASTER if name.startswith("decoder.actors.") else 1
+
+        return new_optimizer(self.model, self.config.train, factor)
 
     def batches(self, share: Share) -> WindowBatches:
         """Windows of the captures, and of speech to rehearse."""
@@ -319,7 +316,7 @@ def _with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfi
 
 
 def _learnt(config: FinetuneConfig, controls: ControlSet) -> Bool:
-    """Controls that captures teach [shape=(C,)]: not blinks and gaze where a rule adds them."""
+    """Controls to train [shape=(C,)]: no blinks and gaze where a rule adds them."""
     is_added = config.rules.idle is not None
     names = controls.names
     return np.array([not (is_added and any(p in n for p in IDLE_CONTROLS)) for n in names], bool)

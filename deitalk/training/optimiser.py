@@ -1,14 +1,38 @@
-"""The learning rate's schedule and the averaged weights of any training."""
+"""The optimizer, the learning rate's schedule and the averaged weights of any training."""
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 
 import torch
 from torch import nn
 
+from deitalk.config.curves import TrainConfig
 from deitalk.config.section import Optimisation
 
 WARM_UP = 0.08
 """Share of the steps in which the rate of ``one_cycle`` rises."""
+
+
+def new_optimizer(
+    model: nn.Module, settings: TrainConfig, factor: Callable[[str], float]
+) -> torch.optim.Optimizer:
+    """Make the configured optimizer of all parameters that learn.
+
+    Parameters
+    ----------
+    model : Module
+        Parameters without gradient are left out.
+    settings : TrainConfig
+        Names the optimizer, its rate and weight decay.
+    factor : callable
+        Factor on the learning rate of the parameter of a name.
+    """
+    rates: dict[float, list[nn.Parameter]] = {}
+    for name, parameter in model.named_parameters():
+        if parameter.requires_grad:
+            rates.setdefault(settings.learning_rate * factor(name), []).append(parameter)
+    kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
+    groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
+    return kind(groups, weight_decay=settings.weight_decay)
 
 
 def new_scheduler(

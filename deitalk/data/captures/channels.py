@@ -25,7 +25,7 @@ SWAPPED = -0.5
 """Correlation of two movements to one side, of real faces clearly positive, from which on one of
 them has its sides swapped."""
 LEAST_MOVEMENT = 0.02
-"""Standard deviation of a sideways movement that tells sides."""
+"""Least standard deviation of a sideways movement whose side can be judged."""
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ NTSC_DRIFT = 1 / 1001
 
 @dataclass(frozen=True)
 class ClipLags:
-    """What a clip tells about the lag."""
+    """Estimate of the lag from one clip."""
 
     scores: Float64
     """Sum of the groups' signed squared correlations by lag [shape=(L,)]; positive lags: the curves

@@ -13,8 +13,8 @@ import numpy as np
 
 from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
+from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.curve_statistics import smoothness
-from deitalk.evaluation.curves import loudness
 from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
 from deitalk.evaluation.opening import JAW
 from deitalk.evaluation.report import as_json, table
@@ -159,7 +159,7 @@ def _row(example: Example, values: Float32, captures: CaptureSet) -> dict[str, f
 
 
 def _own(captures: CaptureSet) -> dict[str, float]:
-    """What the captures themselves would score, where that says something."""
+    """What the captures themselves would score, where that is defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {name: _mean([row[name] for row in rows if name in row]) for name in _steps_of(rows)}
     curves = [example.curves for example in captures.examples]

@@ -44,7 +44,7 @@ def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> Mean
     controls : ControlSet
         Columns of the curves.
     learnt : array [shape=(C,)]
-        Controls that captures teach; others do not count as moving.
+        Controls that were trained on captures; others do not count as moving.
     """
     count, total, square = (np.zeros(len(controls)) for _ in range(3))
     for clip in clips:

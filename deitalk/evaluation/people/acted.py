@@ -13,6 +13,7 @@ import numpy as np
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.strength_clips import ACTORS, LEVELS, StrengthClip, read_strength_clips
 from deitalk.errors import DataError
+from deitalk.evaluation.opening import mouth_opening
 from deitalk.evaluation.people.strength import Scores, acted_order
 from deitalk.evaluation.report import table
 from deitalk.models.curve_model import DEITalk
@@ -72,16 +73,17 @@ def evaluate_acted(
 
 
 def _measures(model: DEITalk, clip: StrengthClip) -> dict[str, float]:
-    """Mean intensity over speech, and mean distance of the curves from rest."""
+    """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
     performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, idle=False)
     speaking = speech_activity(performance.recording.waveform) > 0
     if not speaking.any():
-        return dict.fromkeys(("intensity", "whole face", *PARTS), 0.0)
+        return dict.fromkeys(("intensity", "whole face", "opening", *PARTS), 0.0)
     controls = performance.curves.names
     moved: Float32 = np.abs(performance.curves.values - model.controls.rest)[speaking]
     measures = {
         "intensity": float(performance.predicted[speaking].mean()),
         "whole face": float(moved.sum(axis=1).mean()),
+        "opening": float(mouth_opening(performance.curves.values, model.controls)[speaking].mean()),
     }
     for part, names in PARTS.items():
         inside = [any(name in control for name in names) for control in controls]

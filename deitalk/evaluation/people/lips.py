@@ -20,7 +20,7 @@ from deitalk.data.lips.fit import network_curves
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import LipClip, read_lips
 from deitalk.errors import DataError
-from deitalk.evaluation.curves import loudness
+from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.report import table
 from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk

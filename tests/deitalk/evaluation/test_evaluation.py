@@ -10,14 +10,9 @@ import pytest
 from deitalk.audio.load import Recording
 from deitalk.audio.noise import mix, pink_noise, read_noises
 from deitalk.audio.voice_activity import active_level_db
-from deitalk.corpus.performance import _prosody_label
-from deitalk.corpus.prosody_contours import apply_contour, random_contour
-from deitalk.corpus.rig_targets import style_poses
-from deitalk.emotions import EMOTIONS
-from deitalk.emotions.rules import face_distance, lip_range, recognise
 from deitalk.errors import DataError
 from deitalk.evaluation.curve_statistics import captured_smoothness, smoothness
-from deitalk.evaluation.experiments import lively_report
+from deitalk.evaluation.opening import opening_in_silence
 from deitalk.evaluation.phone_gestures import (
     BITE,
     CLOSURE,
@@ -28,16 +23,11 @@ from deitalk.evaluation.phone_gestures import (
     jaw_in_contact,
     lag_scores,
     phone_table,
+    shut_frames,
+    shut_table,
 )
-from deitalk.evaluation.prosody_response import (
-    STEP_Z,
-    constant,
-    halves,
-    level_curve,
-    modified,
-    spearman,
-    wandering,
-)
+from deitalk.evaluation.prosody_response import contours_report, level_curve, spearman, wandering
+from deitalk.evaluation.styles import lip_range, style_distances
 from deitalk.pipeline.curves import Performance
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform
@@ -97,29 +87,44 @@ def test_lag_is_interpolated_between_frames(late_ms):
     assert global_lag_ms([lag_scores(target, predicted)]) == pytest.approx(late_ms, abs=2)
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS)
-def test_rule_recognises_prototypes_at_full_and_half_strength(emotion):
-    pose = style_poses(CONTROLS)[EMOTIONS.index(emotion)].astype(np.float32)
-    speaking = np.array([True, True, False])
-    for strength in (0.5, 1.0):
-        curves = np.tile(CONTROLS.rest + strength * pose, (3, 1))
-        curves[2] = CONTROLS.rest
-        assert recognise(curves, speaking, CONTROLS) == emotion
+def test_shut_lips_are_counted_away_from_contacts():
+    """M from 1 to 1.1 s; AA from 1.3 to 1.5 s (6 frames) is shut in two; IY is beside M."""
+    lips = np.zeros(90, np.float32)
+    lips[30:34] = 1
+    lips[40:42] = 0.6
+    counts = shut_frames(lips, PHONES)
+    assert counts == {"AA": (6, 2), "IY": (0, 0)}
+    table = shut_table([counts, {"AA": (6, 0), "S": (3, 1)}])
+    assert table["AA"] == {"n": 12, "shut": pytest.approx(1 / 6)}
+    assert table["all"] == {"n": 15, "shut": pytest.approx(0.2)}
 
 
-def test_weak_smile_is_neutral_and_strong_smile_is_not():
-    curves = np.tile(CONTROLS.rest, (2, 1))
-    for size, name in ((0.09, "neutral"), (0.5, "happy")):
-        for side in "LR":
-            curves[:, CONTROLS.index(f"CTRL_{side}_mouth_cornerPull.ty")] = size
-            curves[:, CONTROLS.index(f"CTRL_{side}_eye_cheekRaise.ty")] = size
-        assert recognise(curves, np.zeros(2, bool), CONTROLS) == name
+def test_opening_in_silence_uses_the_times_of_the_phones():
+    """Silence from 0 to 1 s, of which 0.25 to 0.85 s counts, whatever the sound is."""
+    opening = np.zeros(60, np.float32)
+    opening[30:] = 0.5
+    assert opening_in_silence(opening, [(0, 1, "SIL"), (1, 2, "AA")]) == 0
+    opening[:30] = 0.25
+    assert opening_in_silence(opening, [(0, 1, "SIL"), (1, 2, "AA")]) == pytest.approx(0.5)
+    assert np.isnan(opening_in_silence(opening, [(0, 0.5, "SIL"), (0.5, 2, "AA")]))
 
 
-def test_distance_and_range_by_hand():
-    a, b = np.zeros((2, 4), np.float32), np.zeros((2, 4), np.float32)
-    b[0, :2] = 3, 4
-    assert face_distance(a, b) == 2.5
+def test_style_distances_by_hand():
+    """Two styles 4 apart; the first's recordings are each 2 from the other."""
+    faces = {
+        "a": np.array([[0, 1], [0, -1]], np.float32),
+        "b": np.array([[4, 0], [4, 0]], np.float32),
+        "c": np.array([[0, 10], [0, 10]], np.float32),
+    }
+    styles, pairs = style_distances(faces)
+    assert styles["a"] == {"spread": 2, "nearest": "b", "distance": 4, "separation": 2}
+    assert styles["b"]["nearest"] == "a" and styles["b"]["separation"] == 2
+    assert pairs["a-c"] == 10 and len(pairs) == 3
+    alone, _ = style_distances({name: rows[:1] for name, rows in faces.items()})
+    assert np.isnan(alone["a"]["separation"])
+
+
+def test_range_of_the_lips_by_hand():
     opening = np.linspace(0, 1, 101, dtype=np.float32)
     speaking = np.ones(101, bool)
     assert lip_range(opening, speaking) == pytest.approx(0.9)
@@ -146,25 +151,11 @@ def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
     assert level[55] == pytest.approx(level[20], abs=0.5)  # beside the pause
 
 
-def test_modified_halves_give_their_frames():
-    take, z, frames = modified(recording(), halves(1.0, 3.0))
-    assert len(z) == len(frames) == take.n_frames
-    assert z[5] == pytest.approx(1)
-    assert z[-5] == pytest.approx(-1)
-    assert frames[0] == 0 and frames[-1] == pytest.approx(recording().n_frames - 1, abs=1)
-    assert frames[len(z) // 4] > len(z) // 4  # the half of raised prosody is faster
-    livelier = modified(recording(), constant(1.0, 3.0)).take
-    duller = modified(recording(), constant(-1.0, 3.0)).take
-    louder = 20 * np.log10(livelier.waveform.std() / duller.waveform.std())
-    assert 8 < louder < 15  # 4.5 dB per unit, and more in the treble
-    assert livelier.duration < duller.duration
-
-
 def test_wandering_is_the_same_for_one_seed():
-    first, z, lively = wandering(recording(), 3)
+    first, z = wandering(recording(), 3)
     again = wandering(recording(), 3)
     np.testing.assert_array_equal(first.waveform, again[0].waveform)
-    assert len(z) == len(lively) == first.n_frames
+    assert len(z) == first.n_frames
     assert np.ptp(z) > 0.1
 
 
@@ -175,64 +166,6 @@ def syllables(seconds: float, until: float) -> Recording:
     tone *= (np.mod(t, 0.3) > 0.1) & (t > 0.2) & (t < until)
     noise = 1e-4 * np.random.default_rng(0).standard_normal(len(t))
     return Recording((0.05 * tone + noise).astype(np.float32), "test", 16_000, 1, 0.0)
-
-
-@pytest.mark.parametrize(("sign", "share"), [(1, 1.0), (-1, 0.0)])
-def test_takes_are_compared_over_common_speech(monkeypatch, sign, share):
-    """A face that opens with the level, or against it; the second voice is silent in its half."""
-
-    def follows_level(take, emotion, **_):
-        level = 0.5 + sign * level_curve(take.waveform, take.n_frames) / 100
-        values = np.repeat(level[:, None], len(CONTROLS.names), axis=1).astype(np.float32)
-        curves = RigCurves(values, CONTROLS.names, fps=30)
-        still = RigCurves(0 * values, CONTROLS.names, fps=30)
-        zeros = np.zeros(take.n_frames, np.float32)
-        return Performance(curves, still, zeros, zeros, take, 0)
-
-    monkeypatch.setattr("deitalk.evaluation.experiments.animate", follows_level)
-    model = SimpleNamespace(controls=CONTROLS)
-    report = lively_report(model, [syllables(5, 5), syllables(6, 2.6)])  # type: ignore[arg-type]
-    assert report["pairs_whole"] == 2 and report["pairs_within"] == 2 + 1
-    for name in ("whole_opens", "whole_expresses", "within_opens", "within_expresses"):
-        assert report[name] == share, name
-
-
-def test_whole_takes_are_compared_over_the_same_words(monkeypatch):
-    """Every second syllable is 30 dB fainter, and undetected in the take of lowered prosody.
-
-    The mouth opens by .01 per decibel, so the raised take opens more over the same words; over the
-    detected speech of each take, the lowered one would open more.
-    """
-
-    def decibels(waveform):
-        n = -(-len(waveform) * 30 // 16_000)
-        padded = np.pad(waveform, (0, n * 534)).astype(np.float64)
-        pieces = np.stack([padded[i * 16_000 // 30 :][:533] for i in range(n)])
-        return 10 * np.log10(np.square(pieces).mean(axis=1) + 1e-10)
-
-    def opens_by_level(take, emotion, **_):
-        opening = 1 + decibels(take.waveform)[: take.n_frames] / 100
-        values = np.repeat(opening[:, None], len(CONTROLS.names), axis=1).astype(np.float32)
-        curves = RigCurves(values, CONTROLS.names, fps=30)
-        still = RigCurves(0 * values, CONTROLS.names, fps=30)
-        zeros = np.zeros(take.n_frames, np.float32)
-        return Performance(curves, still, zeros, zeros, take, 0)
-
-    def detect(waveform):
-        return (decibels(waveform) > faint_db - 2).astype(np.float32)
-
-    sound = syllables(6, 6)
-    faint = np.mod(np.arange(len(sound.waveform)) / 16_000, 0.6) < 0.3
-    sound = replace(sound, waveform=np.where(faint, sound.waveform / 31.6, sound.waveform))
-    loud_db = np.percentile(decibels(sound.waveform), 95)
-    faint_db = loud_db - 30
-    dull = modified(sound, constant(-STEP_Z, sound.duration)).take
-    assert detect(sound.waveform).mean() > 1.4 * detect(dull.waveform).mean()
-    monkeypatch.setattr("deitalk.evaluation.experiments.animate", opens_by_level)
-    monkeypatch.setattr("deitalk.evaluation.experiments.speech_activity", detect)
-    report = lively_report(SimpleNamespace(controls=CONTROLS), [sound])  # type: ignore[arg-type]
-    assert report["pairs_whole"] == 1 and report["pairs_within"] == 2
-    assert report["whole_opens"] == 1 and report["within_opens"] == 1
 
 
 def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
@@ -248,25 +181,15 @@ def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
         level = sign * level_curve(take.waveform, take.n_frames)
         return Performance(curves, curves, level, level, take, 0)
 
-    monkeypatch.setattr("deitalk.evaluation.experiments.animate", follows_the_level)
+    monkeypatch.setattr("deitalk.evaluation.prosody_response.animate", follows_the_level)
     model = SimpleNamespace(controls=CONTROLS)
-    alone = lively_report(model, [flipped])  # type: ignore[arg-type]
-    both = lively_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]
+    alone = contours_report(model, [flipped])  # type: ignore[arg-type]
+    both = contours_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]
     assert alone["above_level"] == pytest.approx(-2 * alone["level_rho"])
+    assert alone["network_rho"] == alone["intensity_rho"] and alone["index_rho"] > 0
     assert np.isnan(alone["above_level_error"])
-    for end in ("", "_contour"):
-        assert both[f"above_level{end}"] < 0
-        assert both[f"above_level{end}_error"] == pytest.approx(-both[f"above_level{end}"])
-
-
-def test_label_equals_that_of_the_corpus():
-    take, z, lively = wandering(recording(), 3)
-    contour = random_contour(recording().duration, np.random.default_rng(3))
-    moved = apply_contour(recording().waveform, contour)[1]
-    times = np.interp(np.arange(take.n_frames) / 30, moved[1], moved[0])
-    expected = _prosody_label(recording().waveform, contour, times)
-    np.testing.assert_allclose(lively, expected, atol=1e-4)
-    assert np.abs(z - lively).max() > 0.02
+    assert both["above_level"] < 0
+    assert both["above_level_error"] == pytest.approx(-both["above_level"])
 
 
 def test_smoothness_of_a_ramp_and_of_a_sine():

@@ -10,7 +10,7 @@ from deitalk.config import MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import AudioError, EmotionError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.evaluation.curves import mouth_opening
+from deitalk.evaluation.opening import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models

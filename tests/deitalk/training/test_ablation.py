@@ -112,9 +112,11 @@ def test_ablation_resumes_after_a_kill_and_repeats_no_finished_run(data, tmp_pat
     assert list(dict.fromkeys(runs)) == [
         "full seed0", "full seed1", "still seed0", "still seed1"
     ]  # fmt: skip
-    assert scores["full"]["test"]["lpe"]["n"] == 2
+    assert scores["full"]["network"]["test"]["lpe"]["n"] == 2
     assert pd.read_csv(out / "full/seed0/development.csv")["step"].tolist() == [2], "no row twice"
-    assert scores["full"]["test"]["lpe"]["sd"] > 0
+    for prediction in ("network", "groups"):
+        assert scores["full"][prediction]["test"]["lpe"]["sd"] > 0
+    assert scores["full"]["network"]["test"]["lpe"] != scores["full"]["groups"]["test"]["lpe"]
     assert "±" in (out / "ablations.md").read_text()
 
     (out / "still/seed1/report.json").unlink()
@@ -156,7 +158,12 @@ def test_ablation_rejects_a_folder_of_the_user(tmp_path):
 
 def test_markdown_table_by_hand():
     score = {"mean": 0.5, "sd": 0.01, "n": 3}
-    text = as_markdown({"full": {"a": {"lpe": score}}, "no_dei": {"a": {}}}, "test", 3)
-    assert "| full | 0.5 ± 0.01 | – |" in text
-    assert "| no_dei | – |" in text
+    table = {
+        "full": {"network": {"a": {"lpe": score}}, "groups": {"a": {}}},
+        "no_dei": {"network": {"a": {}}, "groups": {"a": {"lpe": score}}},
+    }
+    raw, ruled = as_markdown(table, "test", 3).split("## a, with the rules of the model")
+    assert "## a, the network alone" in raw
+    assert "| full | 0.5 ± 0.01 | – |" in raw and "| no_dei | – |" in raw
+    assert "| full | – |" in ruled and "| no_dei | 0.5 ± 0.01 | – |" in ruled
     assert isinstance(load_config(CONFIGS / "mel.yaml"), Config)
