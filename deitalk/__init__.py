@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 __all__ = [
     "EMOTIONS",
+    "BatchReport",
     "DeitalkError",
     "EmotionTrack",
     "IntensityCurve",
@@ -19,6 +20,7 @@ __all__ = [
     "Recording",
     "__version__",
     "animate",
+    "animate_batch",
     "animate_mesh",
     "load_audio",
     "load_model",
@@ -28,6 +30,8 @@ __all__ = [
 if TYPE_CHECKING:
     from deitalk.audio.arrays import recording_from_array
     from deitalk.audio.load import Recording, load_audio
+    from deitalk.batch.report import BatchReport
+    from deitalk.batch.run import animate_batch
     from deitalk.emotions import EMOTIONS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
     from deitalk.models.checkpoint import load_model
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "audio.load": ("Recording", "load_audio"),
+    "batch.report": ("BatchReport",),
+    "batch.run": ("animate_batch",),
     "models.checkpoint": ("load_model",),
     "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),

@@ -32,6 +32,8 @@ WEIGHTS_BYTES = 4 * GIB
 """model.safetensors: twice the most parameters at four bytes each."""
 DATASET_TABLE_BYTES = 512 * MIB
 """clips.csv and the tables beside clips of a dataset."""
+BATCH_LINES = 1_000_000
+"""Lines of a batch; their settings take about 1 kB of memory each."""
 HEADER_BYTES = MIB
 """First line of a CSV, header of a PLY file or of model.safetensors."""
 STREAM_BYTES = 2 * GIB

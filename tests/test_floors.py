@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {
     "deitalk": """
         cli
-        preview training
+        preview training batch
         evaluation
         data
         pipeline corpus
@@ -143,7 +143,7 @@ def _is_typing(node: ast.stmt) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
 
 
-@pytest.mark.parametrize(("package", "most"), [("deitalk", 20), ("rig", 16), ("api", 16)])
+@pytest.mark.parametrize(("package", "most"), [("deitalk", 22), ("rig", 16), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name for p in (ROOT / package).iterdir() if p.name not in ("__pycache__", "py.typed")

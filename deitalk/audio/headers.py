@@ -4,6 +4,12 @@ import io
 import struct
 from typing import IO
 
+RECORDINGS = (
+    ".wav", ".flac", ".mp3", ".m4a", ".ogg", ".opus", ".aac", ".aif", ".aiff", ".mp4", ".mov",
+    ".webm", ".wma",
+)  # fmt: skip
+"""Suffixes of recordings; a file given by name is recognised by its content, whatever its name."""
+
 MOST_CHUNKS = 1000  # of a wav or aiff file that are searched for its samples
 _MPEG_TAGS = (b"\x50\0", b"\x55\0")  # coding of a wav file: layers I to III
 # Offset and first bytes -> FFmpeg's demuxer.

@@ -21,6 +21,7 @@ from rig.files import atomic_write
 
 __all__ = [
     "Recording",
+    "check_path",
     "checked_waveform",
     "load_audio",
     "read_sound",
@@ -329,7 +330,7 @@ def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:
 def _name_and_data(source: str | Path | bytes | IO[bytes]) -> tuple[str, bytes | None]:
     """Name of the source in messages, and its bytes unless it is a path."""
     if isinstance(source, str | Path):
-        _check_path(Path(source))
+        check_path(Path(source))
         return str(source), None
     if isinstance(source, bytes | bytearray | memoryview):
         name, data = "<bytes>", bytes(source)
@@ -348,8 +349,14 @@ def _name_and_data(source: str | Path | bytes | IO[bytes]) -> tuple[str, bytes |
     return name, data
 
 
-def _check_path(path: Path) -> None:
-    """Check a path before its content is read."""
+def check_path(path: Path) -> None:
+    """Check a path before its content is read.
+
+    Raises
+    ------
+    AudioError
+        If it is no regular file, is empty or must not be read.
+    """
     try:
         if path.is_dir():
             raise AudioError(f"{path} is a folder, not a recording; name one file in it")

@@ -12,6 +12,7 @@ from deitalk.cli.actor import app as actor_app
 from deitalk.cli.animate import animate
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.attention import attention
+from deitalk.cli.batch import batch
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.controls import controls
@@ -42,6 +43,7 @@ app = CheckedCommands(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(animate)
+app.command()(batch)
 app.command()(controls)
 app.command()(plot)
 app.command()(attention)

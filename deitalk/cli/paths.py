@@ -8,22 +8,10 @@ from pathlib import Path
 
 import typer
 
+from deitalk.audio.headers import RECORDINGS
 from deitalk.errors import DeitalkError
 
 PICTURES = (".png", ".svg", ".pdf")
-RECORDINGS = (
-    ".wav",
-    ".flac",
-    ".mp3",
-    ".m4a",
-    ".ogg",
-    ".opus",
-    ".aac",
-    ".aif",
-    ".aiff",
-    ".mp4",
-    ".mov",
-)
 Inputs = Iterable[Path | str | None]
 
 _targets: ContextVar[ExitStack | None] = ContextVar("targets", default=None)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.load import Recording
 from deitalk.emotions.actor import ActorReference
 from deitalk.errors import AudioError
 from deitalk.pipeline.speech import Speech
@@ -28,14 +29,30 @@ def measure_actor(
     AudioError
         If one cannot be read, or none holds a voice.
     """
-    strengths, seconds = [], 0.0
+    measured = []
     for number, audio in enumerate(recordings, 1):
         recording = recording_of(audio)
-        speech = Speech.of(recording.waveform)
-        if speech.prosody.voiced.any():
-            strengths.append(speech.strength)
-            seconds += recording.duration
+        measured.append((voice_strength(recording), recording.duration))
         progress(number)
-    if not strengths:
+    return reference_of(measured)
+
+
+def voice_strength(recording: Recording) -> float | None:
+    """Strength of a recording's voice, dB above the usual; None without voice."""
+    speech = Speech.of(recording.waveform)
+    return speech.strength if speech.prosody.voiced.any() else None
+
+
+def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReference:
+    """Reference of an actor from the strength and the seconds of each recording.
+
+    Raises
+    ------
+    AudioError
+        If no recording holds a voice.
+    """
+    voiced = [(strength, seconds) for strength, seconds in measured if strength is not None]
+    if not voiced:
         raise AudioError("no voice in the recordings of the actor; give some with speech")
-    return ActorReference(float(np.median(strengths)), len(strengths), seconds)
+    strengths, lengths = zip(*voiced, strict=True)
+    return ActorReference(float(np.median(strengths)), len(voiced), sum(lengths))

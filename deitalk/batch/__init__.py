@@ -1,0 +1,15 @@
+"""Many recordings at once: ``deitalk batch``.
+
+::
+
+    lines.py       one recording and its settings; the key of its outputs
+    manifest.py    rows of a table -> lines
+    source.py      a manifest or a folder -> lines that can be animated, and those that cannot
+    journal.py     SQLite: what was written, from what
+    outputs.py     files moved to their names, none of the user's replaced
+    performer.py   one line in a worker: sound -> staged files
+    processes.py   worker processes, one model each
+    actors.py      usual voice of each actor
+    report.py      the tables of a run
+    run.py         `animate_batch`: all of it
+"""

@@ -1,0 +1,177 @@
+"""One recording of a batch with its settings, and the key of what is made of it."""
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+
+from deitalk.emotions import check_intensity, parse_emotion
+from deitalk.emotions.track_files import TRACK_SUFFIXES
+from deitalk.errors import DeitalkError
+from rig import limits
+from rig.errors import quoted
+from rig.files.reading import read_bytes
+from rig.formats.table import FORMATS, writable_suffixes
+
+TAKE = "take"
+"""Name of the format that is a whole take folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Settings of one line; a manifest's empty cells keep the defaults of the command.
+
+    Parameters
+    ----------
+    emotion : str
+        As for `deitalk.animate`; a track is the path of its file.
+    intensity : float, range 0 to 4
+        Factor on the intensity predicted from the voice.
+    intensity_curve, voice : str
+        Paths, as for `deitalk.animate`; empty: none.
+    actor : str
+        Who speaks; lines of one actor share a reference. Empty: nobody in particular.
+    formats : tuple of str
+        Suffixes of the files to write, and ``take``.
+    fps : float, optional
+        Rate of the written curves.
+    idle, raw, seed
+        As for `deitalk.animate`.
+    """
+
+    emotion: str = "neutral"
+    intensity: float = 1.0
+    intensity_curve: str = ""
+    voice: str = ""
+    actor: str = ""
+    formats: tuple[str, ...] = (".csv",)
+    fps: float | None = None
+    idle: bool = True
+    raw: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One recording to animate."""
+
+    number: int
+    """Row of the manifest or place in the folder, from 1."""
+    audio: str
+    """Path or URL of the recording."""
+    output: str
+    """Path below the output folder with ``/``, without suffix."""
+    settings: Settings = field(default_factory=Settings)
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Files and, for a take, the folder that are written, below the output folder."""
+        return tuple(
+            self.output if suffix == TAKE else self.output + suffix
+            for suffix in self.settings.formats
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BadLine:
+    """A row or a recording that cannot be animated."""
+
+    number: int
+    audio: str
+    output: str
+    error: str
+
+
+def parse_formats(text: str) -> tuple[str, ...]:
+    """Suffixes of a list of formats, such as ``csv;take`` or ``.npz livelink``.
+
+    Raises
+    ------
+    DeitalkError
+        If one is unknown or cannot be written.
+    """
+    names = [name for name in re.split(r"[\s,;|+]+", text.strip()) if name]
+    found = tuple(dict.fromkeys(_suffix(name) for name in names))
+    if not found:
+        raise DeitalkError("no format is named; give csv, npz, take or another")
+    return found
+
+
+@cache
+def _suffix(name: str) -> str:
+    lower = name.lower()
+    if lower == TAKE:
+        return TAKE
+    dotted = "." + lower.removeprefix(".")
+    if dotted in writable_suffixes():
+        return dotted
+    by_name = {f.name: f.suffixes[0] for f in FORMATS if f.write}
+    if lower not in by_name:
+        known = ", ".join((TAKE, *by_name))
+        raise DeitalkError(f"format {quoted(name)} is unknown; known are {known}")
+    return by_name[lower]
+
+
+def check_settings(settings: Settings) -> None:
+    """Check what can be checked without reading a file.
+
+    Raises
+    ------
+    UserError
+        If a number is out of its range or an emotion is unknown.
+    """
+    from rig.curves import snap_fps
+
+    check_intensity(settings.intensity)
+    if not is_track(settings.emotion):
+        _parsed(settings.emotion)
+    if settings.fps is not None:
+        snap_fps(settings.fps)
+
+
+@cache
+def _parsed(emotion: str) -> None:
+    parse_emotion(emotion)
+
+
+def is_track(emotion: str) -> bool:
+    """Whether an emotion is the path of a track's file."""
+    return emotion.lower().endswith(TRACK_SUFFIXES)
+
+
+def line_key(line: Line, model: str, strength: float | None) -> str:
+    """Hash of everything but the sound that the outputs of a line follow from.
+
+    Parameters
+    ----------
+    line : Line
+        Files that its settings name are hashed by their content.
+    model : str
+        Identity of the model: its weights, configuration and rules.
+    strength : float, optional
+        Reference of the line's actor.
+
+    Raises
+    ------
+    DeitalkError
+        If a file of its settings cannot be read.
+    """
+    settings = line.settings
+    parts = asdict(settings) | {"model": model, "strength": strength}
+    for name in ("intensity_curve", "voice"):
+        if path := getattr(settings, name):
+            parts[name] = content_hash(path)
+    if is_track(settings.emotion):
+        parts["emotion"] = content_hash(settings.emotion)
+    if TAKE in settings.formats:
+        parts["name"] = Path(line.audio).name  # files of a take are named after it
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def content_hash(path: str) -> str:
+    """SHA-256 of a small file, in hexadecimal."""
+    data = read_bytes(Path(path), limits.TRACK_BYTES, error=DeitalkError)
+    return hashlib.sha256(data).hexdigest()

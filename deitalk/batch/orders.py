@@ -1,0 +1,187 @@
+"""Lines to orders for the workers, and results to files, journal and rows of the summary."""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from deitalk import __version__
+from deitalk.batch.actors import references
+from deitalk.batch.journal import DONE, FAILED, Entry, Journal
+from deitalk.batch.lines import BadLine, Line, line_key
+from deitalk.batch.outputs import Outputs
+from deitalk.batch.performer import Order, Outcome
+from deitalk.batch.progress import Pace, Progress
+from deitalk.batch.report import Row
+from deitalk.config import Config, load_config
+from deitalk.emotions import ActorReference
+from deitalk.errors import AudioError, CheckpointError
+from deitalk.models.folder import RIG_FILE, model_folder, weights_hash
+from rig.errors import TargetError, UserError
+
+Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
+"""Results of orders, as they come."""
+
+
+class Batch:
+    """Lines of a batch on their way to rows of its summary.
+
+    Parameters
+    ----------
+    lines : sequence of Line or BadLine
+        In the order of their source.
+    journal : Journal
+        Of the output folder.
+    outputs : Outputs
+        Of the output folder.
+    model : str
+        Identity of the model.
+
+    Attributes
+    ----------
+    rows : list of Row
+        One for each line, complete after `perform`.
+    notes : list of str
+        What applies to the whole batch.
+    """
+
+    def __init__(
+        self, lines: Sequence[Line | BadLine], journal: Journal, outputs: Outputs, model: str
+    ) -> None:
+        self.lines, self.journal, self.outputs, self.model = lines, journal, outputs, model
+        self.rows: list[Row] = []
+        self.notes: list[str] = []
+        self._signatures: dict[str, str] = {}
+        self._orders: list[Order] = []
+        self._entries: dict[str, tuple[int, Entry]] = {}
+
+    def prepare(self, run: Run) -> None:
+        """Measure the actors, then find what is to be done."""
+        good = [line for line in self.lines if isinstance(line, Line)]
+        voices = references(good, self.outputs.folder, self.journal, self._signature, run)
+        actors = {line.settings.actor for line in good if not line.settings.voice} - {""}
+        if unmeasured := sorted(actors - voices.keys()):
+            self.notes.append(
+                f"too few lines with voice for a reference of {', '.join(unmeasured[:5])}"
+            )
+        for line in self.lines:
+            self.rows.append(self._row(line, voices))
+
+    def perform(self, run: Run, progress: Progress) -> None:
+        """Animate what is to be done, the longest recordings first."""
+        sizes = {order.output: self._size(order.audio) for order in self._orders}
+        orders = sorted(self._orders, key=lambda order: -sizes[order.output])
+        pace = Pace(len(orders), sum(sizes.values()))
+        for outcomes in run(orders) if orders else ():
+            self._store(outcomes)
+            for outcome in outcomes:
+                failed = outcome.status == FAILED
+                pace.add(sizes[outcome.output], outcome.seconds, failed=failed)
+            progress(pace.share, pace.text())
+
+    def _row(self, line: Line | BadLine, voices: dict[str, ActorReference]) -> Row:
+        """The row of a line that needs no work; else a preliminary one, and an order."""
+        if isinstance(line, BadLine):
+            return Row(line.number, line.audio, line.output, FAILED, error=line.error)
+        try:
+            return self._known(line, voices) or self._ordered(line, voices)
+        except UserError as error:
+            return Row(line.number, line.audio, line.output, FAILED, error=str(error))
+
+    def _known(self, line: Line, voices: dict[str, ActorReference]) -> Row | None:
+        """The row of a line whose outputs are there."""
+        if not self._signature(line.audio):
+            raise AudioError(f"there is no recording {line.audio}; check the path")
+        entry = self.journal.entry(line.output)
+        key = line_key(line, self.model, _strength(line, voices))
+        fresh = Entry(line.output, line.audio, self._signature(line.audio), key=key)
+        self._entries[line.output] = (len(self.rows), fresh)
+        if entry is None or entry.state != DONE or entry.key != key:
+            return None
+        state = self.outputs.state(line.output)
+        if state == "missing":
+            return None
+        fresh.sound = entry.sound
+        if (entry.signature, entry.audio) != (fresh.signature, fresh.audio):
+            return None
+        status = "unchanged" if state == "intact" else "edited"
+        place = (line.number, line.audio, line.output)
+        return Row(*place, status, entry.seconds, entry.warnings)
+
+    def _ordered(self, line: Line, voices: dict[str, ActorReference]) -> Row:
+        """Order a line; `known` is the sound that its outputs are of, if they are there."""
+        _, entry = self._entries[line.output]
+        self.outputs.check_free(line.targets)
+        voice = None if line.settings.voice else voices.get(line.settings.actor)
+        order = Order(line.output, line.audio, line.settings, voice, known=entry.sound)
+        self._orders.append(order)
+        return Row(line.number, line.audio, line.output, FAILED, error="was not animated")
+
+    def _store(self, outcomes: Sequence[Outcome]) -> None:
+        """Place the files of results, and complete their rows."""
+        placed = []
+        for outcome in outcomes:
+            if outcome.status == "full":
+                raise TargetError(
+                    f"{self.outputs.folder}: no space left; free some and run the same batch "
+                    "again, the finished lines are kept"
+                )
+            number, entry = self._entries[outcome.output]
+            if outcome.status == "unchanged":
+                old = self.journal.entry(entry.output) or entry
+                entry.seconds, entry.frames, entry.warnings = old.seconds, old.frames, old.warnings
+            else:
+                entry.seconds, entry.frames = outcome.seconds, outcome.frames
+                entry.warnings, entry.error = "\n".join(outcome.warnings), outcome.error
+                entry.sound = outcome.sound
+            entry.state = FAILED if outcome.status == FAILED else DONE
+            placed.append((entry, outcome))
+        self.outputs.place(placed)
+        for entry, outcome in placed:
+            number, _ = self._entries[entry.output]
+            self.rows[number] = _finished(self.rows[number], entry, outcome)
+
+    def _signature(self, audio: str) -> str:
+        """Size and time of a recording's file; empty if it is not there."""
+        if audio not in self._signatures:
+            try:
+                found = os.stat(audio)
+                self._signatures[audio] = f"{found.st_size}-{found.st_mtime_ns}"
+            except (OSError, ValueError):
+                self._signatures[audio] = ""
+        return self._signatures[audio]
+
+    def _size(self, audio: str) -> float:
+        return float(self._signature(audio).partition("-")[0] or 0)
+
+
+def _strength(line: Line, voices: dict[str, ActorReference]) -> float | None:
+    voice = None if line.settings.voice else voices.get(line.settings.actor)
+    return None if voice is None else voice.strength
+
+
+def _finished(row: Row, entry: Entry, outcome: Outcome) -> Row:
+    """The row of a line that a worker has returned."""
+    status = FAILED if entry.state == FAILED else outcome.status
+    place = (row.number, row.audio, row.output)
+    return Row(*place, status, entry.seconds, entry.warnings, entry.error)
+
+
+def model_identity(model: str | Path) -> str:
+    """Hash of everything of a curve model that outputs follow from, and of this version.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it makes a mesh.
+    """
+    folder = model_folder(model)
+    if not isinstance(load_config(folder / "config.yaml"), Config):
+        raise CheckpointError(
+            f"{model}: a mesh model; a DEITalk model (curves) is needed, such as default"
+        )
+    parts = [__version__, weights_hash(folder)]
+    for name in ("config.yaml", RIG_FILE):
+        if (folder / name).is_file():
+            parts.append((folder / name).read_text(encoding="utf-8"))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()

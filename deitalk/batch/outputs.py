@@ -1,0 +1,160 @@
+"""Files of a batch in its output folder: moved to their names, none of the user's replaced."""
+
+import os
+import shutil
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from deitalk.batch.journal import DONE, FAILED, PLACING, Entry, File, Journal
+from deitalk.batch.performer import Outcome
+from deitalk.pipeline.take import KIND
+from rig.errors import TargetError
+from rig.files import check_folder, output_folder, recover
+from rig.files.manifest import MANIFEST, digest_of
+
+PRIVATE = ".deitalk-batch"
+"""Folder of the journal and of unfinished files."""
+
+
+class Outputs:
+    """Results of lines below one folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The output folder.
+    journal : Journal
+        Of that folder.
+    """
+
+    def __init__(self, folder: Path, journal: Journal) -> None:
+        self.folder, self.journal = folder, journal
+        self.stage = folder / PRIVATE / "stage"
+        self._made: set[Path] = set()
+
+    def begin(self) -> None:
+        """Finish or forget what a killed process left."""
+        shutil.rmtree(self.stage, ignore_errors=True)
+        self.stage.mkdir(parents=True)
+        for entry in self.journal.entries(PLACING):
+            recover(self.folder / entry.output)
+            new = self.journal.files(entry.output, new=True)
+            if new and all(self._state(file) == "intact" for file in new):
+                self._finish([entry])
+
+    def state(self, output: str) -> str:
+        """Whether the files of a finished line are ``intact``, ``missing`` or ``edited``."""
+        states = {self._state(file) for file in self.journal.files(output, new=False)}
+        return next((s for s in ("missing", "edited") if s in states), "intact")
+
+    def check_free(self, targets: Sequence[str]) -> None:
+        """Refuse targets where files lie that the batch did not write.
+
+        Raises
+        ------
+        TargetError
+            If there is one, or one was changed since it was written.
+        """
+        for target in targets:
+            path = self.folder / target
+            if not os.path.lexists(path):
+                self._check_above(path)
+            elif path.is_dir() and not path.is_symlink() and not path.suffix:
+                self._check_take(path, target)
+            elif not self._is_own(target):
+                raise TargetError(
+                    f"{path} was not written by this batch, or was changed since; move it away, or "
+                    "name another output"
+                )
+
+    def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
+        """Give staged files their names and enter the results, all in two transactions."""
+        good = []
+        with self.journal.transaction():
+            for entry, outcome in results:
+                if outcome.files:
+                    entry.state = PLACING
+                    self.journal.announce(entry.output, outcome.files)
+                    good.append((entry, outcome))
+                self.journal.write(entry)
+        placed = []
+        for entry, outcome in good:
+            try:
+                self._move(Path(outcome.stage), outcome)
+            except TargetError as error:  # the user changed it meanwhile
+                entry.state, entry.error = FAILED, str(error)
+                with self.journal.transaction():
+                    self.journal.write(entry)
+            else:
+                placed.append(entry)
+        self._finish(placed)
+
+    def _finish(self, entries: Sequence[Entry]) -> None:
+        """Remove what lines no longer write, and enter them as done."""
+        for entry in entries:
+            new = {file.path for file in self.journal.files(entry.output, new=True)}
+            for file in self.journal.files(entry.output, new=False):
+                if file.path not in new and self._state(file) == "intact":
+                    (self.folder / file.path).unlink(missing_ok=True)
+                    with suppress(OSError):
+                        (self.folder / file.path).parent.rmdir()
+        with self.journal.transaction():
+            for entry in entries:
+                self.journal.settle(entry.output)
+                entry.state = DONE
+                self.journal.write(entry)
+
+    def _move(self, stage: Path, outcome: Outcome) -> None:
+        for target in outcome.targets:
+            source, path = stage / target.name, self.folder / target.path
+            if path.parent not in self._made:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._made.add(path.parent)
+            if source.is_dir() and path.is_dir():
+                self._exchange(source, path)
+            else:
+                os.replace(source, path)
+        shutil.rmtree(stage, ignore_errors=True)
+
+    def _exchange(self, source: Path, folder: Path) -> None:
+        """Replace the files of a take; others in its folder stay."""
+        with output_folder(folder, kind=KIND, force=True) as stage:
+            for name in os.listdir(source):
+                if name != MANIFEST:
+                    os.replace(source / name, stage / name)
+
+    def _state(self, file: File) -> str:
+        """Whether a file is as it was written."""
+        path = self.folder / file.path
+        try:
+            found = path.lstat()
+        except OSError:
+            return "missing"
+        if found.st_size == file.size and found.st_mtime_ns == file.mtime:
+            return "intact"
+        is_same = found.st_size == file.size and path.is_file() and digest_of(path) == file.sha
+        return "intact" if is_same else "edited"
+
+    def _is_own(self, target: str) -> bool:
+        return any(self._state(file) == "intact" for file in self.journal.hashes(target))
+
+    def _check_take(self, path: Path, target: str) -> None:
+        """A folder may be filled if its take is of the batch and unchanged, or it holds nothing."""
+        recover(path)
+        check_folder(path, kind=KIND, force=True)
+        if any(path.iterdir()) and not self._is_own(f"{target}/take.json"):
+            raise TargetError(
+                f"{path} is a take that this batch did not write; move it away, or name another "
+                "output"
+            )
+
+    def _check_above(self, path: Path) -> None:
+        """Folders above a new file must be folders."""
+        for parent in path.parents:
+            if parent == self.folder or parent in self._made:
+                return
+            if parent.exists():
+                if not parent.is_dir():
+                    raise TargetError(f"{parent} is a file; name another output")
+                return

@@ -1,0 +1,101 @@
+"""`deitalk batch`: all lines of a manifest or a folder."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
+from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.options import Emotion, Intensity, Json, Model
+
+if TYPE_CHECKING:
+    from deitalk.batch.report import BatchReport
+
+
+def batch(
+    source: Annotated[Path, typer.Argument(help="Folder of recordings, or a manifest (.csv).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the results.")],
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    actor: Annotated[
+        str, typer.Option(help="Who speaks; intensity counts from the actor's usual voice.")
+    ] = "",
+    formats: Annotated[
+        str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
+    ] = "csv",
+    model: Model = "default",
+    fps: Annotated[
+        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
+    ] = None,
+    idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="The network alone, without the model's rules.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Go on in a folder begun from another source.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Animate many recordings; the same command again goes on where it was.
+
+    The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
+    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed (docs/batch.md).
+
+    Examples
+    --------
+    deitalk batch lines/ -e happy -o curves/
+
+    deitalk batch lines.csv --format take -o takes/
+    """
+    from deitalk.batch.run import animate_batch
+
+    with bar("animating") as progress:
+        report = animate_batch(
+            source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
+            fps=fps, idle=idle, raw=raw, seed=seed, model=model, workers=workers, force=force,
+            progress=progress,
+        )  # fmt: skip
+    for note in report.notes:
+        console().note(note)
+    if as_json:
+        emit_json(_summary(report))
+    else:
+        console().print(_line(out, report))
+    _fail_if_any_failed(report)
+
+
+def _line(out: Path, report: "BatchReport") -> str:
+    counts = ", ".join(f"{count} {status}" for status, count in report.counts.items() if count)
+    rate = report.seconds / report.wall_seconds
+    return (
+        f"{out}: {counts} of {len(report.rows)} lines in {report.wall_seconds:.0f} s "
+        f"({rate:.0f} x real time); {report.summary.name} has a row for each"
+    )
+
+
+def _summary(report: "BatchReport") -> dict[str, Any]:
+    return {
+        "summary": str(report.summary),
+        "lines": len(report.rows),
+        **report.counts,
+        "with_warnings": sum(bool(row.warnings) for row in report.rows),
+        "seconds": report.seconds,
+        "wall_seconds": report.wall_seconds,
+    }
+
+
+def _fail_if_any_failed(report: "BatchReport") -> None:
+    from deitalk.errors import DeitalkError
+
+    if report.failed:
+        first = report.failed[0]
+        raise DeitalkError(
+            f"{len(report.failed)} of {len(report.rows)} lines failed, see {report.failed_table}; "
+            f"the first is line {first.number}: {first.error}"
+        )

@@ -1,0 +1,83 @@
+"""Worker processes of a batch: results of all orders, and processes that end."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deitalk.batch.performer import Order, Outcome
+from deitalk.batch.processes import ENDED, Workers
+from deitalk.errors import CheckpointError, DeitalkError
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class Echo:
+    """Returns each order; ends the process at those that say so."""
+
+    def __call__(self, order):
+        if order.audio == "end":
+            os._exit(3)
+        if order.audio.startswith("once ") and not os.path.exists(order.audio[5:]):
+            open(order.audio[5:], "w").close()
+            os._exit(3)
+        return Outcome(order.output, "done", seconds=float(os.getpid()))
+
+
+def no_model():
+    raise CheckpointError("there is no model; name another")
+
+
+def no_memory():
+    os._exit(9)
+
+
+def outcomes(orders, count=2, make=Echo):
+    with Workers(count, make) as workers:
+        return {o.output: o for found in workers.run(orders) for o in found}
+
+
+def test_every_order_is_answered_and_the_line_that_ends_its_process_fails_alone(tmp_path):
+    once = f"once {tmp_path / 'flag'}"
+    orders = [Order(str(i), {3: "end", 5: once}.get(i, "a")) for i in range(40)]
+    found = outcomes(orders)
+    assert sorted(found, key=int) == [str(i) for i in range(40)]
+    failed = [n for n, o in found.items() if o.status != "done"]
+    assert failed == ["3"] and found["3"].error == ENDED
+
+
+@pytest.mark.parametrize(
+    ("make", "error"), [(no_model, CheckpointError), (no_memory, DeitalkError)]
+)
+def test_process_without_model_is_one_error(make, error):
+    with pytest.raises(error, match=r"no model|while loading"):
+        outcomes([Order("0", "a")], 1, make)
+
+
+def test_processes_end_with_a_killed_parent(tmp_path):
+    code = (
+        "from tests.deitalk.batch.test_processes import *\n"
+        "if __name__ == '__main__':\n"
+        "    with Workers(1, Echo) as w:\n"
+        "        print(int(next(w.run([Order('0', 'a')]))[0].seconds), flush=True)\n"
+        "        time.sleep(60)\n"
+    )
+    path = tmp_path / "parent.py"
+    path.write_text(code)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, path], stdout=subprocess.PIPE, env=environment
+    ) as parent:
+        worker = int(parent.stdout.readline())
+        parent.send_signal(signal.SIGKILL)
+    for _ in range(100):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("the worker is still there")

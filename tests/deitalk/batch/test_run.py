@@ -1,0 +1,318 @@
+"""A whole batch: outputs, what is done again, what is refused."""
+
+import csv
+import os
+import shutil
+from functools import partial
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk import animate
+from deitalk.batch.source import FAILED, SUMMARY
+from deitalk.emotions import read_actor
+from deitalk.errors import CheckpointError, DataError
+from deitalk.evaluation.benchmark_curves import speechlike
+from rig import read_curves
+from rig.errors import TargetError
+from rig.files import changed_files
+from tests.interrupt import count_writes, kill_at_write
+
+
+def table(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def status(report):
+    return {row.output: row.status for row in report.rows}
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and ".deitalk-batch" not in path.parts
+    }
+
+
+def test_outputs_are_those_of_animate(run, lines, model, tmp_path):
+    report = run(emotion="happy", formats="csv;npz")
+    assert status(report) == {"anna/a": "done", "anna/b": "done", "c": "done"}
+    animate(lines / "anna" / "a.wav", "happy", model=model).save(tmp_path / "one.csv")
+    assert (run.out / "anna/a.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
+    assert len(read_curves(run.out / "c.npz")) == 15
+    rows = table(run.out / SUMMARY)
+    assert [float(row["seconds"]) for row in rows] == [0.6, 0.7, 0.5]
+    assert not (run.out / FAILED).exists() and report.failed_table is None
+
+
+def test_take_folders_are_those_of_animate(run, lines):
+    run(formats="take", fps=60)
+    take = run.out / "anna" / "a"
+    assert len(read_curves(take / "curves.csv")) == 2 * 18
+    assert {"take.json", "audio.wav", "intensity.csv", "a.unreal.json"} <= set(os.listdir(take))
+    assert changed_files(take) == []
+    assert run(formats="take", fps=60).counts["unchanged"] == 3
+
+
+def test_second_run_does_nothing(run, orders):
+    run()
+    before = files(run.out)
+    orders.clear()
+    report = run()
+    assert report.counts == {"done": 0, "unchanged": 3, "edited": 0, "failed": 0}
+    assert not orders
+    assert {n: d for n, d in files(run.out).items() if "/" in n} == {
+        n: d for n, d in before.items() if "/" in n
+    }
+
+
+def test_changed_row_is_the_only_one_done_again(run, orders, lines):
+    manifest = lines / "lines.csv"
+    manifest.write_text("audio,emotion\nanna/a.wav,happy\nanna/b.wav,happy\n")
+    run(manifest)
+    before = files(run.out)
+    manifest.write_text("audio,emotion\nanna/a.wav,happy\nanna/b.wav,sad\nc.flac,sad\n")
+    orders.clear()
+    assert status(run(manifest)) == {"anna/a": "unchanged", "anna/b": "done", "c": "done"}
+    assert [order.output for order in orders] == ["anna/b", "c"]
+    after = files(run.out)
+    assert after["anna/a.csv"] == before["anna/a.csv"]
+    assert after["anna/b.csv"] != before["anna/b.csv"]
+
+
+def test_recording_counts_by_its_bytes(run, orders, lines):
+    run()
+    sound = lines / "anna" / "a.wav"
+    os.utime(sound, (1, 1))
+    soundfile.write(lines / "c.flac", speechlike(0.9), 16_000)
+    assert status(run()) == {"anna/a": "unchanged", "anna/b": "unchanged", "c": "done"}
+    orders.clear()
+    run()
+    assert not orders, "the new time of the recording is kept"
+
+
+def test_settings_and_model_are_part_of_the_key(run, lines, model, tmp_path):
+    run()
+    assert run(intensity=2.0).counts["done"] == 3
+    other = shutil.copytree(model, tmp_path / "other")
+    config = other / "config.yaml"
+    config.write_text(config.read_text().replace("peak: 0.25", "peak: 0.3"))
+    assert run(intensity=2.0, model=str(other)).counts["done"] == 3
+
+
+def test_content_of_a_track_is_part_of_the_key(run, lines):
+    manifest, track = lines / "lines.csv", lines / "moods.csv"
+    manifest.write_text("audio,emotion\nanna/a.wav,moods.csv\n")
+    track.write_text("time,emotion,strength\n0,happy,1\n")
+    assert status(run(manifest)) == {"anna/a": "done"}
+    os.utime(track, (1, 1))
+    from deitalk.batch.lines import content_hash
+
+    content_hash.cache_clear()
+    assert status(run(manifest)) == {"anna/a": "unchanged"}
+    track.write_text("time,emotion,strength\n0,sad,1\n")
+    content_hash.cache_clear()
+    assert status(run(manifest)) == {"anna/a": "done"}
+
+
+def test_removed_output_is_made_again(run):
+    run()
+    (run.out / "c.csv").unlink()
+    assert status(run())["c"] == "done" and (run.out / "c.csv").is_file()
+
+
+def test_outputs_that_are_no_longer_written_go(run):
+    run(formats="csv;take")
+    (run.out / "anna" / "a" / "mine.txt").write_text("mine")
+    run(formats="npz")
+    names = {name for name in files(run.out) if not name.startswith("batch-")}
+    assert names - {".deitalk-manifest.json"} == {
+        "anna/a.npz", "anna/b.npz", "c.npz", "anna/a/mine.txt",
+    }  # fmt: skip
+
+
+def test_edited_output_stays(run):
+    run()
+    (run.out / "c.csv").write_text("edited")
+    assert status(run())["c"] == "edited"
+    report = run(emotion="happy")
+    assert status(report)["c"] == "failed" and "was changed since" in report.failed[0].error
+    assert (run.out / "c.csv").read_text() == "edited"
+
+
+def test_edited_take_stays(run):
+    run(formats="take")
+    edited = run.out / "c" / "intensity.csv"
+    edited.write_text("edited")
+    (run.out / "anna" / "a" / "mine.txt").write_text("mine")
+    report = run(formats="take", emotion="happy")
+    assert status(report) == {"anna/a": "done", "anna/b": "done", "c": "failed"}
+    assert edited.read_text() == "edited"
+    assert (run.out / "anna" / "a" / "mine.txt").read_text() == "mine"
+
+
+def test_file_of_the_user_is_never_replaced(run):
+    run(formats="npz")
+    (run.out / "c.csv").write_text("mine")
+    (run.out / "anna" / "b").mkdir()
+    (run.out / "anna" / "b" / "take.json").write_text("mine")
+    report = run(formats="csv;take")
+    assert status(report) == {"anna/a": "done", "anna/b": "failed", "c": "failed"}
+    assert (run.out / "c.csv").read_text() == "mine"
+    assert (run.out / "anna/b/take.json").read_text() == "mine"
+    assert (run.out / "c.npz").is_file() and not (run.out / "anna" / "a.npz").exists()
+
+
+def test_bad_lines_are_reported_and_the_others_done(run, lines):
+    (lines / "broken.wav").write_bytes(b"RIFF no sound")
+    (lines / "empty.wav").touch()
+    manifest = lines / "lines.csv"
+    manifest.write_text(
+        "audio,emotion\nbroken.wav,\nempty.wav,\nnone.wav,\nc.flac,hapy\nanna/a.wav,\n"
+    )
+    report = run(manifest)
+    assert report.counts == {"done": 1, "unchanged": 0, "edited": 0, "failed": 4}
+    rows = table(run.out / FAILED)
+    assert [row["number"] for row in rows] == ["1", "2", "3", "4"]
+    for row, words in zip(rows, ("audio", "0 bytes", "no recording", "hapy"), strict=True):
+        assert words in row["error"]
+    (lines / "none.wav").write_bytes((lines / "anna" / "a.wav").read_bytes())
+    assert status(run(manifest))["none"] == "done"
+
+
+def test_failed_table_is_empty_once_nothing_fails(run, lines):
+    (lines / "empty.wav").touch()
+    assert run().counts["failed"] == 1
+    (lines / "empty.wav").unlink()
+    run()
+    assert table(run.out / FAILED) == []
+
+
+def test_warnings_of_a_recording_are_in_the_summary(run, lines):
+    soundfile.write(lines / "silence.wav", np.zeros(8000), 16_000)
+    run()
+    rows = {row["output"]: row["warnings"] for row in table(run.out / SUMMARY)}
+    assert "silence" in rows["silence"]
+
+
+def test_killed_batch_goes_on_without_loss(run, lines, tmp_path):
+    """Killed at any write, the next run gives the files of an uninterrupted one."""
+    run(out=tmp_path / "whole", formats="csv;npz")
+    whole = files(tmp_path / "whole")
+    root = tmp_path / "outs"
+    root.mkdir()
+    writes = count_writes(root, lambda: run(out=root / "count", formats="csv;npz"))
+    assert writes > 20
+    for number in range(2, writes, 5):
+        out = root / str(number)
+        kill_at_write(number, root, partial(run, out=out, formats="csv;npz"))
+        assert all(files(out).get(n, data) == data for n, data in whole.items() if "/" in n)
+        assert run(out=out, formats="csv;npz").counts["failed"] == 0, number
+        found = files(out)
+        assert found.pop(SUMMARY) and found.pop(".deitalk-manifest.json")
+        assert found == {n: d for n, d in whole.items() if n in found} and len(found) == 6
+
+
+def test_killed_replacement_goes_on_without_loss(run, lines, tmp_path):
+    for number in (9, 18, 26, 34):
+        out = tmp_path / str(number)
+        run(out=out, formats="take")
+        kill_at_write(number, out, partial(run, out=out, formats="take", emotion="happy"))
+        report = run(out=out, formats="take", emotion="happy")
+        assert report.counts["failed"] == 0, (number, report.failed)
+        assert all(changed_files(out / row.output) == [] for row in report.rows)
+
+
+def test_another_source_is_refused(run, lines, tmp_path):
+    run()
+    other = shutil.copytree(lines, tmp_path / "other")
+    with pytest.raises(TargetError, match="was made from"):
+        run(other)
+    assert run(other, force=True).counts["unchanged"] == 3
+
+
+def test_folder_with_files_of_others_is_refused(run):
+    run.out.mkdir()
+    (run.out / "mine.txt").write_text("mine")
+    with pytest.raises(TargetError, match="did not write"):
+        run()
+
+
+def test_journal_of_another_version_or_damaged_is_refused(run):
+    import sqlite3
+
+    run()
+    path = run.out / ".deitalk-batch" / "journal.sqlite"
+    with sqlite3.connect(path) as journal:
+        journal.execute("UPDATE about SET value = '99' WHERE name = 'format'")
+    journal.close()
+    with pytest.raises(TargetError, match="another version"):
+        run()
+    path.write_bytes(b"no journal" * 1000)
+    with pytest.raises(TargetError, match="damaged"):
+        run()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"model": "none"}, CheckpointError, "no model there"),
+        ({"model": "sdfa"}, CheckpointError, "a mesh model"),
+        ({"source": "none.csv"}, DataError, "does not exist"),
+        ({"workers": 0}, ValueError, "1 or more"),
+        ({"formats": ""}, ValueError, "no format"),
+        ({"emotion": "hapy"}, ValueError, "hapy"),
+    ],
+)
+def test_wrong_command_is_one_line_and_writes_nothing(run, options, error, words):
+    with pytest.raises(error, match=words):
+        run(**options)
+    assert not run.out.exists()
+
+
+def test_full_disk_ends_the_batch_with_one_line(run, monkeypatch):
+    import errno
+
+    def full(path, curves):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    from dataclasses import replace
+
+    from rig.formats import table as known
+
+    formats = tuple(replace(f, write=full) if f.name == "npz" else f for f in known.FORMATS)
+    monkeypatch.setattr(known, "FORMATS", formats)
+    with pytest.raises(TargetError, match="no space left; free some"):
+        run(formats="csv;npz")
+    monkeypatch.undo()
+
+
+def test_lines_of_an_actor_share_a_reference(run, orders, lines):
+    for number in range(3):
+        soundfile.write(lines / f"line{number}.wav", (0.5 + number / 10) * speechlike(1.0), 16_000)
+    manifest = lines / "lines.csv"
+    manifest.write_text(
+        "audio,actor\n" + "".join(f"line{i}.wav,Anna B\n" for i in range(3)) + "c.flac,\n"
+    )
+    report = run(manifest)
+    (reference,) = (run.out / "batch-actors").iterdir()
+    assert reference.name.startswith("anna-b-") and read_actor(reference).recordings == 3
+    assert report.counts["done"] == 4
+    assert [order.voice for order in orders if order.output == "c"] == [None]
+    assert all(
+        o.voice == read_actor(reference) for o in orders if not o.only_voice and o.output != "c"
+    )
+    orders.clear()
+    assert run(manifest).counts["unchanged"] == 4 and not orders
+    reference.unlink()
+    assert run(manifest).counts["unchanged"] == 4, "measured again to the same value"
+
+
+def test_too_few_lines_give_no_reference(run, lines):
+    report = run(actor="anna")
+    assert report.counts["done"] == 3
+    report = run(lines / "anna", out=run.out.with_name("two"), actor="anna")
+    assert report.counts["done"] == 2 and "too few lines" in report.notes[0]
