@@ -32,7 +32,7 @@ demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folde
 
 page: deitalk/preview/app/index.html  ## Build the preview page (needs npm)
 
-deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/*)
+deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
 	cd deitalk/preview/web && npm install --no-audit --no-fund && npm run build
 
 # Without npm the tests of the page are skipped.

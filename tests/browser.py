@@ -43,7 +43,8 @@ def chromium() -> Iterator[Any]:
 def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
     """A tab that shows a page; its console's errors and warnings are in ``tab.complaints``."""
     context = {"viewport": {"width": 1280, "height": 860}, **context}
-    with browser.new_context(offline=True, **context) as window:
+    # the page forbids eval, which Playwright's wait_for_function needs
+    with browser.new_context(offline=True, bypass_csp=True, **context) as window:
         tab = window.new_page()
         tab.complaints = []
         tab.on(

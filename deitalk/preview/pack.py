@@ -1,4 +1,4 @@
-"""Arrays and facts as one text: JSON header, bytes, gzip, base64 (read by ``web/src/data.ts``)."""
+"""Arrays and facts as one text: JSON header, bytes, gzip, base64; ``packed.ts`` reads it."""
 
 import base64
 import gzip

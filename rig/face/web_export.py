@@ -1,7 +1,7 @@
 """The head as plain arrays and numbers, for a player in another language (the preview page).
 
-Everything `Head.pose` uses is here; ``deitalk/preview/web/src/rig.ts`` evaluates it, and a test
-compares the two.
+Everything `Head.pose` uses is here; ``deitalk/preview/web/src/face/rig.ts`` evaluates it, and a
+test compares the two.
 """
 
 from typing import Any

@@ -18,7 +18,7 @@ from deitalk.preview.pack import pack
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewError, PreviewSource
 from deitalk.preview.warnings import bilabial_warnings
-from rig import RigCurves, default_controls
+from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import ExistsError, TargetError
 from rig.face import build_head
 from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
@@ -155,27 +155,44 @@ def page_file(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def page(browser, page_file):
-    with opened(browser, page_file / "one.html") as tab:
-        yield tab
+RESET = """() => {
+  const { page } = deitalk;
+  page.transport.pause();
+  page.history.reset({ points: [], keys: [], gains: {}, muted: [] });
+  page.transport.setRange();
+  page.span.fit();
+  document.getElementById("loop").checked = false;
+  for (const [id, value] of [["speed", "1"], ["search", ""]]) document.getElementById(id).value = value;
+  document.getElementById("speed").dispatchEvent(new Event("change"));
+  document.getElementById("help").close();
+  document.activeElement.blur();
+  page.seek(0);
+}"""
 
 
 @pytest.fixture(scope="module")
-def shared(browser, page_file):
-    """One tab of tests that leave it as it was."""
+def tab(browser, page_file):
     with opened(browser, page_file / "one.html") as tab:
         yield tab
+
+
+@pytest.fixture
+def page(tab):
+    """The page of one take as it was opened."""
+    tab.complaints.clear()
+    tab.evaluate(RESET)
+    return tab
 
 
 def shown_vertices(page) -> np.ndarray:
     return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
 
 
-def test_page_opens_offline_without_console_errors(page):
-    page.wait_for_timeout(300)
-    assert page.complaints == []
-    assert page.inner_text("#title") == "first"
+def test_page_opens_offline_without_console_errors(browser, page_file):
+    with opened(browser, page_file / "one.html") as tab:
+        tab.wait_for_timeout(300)
+        assert tab.complaints == []
+        assert tab.inner_text("#title") == "first"
 
 
 def test_rig_of_the_page_equals_that_of_python(page):
@@ -221,36 +238,95 @@ def test_seeking_shows_the_curves_of_that_time(page, seconds):
     assert np.abs(shown_vertices(page) - head.pose(mixed)).max() < 0.02
 
 
-def test_dragging_intensity_changes_the_face_and_saves(page, tmp_path):
-    page.evaluate("deitalk.page.seek(1)")
-    page.wait_for_timeout(200)
-    before = shown_vertices(page)
-    dot = page.locator("#intensity circle").nth(2)
-    box = dot.bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 300)
-    page.mouse.up()
-    assert np.abs(shown_vertices(page) - before).max() > 0.05
+def applied_after(tmp_path, page) -> np.ndarray:
+    """Intensity of the saved file at the frames of the take."""
     with page.expect_download() as download:
         page.click("#save")
-    path = tmp_path / "intensity.csv"
-    download.value.save_as(path)
-    curve = read_intensity_curve(path)
-    assert curve.at([1.0])[0] < 0.1  # dragged to the floor
-    assert curve.at([2.9])[0] > 0.05
+    download.value.save_as(tmp_path / "intensity.csv")
+    return read_intensity_curve(tmp_path / "intensity.csv").at(np.arange(90) / 30)
 
 
-@pytest.mark.slow
-def test_intensity_zero_is_the_neutral_reading(page):
-    source, head = make_source("first"), build_head(0)
+def lane_place(page, seconds: float, factor: float) -> tuple[float, float]:
+    """Where the lane of intensity has a time and a factor: 0, 1 and 4 are bottom, middle, top."""
+    box = page.locator("#intensity").bounding_box()
+    height = (1 - (factor / 4) ** 0.5) * (box["height"] - 20) + 10
+    return box["x"] + seconds / 3 * box["width"], box["y"] + height
+
+
+def drag(page, start: tuple[float, float], end: tuple[float, float]) -> None:
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=4)
+    page.mouse.up()
+
+
+def test_intensity_without_points_is_that_of_the_take(page, tmp_path):
+    assert page.locator("#intensity circle").count() == 0
+    intensity = make_source("first").curves.intensity
+    assert np.abs(applied_after(tmp_path, page) - intensity).max() < 1e-5
+
+
+def test_points_are_a_factor_on_the_intensity(page, tmp_path):
+    intensity = make_source("first").curves.intensity
+    page.mouse.dblclick(*lane_place(page, 1.0, 1.0))
+    page.mouse.dblclick(*lane_place(page, 2.0, 1.0))
+    assert page.locator("#intensity circle").count() == 2
+    drag(page, lane_place(page, 2.0, 1.0), lane_place(page, 2.5, 2.0))  # both ways
+    factor = np.interp(np.arange(90) / 30, [1.0, 2.5], [1.0, 2.0])
+    assert applied_after(tmp_path, page) == pytest.approx(factor * intensity, abs=0.04)
+    page.keyboard.press("Control+z")
+    page.keyboard.press("Control+z")
+    assert page.locator("#intensity circle").count() == 1
+    page.keyboard.press("Control+y")
+    assert page.locator("#intensity circle").count() == 2
+    page.locator("#intensity circle").nth(1).focus()
+    page.keyboard.press("Delete")
+    page.locator("#intensity circle").nth(0).dblclick()
+    assert np.abs(applied_after(tmp_path, page) - intensity).max() < 1e-5
+
+
+def test_factor_zero_is_the_neutral_reading(page):
+    source = make_source("first")
     page.evaluate("deitalk.page.seek(1)")
-    dots = page.locator("#intensity circle")
-    for k in range(dots.count()):
-        dots.nth(k).focus()
-        for _ in range(19):
-            page.keyboard.press("ArrowDown")
-    assert np.abs(shown_vertices(page) - head.pose(source.neutral[30])).max() < 0.02
+    page.keyboard.press("p")
+    assert page.locator("#intensity circle:focus").count() == 1
+    for _ in range(30):
+        page.keyboard.press("ArrowDown")
+    assert np.abs(shown_vertices(page) - build_head(0).pose(source.neutral[30])).max() < 0.02
+
+
+def test_gain_scales_the_distance_from_rest(page):
+    page.evaluate("deitalk.page.seek(1)")
+    page.get_by_role("slider", name="Gain of mouth").fill("0.5")
+    scaled = gain(make_source("first").curves, {"mouth": 0.5})
+    assert (
+        np.abs(shown_vertices(page) - build_head(0).pose(clamp(scaled)[0].values[30])).max() < 0.02
+    )
+
+
+def test_zoom_shows_a_part_and_fit_all(page):
+    span = "[deitalk.page.span.start, deitalk.page.span.end]"
+    page.evaluate("deitalk.page.seek(1.5)")
+    page.keyboard.press("z")
+    start, end = page.evaluate(span)
+    assert 0 < start < 1.5 < end < 3 and end - start == pytest.approx(2.1)
+    page.keyboard.press("f")
+    assert page.evaluate(span) == [0, 3]
+
+
+def test_loop_repeats_its_range(page):
+    for seconds, key in ((0.5, "["), (0.8, "]")):
+        page.evaluate("s => deitalk.page.seek(s)", seconds)
+        page.wait_for_function(f"Math.abs(deitalk.page.state().time - {seconds}) < 0.01")
+        page.keyboard.press(key)
+    page.evaluate("deitalk.page.seek(0.5)")
+    page.keyboard.press("Space")
+    times = [
+        page.evaluate("deitalk.page.state().time")
+        for _ in range(8)
+        if not page.wait_for_timeout(100)
+    ]
+    assert 0.4 < min(times) and max(times) < 1.0
 
 
 def test_muting_a_region_rests_it(page):
@@ -308,48 +384,46 @@ def test_keys_play_and_step_after_a_click_on_loop_or_speed(page):
     assert is_playing(page)
 
 
-def test_checkbox_reached_by_tab_keeps_the_space_key(shared):
-    shared.focus("#loop")
-    shared.keyboard.press("Space")
-    assert shared.is_checked("#loop") and not is_playing(shared)
-    shared.uncheck("#loop")
+def test_checkbox_reached_by_tab_keeps_the_space_key(page):
+    page.focus("#loop")
+    page.keyboard.press("Space")
+    assert page.is_checked("#loop") and not is_playing(page)
 
 
-def test_end_goes_to_the_last_frame_and_stays(shared):
-    shared.click("#loop")
-    shared.keyboard.press("End")
-    shared.wait_for_timeout(150)
-    assert frame_of(shared) == 90 and not is_playing(shared)
-    shared.uncheck("#loop")
+def test_end_goes_to_the_last_frame_and_stays(page):
+    page.click("#loop")
+    page.keyboard.press("End")
+    page.wait_for_timeout(150)
+    assert frame_of(page) == 90 and not is_playing(page)
 
 
-def test_twice_the_speed_plays_twice_as_fast(shared):
-    shared.select_option("#speed", "2")
-    assert shared.evaluate("deitalk.page.clock.audio.playbackRate") == 2
+def test_twice_the_speed_plays_twice_as_fast(page):
+    page.select_option("#speed", "2")
+    assert page.evaluate("deitalk.page.clock.audio.playbackRate") == 2
 
 
-def test_solo_is_undone_by_a_second_press(shared):
-    muted = "deitalk.page.takes[0].muted.size"
-    solo = shared.get_by_role("button", name="Only mouth")
+def test_solo_is_undone_by_a_second_press(page):
+    muted = "deitalk.page.history.edit.muted.length"
+    solo = page.get_by_role("button", name="Only mouth")
     solo.click()
-    assert shared.evaluate(muted) > 5 and solo.get_attribute("aria-pressed") == "true"
+    assert page.evaluate(muted) > 5 and solo.get_attribute("aria-pressed") == "true"
     solo.click()
-    assert shared.evaluate(muted) == 0 and solo.get_attribute("aria-pressed") == "false"
+    assert page.evaluate(muted) == 0 and solo.get_attribute("aria-pressed") == "false"
 
 
-def test_search_finds_controls_by_words(shared):
-    shared.fill("#search", "left TONGUE")
-    assert "no control" in shared.inner_text("#found")
-    shared.fill("#search", "tongue tip")
-    found = shared.locator("#found button").all_inner_texts()
+def test_search_finds_controls_by_words(page):
+    page.fill("#search", "left TONGUE")
+    assert "no control" in page.inner_text("#found")
+    page.fill("#search", "tongue tip")
+    found = page.locator("#found button").all_inner_texts()
     assert found and all("tongue" in name and "tip" in name.lower() for name in found)
-    shared.locator("#found button").first.click()
-    assert found[0].replace("CTRL_", "") in shared.inner_text("#curves")
+    page.locator("#found button").first.click()
+    assert found[0].replace("CTRL_", "") in page.inner_text("#curves")
 
 
-def test_status_gives_the_mean_of_the_applied_intensity(shared):
+def test_status_gives_the_mean_of_the_applied_intensity(page):
     source = make_source("first")
-    assert f"(mean {source.curves.intensity.mean():.2f})" in shared.inner_text("#status")
+    assert f"(mean {source.curves.intensity.mean():.2f})" in page.inner_text("#status")
 
 
 def test_second_take_has_its_curves(browser, page_file):
@@ -357,19 +431,20 @@ def test_second_take_has_its_curves(browser, page_file):
         assert "C_jaw.ty (second)" in tab.inner_text("#curves")
 
 
-def test_targets_are_at_least_24_pixels(shared):
-    sizes = shared.evaluate(
+def test_targets_are_at_least_24_pixels(page):
+    sizes = page.evaluate(
         """() => [...document.querySelectorAll("button, select, input:not([type=file])")]
-             .filter((e) => e.offsetParent).map((e) => [e.id || e.textContent, e.offsetWidth, e.offsetHeight])"""
+             .filter((e) => e.offsetParent).map((e) => e.closest("label") ?? e)
+             .map((e) => [e.id || e.textContent, e.offsetWidth, e.offsetHeight])"""
     )
     assert len(sizes) > 20
     assert [small for small in sizes if min(small[1:]) < 24] == []
 
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_placeholder_has_the_contrast_of_text(shared, scheme):
-    shared.emulate_media(color_scheme=scheme)
-    color, back = shared.evaluate(
+def test_placeholder_has_the_contrast_of_text(page, scheme):
+    page.emulate_media(color_scheme=scheme)
+    color, back = page.evaluate(
         """() => { const e = document.getElementById("search");
              return [getComputedStyle(e, "::placeholder").color, getComputedStyle(e).backgroundColor]; }"""
     )

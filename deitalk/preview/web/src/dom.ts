@@ -18,3 +18,17 @@ export function button(label: string, action: () => void): HTMLButtonElement {
 export function notice(line: string): void {
   $("notice").textContent = line;
 }
+
+/** First line of an error. */
+export function messageOf(error: unknown): string {
+  return String((error as Error)?.message ?? error).split("\n")[0];
+}
+
+/** Gives the user a file. */
+export function save(content: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}

@@ -1,91 +1,97 @@
 /** One performance: curves over time, blended between its neutral and its emotional reading. */
 
-import type { Packed } from "./data";
-
-export interface Point {
-  time: number;
-  value: number;
-}
-
-export interface Warning {
-  time: number;
-  text: string;
-}
+import { type Edit, factorAt, gainsOf, NO_EDIT } from "./edit";
+import type { Packed } from "./packed";
+import { findWarnings, type Warning } from "./warnings";
 
 export const MAX_INTENSITY = 4;
-const SPACING_SECONDS = 0.5;
-const LEAST = 0.05;
+
+/** Names, ranges, rest values and regions of the controls, from the head's facts. */
+export interface Board {
+  controls: string[];
+  minimum: number[];
+  maximum: number[];
+  rest: number[];
+  regions: string[];
+}
+
+/** Curves for the intensity of an edit, computed by the service: they replace the blend. */
+interface Exact {
+  points: Edit["points"];
+  values: Float32Array;
+}
 
 export class Take {
   readonly title: string;
   readonly fps: number;
   readonly frames: number;
   readonly seconds: number;
+  readonly audioSeconds: number;
   readonly emotions: string[];
+  /** Weights (T, emotions); undefined if they are unknown. */
   readonly emotion?: Float32Array;
+  /** Applied intensity of the reading, before any edit. */
   readonly intensity?: Float32Array;
-  points: Point[];
-  muted = new Set<string>();
+  readonly warnings: Warning[];
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
-  /** Warnings from `deitalk.preview.warnings`, which has phones and loudness. */
-  private readonly known: Warning[];
+  private edit: Edit = NO_EDIT;
+  private gains: number[] = [];
+  private exact?: Exact;
 
-  constructor(packed: Packed, private readonly board: Record<string, any>) {
+  /** A fixed take, such as a captured reference, follows no edit. */
+  constructor(packed: Packed, readonly board: Board, readonly isFixed = false) {
     const { facts, arrays } = packed;
     this.title = facts.title;
     this.fps = facts.fps;
     this.frames = facts.frames;
     this.seconds = facts.frames / facts.fps;
+    this.audioSeconds = facts.audioSeconds ?? 0;
     this.emotions = facts.emotions;
-    this.known = facts.warnings;
     this.values = arrays.values as Float32Array;
     this.neutral = arrays.neutral as Float32Array | undefined;
     this.emotion = arrays.emotion as Float32Array | undefined;
     this.intensity = arrays.intensity as Float32Array | undefined;
-    this.points = this.heardPoints();
+    this.warnings = findWarnings(this.values, this, board, facts.warnings ?? []);
+    this.apply(NO_EDIT);
   }
 
+  /** Whether the intensity can be changed here. */
   get isEditable(): boolean {
     return this.neutral !== undefined && this.intensity !== undefined;
   }
 
-  heardPoints(): Point[] {
-    if (!this.intensity) return [];
-    const count = Math.max(2, Math.ceil(this.seconds / SPACING_SECONDS) + 1);
-    const last = (this.frames - 1) / this.fps;
-    return Array.from({ length: count }, (_, k) => {
-      const time = (last * k) / (count - 1);
-      return { time, value: this.intensity![Math.round(time * this.fps)] };
-    });
+  /** Whether the shown curves are the linear blend for an edit, not the rules of `animate`. */
+  get isBlend(): boolean {
+    return this.edit.points.length > 0 && !this.isExact;
   }
 
-  reset(): void {
-    this.points = this.heardPoints();
-    this.isEdited = false;
+  private get isExact(): boolean {
+    return this.exact?.points === this.edit.points;
   }
 
-  isEdited = false;
+  apply(edit: Edit): void {
+    if (this.isFixed) edit = NO_EDIT;
+    this.edit = edit;
+    const gains = gainsOf(edit);
+    this.gains = this.board.regions.map((region) => gains[region] ?? 1);
+  }
 
-  /** Applied intensity at a frame: of the take, or through the edited points. */
+  /** Take curves of the service for the points of an edit; they hold while the points stay. */
+  setExact(points: Edit["points"], exact: Take): void {
+    if (exact.values.length === this.values.length) this.exact = { points, values: exact.values };
+  }
+
+  /** Applied intensity at a frame: that of the reading times the factor of the edit. */
   intensityAt(frame: number): number {
-    const predicted = this.intensity ? this.intensity[frame] : 0;
-    if (!this.isEdited) return predicted;
-    const time = frame / this.fps, p = this.points;
-    for (let k = 1; k < p.length; k++) {
-      if (time <= p[k].time) {
-        const t = (time - p[k - 1].time) / (p[k].time - p[k - 1].time);
-        return p[k - 1].value + t * (p[k].value - p[k - 1].value);
-      }
-    }
-    return p[p.length - 1].value;
+    if (!this.intensity) return 0;
+    return Math.min(this.intensity[frame] * factorAt(this.edit.points, frame / this.fps), MAX_INTENSITY);
   }
 
   /** Mean of the applied intensity over the take; 0 if every frame is neutral. */
   get meanIntensity(): number {
     const n = this.emotions.length, place = this.emotions.indexOf("neutral");
-    const isNeutral = !this.emotion?.some((weight, k) => k % n === place && weight < 1);
-    if (isNeutral) return 0;
+    if (!this.emotion?.some((weight, k) => k % n === place && weight < 1)) return 0;
     let sum = 0;
     for (let k = 0; k < this.frames; k++) sum += this.intensityAt(k);
     return sum / this.frames;
@@ -101,57 +107,37 @@ export class Take {
     return a.map((x, k) => x + t * (b[k] - x));
   }
 
-  /** All controls of one frame, within their ranges, muted regions at rest. */
+  /** All controls of one frame with the edit, within their ranges. */
   frame(index: number): Float32Array {
-    const n = this.board.controls.length;
-    const out = this.values.slice(index * n, index * n + n);
-    if (this.isEdited && this.neutral && this.intensity) {
-      const factor = this.intensityAt(index) / Math.max(this.intensity[index], LEAST);
+    const { board } = this, n = board.controls.length;
+    const values = this.isExact ? this.exact!.values : this.values;
+    const out = values.slice(index * n, index * n + n);
+    if (this.isBlend && this.neutral && this.intensity) {
+      const share = this.intensityAt(index) / (this.intensity[index] || 1);
       for (let k = 0; k < n; k++) {
         const base = this.neutral[index * n + k];
-        out[k] = base + (out[k] - base) * factor;
+        out[k] = base + (out[k] - base) * share;
       }
     }
     for (let k = 0; k < n; k++) {
-      out[k] = Math.min(Math.max(out[k], this.board.minimum[k]), this.board.maximum[k]);
-      if (this.muted.has(this.board.regions[k])) out[k] = this.board.rest[k];
+      const scaled = board.rest[k] + (out[k] - board.rest[k]) * this.gains[k];
+      out[k] = Math.min(Math.max(scaled, board.minimum[k]), board.maximum[k]);
     }
     return out;
   }
 
-  curve(control: number): number[] {
-    return Array.from({ length: this.frames }, (_, k) => this.frame(k)[control]);
+  /** A fixed copy as it is now, under another name. */
+  frozen(title: string): Take {
+    const n = this.board.controls.length, values = new Float32Array(this.values.length);
+    for (let k = 0; k < this.frames; k++) values.set(this.frame(k), k * n);
+    const { fps, frames, emotions, audioSeconds } = this;
+    return new Take({ facts: { title, fps, frames, emotions, audioSeconds }, arrays: { values } }, this.board, true);
   }
 
-  csv(): string {
-    const rows = this.points.map((p) => `${p.time.toFixed(6)},${p.value.toFixed(4)}`);
+  /** The applied intensity of every frame, as `deitalk animate --intensity-curve` reads it. */
+  intensityCsv(): string {
+    const rows = Array.from({ length: this.frames }, (_, k) =>
+      `${(k / this.fps).toFixed(6)},${Number(this.intensityAt(k).toPrecision(7))}`);
     return `time,intensity\n${rows.join("\n")}\n`;
-  }
-
-  /** Warnings: values at their limit for long, jitter, different lengths. */
-  warnings(audioSeconds: number): Warning[] {
-    const found: Warning[] = [...this.known];
-    const n = this.board.controls.length;
-    if (audioSeconds && Math.abs(audioSeconds - this.seconds) > 0.1) {
-      found.push({ time: 0, text: `curves last ${this.seconds.toFixed(2)} s, the recording ${audioSeconds.toFixed(2)} s` });
-    }
-    for (let c = 0; c < n; c++) {
-      if (this.board.minimum[c] === 0 && this.board.rest[c] === 1) continue;
-      const top = this.board.maximum[c], span = top - this.board.minimum[c];
-      let run = 0, shakes = 0;
-      for (let f = 1; f < this.frames; f++) {
-        const x = this.values[f * n + c];
-        run = x >= top && this.board.rest[c] < top ? run + 1 : 0;
-        if (run === Math.round(this.fps / 2)) {
-          found.push({ time: (f - run) / this.fps, text: `${this.board.controls[c]} stays at its limit` });
-        }
-        if (f < 2) continue;
-        const step = x - this.values[(f - 1) * n + c];
-        const before = this.values[(f - 1) * n + c] - this.values[(f - 2) * n + c];
-        shakes = step * before < 0 && Math.min(Math.abs(step), Math.abs(before)) > 0.15 * span ? shakes + 1 : 0;
-        if (shakes === 3) found.push({ time: f / this.fps, text: `${this.board.controls[c]} jitters` });
-      }
-    }
-    return found.sort((a, b) => a.time - b.time).slice(0, 40);
   }
 }

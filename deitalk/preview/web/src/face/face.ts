@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 
-import type { Packed } from "./data";
+import type { Packed } from "../data/packed";
 import { Rig } from "./rig";
 import { Viewport } from "./viewport";
 

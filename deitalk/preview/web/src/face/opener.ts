@@ -1,8 +1,8 @@
-/** Opens a GLB by button, key or drop, and adds it to the faces. */
+/** Opens a GLB and adds it to the faces. */
 
 import { readGlb } from "./glb";
 import { Model } from "./model";
-import { $, button, notice } from "./page";
+import { $, button, messageOf, notice } from "../dom";
 
 export class Opener {
   model?: Model;
@@ -10,20 +10,7 @@ export class Opener {
   /** The file opened last; an earlier one that is still being read is dropped. */
   private latest?: File;
 
-  constructor(private readonly changed: () => void) {
-    const input = $<HTMLInputElement>("file");
-    $("open").addEventListener("click", () => input.click());
-    input.addEventListener("change", () => {
-      if (input.files?.[0]) void this.open(input.files[0]);
-      input.value = "";
-    });
-    addEventListener("dragover", (event) => event.preventDefault());
-    addEventListener("drop", (event) => {
-      event.preventDefault();
-      const file = event.dataTransfer?.files[0];
-      if (file) void this.open(file);
-    });
-  }
+  constructor(private readonly changed: () => void) {}
 
   async open(file: File): Promise<void> {
     this.latest = file;
@@ -34,7 +21,7 @@ export class Opener {
       this.place(file.name, new Model(gltf));
       notice("");
     } catch (error) {
-      if (this.latest === file) notice(String((error as Error).message ?? error));
+      if (this.latest === file) notice(messageOf(error));
     }
   }
 

@@ -1,6 +1,6 @@
 /** The head's rig, the same mathematics as `rig.face.head.Head.pose` in Python. */
 
-import type { Arrays, Packed } from "./data";
+import type { Arrays, Packed } from "../data/packed";
 
 type Inputs = Record<string, number>;
 type Vec = [number, number, number];

@@ -23,13 +23,19 @@ export abstract class Viewport {
   private isSharp = false;
   private shownAt = 0;
   private slow = 0;
+  private isFollowing = false;
+  /** Called when the user turns the camera. */
+  turned: () => void = () => {};
 
   constructor() {
     const hasGpu = !isSoftware();
     this.scale = hasGpu ? 1 : 0.6;
     this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: hasGpu });
     this.orbit = new OrbitControls(this.camera, this.canvas);
-    this.orbit.addEventListener("change", () => this.draw());
+    this.orbit.addEventListener("change", () => {
+      this.draw();
+      if (!this.isFollowing) this.turned();
+    });
   }
 
   abstract look(view: string): void;
@@ -41,6 +47,13 @@ export abstract class Viewport {
     this.camera.updateProjectionMatrix();
     this.orbit.update();
     this.draw();
+  }
+
+  /** Look from the same place as another. */
+  follow(other: Viewport): void {
+    this.isFollowing = true;
+    this.aim(other.camera.position, other.orbit.target, other.camera.fov);
+    this.isFollowing = false;
   }
 
   resize(): void {

@@ -1,16 +1,24 @@
 /** Playback time: the recording's clock if there is a recording, else the computer's. */
 
 export class Clock {
-  readonly audio?: HTMLAudioElement;
+  audio?: HTMLAudioElement;
+  seconds = 0;
   private started = 0;
   private held = 0;
   private running = false;
   rate = 1;
 
-  constructor(wav: Uint8Array | null, public seconds: number) {
+  /** Begin with another recording, or none, at 0. */
+  load(wav: Uint8Array | null, seconds: number): void {
+    if (this.running) this.pause();
+    if (this.audio) URL.revokeObjectURL(this.audio.src);
+    this.audio = undefined;
+    this.seconds = seconds;
+    this.held = 0;
     if (!wav) return;
     this.audio = new Audio(URL.createObjectURL(new Blob([wav as BlobPart], { type: "audio/wav" })));
     this.audio.preload = "auto";
+    this.audio.playbackRate = this.rate;
   }
 
   get isAtEnd(): boolean {

@@ -1,30 +1,30 @@
 /** Playback: buttons, keys and scrubbing set one clock; the loop draws the frame that is due. */
 
+import { $, timeCode } from "../dom";
+import type { Span } from "../timeline/span";
 import type { Clock } from "./clock";
-import { $, timeCode } from "./page";
-
-const KEYS: [string, string][] = [
-  ["Space", "play or pause"], [", .", "one frame back, on"], ["Home End", "to the start, to the end"], ["L", "loop"],
-  ["- +", "slower, faster"], ["1 2 3 4", "face, three quarter, side, mouth"], ["O", "open a GLB"],
-  ["?", "this list"], ["↑ ↓", "move the intensity point in focus"],
-];
+import { bindFocus, bindKeys, listKeys } from "./keys";
 
 export class Transport {
   /** Time of the shown frame, seconds. */
   shown = 0;
+  fps = 30;
+  /** What Loop repeats, seconds; all of the take without it. */
+  range?: [number, number];
   /** Drawing time of a frame, seconds; the frame drawn is the one due at the end of drawing. */
   private lead = 0;
 
   constructor(
     private readonly clock: Clock,
-    private readonly fps: number,
+    private readonly span: Span,
     private readonly draw: (seconds: number) => void,
-    private readonly moreKeys: Record<string, () => void>,
+    moreKeys: Record<string, () => void>,
   ) {
     this.bindButtons();
     this.bindScrubbing($<HTMLCanvasElement>("sound"));
-    this.bindKeys();
-    this.bindFocus();
+    this.bindKeys(moreKeys);
+    bindFocus();
+    listKeys();
     this.loop();
   }
 
@@ -45,6 +45,20 @@ export class Transport {
     sound.setAttribute("aria-valuenow", seconds.toFixed(2));
     sound.setAttribute("aria-valuemax", this.clock.seconds.toFixed(2));
     this.draw(seconds);
+  }
+
+  /** Repeat a range, or all of the take again. */
+  setRange(range?: [number, number]): void {
+    this.range = range && range[1] - range[0] > 1 / this.fps ? range : undefined;
+    if (this.range) $<HTMLInputElement>("loop").checked = true;
+    $("range").textContent = this.range ? this.range.map(timeCode).join(" – ") : "";
+    $<HTMLButtonElement>("no-range").disabled = !this.range;
+    this.show(this.shown);
+  }
+
+  pause(): void {
+    this.clock.pause();
+    this.labelPlay();
   }
 
   private step(frames: number): void {
@@ -69,22 +83,30 @@ export class Transport {
     const { clock } = this;
     if (clock.playing) this.showAhead();
     else if (Math.abs(clock.time - this.shown) > 1e-3) this.show(clock.time);
-    if (clock.playing && clock.isAtEnd) this.atEnd();
+    if (clock.playing) this.atEnd();
     requestAnimationFrame(this.loop);
   };
 
   private showAhead(): void {
     const began = performance.now();
-    this.show(Math.min(this.clock.time + this.lead * this.clock.rate, this.clock.seconds));
+    const due = Math.min(this.clock.time + this.lead * this.clock.rate, this.clock.seconds);
+    if (!this.span.isWhole) this.span.follow(due);
+    this.show(due);
     setTimeout(() => {
       const took = Math.min((performance.now() - began) / 1000, 0.1);
       this.lead += 0.2 * (took - this.lead);
     }, 0);
   }
 
+  /** At the end of the take or of the range: begin again, or stop. */
   private atEnd(): void {
-    if ($<HTMLInputElement>("loop").checked) void this.clock.play();
-    else this.clock.pause();
+    const { clock, range } = this, isLoop = $<HTMLInputElement>("loop").checked;
+    if (isLoop && range && clock.time >= range[1]) clock.seek(range[0]);
+    if (!clock.isAtEnd) return;
+    if (isLoop) {
+      clock.seek(range?.[0] ?? 0);
+      void clock.play();
+    } else clock.pause();
     this.labelPlay();
   }
 
@@ -95,68 +117,52 @@ export class Transport {
     $<HTMLSelectElement>("speed").addEventListener("change", (e) =>
       this.clock.setRate(Number((e.target as HTMLSelectElement).value)));
     $("offset").addEventListener("input", () => this.show(this.clock.time));
-    const dialog = $<HTMLDialogElement>("help");
-    $("help-button").addEventListener("click", () => dialog.showModal());
-    for (const [key, what] of KEYS) {
-      const term = document.createElement("dt"), meaning = document.createElement("dd");
-      const cap = document.createElement("kbd");
-      cap.textContent = key;
-      meaning.textContent = what;
-      term.append(cap);
-      $("keys").append(term, meaning);
-    }
+    $("range-in").addEventListener("click", () => this.mark(0));
+    $("range-out").addEventListener("click", () => this.mark(1));
+    $("no-range").addEventListener("click", () => this.setRange());
+  }
+
+  /** Set one end of the loop's range at the playhead. */
+  private mark(end: 0 | 1): void {
+    const range: [number, number] = this.range ? [...this.range] : [0, this.clock.seconds];
+    range[end] = this.clock.time;
+    if (range[0] >= range[1]) range[1 - end] = end ? 0 : this.clock.seconds;
+    this.setRange(range);
   }
 
   private bindScrubbing(sound: HTMLCanvasElement): void {
-    const scrub = (e: PointerEvent) => {
+    let from: number | undefined;
+    const timeOf = (e: PointerEvent) => {
       const box = sound.getBoundingClientRect();
-      this.seek(Math.min(Math.max((e.clientX - box.left) / box.width, 0), 1) * this.clock.seconds);
+      return this.span.time(e.clientX - box.left, box.width);
     };
-    sound.addEventListener("pointerdown", (e) => { sound.setPointerCapture(e.pointerId); scrub(e); });
+    const scrub = (e: PointerEvent) => {
+      const time = timeOf(e);
+      if (from === undefined) this.seek(time);
+      else this.setRange([Math.min(from, time), Math.max(from, time)]);
+    };
+    sound.addEventListener("pointerdown", (e) => {
+      sound.setPointerCapture(e.pointerId);
+      from = e.shiftKey ? timeOf(e) : undefined;
+      scrub(e);
+    });
     sound.addEventListener("pointermove", (e) => { if (sound.hasPointerCapture(e.pointerId)) scrub(e); });
   }
 
-  /** A control that was clicked gives the keys back to playback; one reached by Tab keeps its own. */
-  private bindFocus(): void {
-    let byPointer = false;
-    addEventListener("pointerdown", () => (byPointer = true), true);
-    addEventListener("keydown", () => (byPointer = false), true);
-    const release = (event: Event) => {
-      const target = event.target as HTMLElement;
-      if (byPointer && !isText(target)) (target.closest("button, select, input, summary") as HTMLElement)?.blur();
-    };
-    addEventListener("click", (event) => (event.target as HTMLElement).tagName !== "SELECT" && release(event));
-    addEventListener("change", release);
-  }
-
-  private bindKeys(): void {
+  private bindKeys(more: Record<string, () => void>): void {
     const speed = $<HTMLSelectElement>("speed");
     const change = (by: number) => {
       speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + by, 0), speed.length - 1);
       this.clock.setRate(Number(speed.value));
     };
-    const actions: Record<string, () => void> = {
+    const click = (id: string) => () => $(id).click();
+    bindKeys({
       " ": () => void this.toggle(), ",": () => this.step(-1), ".": () => this.step(1),
-      ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), Home: () => this.seek(0), End: () => this.seek(this.clock.seconds),
-      l: () => $("loop").click(), "-": () => change(-1), "+": () => change(1),
-      "?": () => $("help-button").click(), ...this.moreKeys,
-    };
-    addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey || ownKeys(event.target as HTMLElement, event.key)) return;
-      const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-      if (!action) return;
-      event.preventDefault();
-      action();
+      ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
+      Home: () => this.seek(0), End: () => this.seek(this.clock.seconds),
+      l: click("loop"), "-": () => change(-1), "+": () => change(1), "?": click("help-button"),
+      "[": () => this.mark(0), "]": () => this.mark(1),
+      z: click("zoom-in"), x: click("zoom-out"), f: click("zoom-fit"), p: click("add-point"), ...more,
     });
   }
-}
-
-const isText = (target: HTMLElement) =>
-  target.tagName === "TEXTAREA" || (target.tagName === "INPUT" && !/^(checkbox|range|button)$/.test((target as HTMLInputElement).type));
-
-/** Whether an element that has the focus uses a key itself. */
-function ownKeys(target: HTMLElement, key: string): boolean {
-  if (isText(target)) return true;
-  if (key === " ") return /^(BUTTON|SUMMARY|INPUT)$/.test(target.tagName);
-  return /^(SELECT|INPUT)$/.test(target.tagName) && /^(Arrow|Home|End)/.test(key);
 }

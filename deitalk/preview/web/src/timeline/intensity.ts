@@ -1,158 +1,118 @@
-/** Waveform, emotion band and the intensity curve with its draggable points. */
+/** The intensity lane: predicted and applied intensity, and the factor between them as points. */
 
-import { MAX_INTENSITY, type Take } from "./take";
+import { type FactorPoint, factorAt, type History, MAX_FACTOR } from "../data/edit";
+import type { Take } from "../data/take";
+import { PointLane, type PointOwner, svg } from "./points";
+import type { Span } from "./span";
 
-const COLORS: Record<string, string> = {
-  neutral: "#969eaa", angry: "#e2564a", happy: "#f5be42", sad: "#548edc", surprised: "#b074dc",
-};
-const SVG = "http://www.w3.org/2000/svg";
-const HEIGHT = 90;
+/** Factors 0, 1 and 4 are at the bottom, the middle and the top. */
+const levelOf = (factor: number) => Math.sqrt(factor / MAX_FACTOR);
+const factorOf = (level: number) => Math.round(level * level * MAX_FACTOR * 100) / 100;
+const LEVEL_STEP = 0.02;
+const LEAST_TOP = 1.2;
 
-export function samplesOf(wav: Uint8Array): Int16Array {
-  return new Int16Array(wav.buffer.slice(wav.byteOffset + 44, wav.byteOffset + 44 + ((wav.length - 44) & ~1)));
-}
+export class IntensityLane implements PointOwner {
+  private readonly lane: PointLane;
+  private readonly area = svg("polygon", "area");
+  private readonly predicted = svg("polyline", "predicted");
+  private readonly one = svg("line", "one");
+  private readonly line = svg("polyline", "factor");
+  private readonly head = svg("line", "head");
+  private take?: Take;
 
-/** The waveform, drawn once per width, with the playhead over it. */
-export class SoundView {
-  private readonly picture = document.createElement("canvas");
-  private key = "";
-
-  constructor(
-    private readonly canvas: HTMLCanvasElement,
-    private readonly samples: Int16Array,
-    private readonly share: number,
-  ) {}
-
-  at(time: number): void {
-    const { canvas, picture } = this;
-    const key = `${canvas.clientWidth} ${getComputedStyle(canvas).color}`;
-    if (key !== this.key) {
-      this.key = key;
-      picture.width = canvas.width = canvas.clientWidth;
-      picture.height = canvas.height;
-      this.draw();
-    }
-    const pen = canvas.getContext("2d")!;
-    pen.clearRect(0, 0, canvas.width, canvas.height);
-    if (canvas.width) pen.drawImage(picture, 0, 0);
-    pen.fillStyle = getComputedStyle(document.body).color;
-    pen.fillRect(time * canvas.width, 0, 2, canvas.height);
+  constructor(box: SVGSVGElement, private readonly span: Span, private readonly history: History) {
+    box.append(this.area, this.predicted, this.one, this.line, this.head);
+    this.lane = new PointLane(box, span, this);
   }
 
-  private draw(): void {
-    const { picture, samples } = this;
-    const width = picture.width * this.share, height = picture.height;
-    const pen = picture.getContext("2d")!;
-    pen.fillStyle = getComputedStyle(this.canvas).color;
-    const loudest = samples.reduce((m, x) => Math.max(m, Math.abs(x)), 1);
-    for (let x = 0; x < width; x++) {
-      const a = Math.floor((x / width) * samples.length);
-      const b = Math.max(a + 1, Math.floor(((x + 1) / width) * samples.length));
-      let low = 0, high = 0;
-      for (let k = a; k < b; k++) {
-        low = Math.min(low, samples[k]);
-        high = Math.max(high, samples[k]);
-      }
-      const top = (0.5 - (0.48 * high) / loudest) * height;
-      pen.fillRect(x, top, 1, Math.max(1, (0.48 * (high - low) * height) / loudest));
-    }
-  }
-}
-
-export function drawEmotion(canvas: HTMLCanvasElement, take: Take): void {
-  const width = (canvas.width = canvas.clientWidth);
-  const pen = canvas.getContext("2d")!;
-  const n = take.emotions.length;
-  for (let x = 0; take.emotion && x < width; x++) {
-    const frame = Math.round((x / width) * (take.frames - 1));
-    take.emotions.forEach((name, k) => {
-      pen.globalAlpha = take.emotion![frame * n + k];
-      pen.fillStyle = COLORS[name];
-      pen.fillRect(x, 0, 1, canvas.height);
-    });
-  }
-}
-
-export class IntensityEditor {
-  private readonly line = document.createElementNS(SVG, "polyline");
-  private readonly predicted = document.createElementNS(SVG, "polyline");
-  private readonly head = document.createElementNS(SVG, "line");
-  private dots: SVGCircleElement[] = [];
-  private readonly top: number;
-
-  constructor(
-    private readonly svg: SVGSVGElement,
-    private readonly take: Take,
-    private readonly changed: () => void,
-  ) {
-    const peak = take.intensity ? Math.max(...take.intensity) : 1;
-    this.top = Math.min(MAX_INTENSITY, Math.max(1.5, peak * 1.5));
-    this.predicted.classList.add("predicted");
-    this.head.classList.add("head");
-    svg.replaceChildren(this.predicted, this.line, this.head);
-    this.build();
-  }
-
-  build(): void {
-    this.dots.forEach((dot) => dot.remove());
-    this.dots = this.take.points.map((_, k) => this.dot(k));
-    this.svg.append(...this.dots);
+  show(take: Take): void {
+    this.take = take;
+    this.lane.isEditable = take.isEditable;
     this.layout();
   }
 
-  private dot(k: number): SVGCircleElement {
-    const dot = document.createElementNS(SVG, "circle");
-    dot.setAttribute("r", "5");
-    dot.setAttribute("tabindex", this.take.isEditable ? "0" : "-1");
-    dot.setAttribute("role", "slider");
-    dot.setAttribute("aria-valuemin", "0");
-    dot.setAttribute("aria-valuemax", String(MAX_INTENSITY));
-    if (!this.take.isEditable) return dot;
-    dot.addEventListener("pointerdown", (event) => dot.setPointerCapture(event.pointerId));
-    dot.addEventListener("pointermove", (event) => {
-      if (!dot.hasPointerCapture(event.pointerId)) return;
-      const box = this.svg.getBoundingClientRect();
-      this.set(k, (1 - (event.clientY - box.top) / box.height) * this.top);
-    });
-    dot.addEventListener("keydown", (event) => {
-      const step = { ArrowUp: 0.05, ArrowDown: -0.05 }[event.key];
-      if (!step) return;
-      event.preventDefault();
-      event.stopPropagation();
-      this.set(k, this.take.points[k].value + step);
-    });
-    return dot;
+  points() {
+    return this.factors.map(({ time, factor }) => ({
+      time, level: levelOf(factor), label: `factor ${factor.toFixed(2)} at ${time.toFixed(2)} s`,
+    }));
   }
 
-  private set(k: number, value: number): void {
-    this.take.isEdited = true;
-    this.take.points[k].value = Math.min(Math.max(value, 0), Math.min(this.top, MAX_INTENSITY));
-    this.layout();
-    this.changed();
+  steps(): [number, number] {
+    return [1 / (this.take?.fps ?? 30), LEVEL_STEP];
+  }
+
+  move(index: number, time: number, level: number): void {
+    const p = this.factors, gap = 1 / (this.take?.fps ?? 30);
+    const low = index ? p[index - 1].time + gap : 0;
+    const high = index < p.length - 1 ? p[index + 1].time - gap : this.take!.seconds;
+    const moved = { time: Math.min(Math.max(time, low), high), factor: factorOf(level) };
+    this.history.change({ points: p.map((old, k) => (k === index ? moved : old)) }, `point ${index}`);
+  }
+
+  add(time: number, level?: number): number {
+    const factor = level === undefined ? factorAt(this.factors, time) : factorOf(level);
+    const others = this.factors.filter((p) => Math.abs(p.time - time) > 1e-3);
+    const points = [...others, { time, factor }].sort((a, b) => a.time - b.time);
+    this.history.change({ points });
+    return points.findIndex((p) => p.time === time);
+  }
+
+  /** Add a point on the line and give it the focus. */
+  addAt(time: number): void {
+    this.lane.focus(this.add(time));
+  }
+
+  remove(index: number): void {
+    this.history.change({ points: this.factors.filter((_, k) => k !== index) });
+  }
+
+  done(): void {
+    this.history.endGesture();
   }
 
   layout(): void {
-    const width = this.svg.clientWidth, last = Math.max(this.take.seconds, 1e-6);
-    const x = (t: number) => (t / last) * width;
-    const y = (v: number) => HEIGHT * (1 - v / this.top);
-    this.take.points.forEach((p, k) => {
-      const dot = this.dots[k];
-      dot.setAttribute("cx", String(x(p.time)));
-      dot.setAttribute("cy", String(y(p.value)));
-      dot.setAttribute("aria-valuenow", p.value.toFixed(2));
-      dot.setAttribute("aria-label", `Intensity at ${p.time.toFixed(1)} s`);
-    });
-    this.line.setAttribute("points", this.take.points.map((p) => `${x(p.time)},${y(p.value)}`).join(" "));
-    if (this.take.intensity) {
-      const all = Array.from(this.take.intensity, (v, f) => `${x(f / this.take.fps)},${y(v)}`);
-      this.predicted.setAttribute("points", all.join(" "));
+    const { take, lane } = this;
+    if (!take) return;
+    const height = lane.box.clientHeight, middle = String(lane.y(levelOf(1)));
+    for (const [name, value] of [["x1", "0"], ["x2", String(lane.width)], ["y1", middle], ["y2", middle]]) {
+      this.one.setAttribute(name, value);
+    }
+    this.line.setAttribute("points", this.factorLine());
+    const frames = take.intensity ? this.frames() : [];
+    const top = Math.max(LEAST_TOP, ...frames.map((f) => Math.max(take.intensityAt(f), take.intensity![f])));
+    const draw = (value: (frame: number) => number) =>
+      frames.map((f) => `${lane.x(f / take.fps)},${height * (1 - value(f) / top)}`).join(" ");
+    this.predicted.setAttribute("points", draw((f) => take.intensity![f]));
+    const [first, last] = [frames[0] ?? 0, frames[frames.length - 1] ?? 0].map((f) => lane.x(f / take.fps));
+    this.area.setAttribute("points", `${first},${height} ${draw((f) => take.intensityAt(f))} ${last},${height}`);
+    lane.layout();
+  }
+
+  at(time: number): void {
+    const x = String(this.lane.x(time));
+    for (const [name, value] of [["x1", x], ["x2", x], ["y1", "0"], ["y2", String(this.lane.box.clientHeight)]]) {
+      this.head.setAttribute(name, value);
     }
   }
 
-  at(share: number): void {
-    const x = String(share * this.svg.clientWidth);
-    for (const [name, value] of [["x1", x], ["x2", x], ["y1", "0"], ["y2", String(HEIGHT)]]) {
-      this.head.setAttribute(name, value);
-    }
+  private get factors(): readonly FactorPoint[] {
+    return this.history.edit.points;
+  }
+
+  /** The factor at every second pixel: its scale bends straight lines. */
+  private factorLine(): string {
+    const { lane, span } = this, width = lane.width;
+    return Array.from({ length: Math.ceil(width / 2) + 1 }, (_, k) => {
+      const factor = factorAt(this.factors, span.time(2 * k, width));
+      return `${2 * k},${lane.y(levelOf(factor))}`;
+    }).join(" ");
+  }
+
+  /** Frames of the span, at most one for each pixel. */
+  private frames(): number[] {
+    const { fps, frames } = this.take!, { start, end } = this.span;
+    const first = Math.max(Math.floor(start * fps), 0), last = Math.min(Math.ceil(end * fps), frames - 1);
+    const step = Math.max(1, Math.floor((last - first) / Math.max(this.lane.width, 1)));
+    return Array.from({ length: Math.floor((last - first) / step) + 1 }, (_, k) => first + k * step);
   }
 }

@@ -1,153 +1,136 @@
-/** Tools for a take: draggable intensity, curves, muted regions, warnings. */
+/** The timeline of a take: lanes on one span, edits with undo, regions, warnings. */
 
+import type { History } from "../data/edit";
+import type { Take } from "../data/take";
+import { $, button, save, timeCode } from "../dom";
 import { CurveLanes } from "./curves";
-import type { Packed } from "./data";
-import { $, button, timeCode } from "./page";
-import type { Take } from "./take";
-import { drawEmotion, IntensityEditor } from "./timeline";
+import { EmotionLane } from "./emotion";
+import { IntensityLane } from "./intensity";
+import { Regions } from "./regions";
+import { bindSearch } from "./search";
+import type { Span } from "./span";
 
-const MOST_FOUND = 8;
-
-/** Names that hold every word, shorter names first. */
-export function findControls(names: string[], query: string): string[] {
-  const words = query.toLowerCase().replace(/\bleft\b/g, "_l_").replace(/\bright\b/g, "_r_").split(/\s+/).filter(Boolean);
-  if (!words.length) return [];
-  const found = names.filter((name) => words.every((word) => name.toLowerCase().includes(word)));
-  return found.sort((a, b) => a.length - b.length);
-}
+const REBUILD_MS = 250;
+const ZOOM_STEP = 0.7;
 
 export class Workbench {
-  private readonly editor: IntensityEditor;
+  readonly emotion: EmotionLane;
+  private readonly intensity: IntensityLane;
   private readonly lanes: CurveLanes;
-  private readonly regionButtons: (() => void)[] = [];
+  private readonly regions: Regions;
+  private take?: Take;
+  private mean = 0;
   private stale = 0;
 
-  /** The timeline shows the first take; muted regions apply to all takes. */
   constructor(
-    head: Packed,
-    private readonly takes: Take[],
-    audioSeconds: number,
+    controls: string[],
+    regions: string[],
+    private readonly history: History,
+    private readonly span: Span,
+    private readonly time: () => number,
     private readonly seek: (seconds: number) => void,
-    private readonly refresh: () => void,
   ) {
-    this.editor = new IntensityEditor($<SVGSVGElement>("intensity"), this.take, () => this.edited());
-    this.lanes = new CurveLanes($("curves"), takes, head.facts.controls, seek);
-    this.bindIntensity();
-    this.bindSearch(head.facts.controls);
-    const regions = [...new Set<string>(head.facts.regions)];
-    for (const region of regions) this.addRegion(region, regions);
-    this.regionButtons.forEach((show) => show());
-    this.listWarnings(audioSeconds);
+    this.emotion = new EmotionLane($<HTMLCanvasElement>("emotion"), $<SVGSVGElement>("keys"), span, history);
+    this.intensity = new IntensityLane($<SVGSVGElement>("intensity"), span, history);
+    this.lanes = new CurveLanes($("curves"), span, controls, seek);
+    this.regions = new Regions($("regions"), regions, history);
+    bindSearch(controls, (name) => this.lanes.add(name));
+    this.bindEdits();
+    this.bindZoom();
   }
 
-  private get take(): Take {
-    return this.takes[0];
+  /** Show a take; the curves of others are dashed. */
+  show(take: Take, others: Take[]): void {
+    this.take = take;
+    this.intensity.show(take);
+    this.emotion.show(take);
+    this.lanes.show([take, ...others]);
+    this.listWarnings();
+    this.edited();
+  }
+
+  /** Show the edit at once, and the curves when no more changes come. */
+  edited(): void {
+    const { history, take } = this;
+    $<HTMLButtonElement>("undo").disabled = !history.canUndo;
+    $<HTMLButtonElement>("redo").disabled = !history.canRedo;
+    this.regions.show();
+    if (!take) return;
+    for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
+    $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
+    this.mean = take.meanIntensity;
+    this.intensity.layout();
+    this.emotion.layout();
+    clearTimeout(this.stale);
+    this.stale = window.setTimeout(() => this.lanes.build(), REBUILD_MS);
   }
 
   at(seconds: number): void {
-    this.editor.at(Math.min(seconds / this.take.seconds, 1));
+    this.intensity.at(seconds);
     this.lanes.at(seconds);
-    $("status").textContent = this.words(Math.min(Math.round(seconds * this.take.fps), this.take.frames - 1));
+    if (this.take) $("status").textContent = this.words(this.take, seconds);
   }
 
   layout(): void {
-    drawEmotion($<HTMLCanvasElement>("emotion"), this.take);
-    this.editor.layout();
+    this.intensity.layout();
+    this.emotion.layout();
     this.lanes.resize();
   }
 
-  private words(frame: number): string {
-    const { take } = this, parts: string[] = [];
+  private words(take: Take, seconds: number): string {
+    const frame = Math.min(Math.round(seconds * take.fps), take.frames - 1), parts: string[] = [];
     if (take.emotion) {
       const n = take.emotions.length;
       const row = Array.from(take.emotion.subarray(frame * n, frame * n + n));
       parts.push(take.emotions[row.indexOf(Math.max(...row))]);
     }
-    if (take.intensity) parts.push(`intensity ${take.intensityAt(frame).toFixed(2)} (mean ${take.meanIntensity.toFixed(2)})`);
-    if (take.isEdited) parts.push("edited (a preview: animate again for the network's reading)");
+    if (take.intensity) parts.push(`intensity ${take.intensityAt(frame).toFixed(2)} (mean ${this.mean.toFixed(2)})`);
+    if (take.isBlend) parts.push("a blend of two readings: animate with the saved CSV applies every rule");
     return parts.join(", ");
   }
 
-  private edited(): void {
-    this.refresh();
-    clearTimeout(this.stale);
-    this.stale = window.setTimeout(() => this.lanes.build(), 250);
-  }
-
-  private bindIntensity(): void {
-    const { take } = this;
-    $("reset").addEventListener("click", () => { take.reset(); this.editor.build(); this.edited(); });
+  private bindEdits(): void {
+    const { history } = this;
+    $("undo").addEventListener("click", () => history.undo());
+    $("redo").addEventListener("click", () => history.redo());
+    addEventListener("keydown", (event) => {
+      if (!(event.ctrlKey || event.metaKey) || (event.target as HTMLElement).matches("input[type=search], input[type=number]")) return;
+      const key = event.key.toLowerCase();
+      if (key !== "z" && key !== "y") return;
+      event.preventDefault();
+      if (key === "y" || event.shiftKey) history.redo();
+      else history.undo();
+    });
+    $("reset").addEventListener("click", () => history.change({ points: [] }));
+    $("add-point").addEventListener("click", () => this.intensity.addAt(this.time()));
+    $("add-key").addEventListener("click", () => this.emotion.addAt(this.time()));
     $("save").addEventListener("click", () => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(new Blob([take.csv()], { type: "text/csv" }));
-      link.download = "intensity.csv";
-      link.click();
-    });
-    for (const id of ["reset", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
-  }
-
-  /** Controls that hold every word of the search; Enter adds the first. */
-  private bindSearch(controls: string[]): void {
-    const search = $<HTMLInputElement>("search"), found = $("found");
-    const matches = () => findControls(controls, search.value);
-    const add = (name: string) => {
-      this.lanes.add(name);
-      search.value = "";
-      found.replaceChildren();
-      search.focus();
-    };
-    search.addEventListener("input", () => {
-      const names = matches();
-      found.replaceChildren(...names.slice(0, MOST_FOUND).map((name) => button(name, () => add(name))));
-      if (search.value.trim() && !names.length) found.textContent = "no control has this in its name";
-      if (names.length > MOST_FOUND) found.append(`and ${names.length - MOST_FOUND} more`);
-    });
-    search.addEventListener("keydown", (event) => {
-      const [first] = matches();
-      if (event.key === "Enter" && first) add(first);
+      if (this.take) save(new Blob([this.take.intensityCsv()], { type: "text/csv" }), "intensity.csv");
     });
   }
 
-  /** A region has a button that mutes it and one that mutes all others; the second press undoes. */
-  private addRegion(region: string, regions: string[]): void {
-    const others = regions.filter((name) => name !== region);
-    const mute = button(region, () => {
-      const isMuted = this.take.muted.has(region);
-      this.mute(regions.filter((name) => (name === region ? !isMuted : this.take.muted.has(name))));
-    });
-    const solo = button("S", () => this.mute(this.isSolo(region, others) ? [] : others));
-    mute.title = `Mute ${region}`;
-    solo.title = `Only ${region}; again: all`;
-    solo.setAttribute("aria-label", `Only ${region}`);
-    const pair = document.createElement("span");
-    pair.className = "region";
-    pair.append(mute, solo);
-    $("regions").append(pair);
-    this.regionButtons.push(() => {
-      mute.setAttribute("aria-pressed", String(!this.take.muted.has(region)));
-      solo.setAttribute("aria-pressed", String(this.isSolo(region, others)));
-    });
+  private bindZoom(): void {
+    const { span } = this;
+    $("zoom-in").addEventListener("click", () => span.zoom(ZOOM_STEP, this.time()));
+    $("zoom-out").addEventListener("click", () => span.zoom(1 / ZOOM_STEP, this.time()));
+    $("zoom-fit").addEventListener("click", () => span.fit());
+    $("timeline").addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && !event.shiftKey) return;
+      event.preventDefault();
+      const box = $("sound").getBoundingClientRect();
+      const by = event.deltaY || event.deltaX;
+      if (event.ctrlKey) span.zoom(Math.exp(by / 400), span.time(event.clientX - box.left, box.width));
+      else span.pan((by / box.width) * span.seconds);
+    }, { passive: false });
   }
 
-  private isSolo(region: string, others: string[]): boolean {
-    const { muted } = this.take;
-    return !muted.has(region) && others.length > 0 && others.every((name) => muted.has(name));
-  }
-
-  private mute(regions: string[]): void {
-    for (const take of this.takes) take.muted = new Set(regions);
-    this.regionButtons.forEach((show) => show());
-    this.edited();
-  }
-
-  private listWarnings(audioSeconds: number): void {
-    const found = this.take.warnings(audioSeconds);
-    const list = $("warnings");
-    if (!found.length) list.append(Object.assign(document.createElement("li"), { textContent: "none" }));
-    for (const { time, text } of found) {
+  private listWarnings(): void {
+    const list = $("warnings"), found = this.take!.warnings;
+    list.replaceChildren(...found.map(({ time, text }) => {
       const item = document.createElement("li");
       item.append(button(timeCode(time), () => this.seek(time)), ` ${text}`);
-      list.append(item);
-    }
+      return item;
+    }));
+    if (!found.length) list.append(Object.assign(document.createElement("li"), { textContent: "none" }));
   }
 }

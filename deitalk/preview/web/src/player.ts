@@ -1,0 +1,196 @@
+/** The page: one clock drives the faces of takes, an opened GLB, and the lanes of the timeline. */
+
+import { filesOfZip, readCurves, readTake, type TakeFiles } from "./data/curvefile";
+import { type Edit, History, NO_EDIT } from "./data/edit";
+import type { Packed } from "./data/packed";
+import { type Board, Take } from "./data/take";
+import { $, button } from "./dom";
+import { type Caption, Faces } from "./face/faces";
+import { Opener } from "./face/opener";
+import { bindIntake, type Intake } from "./intake";
+import { Clock } from "./playback/clock";
+import { Transport } from "./playback/transport";
+import { SoundView } from "./timeline/sound";
+import { Span } from "./timeline/span";
+import { Workbench } from "./timeline/workbench";
+
+const VIEWS: [string, string, string][] = [
+  ["1", "face", "Face"], ["2", "three_quarter", "Three quarter"], ["3", "side", "Side"], ["4", "mouth", "Mouth"],
+];
+
+export class Player {
+  /** The take of the timeline, and others beside it. */
+  takes: Take[] = [];
+  readonly history = new History(NO_EDIT, () => this.edited());
+  readonly span = new Span(() => this.layout());
+  readonly clock = new Clock();
+  readonly transport: Transport;
+  readonly opener = new Opener(() => this.opened());
+  readonly workbench?: Workbench;
+  readonly intake: Intake;
+  /** Called after every edit. */
+  onEdit: () => void = () => {};
+  /** Called with a take that was dropped. */
+  onTake: (take: TakeFiles) => void = () => {};
+  private readonly faces?: Faces;
+  private readonly sound: SoundView;
+  private gallery?: { takes: Take[]; captions: Caption[] };
+
+  constructor(readonly head?: Packed) {
+    this.sound = new SoundView($<HTMLCanvasElement>("sound"), this.span, () => this.transport?.range);
+    const keys = Object.fromEntries(VIEWS.map(([key, view]) => [key, () => this.look(view)]));
+    if (head) {
+      this.faces = new Faces($("faces"), head);
+      const regions = [...new Set<string>(head.facts.regions)];
+      this.workbench = new Workbench(
+        head.facts.controls, regions, this.history, this.span, () => this.transport.shown, (s) => this.seek(s),
+      );
+    }
+    this.transport = new Transport(this.clock, this.span, (s) => this.draw(s), { ...keys, o: () => $("open").click() });
+    $("views").prepend(...VIEWS.map(([key, view, label]) => button(`${label} (${key})`, () => this.look(view))));
+    $("workbench").hidden = true;
+    this.intake = this.makeIntake();
+    bindIntake(this.intake);
+    addEventListener("resize", () => this.layout());
+  }
+
+  get take(): Take | undefined {
+    return this.takes[0];
+  }
+
+  get board(): Board {
+    return this.head!.facts as Board;
+  }
+
+  /** State for tests: time, frame and vertices as shown. */
+  state() {
+    const { shown, time, fps } = this.transport, { model } = this.opener;
+    return { time, shown, frame: Math.round(shown * fps),
+      vertices: this.faces?.rig?.vertices, model: model && { seconds: model.seconds, vertices: model.vertices() } };
+  }
+
+  pose(values: ArrayLike<number>): Float32Array {
+    return this.faces!.rig!.pose(values);
+  }
+
+  /** Begin with a take, its recording, and others to compare it with. */
+  load(take: Take, wav: Uint8Array | null, others: Take[] = [], edit: Edit = NO_EDIT): void {
+    this.takes = [take, ...others];
+    this.transport.fps = take.fps;
+    this.transport.range = undefined;
+    this.clock.load(wav, take.seconds);
+    this.sound.load(wav);
+    $("workbench").hidden = false;
+    this.span.reset(take.seconds);
+    this.history.reset(edit);
+    this.show();
+    this.transport.setRange();
+    this.seek(0);
+  }
+
+  /** Another reading of the same recording, with the same edits. */
+  replace(take: Take): void {
+    this.takes = [take, ...this.takes.slice(1)];
+    this.apply();
+    this.show();
+  }
+
+  /** Takes beside the first: a version kept, a captured reference. */
+  setOthers(others: Take[]): void {
+    this.takes = [...this.takes.slice(0, 1), ...others];
+    this.apply();
+    this.show();
+  }
+
+  /** Show these faces instead of those of the timeline. */
+  setGallery(takes?: Take[], captions: Caption[] = []): void {
+    this.gallery = takes && { takes, captions };
+    this.apply();
+    this.show();
+  }
+
+  seek(seconds: number): void {
+    this.transport.seek(seconds);
+  }
+
+  look(view: string): void {
+    this.faces?.look(view);
+    this.opener.model?.look(view);
+  }
+
+  layout(): void {
+    this.faces?.resize();
+    this.opener.model?.resize();
+    this.workbench?.layout();
+    this.transport?.show(Math.min(this.transport.shown, this.clock.seconds));
+  }
+
+  private get faceTakes(): Take[] {
+    return this.gallery?.takes ?? this.takes;
+  }
+
+  private show(): void {
+    const { takes, gallery } = this, [first] = takes;
+    const own = takes.map(({ title }, k) => ({ title: title + (takes.length > 1 && !k ? " (timeline)" : "") }));
+    this.faces?.set(gallery?.captions ?? own);
+    $("title").textContent = takes.map((take) => take.title).join(" | ");
+    this.workbench?.show(first, takes.slice(1));
+    this.layout();
+  }
+
+  private apply(): void {
+    const { edit } = this.history;
+    this.take?.apply(edit);
+    this.gallery?.takes.forEach((take) => take.apply(edit));
+    this.takes.slice(1).forEach((take) => take.apply({ ...edit, points: [] }));
+  }
+
+  private edited(): void {
+    this.apply();
+    this.workbench?.edited();
+    this.transport.show(this.transport.shown);
+    this.onEdit();
+  }
+
+  /** Update after a GLB is opened or closed; without a take the GLB gives the duration. */
+  private opened(): void {
+    const { model } = this.opener;
+    if (!this.take) {
+      this.clock.load(null, model?.seconds ?? 0);
+      this.span.reset(this.clock.seconds);
+    }
+    this.layout();
+    model?.look("face");
+  }
+
+  private draw(seconds: number): void {
+    const late = Number($<HTMLInputElement>("offset").value) / 1000;
+    this.faces?.show(this.faceTakes.map((take) => take.at(seconds + late)));
+    this.opener.model?.show(seconds + late);
+    this.sound.at(seconds);
+    this.workbench?.at(seconds);
+  }
+
+  private makeIntake(): Intake {
+    const needHead = () => {
+      if (!this.head) throw new Error("this page has no head; use deitalk studio, or deitalk preview");
+    };
+    const take = async (files: Map<string, Uint8Array>, name: string) => {
+      needHead();
+      const read = await readTake(files, name, this.board);
+      this.load(new Take(read.packed, this.board), read.wav ?? null);
+      this.onTake(read);
+    };
+    return {
+      glb: (file) => void this.opener.open(file),
+      take,
+      archive: async (file) => take(await filesOfZip(await file.arrayBuffer()), file.name.replace(/\.zip$/i, "")),
+      curves: async (file) => {
+        needHead();
+        const curves = await readCurves(file, this.board);
+        if (this.take) this.setOthers([new Take(curves, this.board, true)]);
+        else this.load(new Take(curves, this.board), null);
+      },
+    };
+  }
+}
