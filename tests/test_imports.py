@@ -124,6 +124,41 @@ def test_reading_a_model_leaves_the_compiler_of_torch_out():
     assert done.stdout.strip() == "False", done.stdout + done.stderr
 
 
+ANIMATE = """
+import sys
+sys.argv = ["deitalk", "animate", {sample!r}, "-e", "happy", "-o", {out!r}]
+from deitalk.cli import main
+try:
+    main()
+except SystemExit as exit:
+    assert not exit.code, exit.code
+print("LOADED", sorted({{name.split(".")[0] for name in sys.modules}} & {slow!r}))
+"""
+SLOW = {
+    "librosa", "numba", "scipy", "sklearn", "pandas", "transformers", "accelerate", "matplotlib",
+    "onnx", "onnxruntime", "fastapi",
+}  # fmt: skip
+"""Packages that take a tenth of a second and more to import, torch excepted."""
+SAMPLE = str(ROOT / "docs/samples/promise.flac")
+
+
+@pytest.mark.parametrize("out", ["take", "curves.csv"])
+def test_animate_loads_no_slow_package_but_torch(tmp_path, out):
+    done = run(ANIMATE.format(sample=SAMPLE, out=str(tmp_path / out), slow=SLOW))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "LOADED []"
+
+
+def test_worker_of_the_service_starts_without_packages_of_analysis():
+    slow = SLOW - {"pandas", "fastapi"}
+    code = (
+        "import sys, api.compute.warm; "
+        f"print(sorted({{name.split('.')[0] for name in sys.modules}} & {slow!r}))"
+    )
+    done = run(code)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
 def test_rig_works_without_torch():
     code = (
         "import sys; sys.modules['torch'] = None; import rig; "

@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.mel_filters import mel_filters
 
+LOWEST_HZ, HIGHEST_HZ = 50, 7600
 FLOOR = 1e-5
 """Added to mel power before the logarithm; speech at -23 dB has cells of 1e-4 to 10."""
 
@@ -59,14 +61,10 @@ class MelSpectrogram(nn.Module):
 
     def __init__(self, window_seconds: float, frame_rate: float, n_mels: int) -> None:
         super().__init__()
-        import librosa
-
         self.frame_rate = frame_rate
         self.length = round(window_seconds * SAMPLE_RATE)
         self.n_fft = 1 << (self.length - 1).bit_length()
-        filters = librosa.filters.mel(
-            sr=SAMPLE_RATE, n_fft=self.n_fft, n_mels=n_mels, fmin=50, fmax=7600, norm=None
-        )
+        filters = mel_filters(SAMPLE_RATE, self.n_fft, n_mels, LOWEST_HZ, HIGHEST_HZ)
         self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
         # On the meta device it would import the compiler: two seconds.
         window = torch.hann_window(self.length, device="cpu")

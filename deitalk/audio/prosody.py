@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
 from rig.arrays import Bool, Float32, Float64, Int64
+from rig.curves.filters import gaussian_smooth
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""
@@ -160,6 +160,6 @@ def _standard(values: Float64, known: Bool, spread: float) -> Float64:
         return np.zeros(len(values))
     deviation = np.where(known, values - values[known].mean(), 0.0)
     sigma = SMOOTHING_SECONDS * FRAME_RATE
-    weight = gaussian_filter1d(known.astype(float), sigma, mode="constant")
-    smooth = gaussian_filter1d(deviation, sigma, mode="constant") / (weight + 0.02)
+    weight = gaussian_smooth(known.astype(float), sigma)
+    smooth = gaussian_smooth(deviation, sigma) / (weight + 0.02)
     return np.clip(smooth / spread, -2.5, 2.5)

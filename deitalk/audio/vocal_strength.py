@@ -3,19 +3,17 @@
 One number of a recording at any gain: the decibels by which the speaker is louder than usual, as
 far as spectrum and pitch tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
-to the number. `deitalk.training.vocal_strength` trains them.
+to the number. They are evaluated here in numpy, and trained in torch:
+`deitalk.training.strength_network` has the same layers.
 
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
 
 import numpy as np
-import torch
-from safetensors.torch import load
-from torch import Tensor, nn
-from torch.nn import functional as F
 
 from deitalk.audio.prosody import BANDS, Prosody
 from rig.arrays import Float32
@@ -64,64 +62,22 @@ def without_level(frames: Float32) -> tuple[Float32, float]:
     return out, 10 * float(power)
 
 
-class Member(nn.Module):
-    """Frames of speech to its strength: one network."""
+class VocalStrength:
+    """Frames of speech to its strength: the mean of several networks.
 
-    mean: Tensor
-    spread: Tensor
+    Parameters
+    ----------
+    weights : mapping of str to array
+        State of `deitalk.training.strength_network.StrengthNetwork`.
+    """
 
-    def __init__(self, dropout: float = 0.2) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.zeros(FEATURES))
-        self.register_buffer("spread", torch.ones(FEATURES))
-        sizes = (FEATURES, *[CHANNELS] * len(DILATIONS))
-        self.layers = nn.ModuleList(
-            nn.Conv1d(sizes[i], CHANNELS, KERNEL, padding=KERNEL // 2 * d, dilation=d)
-            for i, d in enumerate(DILATIONS)
-        )
-        self.dropout = nn.Dropout(dropout)
-        self.hidden = nn.Linear(2 * CHANNELS, CHANNELS)
-        self.output = nn.Linear(CHANNELS, 1)
-        self.direct = nn.Linear(2 * FEATURES, 1)
+    def __init__(self, weights: Mapping[str, Float32]) -> None:
+        self.weights = weights
+        self._members: dict[str, dict[str, Float32]] = {}
+        for name, value in weights.items():
+            _, number, part = name.split(".", 2)
+            self._members.setdefault(number, {})[part] = value
 
-    def forward(self, frames: Tensor, weight: Tensor) -> Tensor:
-        """Strength in dB.
-
-        Parameters
-        ----------
-        frames : Tensor [shape=(B, T, F)]
-            From `without_level`.
-        weight : Tensor [shape=(B, T)]
-            Of every frame in the means.
-
-        Returns
-        -------
-        Tensor [shape=(B,)]
-        """
-        x = ((frames - self.mean) / self.spread).transpose(1, 2)
-        share = (weight / weight.sum(dim=1, keepdim=True)).unsqueeze(1)
-        direct: Tensor = self.direct(_mean_and_spread(x, share))
-        x = F.gelu(self.layers[0](x))
-        for layer in self.layers[1:]:
-            x = self.dropout(x)
-            x = x + F.gelu(layer(x))
-        hidden = self.dropout(F.gelu(self.hidden(_mean_and_spread(x, share))))
-        output: Tensor = UNIT_DB * (direct + self.output(hidden))[:, 0]
-        return output
-
-
-class VocalStrength(nn.Module):
-    """Frames of speech to its strength: the mean of several networks."""
-
-    def __init__(self, members: int = MEMBERS) -> None:
-        super().__init__()
-        self.members = nn.ModuleList(Member() for _ in range(members))
-
-    def forward(self, frames: Tensor, weight: Tensor) -> Tensor:
-        """Strength in dB [shape=(B,)]; arguments as for `Member`."""
-        return torch.stack([member(frames, weight) for member in self.members]).mean(dim=0)
-
-    @torch.no_grad()
     def measure(self, frames: Float32) -> float:
         """Strength of a recording in dB above the usual; 0 where nothing is voiced.
 
@@ -134,20 +90,61 @@ class VocalStrength(nn.Module):
             return 0.0
         frames, _ = without_level(frames)
         weight = np.maximum(frames[:, -1], REST_WEIGHT)
-        return float(self(torch.tensor(frames)[None], torch.tensor(weight)[None]))
+        share = (weight / weight.sum())[:, None]
+        return float(np.mean([_member(w, frames, share) for w in self._members.values()]))
 
 
-def _mean_and_spread(x: Tensor, share: Tensor) -> Tensor:
-    """Weighted mean and standard deviation over time: (B, C, T) and (B, 1, T) to (B, 2 C)."""
-    mean = (x * share).sum(dim=2)
-    square = ((x - mean.unsqueeze(2)) ** 2 * share).sum(dim=2)
-    return torch.cat([mean, square.clamp_min(1e-4).sqrt()], dim=1)
+def _member(weights: Mapping[str, Float32], frames: Float32, share: Float32) -> float:
+    """Strength in dB by one network; `share` of each frame in the means [shape=(T, 1)]."""
+    x = (frames - weights["mean"]) / weights["spread"]
+    direct = _linear(weights, "direct", _mean_and_spread(x, share))
+    x = _gelu(_convolved(weights, 0, x))
+    for i in range(1, len(DILATIONS)):
+        x = x + _gelu(_convolved(weights, i, x))
+    hidden = _gelu(_linear(weights, "hidden", _mean_and_spread(x, share)))
+    return UNIT_DB * float((direct + _linear(weights, "output", hidden))[0])
+
+
+def _linear(weights: Mapping[str, Float32], name: str, x: Float32) -> Float32:
+    return x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+
+
+def _convolved(weights: Mapping[str, Float32], layer: int, x: Float32) -> Float32:
+    """Dilated convolution along time that keeps the length: (T, C) to (T, CHANNELS)."""
+    kernel, reach = weights[f"layers.{layer}.weight"], KERNEL // 2 * DILATIONS[layer]
+    padded = np.pad(x, ((reach, reach), (0, 0)))
+    out = np.tile(weights[f"layers.{layer}.bias"], (len(x), 1))
+    for tap in range(KERNEL):
+        start = tap * DILATIONS[layer]
+        out += padded[start : start + len(x)] @ kernel[:, :, tap].T
+    return out
+
+
+def _gelu(x: Float32) -> Float32:
+    """Gaussian error linear unit, exact to 1e-7.
+
+    The error function is Abramowitz and Stegun's 7.1.26.
+    """
+    z = np.abs(x) * np.float32(0.5**0.5)
+    t = 1 / (1 + np.float32(0.3275911) * z)
+    series = np.zeros_like(t)
+    for coefficient in (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592):
+        series = (series + np.float32(coefficient)) * t
+    error = np.copysign(1 - series * np.exp(-z * z), x)
+    return np.asarray(x * (1 + error) / 2, np.float32)
+
+
+def _mean_and_spread(x: Float32, share: Float32) -> Float32:
+    """Weighted mean and standard deviation over time: (T, C) and (T, 1) to (2 C,)."""
+    mean = (x * share).sum(axis=0)
+    square = (np.square(x - mean) * share).sum(axis=0)
+    return np.concatenate([mean, np.sqrt(np.maximum(square, 1e-4))])
 
 
 @lru_cache(maxsize=1)
 def vocal_strength() -> VocalStrength:
-    """The network with the weights of the package."""
+    """The networks with the weights of the package."""
+    from safetensors.numpy import load
+
     content = resources.files("deitalk.audio").joinpath(WEIGHTS).read_bytes()
-    network = VocalStrength()
-    network.load_state_dict({name: value.float() for name, value in load(content).items()})
-    return network.eval()
+    return VocalStrength({name: value.astype(np.float32) for name, value in load(content).items()})

@@ -1,5 +1,6 @@
 """The command line: one thin function per verb; heavy imports happen inside them."""
 
+import gc
 import sys
 from contextlib import suppress
 from typing import Annotated, Any, cast
@@ -117,6 +118,7 @@ def main() -> None:
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
     finally:
         uninstall()
+        gc.freeze()  # the last search for cycles would take a quarter of a second in torch
 
 
 def _usage(error: Any) -> str:

@@ -26,7 +26,8 @@ CONTEXT_FRAMES = 256
 """Rig frames of context on either side of a segment, computed and not kept (8.5 s). The memory of
 the default weights is longer, so two ways to divide a clip differ by some hundredths of a range in
 places; a slow test holds the step between two segments below the usual motion in a frame."""
-
+ATTENDED_FRAMES = 128
+"""Rig frames whose attention is applied at once: a matrix of so many rows, banded."""
 
 NO_ATTENTION = (
     "this model has no temporal attention; choose one with a mel frontend, such as default"
@@ -155,10 +156,17 @@ class TemporalAttention(nn.Module):
         index = index.clamp(0, length - 1)
         scores = self.score(torch.tanh(keys[:, index] + projected.unsqueeze(2))).squeeze(-1)
         weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
-        spread = weights.new_zeros(batch, len(centres), length)
-        spread.scatter_add_(2, index.expand(batch, -1, -1), weights)
-        attended: Tensor = spread.to(memory.dtype) @ memory
-        return attended
+        rows = []
+        for places, part in zip(
+            torch.split(index, ATTENDED_FRAMES),
+            torch.split(weights, ATTENDED_FRAMES, 1),
+            strict=True,
+        ):
+            first, last = int(places.min()), int(places.max()) + 1
+            spread = part.new_zeros(batch, len(places), last - first)
+            spread.scatter_add_(2, (places - first).expand(batch, -1, -1), part)
+            rows.append(spread.to(memory.dtype) @ memory[:, first:last])
+        return torch.cat(rows, dim=1)
 
 
 class RigBiLSTM(nn.Module):

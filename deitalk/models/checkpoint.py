@@ -56,7 +56,13 @@ from deitalk.models.mesh_weights import (
     whole_shapes,
     write_templates,
 )
-from deitalk.models.weights_file import Shapes, check_fit, network_shapes, read_weights
+from deitalk.models.weights_file import (
+    Shapes,
+    check_fit,
+    network_shapes,
+    read_weights,
+    without_random_numbers,
+)
 from deitalk.postprocess.lip_seal import check_faces
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
@@ -100,14 +106,19 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         it belongs to another control set.
     """
     folder = model_folder(name_or_path)
+    return _load(folder, load_config(folder / "config.yaml"), device)
+
+
+def _load(folder: Path, config: AnyConfig, device: str) -> Model:
+    """Read the model of a folder whose configuration is known."""
     require_device(device)
-    config = load_config(folder / "config.yaml")
     about = read_about(folder)
     path = folder / "model.safetensors"
     shapes = whole_shapes(path)
     build = kind_of(config).read(folder, config, about, shapes)
     check_fit(path, shapes, network_shapes(build))
-    model = build()
+    with without_random_numbers():
+        model = build()
     model.load_state_dict(all_numbers(read_weights(path)))  # half precision becomes float32
     try:
         return model.to(torch.device(device)).eval()
@@ -137,12 +148,14 @@ def require_model(
     """
     needed, example = NAMES[wanted]
     if isinstance(model, str | Path):
-        found = kind_of(load_config(model_folder(model) / "config.yaml")).model
+        folder = model_folder(model)
+        config = load_config(folder / "config.yaml")
+        found = kind_of(config).model
         if not issubclass(found, wanted):
             raise CheckpointError(
                 f"{model}: {NAMES[found][0]}; {needed} is needed, such as {example}"
             )
-        model = load_model(model, device=device)
+        model = _load(folder, config, device)
     if not isinstance(model, wanted):
         name, _ = NAMES.get(type(model), (f"a {type(model).__name__}", ""))
         raise CheckpointError(

@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from deitalk.audio.load import Recording
 from rig import RigCurves
 from rig.arrays import Float32, Float64
-from rig.mesh import TriMesh
-from rig.mesh.sequence import check_out, write_sequence
+
+if TYPE_CHECKING:
+    from rig.mesh import TriMesh
 
 GLB_TOLERANCE_MM = 0.02
 """Furthest a vertex of a GLB may be from where the model put it."""
@@ -149,7 +150,7 @@ class MeshPerformance:
         Linear vertex colours, where there are any.
     """
 
-    mesh: TriMesh
+    mesh: "TriMesh"
     vertices: Float32
     fps: float
     unit_mm: float
@@ -164,6 +165,7 @@ class MeshPerformance:
         0.02 mm of the model's.
         """
         from rig.files import check_file, check_folder
+        from rig.mesh.sequence import check_out, write_sequence
 
         inputs = (self.recording.source,)
         if check_out(target) == "folder":

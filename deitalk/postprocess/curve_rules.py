@@ -11,13 +11,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
-from scipy.special import expit, logit
 
 from deitalk.config import KeepContacts, RulesConfig
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
+from rig.curves.filters import sliding_maximum
 
 LEAST_PREDICTED = 0.15
 """Lower bound of the predicted intensity that an applied one is divided by."""
@@ -35,7 +34,9 @@ SPEAKING = ("lipsTogether", "lipBite", "purse", "owards", "mouth_press", "tongue
 
 def _decided(values: Float32, middle: "Float32 | float", steepness: float) -> Float32:
     """S-curve from 0 to 1 that makes one half of `middle`."""
-    return np.asarray(expit(steepness * (logit(values) - logit(middle))), np.float32)
+    with np.errstate(divide="ignore", over="ignore"):  # 0 and 1 stay what they are
+        odds = np.log(values / (1 - values)) - np.log(middle / (1 - middle))
+        return np.asarray(1 / (1 + np.exp(-steepness * odds)), np.float32)
 
 
 def expression_scale(applied: Float32, predicted: Float32) -> Float32:
@@ -109,7 +110,7 @@ class Expression:
         if rule is None or not len(curves) or not len(self.seals):
             return
         values = np.clip(curves[:, self.seals], 0, 1)
-        peaks: Float32 = maximum_filter1d(values, PEAK_FRAMES, axis=0)
+        peaks: Float32 = sliding_maximum(values, PEAK_FRAMES)
         shares = np.asarray(values / np.maximum(peaks, 1e-6), np.float32)
         shoulder = np.minimum(rule.shoulder + rule.doubt * (1 - peaks), rule.sharpest)
         heights = _decided(peaks, rule.peak, rule.steepness)

@@ -13,8 +13,6 @@ import numpy as np
 
 from deitalk.errors import ConfigError
 from rig.arrays import Float32, Int64
-from rig.face import build_head
-from rig.face.geometry.topology import MOUTH
 from rig.mesh import TriMesh
 
 RINGS = range(-2, 10)
@@ -75,6 +73,8 @@ def check_faces(reach_mm: float, templates: Iterable[TriMesh]) -> None:
     """
     if reach_mm == 0:
         return
+    from rig.face import build_head
+
     faces = build_head(0).skin.faces
     if not all(np.array_equal(mesh.faces, faces) for mesh in templates):
         raise ConfigError(
@@ -93,6 +93,9 @@ def _amounts(gap_mm: Float32, reach_mm: float) -> Float32:
 
 @cache
 def _head_loops() -> _Loops:
+    from rig.face import build_head
+    from rig.face.geometry.topology import MOUTH
+
     skin = build_head(0).features
     rows = [skin.loop(MOUTH, ring) for ring in RINGS]
     upper = np.arange(1, len(rows[0]) // 2)

@@ -12,11 +12,11 @@ e = 0.15 + 0.85 / (1 + exp(-1.3 z)).
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.prosody import Prosody, prosody_index
 from deitalk.config import VoiceIntensity
 from rig.arrays import Bool, Float32, Float64
+from rig.curves.filters import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity, and its slope in z (`deitalk.corpus.rig_targets`)."""
@@ -68,7 +68,7 @@ def voice_intensity(
     z += rule.index_weight * prosody_index(prosody) + take
     corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
     pauses = _through_pauses(corrected, network, speaking)
-    counts = np.clip(2 * gaussian_filter1d(speaking.astype(float), EDGE_FRAMES), 0, 1)
+    counts = np.clip(2 * gaussian_smooth(speaking.astype(float), EDGE_FRAMES, "mirror"), 0, 1)
     intensity: Float32 = (pauses + counts * (corrected - pauses)).astype(np.float32)
     return intensity
 
@@ -103,6 +103,6 @@ def _through_pauses(corrected: Float64, network: Float32, speaking: Bool) -> Flo
 
 def _smoothed(z: Float64, speaking: Bool) -> Float64:
     """Gaussian mean over the frames with speech."""
-    weight = gaussian_filter1d(speaking.astype(float), SMOOTHING_FRAMES, mode="constant")
-    total = gaussian_filter1d(np.where(speaking, z, 0), SMOOTHING_FRAMES, mode="constant")
+    weight = gaussian_smooth(speaking.astype(float), SMOOTHING_FRAMES)
+    total = gaussian_smooth(np.where(speaking, z, 0), SMOOTHING_FRAMES)
     return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), z)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.random import Generator
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -28,7 +28,6 @@ from deitalk.audio.vocal_strength import (
     MEMBERS,
     REST_WEIGHT,
     UNIT_DB,
-    Member,
     VocalStrength,
     without_level,
 )
@@ -42,6 +41,7 @@ from deitalk.data.strength_clips import (
     read_strength_clips,
 )
 from deitalk.errors import DataError, DeitalkError
+from deitalk.training.strength_network import Member, StrengthNetwork
 from rig.arrays import Float32
 from rig.files import atomic_write
 
@@ -82,12 +82,12 @@ def train(
             f"at least {CHAPTERS} and {ACTORS_AT_ONCE} are needed"
         )
     torch.manual_seed(seed)
-    network = VocalStrength(members)
+    network = StrengthNetwork(members)
     for number, member in enumerate(network.members):
         assert isinstance(member, Member)
         _standardise(member, clips)
         _fit(member, chapters, actors, steps, np.random.default_rng((seed, number)))
-    return network.eval()
+    return VocalStrength(network.weights())
 
 
 def _fit(
@@ -258,7 +258,7 @@ def _run(given: argparse.Namespace) -> None:
     sys.stdout.write(as_markdown(score_strength(network, held)) + "\n")
     if given.out is not None:
         with atomic_write(given.out) as path:
-            save_file({k: v.half() for k, v in network.state_dict().items()}, path)
+            save_file({k: v.astype(np.float16) for k, v in network.weights.items()}, path)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from rig.arrays import Float32
 from rig.controls import default_controls
@@ -123,6 +122,8 @@ def cues_to_curves(given: Sequence[Cue], fps: float = 30.0) -> RigCurves:
         last = cue.end
         first, stop = round(cue.start * fps), round(cue.end * fps)
         amounts[first : max(stop, first + 1)] = poses[cue.shape]
+    from scipy.ndimage import uniform_filter1d
+
     size = max(1, round(TRANSITION_SECONDS * fps)) | 1
     return posed(uniform_filter1d(amounts, size, axis=0, mode="nearest"), fps)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from rig.arrays import Bool, Float32
 from rig.controls import ControlSet, default_controls
@@ -182,6 +181,8 @@ def smooth(
         return curves
     values = curves.values.copy()
     chosen = _columns(curves, names)
+    from scipy.ndimage import gaussian_filter1d  # slow to import
+
     smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
     values[:, chosen] = smoothed
     if keep_closures:
@@ -205,6 +206,8 @@ def _restore_closures(
 
 def _closures(curve: Float32, sigma: float, *, is_jaw: bool) -> Bool:
     """Return the frames where a moving curve is deepest in its neighbourhood, and deep."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     size = 2 * math.ceil(sigma) + 1
     lowest, highest = minimum_filter1d(curve, size), maximum_filter1d(curve, size)
     reach = float(np.percentile(curve, 95))

@@ -12,17 +12,18 @@ and its rows carry no weights, so that small dense triangles would count as much
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, csr_array
-from scipy.sparse.linalg import splu
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from rig.arrays import Bool, Float64, Int64
 from rig.deformation.gradients import gradient_entries, refuse_degenerate
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, components, triangle_areas
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 FRAMES_PER_SOLVE = 8
 """Right-hand sides go through the factors eight frames (24 columns) at a time, which stays in
@@ -73,6 +74,9 @@ class DeformationSolver:
     def __init__(
         self, template: TriMesh, *, pins: Any = (), parts: Sequence[RigidPart] = ()
     ) -> None:
+        from scipy.sparse import csc_array, csr_array
+        from scipy.sparse.linalg import splu
+
         refuse_degenerate(template)
         self.template = template
         self.parts = tuple(parts)
@@ -278,12 +282,14 @@ def _choose_pins(template: TriMesh, in_part: Bool, pins: Int64) -> Int64:
     return chosen
 
 
-def _gradient_operator(vertices: Float64, faces: Int64) -> csr_array:
+def _gradient_operator(vertices: Float64, faces: Int64) -> "csr_array":
     """Sparse A: positions -> gradient within each triangle's plane [shape=(3 N, V)].
 
     Row a N + i holds derivative along axis a on triangle i: the rows of the pseudo-inverse of
     [v2 - v1, v3 - v1], with v1 taking what makes them sum to zero.
     """
+    from scipy.sparse import coo_array, csr_array
+
     first = vertices[faces[:, 0]]
     spans = np.stack([vertices[faces[:, 1]] - first, vertices[faces[:, 2]] - first], axis=-1)
     inverse = np.linalg.pinv(spans)  # (N, 2, 3)

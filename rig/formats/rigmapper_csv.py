@@ -6,10 +6,9 @@ section of a control rig. The file holds frame numbers only: the rate is given o
 
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from rig.controls import ControlSet
 from rig.conversion.convert import controls_of
@@ -20,6 +19,9 @@ from rig.files.reading import check_expansion, check_file
 from rig.formats.decimal_text import Block, Text, rendered, rows
 from rig.formats.wide_csv import LARGEST, read_header, read_quietly
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, SPARSE_BYTES, VALUES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 HEADER = ("curve_name", "frame_number", "value")
 DECIMALS = 6
@@ -93,7 +95,9 @@ def _count_frames(path: Path, frame: np.ndarray[Any, Any], n_curves: int) -> int
     return n_frames
 
 
-def _read_keys(path: Path) -> pd.DataFrame:
+def _read_keys(path: Path) -> "pd.DataFrame":
+    import pandas as pd  # takes longer to import than a take to write
+
     try:
         table = read_quietly(
             path, skiprows=1, header=None, names=list(HEADER), index_col=False, low_memory=False

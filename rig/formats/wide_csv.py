@@ -4,15 +4,17 @@ import csv
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from rig.arrays import Float64
 from rig.errors import FormatError, quoted, shorten
 from rig.files.reading import check_expansion, check_file, decode_text, open_file
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_COLUMNS = CONTROLS + 16
 """Controls, and the columns of times and counts beside them."""
@@ -123,8 +125,10 @@ def read_matrix(path: Path, n_columns: int) -> Float64:
     return read_numbers(path, header, skip_rows=0)[0]
 
 
-def read_quietly(path: Path, **options: Any) -> pd.DataFrame:
+def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
     """Return the table of `pandas.read_csv`, with its ParserWarning as an error."""
+    import pandas as pd  # takes longer to import than a take to write
+
     with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
         warnings.simplefilter("error", pd.errors.ParserWarning)
         table: pd.DataFrame = pd.read_csv(stream, **options)
@@ -133,7 +137,9 @@ def read_quietly(path: Path, **options: Any) -> pd.DataFrame:
 
 def _read_table(
     path: Path, header: Sequence[str], dtype: dict[int, type], skip_rows: int
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
+    import pandas as pd
+
     count_rows(path, len(header) + 1)
     try:
         return read_quietly(
@@ -158,6 +164,8 @@ def _read_table(
 
 def _as_numbers(column: "pd.Series[Any]") -> Float64:
     """Return a column as numbers, NaN where a cell is none."""
+    import pandas as pd
+
     try:
         return pd.to_numeric(column, errors="coerce").to_numpy(np.float64)
     except OverflowError:  # a whole number of hundreds of digits
@@ -171,8 +179,10 @@ def _as_number(cell: Any) -> float:
         return float("nan")
 
 
-def _bad_cell(path: Path, header: Sequence[str], table: pd.DataFrame) -> FormatError:
+def _bad_cell(path: Path, header: Sequence[str], table: "pd.DataFrame") -> FormatError:
     """Return the error that names the first cell that is no finite number."""
+    import pandas as pd
+
     numbers = np.stack([_as_numbers(table[i]) for i in table.columns], 1)
     row, place = (int(i) for i in np.argwhere(~(np.abs(numbers) <= LARGEST))[0])
     column = int(table.columns[place])

@@ -5,16 +5,17 @@ is +x (the convention of glTF); the unit is the file's own.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
 
 from rig.arrays import Float64, Int64
 from rig.errors import MeshError, TopologyError
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 DEGENERATE_AREA = 1e-12
 """A triangle is degenerate below this share of the squared diagonal of the mesh's box."""
@@ -195,8 +196,10 @@ def edges(faces: Int64) -> Int64:
     return joined
 
 
-def adjacency(mesh: TriMesh) -> csr_array:
+def adjacency(mesh: TriMesh) -> "csr_array":
     """Symmetric 0/1 matrix of neighbouring vertices [shape=(V, V)]."""
+    from scipy.sparse import coo_array, csr_array
+
     ends = edges(mesh.faces)
     count = len(mesh.vertices)
     ones = np.ones(2 * len(ends))
@@ -211,6 +214,8 @@ def components(mesh: TriMesh) -> Int64:
 
     A vertex no triangle uses is a part of its own.
     """
+    from scipy.sparse.csgraph import connected_components
+
     count, labels = connected_components(adjacency(mesh), directed=False)
     order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
     rank = np.empty(count, dtype=np.int64)

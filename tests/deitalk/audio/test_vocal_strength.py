@@ -9,12 +9,14 @@ from deitalk.audio.vocal_strength import (
     FEATURES,
     HIGHEST,
     LOWEST,
+    REST_WEIGHT,
     VocalStrength,
     strength_frames,
     vocal_strength,
     without_level,
 )
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.training.strength_network import StrengthNetwork
 from tests.deitalk.audio.test_prosody import voice
 
 
@@ -59,7 +61,7 @@ def test_strength_without_voice_is_zero():
 @torch.no_grad()
 def test_frames_without_weight_do_not_count(rng):
     """Padding of a batch: the same piece, alone and beside a longer one."""
-    network = VocalStrength().eval()
+    network = StrengthNetwork().eval()
     piece = torch.tensor(rng.normal(size=(1, 40, FEATURES)), dtype=torch.float32)
     alone = network(piece, torch.ones(1, 40))
     reach = 2 * (1 + 2 + 4)
@@ -71,3 +73,18 @@ def test_frames_without_weight_do_not_count(rng):
     spoilt = longer.clone()
     spoilt[:, 40 + reach :] = 100.0
     torch.testing.assert_close(network(spoilt, weight), padded)
+
+
+@torch.no_grad()
+def test_strength_in_numpy_equals_the_network_that_is_trained(rng):
+    network = StrengthNetwork(members=2).eval()
+    for member in network.members:
+        member.mean.normal_()
+        member.spread.uniform_(0.5, 2.0)
+    frames = rng.normal(size=(60, FEATURES)).astype(np.float32)
+    frames[:, -2:] = rng.integers(0, 2, (60, 2))
+    frames[:, BANDS + 1] = 1
+    rows, _ = without_level(frames)
+    weight = np.maximum(rows[:, -1], REST_WEIGHT)
+    expected = float(network(torch.tensor(rows)[None], torch.tensor(weight)[None]))
+    assert VocalStrength(network.weights()).measure(frames) == pytest.approx(expected, abs=1e-5)

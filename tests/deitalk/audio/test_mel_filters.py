@@ -1,0 +1,23 @@
+"""Mel filters: Slaney's scale at known points, and the matrix of librosa."""
+
+import librosa
+import numpy as np
+import pytest
+
+from deitalk.audio.mel_filters import hz_to_mel, mel_filters, mel_to_hz
+
+
+@pytest.mark.parametrize(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])
+def test_mel_scale_is_linear_to_one_kilohertz_then_27_steps_to_6400(hz, mel):
+    assert hz_to_mel(hz) == pytest.approx(mel)
+    assert mel_to_hz(np.array([float(mel)]))[0] == pytest.approx(hz)
+
+
+@pytest.mark.parametrize(("n_fft", "n_mels"), [(512, 80), (1024, 40), (256, 26)])
+def test_filters_equal_those_of_librosa(n_fft, n_mels):
+    ours = mel_filters(16_000, n_fft, n_mels, 50, 7600)
+    theirs = librosa.filters.mel(
+        sr=16_000, n_fft=n_fft, n_mels=n_mels, fmin=50, fmax=7600, norm=None
+    )
+    assert ours.dtype == np.float32
+    np.testing.assert_allclose(ours, theirs, atol=1e-7)
