@@ -65,12 +65,16 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
     return animate(
         recording,
         model=network,
-        idle=options.get("idle", True),
-        raw=options.get("raw", False),
-        seed=options.get("seed", 0),
         progress=progress,
         **direction,
+        **_drawing(options),
     )
+
+
+def _drawing(options: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of `animate` on rules and idle motion."""
+    names = ("idle", "life", "look_at", "raw", "seed")
+    return {name: options[name] for name in names if name in options}
 
 
 def _direction(options: dict[str, Any]) -> dict[str, Any]:
@@ -161,7 +165,7 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     network = model_of(options.get("model", "default"), limits)
     direction = _direction(options)
     if isinstance(network, DEITalk):
-        direction |= {name: options[name] for name in ("idle", "raw", "seed") if name in options}
+        direction |= _drawing(options)
     performance = animate_mesh(
         _recording(order, limits),
         model=network,

@@ -54,8 +54,26 @@ class MotionOptions(BaseModel):
     fps: Annotated[
         float | None, Field(ge=1, le=240, description="Rate of the result, Hz; 30 by default.")
     ] = None
-    seed: Annotated[int, Field(ge=0, le=SEED, description="Seed of the blinks.")] = 0
-    idle: Annotated[bool, Field(description="Blinks and small motions of the gaze.")] = True
+    seed: Annotated[
+        int, Field(ge=0, le=SEED, description="Another drawing of the idle motion.")
+    ] = 0
+    idle: Annotated[bool, Field(description="Blinks, gaze, brows and head on the voice.")] = True
+    life: Annotated[
+        str | None,
+        Field(
+            max_length=200,
+            description="Factors on them, 0 to 2.",
+            examples=["brows=.8,head=1.2,blinks=1,gaze=.5"],
+        ),
+    ] = None
+    look_at: Annotated[
+        str,
+        Field(
+            max_length=60,
+            description="Place of the listener: degrees to the character's left and up.",
+            examples=["10,-5"],
+        ),
+    ] = "0,0"
     raw: Annotated[bool, Field(description="The network alone, without the model's rules.")] = False
     format: Annotated[
         str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")

@@ -45,11 +45,18 @@ def animate(
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
-    idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
+    idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
+    life: Annotated[
+        str | None,
+        typer.Option(help="Factors on them, 0 to 2: brows=.8,head=1.2,blinks=1,gaze=.5."),
+    ] = None,
+    look_at: Annotated[
+        str, typer.Option(help="Listener's place: degrees to the character's left and up.")
+    ] = "0,0",
     raw: Annotated[
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Another drawing of them.")] = 0,
     device: Device = "cpu",
     threads: Threads = 1,
     preview: Annotated[
@@ -80,6 +87,8 @@ def animate(
         "intensity_curve": intensity_curve,
         "voice": voice,
         "idle": idle,
+        "life": life,
+        "look_at": look_at,
         "raw": raw,
         "seed": seed,
     }
@@ -182,8 +191,10 @@ def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, A
         read_actor,
         read_intensity_curve,
     )
+    from deitalk.postprocess.life.amounts import Life
 
     check_intensity(options["intensity"])
+    Life.of(options["life"], options["look_at"])
     given = options | {"emotion": parse_emotion(options["emotion"])}
     if options["intensity_curve"] is not None:
         given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])

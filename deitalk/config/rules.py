@@ -83,13 +83,23 @@ class Gates(Section):
     expression_fades: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 30
 
 
+Factor = Annotated[float, Field(ge=0, le=2)]
+
+
 class Idle(Section):
-    """Blinks and gaze from a seed; off: the model's own, learnt from captures."""
+    """Blinks, gaze, brows and head on the voice, from a seed; off: the model's own, from captures.
+
+    The factors are those of `deitalk.animate`'s ``life``, which multiplies them.
+    """
 
     interval_seconds: float = Field(
         default=3.2, ge=0.6, le=3600, description="median interval between blinks"
     )
     interval_spread: float = Field(default=0.55, ge=0, le=3, description="sigma of its logarithm")
+    blinks: Factor = Field(default=1.0, description="more or fewer; 0: none")
+    gaze: Factor = Field(default=1.0, description="width of fixations and aversions")
+    brows: Factor = Field(default=1.0, description="size of accents of brows, lids and cheeks")
+    head: Factor = Field(default=1.0, description="size of the head's motion, a track of its own")
 
 
 class RulesConfig(Section):
@@ -111,5 +121,5 @@ class RulesConfig(Section):
 
     @classmethod
     def for_captures(cls) -> "RulesConfig":
-        """Gates and idle motion alone, for models that are trained on an actor."""
-        return cls.none().model_copy(update={"gates": Gates(), "idle": Idle()})
+        """Gates and idle motion alone, for models that are trained on an actor and their brows."""
+        return cls.none().model_copy(update={"gates": Gates(), "idle": Idle(brows=0)})

@@ -20,8 +20,11 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities, read_twice
-from deitalk.postprocess.blinks import add_idle_motion
 from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.motion import TakeMotion, plan_motion
+from deitalk.postprocess.life.traits import Seeds
+from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.errors import quoted
@@ -40,6 +43,8 @@ def animate(
     intensity_curve: str | Path | IntensityCurve | None = None,
     voice: str | Path | ActorReference | None = None,
     idle: bool = True,
+    life: Life | Mapping[str, float] | str | None = None,
+    look_at: tuple[float, float] | str = (0.0, 0.0),
     raw: bool = False,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
@@ -66,11 +71,15 @@ def animate(
     voice : path or ActorReference, optional
         Usual voice of the speaker (`deitalk actor build`), from which intensity counts.
     idle : bool
-        Add blinks and small motions of the gaze, if the model's rules have them.
+        Add blinks, gaze, brows and head on the voice, as the model's rules have them.
+    life : str, mapping or Life, optional
+        Factors on them, 0 (off) to 2: ``"brows=.8,head=1.2,blinks=1,gaze=.5"``.
+    look_at : tuple of float or str
+        Place of the listener: degrees to the character's left and up, -35 to 35.
     raw : bool
         The network alone, without the model's rules (`deitalk.config.RulesConfig`).
     seed : int
-        Seed of the blinks.
+        Another drawing of the idle motion; each recording and each actor has its own already.
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
 
@@ -85,6 +94,7 @@ def animate(
     """
     clock = _Clock()
     direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
+    life = Life.of(life, look_at)
     check_progress(progress)
     recording = _with_note_on(direction.curve, recording_of(audio, sample_rate))
     clock.lap("audio")
@@ -99,21 +109,26 @@ def animate(
     clock.lap("network")
     controls = network.controls
     values = _apply_rules(Expression(controls, rules), neutral, emotional, intensities, speech)
+    head = None
     if idle and rules.idle is not None and speech.activity.any():
-        _add_idle_motion((neutral, values), controls, rules.idle, seed)
+        shown = weights * intensities.applied[:, None]
+        seeds = Seeds.of(speech.waveform, _actor(network, actor), seed)
+        motion = _idle_motion(speech, shown, seeds, rules.idle, life)
+        motion.move(values, neutral, controls)
+        head = motion.head
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     clock.lap("expression")
     others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
     return Performance(
-        _curves(controls, values, emotion=weights, intensity=intensities.applied),
+        _curves(controls, values, emotion=weights, intensity=intensities.applied, head=head),
         _curves(controls, neutral),
         intensities.saliency,
         intensities.predicted,
         recording,
         clipped,
         clock.laps,
-        _settings(emotion, direction, intensity_curve, **others),
+        _settings(emotion, direction, intensity_curve, life, **others),
         str(model) if isinstance(model, str | Path) else "",
     )
 
@@ -168,21 +183,24 @@ def _apply_rules(
     return values
 
 
-def _add_idle_motion(
-    readings: tuple[Float32, ...], controls: ControlSet, idle: Idle, seed: int
-) -> None:
-    """Add the same blinks and gaze to each reading, in place."""
-    for reading in readings:
-        rng = np.random.default_rng(seed)
-        add_idle_motion(reading, controls, fps=FRAME_RATE, rng=rng, idle=idle)
+def _idle_motion(
+    speech: Speech, shown: Float32, seeds: Seeds, idle: Idle, life: Life
+) -> TakeMotion:
+    """Motion above the mouth for the emotion that is shown [shape=(T, 5)]."""
+    voice = measure_voice(speech.activity, speech.prosody)
+    return plan_motion(voice, shown, seeds, idle, life)
 
 
-def _settings(emotion: Any, direction: Direction, curve: Any, **others: Any) -> dict[str, Any]:
+def _settings(
+    emotion: Any, direction: Direction, curve: Any, life: Life, **others: Any
+) -> dict[str, Any]:
     """Arguments of `animate`, as a take stores them."""
     return {
         "emotion": emotion_text(emotion),
         "intensity": direction.intensity,
         "intensity_curve": _name(curve),
+        "life": str(life),
+        "look_at": list(life.look_at),
         **others,
     }
 
@@ -194,7 +212,7 @@ def _name(argument: Any) -> str | None:
     return Path(argument).name if isinstance(argument, str | Path) else "in memory"
 
 
-def _curves(controls: ControlSet, values: Float32, **tracks: Float32) -> RigCurves:
+def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> RigCurves:
     return RigCurves(
         values, controls.names, fps=float(FRAME_RATE), control_set=controls.id, **tracks
     )

@@ -87,7 +87,7 @@ def animate_mesh(
     progress : callable
         Called with the share of the work that is done, 0 to 1.
     **options
-        More of `deitalk.animate`'s: intensity_curve, voice, idle, seed.
+        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, seed.
 
     Returns
     -------
@@ -289,7 +289,8 @@ def retarget_speech(
     mesh, out, landmarks
         As for `rig.retarget.retarget_files.retarget_curves`.
     **options
-        More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle, seed.
+        More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle,
+        life, look_at, seed.
 
     Returns
     -------

@@ -25,7 +25,7 @@ class Performance:
     Attributes
     ----------
     curves : RigCurves
-        The result, with the emotion weights and the applied intensity as tracks.
+        The result, with the emotion weights, the applied intensity and the head as tracks.
     neutral : RigCurves
         The neutral reading of the same speech: what intensity 0 gives.
     saliency : array [shape=(T,), range -1 to 1]
@@ -39,7 +39,8 @@ class Performance:
     timings : dict of str to float
         Seconds spent per stage.
     settings : mapping
-        Arguments: emotion, intensity, intensity_curve, idle, seed, raw, actor.
+        Arguments: emotion, intensity, intensity_curve, voice, idle, life, look_at, seed, raw,
+        actor.
     model : str
         Name or folder of the model; empty for a loaded model.
     """
@@ -59,6 +60,11 @@ class Performance:
         """Whether any frame is other than neutral."""
         emotion = self.curves.emotion
         return emotion is not None and bool((emotion[:, 0] < 1).any())
+
+    @property
+    def head(self) -> Float32 | None:
+        """Turn and shift of the head [shape=(T, 6)], see `rig.curves.HEAD`; None if it is off."""
+        return self.curves.head
 
     @property
     def mean_intensity(self) -> float:

@@ -30,7 +30,7 @@ from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import RIG_FILE, model_folder
-from deitalk.postprocess.blinks import IDLE_CONTROLS
+from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.distillation import start_as
@@ -319,4 +319,4 @@ def _learnt(config: FinetuneConfig, controls: ControlSet) -> Bool:
     """Controls to train [shape=(C,)]: no blinks and gaze where a rule adds them."""
     is_added = config.rules.idle is not None
     names = controls.names
-    return np.array([not (is_added and any(p in n for p in IDLE_CONTROLS)) for n in names], bool)
+    return np.array([not (is_added and any(p in n for p in ADDED_CONTROLS)) for n in names], bool)

@@ -14,7 +14,7 @@ JawOpen: lips meet and do not cross.
 """
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -26,14 +26,15 @@ from rig.arrays import Float32
 from rig.controls import Control, ControlSet
 from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.curves import RigCurves
-from rig.errors import ControlError, CurveError
+from rig.errors import ControlError
 
 ARKIT_ID = "arkit-61"
 HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
 ROTATION_LIMIT = 3.2
 """Rotations are radians, within half a turn."""
-HEAD_DEGREES = {"HeadYaw": -50.0, "HeadPitch": 50.0, "HeadRoll": 50.0}
-"""Turn of the head for a value of 1 in Unreal's face blueprint, degrees."""
+HEAD_DEGREES = (-50.0, 50.0, 50.0)
+"""Turn of the head for a value of 1 in Unreal's face blueprint, degrees of a head track: its
+animation turns by 50 times a value, the yaw negated, so that a value is nearly one radian."""
 GAZE_SIDE_DEGREES, GAZE_UP_DEGREES, GAZE_DOWN_DEGREES = 40.0, 30.0, 40.0
 """Turn of an eye for a raw look curve at 1 (mh4 rig)."""
 LIPS_TOGETHER = tuple(f"{PREFIX}mouthLipsTogether{half}" for half in ("UL", "UR", "DL", "DR"))
@@ -91,7 +92,8 @@ def udp_order() -> NDArray[np.intp]:
 def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     """Convert ARKit shapes to raw curves as Unreal does: sum of poses, clamped to [0, 1].
 
-    Head and eye rotations move no raw curve (the look shapes carry the gaze) and are left out.
+    Head and eye rotations move no raw curve: the head's become the head track, the look shapes
+    carry the gaze.
 
     Parameters
     ----------
@@ -118,7 +120,8 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     ratio = np.where(jaw > SMALLEST_JAW, share, 0)
     values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
     values = np.clip(values, 0, 1)
-    return replace(shapes, values=values, names=raw.names, control_set=RAW_ID)
+    head = _head_track(shapes)
+    return replace(shapes, values=values, names=raw.names, control_set=RAW_ID, head=head)
 
 
 def raw_curves_of_shapes(names: Iterable[str]) -> set[str]:
@@ -130,15 +133,13 @@ def raw_curves_of_shapes(names: Iterable[str]) -> set[str]:
     return {raw.names[i] for i in np.flatnonzero(moved)} | set(together)
 
 
-def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = None) -> ArkitFit:
-    """Fit ARKit shapes to raw curves.
+def raw_to_arkit(curves: RigCurves) -> ArkitFit:
+    """Fit ARKit shapes to raw curves; the head track becomes the head's rotations.
 
     Parameters
     ----------
     curves : RigCurves
         Raw curves; those that are absent rest.
-    head : array [shape=(T, 3)], optional
-        Yaw, pitch and roll of the head in degrees, as Unreal's face blueprint turns it.
 
     Returns
     -------
@@ -148,8 +149,6 @@ def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = Non
     ------
     ControlError
         If the curves are not raw curves.
-    CurveError
-        If `head` has another shape or a value is not finite.
     """
     if curves.control_set != RAW_ID:
         raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
@@ -161,8 +160,8 @@ def raw_to_arkit(curves: RigCurves, head: Sequence[Sequence[float]] | None = Non
     together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
     _turn_eyes(values, raw)
-    if head is not None:
-        _turn_head(values, np.asarray(head, np.float32))
+    if raw.head is not None:
+        values[:, arkit.indices(HEAD)] = raw.head[:, : len(HEAD)] / np.array(HEAD_DEGREES)
     fitted = replace(raw, values=values, names=arkit.names, control_set=ARKIT_ID)
     missed = arkit_to_raw(fitted).values - raw.values
     total = float(np.square(moved, dtype=np.float64).sum())
@@ -231,14 +230,12 @@ def _turn_eyes(values: Float32, raw: RigCurves) -> None:
         values[:, arkit.index(f"{side}EyePitch")] = np.radians(pitch)
 
 
-def _turn_head(values: Float32, degrees: Float32) -> None:
-    if degrees.shape != (len(values), 3) or not np.isfinite(degrees).all():
-        raise CurveError(
-            f"head rotations of shape {degrees.shape} must be {(len(values), 3)} finite degrees: "
-            "yaw, pitch, roll"
-        )
-    for column, name in enumerate(HEAD):
-        values[:, arkit_controls().index(name)] = degrees[:, column] / HEAD_DEGREES[name]
+def _head_track(shapes: RigCurves) -> Float32 | None:
+    """The head track of curves, or that of their rotations, if the head turns at all."""
+    turns = shapes.values[:, arkit_controls().indices(HEAD)]
+    if shapes.head is not None or not turns.any():
+        return shapes.head
+    return np.pad(turns * np.array(HEAD_DEGREES, np.float32), ((0, 0), (0, 3)))
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from rig.curves.rig_curves import (
     EMOTIONS,
+    HEAD,
     RigCurves,
     check_clip,
     concatenate,
@@ -14,6 +15,7 @@ from rig.curves.rig_curves import (
 
 __all__ = [
     "EMOTIONS",
+    "HEAD",
     "RigCurves",
     "check_clip",
     "concatenate",

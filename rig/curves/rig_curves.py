@@ -19,6 +19,10 @@ from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
 
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
 """Column order of the emotion track."""
+HEAD = ("yaw", "pitch", "roll", "x", "y", "z")
+"""Column order of the head track: turn to the character's right, up, and to the right shoulder in
+degrees, the signs of Unreal's rotators; shift to the character's left, up and forward in cm."""
+HEAD_MIRROR = (-1.0, 1.0, -1.0, -1.0, 1.0, 1.0)
 NTSC_FILM = 24000 / 1001
 NTSC = 30000 / 1001
 NTSC_DOUBLE = 60000 / 1001
@@ -44,6 +48,8 @@ class RigCurves:
         Weights in the order of `EMOTIONS`.
     intensity : array [shape=(T,), >= 0], optional
         Applied emotional intensity, no unit.
+    head : array [shape=(T, 6)], optional
+        Turn and shift of the head in the order of `HEAD`, degrees and cm.
     control_set : str
         Id of the control set that the names belong to.
 
@@ -62,6 +68,7 @@ class RigCurves:
     emotion: Float32 | None = None
     intensity: Float32 | None = None
     control_set: str = DEFAULT_ID
+    head: Float32 | None = None
 
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
@@ -75,6 +82,7 @@ class RigCurves:
             "fps": snap_fps(self.fps),
             "emotion": _track(self.emotion, "emotion", (n_frames, len(EMOTIONS))),
             "intensity": _track(self.intensity, "intensity", (n_frames,)),
+            "head": None if self.head is None else _array(self.head, "head", (n_frames, len(HEAD))),
         }
         for field, value in tracks.items():
             object.__setattr__(self, field, value)
@@ -83,8 +91,9 @@ class RigCurves:
         return int(self.values.shape[0])
 
     def __repr__(self) -> str:
-        kept = [name for name in ("emotion", "intensity") if getattr(self, name) is not None]
-        tracks = f", with {' and '.join(kept)}" if kept else ""
+        names = list(self.tracks)
+        kept = " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+        tracks = f", with {kept}" if kept else ""
         return (
             f"<RigCurves: {len(self)} frames at {self.fps:g} fps, {self.duration:.2f} s, "
             f"{len(self.names)} controls of {self.control_set}{tracks}>"
@@ -93,6 +102,12 @@ class RigCurves:
     def __getitem__(self, name: str) -> Float32:
         """Return one control over time [shape=(T,)], by any spelling of the default board."""
         return self.values[:, self.index(name)]
+
+    @property
+    def tracks(self) -> dict[str, Float32]:
+        """The tracks there are, by name: emotion, intensity, head."""
+        found = {name: getattr(self, name) for name in ("emotion", "intensity", "head")}
+        return {name: track for name, track in found.items() if track is not None}
 
     @property
     def duration(self) -> float:
@@ -185,12 +200,13 @@ class RigCurves:
         controls = controls or default_controls()
         in_set = controls.indices(self.names)
         sources = [self.index(controls.names[i]) for i in controls.mirror_index[in_set]]
-        return replace(self, values=self.values[:, sources] * controls.mirror_sign[in_set])
+        head = None if self.head is None else self.head * np.array(HEAD_MIRROR, np.float32)
+        values = self.values[:, sources] * controls.mirror_sign[in_set]
+        return replace(self, values=values, head=head)
 
     def _with_rows(self, change: Callable[[Float32], Float32]) -> "RigCurves":
-        emotion = None if self.emotion is None else change(self.emotion)
-        intensity = None if self.intensity is None else change(self.intensity)
-        return replace(self, values=change(self.values), emotion=emotion, intensity=intensity)
+        tracks = {name: change(track) for name, track in self.tracks.items()}
+        return replace(self, values=change(self.values), **tracks)  # type: ignore[arg-type]
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -222,6 +238,7 @@ def concatenate(parts: Sequence[RigCurves]) -> RigCurves:
         values=np.concatenate([part.values for part in parts]),
         emotion=_joined([part.emotion for part in parts]),
         intensity=_joined([part.intensity for part in parts]),
+        head=_joined([part.head for part in parts]),
     )
 
 

@@ -140,8 +140,7 @@ def write_curves(
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FormatError(f"cannot write {path}: {reason}") from error
-    tracks = {"emotion": curves.emotion, "intensity": curves.intensity}
-    lost = () if chosen.has_tracks else tuple(k for k, v in tracks.items() if v is not None)
+    lost = tuple(name for name in curves.tracks if name not in chosen.tracks)
     return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost, note)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.curves import EMOTIONS, RigCurves
+from rig.curves import EMOTIONS, HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import read_json
 from rig.formats.curves_csv import DECIMALS, names_of_set
@@ -18,6 +18,8 @@ from rig.formats.decimal_text import Block, rows
 from rig.limits import CONTROLS, JSON_CURVES_BYTES
 
 SCHEMA = "deitalk.curves/1"
+COLUMNS = {"emotion": EMOTIONS, "head": HEAD}
+"""Tracks of several columns."""
 
 
 def write(path: Path, curves: RigCurves) -> None:
@@ -31,11 +33,11 @@ def write(path: Path, curves: RigCurves) -> None:
     }
     with path.open("wb") as stream:
         stream.write(json.dumps(head, indent=1, ensure_ascii=False)[:-2].encode())
-        for key, track in (("emotion", curves.emotion), ("intensity", curves.intensity)):
-            if track is not None:
-                _write_array(stream, key, track)
-        if curves.emotion is not None:
-            stream.write(b',\n "emotion_names": ' + json.dumps(EMOTIONS).encode())
+        for key, track in curves.tracks.items():
+            _write_array(stream, key, track)
+        for key, columns in COLUMNS.items():
+            if key in curves.tracks:
+                stream.write(f',\n "{key}_names": {json.dumps(columns)}'.encode())
         _write_array(stream, "values", curves.values)
         stream.write(b"\n}\n")
 
@@ -70,16 +72,15 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         raise FormatError(f"{path}: every one of 'names' must be text")
     set_id = str(_field(path, data, "control_set", str))
     names, known = names_of_set(path, set_id, names, controls)
-    _check_emotions(path, data)
+    _check_columns(path, data)
     try:
         curves = RigCurves(
             _array(path, data, "values", (0, len(names))),
             tuple(names),
             fps or float(_field(path, data, "fps", (int, float))),
-            emotion=_array(path, data, "emotion", (0, len(EMOTIONS)))
-            if "emotion" in data
-            else None,
-            intensity=_array(path, data, "intensity", (0,)) if "intensity" in data else None,
+            emotion=_track(path, data, "emotion"),
+            intensity=_track(path, data, "intensity"),
+            head=_track(path, data, "head"),
             control_set=set_id,
         )
     except (CurveError, OverflowError) as error:
@@ -135,6 +136,14 @@ def _array(
         ) from error
 
 
-def _check_emotions(path: Path, data: dict[str, Any]) -> None:
-    if "emotion" in data and data.get("emotion_names", list(EMOTIONS)) != list(EMOTIONS):
-        raise FormatError(f"{path}: 'emotion_names' must be {', '.join(EMOTIONS)}, in this order")
+def _track(path: Path, data: dict[str, Any], key: str) -> np.ndarray[Any, Any] | None:
+    """A track, if the file has it."""
+    if key not in data:
+        return None
+    return _array(path, data, key, (0, len(COLUMNS[key])) if key in COLUMNS else (0,))
+
+
+def _check_columns(path: Path, data: dict[str, Any]) -> None:
+    for key, columns in COLUMNS.items():
+        if key in data and data.get(f"{key}_names", list(columns)) != list(columns):
+            raise FormatError(f"{path}: '{key}_names' must be {', '.join(columns)}, in this order")

@@ -23,11 +23,10 @@ def write(path: Path, curves: RigCurves) -> None:
         "fps": np.array(curves.fps),
         "names": np.array(curves.names),
         "values": curves.values,
-        "emotion": curves.emotion,
-        "intensity": curves.intensity,
+        **curves.tracks,
     }
     with path.open("wb") as stream:
-        np.savez_compressed(stream, **{k: v for k, v in arrays.items() if v is not None})
+        np.savez_compressed(stream, **arrays)
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
@@ -53,6 +52,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
             rate,
             emotion=data.get("emotion"),
             intensity=data.get("intensity"),
+            head=data.get("head"),
             control_set=set_id,
         )
     except KeyError as error:

@@ -25,6 +25,7 @@ from rig.formats import (
 Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
 Writer = Callable[[Path, RigCurves], None]
 Header = tuple[str, ...]
+ALL_TRACKS = ("emotion", "intensity", "head")
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Format:
         None if the format is only written or only read.
     control_set : str, optional
         Control set of the file; curves are converted to it. None: any.
-    has_tracks : bool
-        Whether emotion and intensity are kept.
+    tracks : tuple of str
+        Names of the tracks that are kept: emotion, intensity, head.
     begins : tuple of str
         First cells (lower case) of a CSV of this format, by which it is recognised.
     note : callable, optional
@@ -57,7 +58,7 @@ class Format:
     read: Reader | None = None
     write: Writer | None = None
     control_set: str | None = None
-    has_tracks: bool = False
+    tracks: tuple[str, ...] = ()
     begins: tuple[str, ...] = ()
     note: Callable[[RigCurves], str] | None = None
 
@@ -94,7 +95,7 @@ FORMATS: tuple[Format, ...] = (
         "schema deitalk.curves/1, with tracks",
         curves_json.read,
         curves_json.write,
-        has_tracks=True,
+        tracks=ALL_TRACKS,
     ),
     Format(
         "npz",
@@ -102,7 +103,7 @@ FORMATS: tuple[Format, ...] = (
         "numpy archive, exact, with tracks",
         curves_npz.read,
         curves_npz.write,
-        has_tracks=True,
+        tracks=ALL_TRACKS,
     ),
     Format(
         "raw-csv",
@@ -128,6 +129,7 @@ FORMATS: tuple[Format, ...] = (
         livelink_csv.read,
         livelink_csv.write,
         ARKIT_ID,
+        ("head",),
         begins=("timecode", "blendshapecount"),
         note=livelink_csv.padding_note,
     ),
@@ -164,6 +166,7 @@ FORMATS: tuple[Format, ...] = (
         unreal_json.read,
         unreal_json.write,
         DEFAULT_ID,
+        ("head",),
     ),
     Format(
         "visemes",

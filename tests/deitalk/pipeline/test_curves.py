@@ -189,15 +189,37 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
     assert np.abs(acted.curves.values[70:100] - neutral[70:100]).max() > 0.05
 
 
-def test_seed_changes_eyes_only(network):
+UPPER = ("_brow_", "_eye_", "_eye.")
+
+
+@pytest.mark.parametrize("changed", ["seed", "gain"])
+def test_another_seed_or_recording_changes_eyes_and_brows_only(network, changed):
+    """A gain of a thousandth is another recording, which the network takes as the same speech."""
     speech = recording(8)
+    louder = Recording(speech.waveform * 1.001, "test", 16_000, 1)
     a = values(speech, "happy", model=network, seed=1)
-    b = values(speech, "happy", model=network, seed=2)
+    b = values(*([speech, "happy"] if changed == "seed" else [louder, "happy"]), model=network,
+               seed=2 if changed == "seed" else 1)  # fmt: skip
     names = network.controls.names
-    moved = {names[i] for i in np.flatnonzero(np.abs(a - b).max(axis=0) > 1e-6)}
+    moved = {names[i] for i in np.flatnonzero(np.abs(a - b).max(axis=0) > 1e-2)}
     assert {"CTRL_L_eye_blink.ty", "CTRL_R_eye_blink.ty"} <= moved
-    assert all("_eye" in name for name in moved)
+    assert all(any(part in name for part in UPPER) for name in moved)
     np.testing.assert_array_equal(a, values(speech, "happy", model=network, seed=1))
+
+
+def test_idle_motion_leaves_the_mouth_as_it_is(network):
+    speech = recording(4)
+    lively = animate(speech, "angry", model=network, life="brows=2,head=2,gaze=2,blinks=2")
+    still = animate(speech, "angry", model=network, idle=False)
+    names = network.controls.names
+    mouth = [i for i, name in enumerate(names) if not any(part in name for part in UPPER)]
+    np.testing.assert_array_equal(lively.curves.values[:, mouth], still.curves.values[:, mouth])
+    assert still.head is None
+    assert lively.head.shape == (120, 6)
+    assert np.ptp(lively.head[:, 1]) > 0.5
+    off = animate(speech, "angry", model=network, life="brows=0,head=0,gaze=0,blinks=0")
+    np.testing.assert_array_equal(off.curves.values, still.curves.values)
+    assert off.head is None
 
 
 def test_curves_stay_within_their_ranges_at_four_times_the_intensity(network):

@@ -34,6 +34,8 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
         "intensity_curve": None,
         "voice": None,
         "idle": True,
+        "life": "blinks=1,gaze=1,brows=1,head=1",
+        "look_at": [0.0, 0.0],
         "seed": 0,
         "raw": False,
         "actor": None,
@@ -120,7 +122,7 @@ def test_performances_print_as_one_short_line(happy, network):
     )
     assert repr(happy.curves) == (
         "<RigCurves: 45 frames at 30 fps, 1.50 s, 185 controls of metahuman-185@mh4, "
-        "with emotion and intensity>"
+        "with emotion, intensity and head>"
     )
     assert repr(happy.neutral).endswith("metahuman-185@mh4>")
     sound = Recording(np.zeros(8000, np.float32), "a.wav", 44_100, 2, warnings=("quiet",))

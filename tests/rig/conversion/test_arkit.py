@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -168,12 +170,15 @@ def test_gaze_turns_the_eyes_as_in_captures():
     assert curves["RightEyePitch"][0] == pytest.approx(-np.radians(30))
 
 
-def test_head_degrees_are_those_of_the_blueprint():
-    curves = raw_to_arkit(raw(), head=[[10.0, -20.0, 5.0]]).curves
+def test_head_turns_as_unreals_blueprint_turns_it_and_back():
+    turned = replace(raw(), head=[[10.0, -20.0, 5.0, 0.0, 0.0, 0.0]])
+    curves = raw_to_arkit(turned).curves
     assert curves["HeadYaw"][0] * -50 == pytest.approx(10)
     assert curves["HeadPitch"][0] * 50 == pytest.approx(-20)
-    with pytest.raises(CurveError, match=r"must be \(1, 3\) finite degrees"):
-        raw_to_arkit(raw(), head=[[1.0, 2.0]])
+    assert curves["HeadRoll"][0] * 50 == pytest.approx(5)
+    columns = replace(curves, head=None)  # as a Live Link CSV holds them
+    np.testing.assert_allclose(arkit_to_raw(columns).head, turned.head, atol=1e-5)
+    assert arkit_to_raw(replace(raw_to_arkit(raw()).curves)).head is None
 
 
 def test_movement_outside_arkit_is_reported():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -195,3 +197,26 @@ def test_absent_control_is_in_the_message():
 def test_time_to_frames_rejects_times_that_are_no_numbers():
     with pytest.raises(CurveError, match="not a finite number"):
         time_to_frames(float("nan"), fps=30)
+
+
+HEAD_ROWS = np.array([[10, -5, 2, 0.1, 0.2, 0.3], [20, 5, -4, 0.3, 0.0, -0.1]], np.float32)
+
+
+def test_head_track_follows_slices_rates_and_joins():
+    curves = replace(rest_curves(2), head=HEAD_ROWS)
+    np.testing.assert_array_equal(curves.slice_frames(1).head, HEAD_ROWS[1:])
+    np.testing.assert_allclose(curves.resample(60).head[1], HEAD_ROWS.mean(axis=0), rtol=1e-6)
+    np.testing.assert_array_equal(concatenate([curves, curves]).head[2:], HEAD_ROWS)
+    assert concatenate([curves, rest_curves(2)]).head is None
+    assert list(curves.tracks) == ["head"]
+
+
+def test_mirrored_head_turns_to_the_other_side():
+    mirrored = replace(rest_curves(2), head=HEAD_ROWS).mirror().head
+    np.testing.assert_allclose(mirrored[0], [-10, -5, -2, -0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("head", [np.zeros((2, 3)), np.full((2, 6), np.nan), np.zeros((3, 6))])
+def test_head_track_rejects_other_shapes_and_nan(head):
+    with pytest.raises(CurveError, match="head"):
+        replace(rest_curves(2), head=head)

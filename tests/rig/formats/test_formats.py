@@ -34,6 +34,8 @@ def curves_of_any_kind(draw):
         tracks["emotion"] = unit[:, :5]
     if draw(st.booleans()):
         tracks["intensity"] = 2 * unit[:, 9]
+    if draw(st.booleans()):
+        tracks["head"] = 40 * unit[:, 10:16] - 20
     fps = draw(st.sampled_from([24, 25, 29.97, 30, 50, 59.94, 60, 33.3]))
     return RigCurves(values, CONTROLS.names, fps, **tracks)
 
@@ -49,16 +51,14 @@ def test_round_trip_keeps_values_names_rate_and_tracks(suffix, curves, tmp_path_
     assert (back.names, back.control_set) == (curves.names, curves.control_set)
     if len(curves) > 1 or suffix != "csv":
         assert back.fps == pytest.approx(curves.fps, rel=1e-9)
-    present = [k for k in ("emotion", "intensity") if getattr(curves, k) is not None]
     if suffix == "csv":
-        assert list(report.dropped) == present
-        assert back.emotion is None and back.intensity is None
+        assert list(report.dropped) == list(curves.tracks)
+        assert not back.tracks
     else:
         assert report.dropped == ()
-        for track in ("emotion", "intensity"):
-            written, read = getattr(curves, track), getattr(back, track)
-            assert (written is None) == (read is None)
-            assert written is None or read == pytest.approx(written, abs=6e-7, rel=0)
+        assert list(back.tracks) == list(curves.tracks)
+        for name, written in curves.tracks.items():
+            assert back.tracks[name] == pytest.approx(written, abs=2e-6, rel=0)
 
 
 @given(

@@ -1,0 +1,109 @@
+"""How much of the motion above the mouth is wanted: ``brows=.8,head=1.2,blinks=1,gaze=.5``."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from deitalk.errors import DeitalkError
+from rig.errors import quoted
+
+MOST = 2.0
+FURTHEST_LOOK = 35.0
+"""Degrees; an eye turns little further."""
+
+
+@dataclass(frozen=True)
+class Life:
+    """Factors on the motion that a model's rules have; 0 is off, 1 as measured on people.
+
+    Attributes
+    ----------
+    blinks, gaze, brows, head : float, range 0 to 2
+        Of the blinks more or fewer; of the others wider or smaller.
+    look_at : tuple of float
+        Place of the listener: degrees to the character's left and up, -35 to 35.
+    """
+
+    blinks: float = 1.0
+    gaze: float = 1.0
+    brows: float = 1.0
+    head: float = 1.0
+    look_at: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(
+        cls,
+        life: "Life | Mapping[str, float] | str | None",
+        look_at: tuple[float, float] | str = (0.0, 0.0),
+    ) -> "Life":
+        """Check arguments: text, a mapping of names to factors, or None for 1 of each.
+
+        Raises
+        ------
+        DeitalkError
+            If a name is unknown, a factor is not a number from 0 to 2, or `look_at` is not two
+            numbers from -35 to 35.
+        """
+        if isinstance(life, Life):
+            return life
+        if life is None:
+            life = {}
+        if isinstance(life, str):
+            life = _parsed(life)
+        if not isinstance(life, Mapping):
+            raise DeitalkError(
+                f"life {quoted(life)} is a {type(life).__name__}; give text such as {_EXAMPLE}, or "
+                "a mapping"
+            )
+        factors = {_known(name): _factor(name, value) for name, value in life.items()}
+        return cls(**factors, look_at=_direction(look_at))
+
+    def __str__(self) -> str:
+        return ",".join(f"{name}={getattr(self, name):g}" for name in PARTS)
+
+
+PARTS = tuple(part.name for part in fields(Life) if part.name != "look_at")
+_EXAMPLE = "brows=.8,head=1.2,blinks=1,gaze=.5"
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """Names and factors of text."""
+    factors: dict[str, Any] = {}
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        name, sign, value = (part.strip() for part in pair.partition("="))
+        if not sign or name in factors:
+            raise DeitalkError(f"life {quoted(pair)}; write it as {_EXAMPLE}, each name once")
+        if not re.fullmatch(r"\d*\.?\d+|\d+\.", value):
+            raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
+        factors[name] = float(value)
+    return factors
+
+
+def _known(name: Any) -> str:
+    if name not in PARTS:
+        raise DeitalkError(f"life has no {quoted(name)}; known are {', '.join(PARTS)}")
+    return str(name)
+
+
+def _factor(name: Any, value: Any) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not (math.isfinite(value) and 0 <= value <= MOST):
+        raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
+    return float(value)
+
+
+def _direction(look_at: Any) -> tuple[float, float]:
+    """Two numbers, or text such as ``10,-5``."""
+    parts = look_at.split(",") if isinstance(look_at, str) else look_at
+    try:
+        side, up = (float(part) for part in parts)
+    except (TypeError, ValueError):
+        side = math.nan
+    if not (math.isfinite(side) and math.isfinite(up) and max(abs(side), abs(up)) <= FURTHEST_LOOK):
+        raise DeitalkError(
+            f"look_at {quoted(look_at)} must be two numbers, degrees to the character's left and "
+            f"up, -{FURTHEST_LOOK:g} to {FURTHEST_LOOK:g}, such as 10,-5"
+        )
+    return side, up

@@ -1,0 +1,146 @@
+"""Brows, lids and cheeks on the voice.
+
+- Brows rise with pitch accents, their peak 60 ms before that of the accent (Flecha-Garcia 2010);
+  brow height goes with pitch (Cave et al. 1996; Huron and Shanahan 2013) and lifts in questions
+  (Srinivasan and Massaro 2003). Not every accent brings a brow: the stronger, the more often.
+- Which muscles: the emotion decides. Accents knit brows in anger (AU4, AU7), raise the inner ones
+  in sadness (AU1, AU4), all in surprise (AU1, AU2, AU5), cheeks and lower lids in happiness (AU6)
+  (Ekman 1979; Ekman, Friesen and Hager 2002).
+- Onsets of 150 to 400 ms and slower offsets, as of spontaneous brow raises and smiles (Schmidt,
+  Cohn and Tian 2003).
+- Sides differ by 10 to 15 %, by the character and from event to event (`traits.ASYMMETRY`).
+
+An expression is held no longer as a plateau: it swells with accents and yields between them.
+
+Letters: T frames at 30 per second, S styles, K stems of control names, 2 the sides.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.emotions import EMOTIONS
+from deitalk.postprocess.life.tracks import presence, slow_noise, swell
+from deitalk.postprocess.life.traits import Traits
+from deitalk.postprocess.life.voice import Voice
+from rig import ControlSet
+from rig.arrays import Float32, Float64
+
+STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squintInner",
+         "eye_cheekRaise", "eye_blink")  # fmt: skip
+"""Controls that this moves, on both sides."""
+ACCENTS: dict[str, tuple[float, ...]] = {
+    "neutral": (0.13, 0.11, 0.0, 0.0, 0.02, 0.02, -0.03),
+    "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.08, 0.03),
+    "happy": (0.02, 0.08, 0.0, 0.0, 0.12, 0.20, 0.03),
+    "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.08, 0.04),
+    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.06, -0.16),
+}
+"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
+QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
+DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.006)
+"""Standard deviation of the slow drift of a calm face."""
+DRIFT_SECONDS = 0.9
+LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.05
+ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.15, 0.4), (0.05, 0.2), (0.45, 1.0)
+TAKEN_SHARE = (0.3, 0.6)
+"""Share of the accents with a motion: of the weakest, and more of the strongest."""
+EVENT_SIDE = 0.06
+"""Standard deviation of the difference of the sides in an event."""
+SWELL = 0.4
+"""Part of an expression that comes and goes with the accents."""
+
+
+class BrowEvents(NamedTuple):
+    """Motion of a take before the emotion decides what moves."""
+
+    accents: Float64
+    """Swells of the accents on the left and the right [shape=(T, 2), range 0 to 1]."""
+    question: Float64
+    """Swell of the questions [shape=(T,), range 0 to 1]."""
+    drift: Float64
+    """Slow noise of each stem [shape=(T, K)], control units."""
+
+
+def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEvents:
+    """Draw the motion of a take; the emotion does not matter."""
+    n_frames = voice.n_frames
+    left = np.zeros((n_frames, 2))
+    for accent in voice.accents:
+        is_taken = rng.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * accent.strength
+        peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()
+        times = (rng.uniform(*span) for span in (ATTACK_SECONDS, DECAY_SECONDS, HOLD_SECONDS))
+        shape = swell(n_frames, peak, *times)
+        height = (0.25 + 0.75 * accent.strength) * rng.uniform(0.7, 1.2)
+        uneven = traits.side + np.clip(EVENT_SIDE * rng.standard_normal(), -0.15, 0.15)
+        if is_taken:
+            sides = np.array([1 + uneven / 2, 1 - uneven / 2])
+            left += height * shape[:, None] * sides
+    question = np.zeros(n_frames)
+    for phrase in voice.phrases:
+        if phrase.is_question:
+            question += swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
+    shown = presence(n_frames)
+    drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
+    return BrowEvents(
+        traits.brow_range * (1 - np.exp(-left)) * shown[:, None],
+        np.minimum(question, 1) * shown,
+        np.asarray(DRIFT) * drift * shown[:, None],
+    )
+
+
+def move_brows(
+    curves: Float32,
+    neutral: Float32,
+    controls: ControlSet,
+    events: BrowEvents,
+    mixture: Float32,
+    side: float,
+    amount: float,
+) -> None:
+    """Add the motion to curves, in place; nothing at an amount of 0.
+
+    Controls approach the end of their range and do not reach it: a motion of m takes the share m
+    of what is left.
+
+    Parameters
+    ----------
+    curves : array [shape=(T, C)]
+        Changed.
+    neutral : array [shape=(T, C)]
+        The neutral reading, without this motion; may be the same array as `curves`.
+    controls : ControlSet
+        Columns.
+    events : BrowEvents
+        From `plan_brows`.
+    mixture : array [shape=(T, S)]
+        Emotion shown at each frame: weights times intensity. With 0 the neutral reading gets the
+        same motion as a neutral take.
+    side : float
+        How much stronger the left side is, of an expression that is held.
+    amount : float
+        Factor.
+    """
+    if not amount:
+        return
+    styles = np.array([ACCENTS[name] for name in EMOTIONS])
+    shares = np.concatenate([np.ones((len(curves), 1)), mixture[:, 1:]], axis=1)
+    gains = amount * (shares @ styles)
+    calm = amount * (events.question[:, None] * np.asarray(QUESTION) + events.drift)
+    for place, letter in enumerate("LR"):
+        swells = events.accents[:, place]
+        breath = 1 + amount * SWELL * (swells - 0.4)
+        breath *= 1 + min(amount, 1) * (side, -side)[place] / 2
+        for k, stem in enumerate(STEMS):
+            column = controls.index(f"CTRL_{letter}_{stem}.ty")
+            held = neutral[:, column]
+            values = np.clip(held + (curves[:, column] - held) * breath, _least(stem), 1)
+            motion = np.clip(gains[:, k] * swells + calm[:, k], -1, 1)
+            room = np.where(motion > 0, 1 - values, values - _least(stem))
+            curves[:, column] = values + motion * room
+
+
+def _least(stem: str) -> float:
+    """Lower end of a control's range; lids widen to -1."""
+    return -1.0 if stem == "eye_blink" else 0.0

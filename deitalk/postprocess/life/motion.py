@@ -1,0 +1,122 @@
+"""Blinks, gaze, brows and head of one take.
+
+The times of all events come from the voice and the seed alone. What they move depends on the
+emotion shown, which is 0 in the neutral reading: both readings blink and look alike, and intensity
+0 gives the neutral reading with its motion.
+
+Letters: T frames at 30 per second, C controls, S styles.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deitalk.config import Idle
+from deitalk.postprocess.life.amounts import PARTS, Life
+from deitalk.postprocess.life.blinks import lid_closure, plan_blinks
+from deitalk.postprocess.life.brows import BrowEvents, move_brows, plan_brows
+from deitalk.postprocess.life.gaze import LID_SHARE, as_controls, gaze_degrees, plan_aversions
+from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.tracks import presence
+from deitalk.postprocess.life.traits import Seeds, Traits
+from deitalk.postprocess.life.voice import Voice
+from rig import ControlSet
+from rig.arrays import Float32
+from rig.controls import DEFAULT_ID
+
+ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
+"""Parts of the names of controls that blinks and gaze move, whatever the emotion."""
+MOST_SHOWN = 1.5
+"""Intensity above which accents and posture grow no more."""
+
+
+@dataclass(frozen=True)
+class TakeMotion:
+    """Motion of a take above the mouth."""
+
+    amounts: Life
+    traits: Traits
+    lids: Float32
+    """Closure of the left and the right lids [shape=(T, 2), range 0 to 1]."""
+    gaze: Float32
+    """Degrees to the character's left and up [shape=(T, 2)]."""
+    brows: BrowEvents
+    head: Float32 | None
+    """Track of the head [shape=(T, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
+    mixture: Float32
+    """Emotion shown at each frame [shape=(T, S)]."""
+
+    def move(self, curves: Float32, neutral: Float32, controls: ControlSet) -> None:
+        """Add the motion to both readings, in place; a rig other than the board stays as it is.
+
+        Parameters
+        ----------
+        curves : array [shape=(T, C)]
+            The face that is shown.
+        neutral : array [shape=(T, C)]
+            The neutral reading of the same speech.
+        controls : ControlSet
+            Names of the columns.
+        """
+        if controls.id != DEFAULT_ID:
+            return
+        calm = np.zeros_like(self.mixture)
+        for reading, mixture in ((curves, self.mixture), (neutral, calm)):
+            side, amount = self.traits.side, self.amounts.brows
+            move_brows(reading, neutral, controls, self.brows, mixture, side, amount)
+            self._move_eyes(reading, controls)
+
+    def _move_eyes(self, curves: Float32, controls: ControlSet) -> None:
+        looks = as_controls(self.gaze)
+        lowered = LID_SHARE * np.maximum(-looks[:, 1], 0)
+        for place, side in enumerate("LR"):
+            lid = controls.index(f"CTRL_{side}_eye_blink.ty")
+            closure = np.maximum(self.lids[:, place], lowered)
+            curves[:, lid] += closure * (1 - curves[:, lid])
+            for axis in (0, 1):
+                curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += looks[:, axis]
+
+
+def plan_motion(
+    voice: Voice,
+    mixture: Float32,
+    seeds: Seeds,
+    idle: Idle = Idle(),
+    life: Life = Life(),
+) -> TakeMotion:
+    """Draw the motion of a take.
+
+    Parameters
+    ----------
+    voice : Voice
+        Of the recording.
+    mixture : array [shape=(T, S)]
+        Weights of the emotions times the applied intensity.
+    seeds : Seeds
+        Of the recording and its actor.
+    idle : Idle
+        The model's own numbers.
+    life : Life
+        Factors on them, and the listener's place.
+    """
+    n_frames = voice.n_frames
+    amounts = Life(**{part: getattr(idle, part) * getattr(life, part) for part in PARTS})
+    traits = Traits.of(seeds.character())
+    rng = seeds.generator("gaze")
+    aversions = plan_aversions(voice, rng, traits.avoids)
+    gaze, shifts = gaze_degrees(n_frames, aversions, rng)
+    place = presence(n_frames)[:, None] * np.asarray(life.look_at, np.float32)
+    mixture = np.minimum(mixture, MOST_SHOWN)
+    head, turned = None, np.zeros((n_frames, 2), np.float32)
+    if amounts.head:
+        motion, posture = head_motion(voice, traits, mixture, seeds.generator("head"))
+        motion, head = amounts.head * motion, amounts.head * (motion + posture)
+        turned = motion[:, :2] * np.array([1, -1], np.float32)
+    gaze = amounts.gaze * (gaze + turned) + place
+    rng, lids = seeds.generator("blinks"), np.zeros((n_frames, 2), np.float32)
+    if amounts.blinks:
+        factor = traits.blink_interval / amounts.blinks
+        shifts = shifts if amounts.gaze else []
+        lids = lid_closure(plan_blinks(voice, rng, idle, shifts, factor), n_frames, rng)
+    brows = plan_brows(voice, traits, seeds.generator("brows"))
+    return TakeMotion(amounts, traits, lids, gaze, brows, head, mixture)

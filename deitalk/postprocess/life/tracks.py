@@ -1,0 +1,51 @@
+"""Shapes over time that the parts share: swells of events, slow noise, fades at the ends.
+
+Letters: T frames at 30 per second.
+"""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from deitalk.audio.frames import FRAME_RATE
+from rig.arrays import Float32, Float64
+
+RISE_SECONDS, FADE_SECONDS = 0.5, 0.9
+"""Motion begins at rest with a take, and comes to rest before its end."""
+STILL_SECONDS = 0.5
+"""Rest at the end, but for a take that is too short for it."""
+
+
+def swell(n_frames: int, peak: float, attack: float, decay: float, hold: float = 0.0) -> Float64:
+    """Rise to 1 at a time, hold, and fall, in raised cosines [shape=(T,), range 0 to 1].
+
+    Parameters
+    ----------
+    n_frames : int
+        T.
+    peak, attack, decay, hold : float
+        Seconds.
+    """
+    time = np.arange(n_frames) / FRAME_RATE - peak
+    rise = np.clip(1 + time / attack, 0, 1)
+    fall = np.clip(1 - (time - hold) / decay, 0, 1)
+    shape: Float64 = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
+    return shape
+
+
+def slow_noise(n_frames: int, seconds: float, rng: np.random.Generator) -> Float64:
+    """Noise of unit variance with a Gaussian spectrum [shape=(T,)]; `seconds` is the sigma."""
+    sigma = seconds * FRAME_RATE
+    margin = int(4 * sigma) + 1
+    noise = gaussian_filter1d(rng.standard_normal(n_frames + 2 * margin), sigma)
+    scaled: Float64 = noise[margin : margin + n_frames] * np.sqrt(2 * sigma * np.sqrt(np.pi))
+    return scaled
+
+
+def presence(n_frames: int) -> Float32:
+    """Share of the motion shown: 0 in the first and the last frames of a take [shape=(T,)]."""
+    time = np.arange(n_frames) / FRAME_RATE
+    left = (n_frames - 1) / FRAME_RATE - time
+    still = min(STILL_SECONDS, left[0] / 4 if n_frames else 0.0)
+    rise, fade = np.clip(time / RISE_SECONDS, 0, 1), np.clip((left - still) / FADE_SECONDS, 0, 1)
+    shape: Float32 = (rise * rise * (3 - 2 * rise) * fade * fade * (3 - 2 * fade)).astype("f4")
+    return shape

@@ -1,0 +1,86 @@
+"""Random numbers of a take, and the traits of its character.
+
+The seed of a take is the hash of its sound with the name of the actor and a number: the same
+recording of the same actor always moves alike, two recordings or two actors never do. Each part
+of the motion has its own numbers, so that one that is off changes no other.
+"""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.arrays import Float32
+
+PARTS = ("traits", "blinks", "gaze", "brows", "head")
+ASYMMETRY = 0.12
+"""How much stronger one side of a character moves than the other, at most: spontaneous faces are
+asymmetric by 10 to 15 % (Skinner and Mullen 1991; Borod et al. 1998)."""
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Sources of random numbers of one take.
+
+    Parameters
+    ----------
+    words : tuple of int
+        Hash of the sound, hash of the actor, and the caller's number.
+    """
+
+    words: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, waveform: Float32, actor: str, seed: int) -> "Seeds":
+        """Seeds of a recording [shape=(S,)] of an actor; equal arguments give equal ones."""
+        samples = np.clip(np.rint(waveform * 32767), -32768, 32767).astype("<i2")
+        return cls((_hash(samples.tobytes()), _hash(actor.encode()), seed))
+
+    def generator(self, part: str) -> np.random.Generator:
+        """Random numbers of a part of `PARTS`."""
+        return np.random.default_rng([*self.words, PARTS.index(part)])
+
+    def character(self) -> np.random.Generator:
+        """Random numbers of the actor, whatever the recording; of the take if there is none."""
+        sound, actor, seed = self.words
+        is_named = actor != _hash(b"")
+        return np.random.default_rng([0 if is_named else sound, actor, seed])
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What distinguishes one character from another.
+
+    Attributes
+    ----------
+    blink_interval : float
+        Factor on the intervals between blinks.
+    side : float, range -`ASYMMETRY` to `ASYMMETRY`
+        How much stronger the left side moves than the right.
+    brow_range, head_range : float
+        Factors on the motion of brows and head.
+    avoids : float, range -1 to 1
+        Side to which the gaze is averted more often; 1 is the character's left.
+    """
+
+    blink_interval: float = 1.0
+    side: float = 0.0
+    brow_range: float = 1.0
+    head_range: float = 1.0
+    avoids: float = 0.0
+
+    @classmethod
+    def of(cls, rng: np.random.Generator) -> "Traits":
+        """Draw the traits of a character."""
+        sign = rng.choice((-1.0, 1.0))
+        return cls(
+            blink_interval=float(np.exp(rng.normal(0, 0.15))),
+            side=float(sign * rng.uniform(0.5, 1) * ASYMMETRY),
+            brow_range=float(rng.uniform(0.88, 1.12)),
+            head_range=float(rng.uniform(0.92, 1.08)),
+            avoids=float(rng.uniform(-0.6, 0.6)),
+        )
+
+
+def _hash(data: bytes) -> int:
+    return int.from_bytes(hashlib.sha256(data).digest()[:8], "little")

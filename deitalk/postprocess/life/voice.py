@@ -1,0 +1,141 @@
+"""What of a voice moves a face above the mouth: accents, phrases, questions.
+
+Letters: T frames at 30 per second.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, median_filter
+from scipy.signal import find_peaks
+
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
+from rig.arrays import Bool, Float32, Float64
+
+JOINED_SECONDS = 0.2
+"""Pauses up to this length, such as that of a stop consonant, do not part phrases."""
+SYLLABLE_SECONDS = 0.08
+"""Sigma of the Gaussian that smooths level and pitch: about a syllable at half its height."""
+ACCENT_DISTANCE = 9
+"""Least frames from accent to accent: 0.3 s, between stressed syllables of English."""
+LEAST_PROMINENCE, FULL_PROMINENCE = 0.3, 2.0
+"""Rise above its surroundings from which a peak is an accent, and that of a full one; in standard
+deviations of a lively reading."""
+RISE_SEMITONES = 2.5
+"""Rise of the last voiced part of a phrase that marks a question (Cruttenden 1997)."""
+RISE_SECONDS = (0.5, 0.15)
+"""The end of a phrase within which it rises, and its last part."""
+
+
+class Accent(NamedTuple):
+    """A stressed syllable."""
+
+    frame: int
+    strength: float
+    """0 to 1."""
+
+
+class Phrase(NamedTuple):
+    """Speech between two pauses, frames."""
+
+    start: int
+    stop: int
+    """Past its last frame."""
+    is_question: bool
+
+
+class Voice(NamedTuple):
+    """Events of a recording."""
+
+    n_frames: int
+    prominence: Float32
+    """Level and pitch of syllables relative to the recording's mean [shape=(T,)], in standard
+    deviations of a lively reading; 0 where there is no speech."""
+    accents: tuple[Accent, ...]
+    phrases: tuple[Phrase, ...]
+
+    @property
+    def speaking(self) -> Float32:
+        """1 within phrases, else 0 [shape=(T,)]."""
+        track = np.zeros(self.n_frames, np.float32)
+        for phrase in self.phrases:
+            track[phrase.start : phrase.stop] = 1
+        return track
+
+    def pauses(self, least: float = 0.3) -> Iterator[tuple[int, int]]:
+        """Yield first frame and end of the silences of at least so many seconds."""
+        edges = [0, *(edge for phrase in self.phrases for edge in phrase[:2]), self.n_frames]
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if stop - start >= least * FRAME_RATE:
+                yield start, stop
+
+
+def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
+    """Find accents, phrases and questions.
+
+    Parameters
+    ----------
+    activity : array [shape=(T,)]
+        1 in speech, else 0.
+    prosody : Prosody
+        Of the same frames.
+
+    Returns
+    -------
+    Voice
+    """
+    speaking = np.asarray(activity) > 0.5
+    pitch = _standard(median_filter(prosody.pitch, 5), prosody.voiced, PITCH_SEMITONES)
+    level = _standard(prosody.level, prosody.active & speaking, LEVEL_DB)
+    phrases = tuple(_phrases(speaking, prosody))
+    prominence = np.where(speaking, (level + pitch) / np.sqrt(2), 0)
+    peaks, found = find_peaks(
+        np.pad(prominence, 1, constant_values=prominence.min(initial=0)),
+        distance=ACCENT_DISTANCE,
+        prominence=LEAST_PROMINENCE,
+    )
+    strengths = np.clip(found["prominences"] / FULL_PROMINENCE, 0, 1)
+    accents = [
+        Accent(int(frame), float(strength))
+        for frame, strength in zip(peaks - 1, strengths, strict=True)
+        if speaking[frame - 1]
+    ]
+    return Voice(len(speaking), prominence.astype(np.float32), tuple(accents), phrases)
+
+
+def _phrases(speaking: Bool, prosody: Prosody) -> Iterator[Phrase]:
+    edges = np.flatnonzero(np.diff(np.pad(speaking.astype(int), 1)))
+    runs: list[list[int]] = []
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if runs and start - runs[-1][1] <= JOINED_SECONDS * FRAME_RATE:
+            runs[-1][1] = stop
+        else:
+            runs.append([start, stop])
+    for start, stop in runs:
+        yield Phrase(start, stop, _rises(prosody, start, stop))
+
+
+def _rises(prosody: Prosody, start: int, stop: int) -> bool:
+    """Whether the pitch at the end of a phrase is higher than shortly before."""
+    within, last = (round(seconds * FRAME_RATE) for seconds in RISE_SECONDS)
+    voiced = start + np.flatnonzero(prosody.voiced[start:stop])
+    if len(voiced) < within:
+        return False
+    pitch = prosody.pitch[voiced[-within:]]
+    rise = np.median(pitch[-last:]) - np.median(pitch[:-last])
+    is_high = np.median(pitch[-last:]) > np.median(prosody.pitch[voiced])
+    return bool(is_high and RISE_SEMITONES < rise < 12)
+
+
+def _standard(values: Float64, known: Bool, spread: float) -> Float64:
+    """Deviation from the mean of the known frames, smoothed over a syllable."""
+    if known.sum() < 5:
+        return np.zeros(len(values))
+    sigma = SYLLABLE_SECONDS * FRAME_RATE
+    weight = gaussian_filter1d(known.astype(float), sigma, mode="constant")
+    deviation = np.clip(values - values[known].mean(), -3 * spread, 3 * spread)
+    smooth = gaussian_filter1d(np.where(known, deviation, 0.0), sigma, mode="constant")
+    standard: Float64 = smooth / (weight + 0.05) / spread
+    return standard

@@ -1,0 +1,208 @@
+"""Brows, head and the laws of all motion above the mouth."""
+
+import numpy as np
+import pytest
+
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DeitalkError
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.brows import STEMS, plan_brows
+from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.traits import Seeds, Traits
+from deitalk.postprocess.life.voice import Accent, Phrase, Voice
+from rig import default_controls
+
+CONTROLS = default_controls()
+N_FRAMES = 900
+PHRASES = tuple(Phrase(start, start + 75, start == 600) for start in range(60, 800, 90))
+STRESSED = tuple(
+    Accent(frame, 0.8) for phrase in PHRASES for frame in range(phrase.start + 8, phrase.stop, 16)
+)
+VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), STRESSED, PHRASES)
+UPPER = ("_brow_", "_eye_", "_eye.")
+
+
+def shown(emotion, strength=1.0):
+    mixture = np.zeros((N_FRAMES, len(EMOTIONS)), np.float32)
+    mixture[:, EMOTIONS.index(emotion)] = strength
+    return mixture
+
+
+def moved(emotion="neutral", strength=1.0, start=0.0, seed=0, **life):
+    """Curves of a face whose controls stand at `start` above rest, and its neutral reading."""
+    seeds = Seeds.of(np.zeros(100, np.float32), "", seed)
+    neutral = np.tile(CONTROLS.rest, (N_FRAMES, 1))
+    curves = neutral.copy()
+    upper = [i for i, name in enumerate(CONTROLS.names) if "_brow_" in name or "_eye_" in name]
+    curves[:, upper] += start
+    motion = plan_motion(VOICE, shown(emotion, strength), seeds, life=Life(**life))
+    motion.move(curves, neutral, CONTROLS)
+    return curves, neutral
+
+
+def of(curves, stem, side="L"):
+    return curves[:, CONTROLS.index(f"CTRL_{side}_{stem}.ty")]
+
+
+def test_only_brows_lids_cheeks_and_eyes_move():
+    curves, _ = moved("angry")
+    rest = np.tile(CONTROLS.rest, (N_FRAMES, 1))
+    names = {CONTROLS.names[i] for i in np.flatnonzero((curves != rest).any(axis=0))}
+    expected = {f"CTRL_{s}_{stem}.ty" for s in "LR" for stem in STEMS}
+    assert names == expected | {f"CTRL_{s}_eye.t{axis}" for s in "LR" for axis in "xy"}
+    assert np.array_equal(curves[0], rest[0])
+    assert np.array_equal(curves[-14:], rest[-14:])
+
+
+def test_intensity_0_moves_like_the_neutral_reading():
+    curves, neutral = moved("happy", strength=0.0)
+    np.testing.assert_array_equal(curves, neutral)
+    _, plain = moved("neutral")
+    np.testing.assert_array_equal(neutral, plain)
+
+
+def test_motion_that_is_off_is_absent():
+    curves, _ = moved("angry", blinks=0, gaze=0, brows=0, head=0)
+    np.testing.assert_array_equal(curves, np.tile(CONTROLS.rest, (N_FRAMES, 1)))
+    seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
+    assert plan_motion(VOICE, shown("sad"), seeds, life=Life(head=0)).head is None
+
+
+@pytest.mark.parametrize("part", ["blinks", "brows"])
+def test_a_part_that_is_off_changes_no_other(part):
+    whole, _ = moved("sad", head=0)
+    without, _ = moved("sad", head=0, **{part: 0})
+    gaze = CONTROLS.index("CTRL_L_eye.tx")
+    np.testing.assert_array_equal(whole[:, gaze], without[:, gaze])
+    kept = "brow_raiseIn" if part == "blinks" else "eye_blink"
+    difference = np.abs(of(whole, kept) - of(without, kept))
+    assert np.median(difference) < 0.02
+
+
+def test_neutral_brows_are_calm_and_alive():
+    brows = np.stack([of(moved("neutral")[0], "brow_raiseIn", side) for side in "LR"])
+    assert 0.015 < brows[:, 60:800].std() < 0.08
+    assert brows.max() < 0.3
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+def test_every_upper_region_moves_in_an_emotion(emotion):
+    curves, _ = moved(emotion, start=0.2)
+    for region in ("brow_", "eye_squintInner|eye_blink", "eye_cheekRaise"):
+        parts = region.split("|")
+        places = [i for i, n in enumerate(CONTROLS.names) if any(part in n for part in parts)]
+        assert curves[90:780, places].std(axis=0).max() > 0.02, region
+
+
+@pytest.mark.parametrize(
+    ("emotion", "stem"),
+    [("angry", "brow_down"), ("sad", "brow_raiseIn"), ("happy", "eye_cheekRaise"),
+     ("surprised", "brow_raiseOut")],
+)  # fmt: skip
+def test_emotion_decides_what_an_accent_moves(emotion, stem):
+    acted, neutral = moved(emotion)
+    gains = {other: of(moved(other)[0], stem)[90:780].mean() for other in EMOTIONS}
+    assert max(gains, key=gains.get) == emotion
+    assert of(acted, stem).max() > of(neutral, stem).max() + 0.05
+
+
+def test_brows_rise_in_150_to_400_ms_and_fall_more_slowly():
+    lone = Voice(180, np.zeros(180, np.float32), (Accent(90, 1.0),), (Phrase(30, 150, False),))
+    found = [plan_brows(lone, Traits(), np.random.default_rng(i)).accents[:, 0] for i in range(40)]
+    swells = [track for track in found if track.max() > 0.1]
+    assert len(swells) > 25
+    for track in swells:
+        peak = track.argmax()
+        rise, fall = np.flatnonzero(track > 0.02 * track.max())[[0, -1]]
+        assert peak == pytest.approx(90 - 2, abs=6)  # 60 ms before the accent, or held
+        assert 0.08 <= (peak - rise) / 30 <= 0.42
+        assert fall - peak > peak - rise
+
+
+def test_question_lifts_the_brows():
+    events = plan_brows(VOICE, Traits(), np.random.default_rng(0))
+    asked = next(phrase for phrase in PHRASES if phrase.is_question)
+    assert events.question[asked.stop - 2] > 0.9
+    assert events.question[asked.start] == 0
+
+
+def test_sides_differ_by_10_to_15_percent_of_an_event():
+    curves, _ = moved("surprised", blinks=0)
+    left, right = (of(curves, "brow_raiseOut", side)[90:780] for side in "LR")
+    assert 0.03 < np.abs(left - right).sum() / (0.5 * (left + right).sum()) < 0.25
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS)
+def test_controls_stay_in_their_ranges_at_twice_everything(emotion):
+    curves, _ = moved(emotion, 4.0, start=0.9, brows=2, gaze=2, blinks=2, head=2)
+    for stem in STEMS:
+        assert of(curves, stem).max() <= 1 + 1e-6
+        assert of(curves, stem).min() >= (-1 if stem == "eye_blink" else 0) - 1e-6
+
+
+def test_head_nods_with_accents_and_is_at_rest_at_both_ends():
+    pitch = np.zeros(N_FRAMES)
+    for seed in range(30):
+        motion, posture = head_motion(
+            VOICE, Traits(), shown("neutral"), np.random.default_rng(seed)
+        )
+        pitch += motion[:, 1] / 30
+        assert not motion[[0, -1]].any()
+        assert not posture.any()
+    frames = np.array([accent.frame for accent in STRESSED])
+    assert pitch[frames + 1].mean() < pitch[frames + 9].mean() - 0.3
+
+
+@pytest.mark.parametrize(
+    ("emotion", "column", "sign"), [("sad", 1, -1), ("angry", 5, 1), ("surprised", 5, -1)]
+)
+def test_posture_is_that_of_the_emotion(emotion, column, sign):
+    _, posture = head_motion(VOICE, Traits(), shown(emotion), np.random.default_rng(0))
+    middle = posture[200:600, column]
+    assert (sign * middle > 0.5).all()
+    assert np.abs(np.diff(posture, axis=0)).max() < 0.5
+
+
+def test_eyes_turn_against_the_head():
+    seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
+    turned = plan_motion(VOICE, shown("neutral"), seeds)
+    still = plan_motion(VOICE, shown("neutral"), seeds, life=Life(head=0))
+    compensated = turned.gaze - still.gaze
+    np.testing.assert_allclose(compensated[:, 0], turned.head[:, 0], atol=1e-4)
+    np.testing.assert_allclose(compensated[:, 1], -turned.head[:, 1], atol=1e-4)
+
+
+def test_gaze_rests_where_it_is_told():
+    seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
+    there, here = (
+        plan_motion(VOICE, shown("neutral"), seeds, life=Life(look_at=place)).gaze
+        for place in ((10.0, -5.0), (0.0, 0.0))
+    )
+    np.testing.assert_allclose((there - here)[60:800], [[10, -5]] * 740, atol=1e-4)
+    assert not (there - here)[-1].any()
+
+
+@pytest.mark.parametrize(
+    "text", ["brows=.8,head=1.2, gaze=0", {"brows": 0.8, "head": 1.2, "gaze": 0}]
+)
+def test_amounts_are_read_from_text_and_mappings(text):
+    assert Life.of(text) == Life(brows=0.8, head=1.2, gaze=0.0)
+    assert Life.of(str(Life.of(text))) == Life.of(text)
+
+
+@pytest.mark.parametrize(
+    "life",
+    ["nose=1", "brows", "brows=3", "brows=-1", "brows=nan", "brows=1,brows=1", {"head": True}, 3,
+     {"head": "1"}, "brows=1e9"],
+)  # fmt: skip
+def test_amounts_reject_other_names_and_numbers(life):
+    with pytest.raises(DeitalkError, match="life") as caught:
+        Life.of(life)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("look", ["1", "1,2,3", "a,b", (90, 0), (float("nan"), 0), None])
+def test_look_rejects_what_are_no_two_angles(look):
+    with pytest.raises(DeitalkError, match="look_at"):
+        Life.of(None, look)

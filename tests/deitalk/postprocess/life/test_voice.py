@@ -1,0 +1,78 @@
+"""Accents, phrases and questions of a made voice."""
+
+import numpy as np
+import pytest
+
+from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.voice_activity import speech_activity
+from deitalk.postprocess.life.traits import ASYMMETRY, Seeds, Traits
+from deitalk.postprocess.life.voice import measure_voice
+
+
+def buzz(pitch, level):
+    """A pulse-like voice: pitch in Hz and linear level of each sample."""
+    phase = np.cumsum(pitch / 16_000)
+    return (level * sum(np.sin(2 * np.pi * k * phase) / k for k in range(1, 12))).astype("f4")
+
+
+def voice_of(pitch, level):
+    waveform = buzz(pitch, level)
+    n_frames = len(waveform) * 30 // 16_000
+    activity = np.interp(np.arange(n_frames), np.arange(len(level)) * 30 / 16_000, level) > 0.01
+    return measure_voice(activity.astype("f4"), measure_prosody(waveform, n_frames))
+
+
+def test_accents_are_where_level_and_pitch_peak():
+    time = np.arange(4 * 16_000) / 16_000
+    stress = sum(np.exp(-(((time - at) / 0.12) ** 2)) for at in (1.0, 1.8, 2.9))
+    voice = voice_of(120 * 2 ** (stress / 3), 0.05 + 0.2 * stress)
+    strong = [accent.frame for accent in voice.accents if accent.strength > 0.3]
+    assert strong == pytest.approx([30, 54, 87], abs=2)
+
+
+@pytest.mark.parametrize(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
+def test_final_rise_is_a_question(end, is_question):
+    time = np.arange(2 * 16_000) / 16_000
+    pitch = 140 * np.interp(time, [0, 1.4, 2], [1, 0.95, end])
+    voice = voice_of(pitch, np.full(len(time), 0.1))
+    assert [phrase.is_question for phrase in voice.phrases] == [is_question]
+
+
+def test_short_gaps_do_not_part_phrases():
+    level = np.full(4 * 16_000, 0.1)
+    level[16_000 : 16_000 + 2000] = 0  # 0.125 s
+    level[40_000:48_000] = 0  # 0.5 s
+    voice = voice_of(np.full(len(level), 130.0), level)
+    assert [tuple(phrase[:2]) for phrase in voice.phrases] == [(0, 75), (90, 120)]
+    assert list(voice.pauses()) == [(75, 90)]
+    assert voice.speaking.sum() == 105
+
+
+def test_silence_has_no_events():
+    activity = speech_activity(np.zeros(32_000, np.float32))
+    voice = measure_voice(activity, measure_prosody(np.zeros(32_000, np.float32), len(activity)))
+    assert voice.accents == voice.phrases == ()
+    assert list(voice.pauses()) == [(0, 60)]
+
+
+def test_seeds_follow_sound_actor_and_number():
+    sound = np.sin(np.arange(1000, dtype=np.float32))
+    first = Seeds.of(sound, "anna", 0)
+    assert first == Seeds.of(sound.copy(), "anna", 0)
+    others = [
+        Seeds.of(sound * 0.9, "anna", 0),
+        Seeds.of(sound, "ben", 0),
+        Seeds.of(sound, "anna", 1),
+    ]
+    draws = {seeds.generator("blinks").random() for seeds in (first, *others)}
+    assert len(draws) == 4
+    assert first.generator("blinks").random() != first.generator("gaze").random()
+
+
+def test_character_is_the_same_in_two_recordings_of_an_actor():
+    sounds = [np.full(500, level, np.float32) for level in (0.1, 0.2)]
+    named = [Traits.of(Seeds.of(sound, "anna", 0).character()) for sound in sounds]
+    nobody = [Traits.of(Seeds.of(sound, "", 0).character()) for sound in sounds]
+    assert named[0] == named[1]
+    assert nobody[0] != nobody[1]
+    assert 0.5 * ASYMMETRY <= abs(named[0].side) <= ASYMMETRY
