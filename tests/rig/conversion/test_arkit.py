@@ -18,7 +18,7 @@ from rig.conversion.arkit import (
 )
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, raw_controls
-from rig.errors import ControlError, CurveError
+from rig.errors import ControlError
 
 ARKIT = arkit_controls()
 SHAPES = ARKIT.names[:52]
