@@ -17,7 +17,6 @@ Letters: T frames at 30 per second.
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import EMOTIONS
@@ -25,6 +24,7 @@ from deitalk.postprocess.life.tracks import presence, slow_noise, swell
 from deitalk.postprocess.life.traits import Traits
 from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
+from rig.curves.filters import gaussian_smooth
 
 NODS = (0.35, 1.2, 0.25)
 """Largest yaw, pitch and roll of an accent, degrees."""
@@ -151,7 +151,6 @@ def _noises(n_frames: int, count: int, seconds: float, rng: np.random.Generator)
 
 def _smooth(track: Float32 | Float64) -> Float64:
     """Smoothed over a posture's time along the frames."""
-    smooth: Float64 = gaussian_filter1d(
-        track.astype(np.float64), POSTURE_SECONDS * FRAME_RATE, axis=0, mode="nearest"
-    )
-    return smooth
+    sigma = POSTURE_SECONDS * FRAME_RATE
+    columns = [gaussian_smooth(column, sigma, "mirror") for column in track.T.astype(np.float64)]
+    return np.stack(columns, axis=1)

@@ -4,10 +4,10 @@ Letters: T frames at 30 per second.
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.frames import FRAME_RATE
 from rig.arrays import Float32, Float64
+from rig.curves.filters import gaussian_smooth
 
 RISE_SECONDS, FADE_SECONDS = 0.5, 0.9
 """Motion begins at rest with a take, and comes to rest before its end."""
@@ -36,7 +36,7 @@ def slow_noise(n_frames: int, seconds: float, rng: np.random.Generator) -> Float
     """Noise of unit variance with a Gaussian spectrum [shape=(T,)]; `seconds` is the sigma."""
     sigma = seconds * FRAME_RATE
     margin = int(4 * sigma) + 1
-    noise = gaussian_filter1d(rng.standard_normal(n_frames + 2 * margin), sigma)
+    noise = gaussian_smooth(rng.standard_normal(n_frames + 2 * margin), sigma)
     scaled: Float64 = noise[margin : margin + n_frames] * np.sqrt(2 * sigma * np.sqrt(np.pi))
     return scaled
 

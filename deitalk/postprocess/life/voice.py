@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, median_filter
-from scipy.signal import find_peaks
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64
+from rig.curves.filters import gaussian_smooth
 
 JOINED_SECONDS = 0.2
 """Pauses up to this length, such as that of a stop consonant, do not part phrases."""
@@ -20,6 +19,8 @@ SYLLABLE_SECONDS = 0.08
 """Sigma of the Gaussian that smooths level and pitch: about a syllable at half its height."""
 ACCENT_DISTANCE = 9
 """Least frames from accent to accent: 0.3 s, between stressed syllables of English."""
+SURROUNDINGS = 45
+"""Frames on either side of a peak with which it is compared."""
 LEAST_PROMINENCE, FULL_PROMINENCE = 0.3, 2.0
 """Rise above its surroundings from which a peak is an accent, and that of a full one; in standard
 deviations of a lively reading."""
@@ -87,22 +88,33 @@ def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
     Voice
     """
     speaking = np.asarray(activity) > 0.5
-    pitch = _standard(median_filter(prosody.pitch, 5), prosody.voiced, PITCH_SEMITONES)
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(prosody.pitch, 2, mode="edge"), 5)
+    pitch = _standard(np.median(near, axis=1), prosody.voiced, PITCH_SEMITONES)
     level = _standard(prosody.level, prosody.active & speaking, LEVEL_DB)
     phrases = tuple(_phrases(speaking, prosody))
     prominence = np.where(speaking, (level + pitch) / np.sqrt(2), 0)
-    peaks, found = find_peaks(
-        np.pad(prominence, 1, constant_values=prominence.min(initial=0)),
-        distance=ACCENT_DISTANCE,
-        prominence=LEAST_PROMINENCE,
-    )
-    strengths = np.clip(found["prominences"] / FULL_PROMINENCE, 0, 1)
-    accents = [
-        Accent(int(frame), float(strength))
-        for frame, strength in zip(peaks - 1, strengths, strict=True)
-        if speaking[frame - 1]
-    ]
+    accents = [accent for accent in _peaks(prominence) if speaking[accent.frame]]
     return Voice(len(speaking), prominence.astype(np.float32), tuple(accents), phrases)
+
+
+def _peaks(values: Float64) -> Iterator[Accent]:
+    """Peaks that rise enough above their surroundings, the higher of two that are near."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    tops = np.flatnonzero((values > padded[:-2]) & (values >= padded[2:]))
+    is_free = np.ones(len(values) + ACCENT_DISTANCE, bool)
+    found = []
+    for top in sorted(tops.tolist(), key=lambda frame: -values[frame]):
+        rise = min(_fall(values[top::-1][:SURROUNDINGS]), _fall(values[top:][:SURROUNDINGS]))
+        if is_free[top] and rise >= LEAST_PROMINENCE:
+            is_free[max(top - ACCENT_DISTANCE + 1, 0) : top + ACCENT_DISTANCE] = False
+            found.append(Accent(top, min(float(rise) / FULL_PROMINENCE, 1.0)))
+    yield from sorted(found)
+
+
+def _fall(values: Float64) -> float:
+    """How far values fall below the first before one exceeds it."""
+    above = np.flatnonzero(values > values[0])
+    return float(values[0] - values[: above[0] if len(above) else None].min())
 
 
 def _phrases(speaking: Bool, prosody: Prosody) -> Iterator[Phrase]:
@@ -134,8 +146,8 @@ def _standard(values: Float64, known: Bool, spread: float) -> Float64:
     if known.sum() < 5:
         return np.zeros(len(values))
     sigma = SYLLABLE_SECONDS * FRAME_RATE
-    weight = gaussian_filter1d(known.astype(float), sigma, mode="constant")
+    weight = gaussian_smooth(known.astype(float), sigma)
     deviation = np.clip(values - values[known].mean(), -3 * spread, 3 * spread)
-    smooth = gaussian_filter1d(np.where(known, deviation, 0.0), sigma, mode="constant")
+    smooth = gaussian_smooth(np.where(known, deviation, 0.0), sigma)
     standard: Float64 = smooth / (weight + 0.05) / spread
     return standard
