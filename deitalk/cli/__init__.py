@@ -32,6 +32,7 @@ from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import key, openapi, serve
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
+from deitalk.cli.study import app as study_app
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from rig.errors import UserError, one_line
@@ -67,6 +68,7 @@ app.add_typer(data_app, name="data")
 app.add_typer(corpus_app, name="corpus")
 app.add_typer(actor_app, name="actor")
 app.add_typer(model_app, name="model")
+app.add_typer(study_app, name="study")
 
 
 def _version(wanted: bool) -> None:
