@@ -59,6 +59,19 @@ class KeepContacts(Section):
     full: Share = Field(default=0.75, description="contact that is kept in full")
 
 
+class WidenSpeech(Section):
+    """The mouth opens wider in an emotion, per unit of its intensity.
+
+    Intense anger and joy of actors widen the range of the lips to 1.41 and 1.32 times the neutral
+    one; with these numbers that of the embedded head's lips is widened as far.
+    """
+
+    angry: float = Field(default=0.27, ge=-0.9, le=3)
+    happy: float = Field(default=0.18, ge=-0.9, le=3)
+    sad: float = Field(default=0.0, ge=-0.9, le=3)
+    surprised: float = Field(default=0.0, ge=-0.9, le=3)
+
+
 class LimitContactSpeed(Section):
     """Lips start to close earlier and part later."""
 
@@ -109,6 +122,7 @@ class RulesConfig(Section):
     sharpen_contacts: SharpenContacts | None = SharpenContacts()
     scale_opening: ScaleOpening | None = ScaleOpening()
     keep_contacts: KeepContacts | None = KeepContacts()
+    widen_speech: WidenSpeech | None = WidenSpeech()
     limit_contact_speed: LimitContactSpeed | None = LimitContactSpeed()
     dead_zone: DeadZone | None = DeadZone()
     gates: Gates | None = Gates()

@@ -108,7 +108,8 @@ def animate(
     )
     clock.lap("network")
     controls = network.controls
-    values = _apply_rules(Expression(controls, rules), neutral, emotional, intensities, speech)
+    expression = Expression(controls, rules)
+    values = _apply_rules(expression, neutral, emotional, weights, intensities, speech)
     head = None
     if idle and rules.idle is not None and speech.activity.any():
         shown = weights * intensities.applied[:, None]
@@ -168,6 +169,7 @@ def _apply_rules(
     rules: Expression,
     neutral: Float32,
     emotional: Float32,
+    weights: Float32,
     intensities: Intensities,
     speech: Speech,
 ) -> Float32:
@@ -176,6 +178,7 @@ def _apply_rules(
         rules.sharpen_contacts(reading)
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
     values = rules.blend(neutral, emotional, intensities.scale)
+    rules.widen_speech(values, neutral, weights, intensities.applied)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)
         rules.apply_dead_zone(reading)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.config import KeepContacts, RulesConfig
+from deitalk.emotions import EMOTIONS
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
@@ -89,6 +90,27 @@ class Expression:
             delta[:, self.seals] = np.maximum(delta[:, self.seals], 0)
         delta += neutral
         return delta
+
+    def widen_speech(
+        self, curves: Float32, neutral: Float32, weights: Float32, applied: Float32
+    ) -> None:
+        """Open the mouth wider for the emotion, in place; closed lips stay closed.
+
+        Parameters
+        ----------
+        curves, neutral : array [shape=(T, C)]
+            The blend of both readings, and the neutral one.
+        weights : array [shape=(T, 5)]
+            Emotion of each frame.
+        applied : array [shape=(T,), range 0 to 4]
+            Intensity to show; at 0 nothing changes.
+        """
+        rule = self.settings.widen_speech
+        if rule is None:
+            return
+        gains = [getattr(rule, emotion, 0.0) for emotion in EMOTIONS]
+        wider = (weights @ np.array(gains, np.float32)) * applied * (1 - self.contact(neutral))
+        curves[:, self.lively] *= 1 + wider[:, None]
 
     def sharpen_contacts(self, curves: Float32) -> None:
         """Raise likely contacts and lower unlikely ones, in place.
