@@ -5,13 +5,15 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT
+from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import Force, Identity, Json
 from deitalk.cli.paths import identity_of, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DataError
 
-app = typer.Typer(no_args_is_help=True, help="Let people compare takes of several systems, blind.")
+app = CheckedCommands(
+    no_args_is_help=True, help="Let people compare takes of several systems, blind."
+)
 
 
 @app.command()
