@@ -13,7 +13,7 @@ from api import docs_page
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
 from api.guard.middleware import Guard
 from api.messages.schemas import ProblemView
-from api.routes import animations, catalogue, health, jobs, live
+from api.routes import animations, catalogue, health, jobs, live, studio
 from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk import __version__
@@ -61,7 +61,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         separate_input_output_schemas=False,
     )
     app.state.service = service
-    for module in (animations, jobs, catalogue, health, live):
+    for module in (animations, jobs, catalogue, health, live, studio):
         app.include_router(module.router)
     app.add_api_route("/docs", docs_page.show, include_in_schema=False)
     _add_handlers(app)

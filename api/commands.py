@@ -2,6 +2,11 @@
 
 import json
 import sys
+import threading
+import time
+import urllib.request
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +18,8 @@ from api.settings import ApiKey, Settings, load_settings
 from deitalk.errors import ConfigError
 from rig.errors import quoted
 from rig.files import atomic_write
+
+LONGEST_START_SECONDS = 60
 
 
 def serve(file: Path | None, **given: Any) -> None:
@@ -29,6 +36,38 @@ def serve(file: Path | None, **given: Any) -> None:
     from api.serving import run
 
     run(settings)
+
+
+def studio(file: Path | None, *, port: int | None, opens: bool) -> None:
+    """Serve on loopback and open the studio in the user's browser once it answers.
+
+    Raises
+    ------
+    ConfigError
+        If a setting is wrong or the port is taken.
+    MissingError
+        If this installation has no page.
+    """
+    from deitalk.preview.page import check_player
+
+    check_player()
+    settings = load_settings(file, host="127.0.0.1", port=port)
+    address = f"http://127.0.0.1:{settings.port}/"
+    sys.stderr.write(f"studio at {address}\n")
+    if opens:
+        threading.Thread(target=_open, args=(address,), daemon=True).start()
+    serve(file, host=settings.host, port=settings.port)
+
+
+def _open(address: str) -> None:
+    """Open an address once the service answers, at most a minute from now."""
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    end = time.monotonic() + LONGEST_START_SECONDS
+    while time.monotonic() < end:
+        with suppress(OSError), direct.open(f"{address}readyz", timeout=5):
+            webbrowser.open(address)
+            return
+        time.sleep(0.2)
 
 
 def write_openapi(out: Path) -> None:

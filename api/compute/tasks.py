@@ -5,6 +5,7 @@ The working folder is the order's: all paths are relative and fixed (`api.comput
 
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from deitalk.pipeline.mesh import animate_mesh
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.take import write_take
 from rig.curves import RigCurves
+from rig.curves.edit import clamp, gain
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
 from rig.retarget.retarget_files import retarget_curves
@@ -33,6 +35,8 @@ Progress = Callable[[float], None]
 VIDEO_PIXELS = 960 * 720
 """Pixels of a frame of the review video."""
 NAME = "recording"
+NETWORK_SHARE = 0.1
+"""Of the progress of a video; the rest is its pictures."""
 
 
 class TooLong(Exception):
@@ -50,10 +54,16 @@ def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
-    performance = _performed(order, limits, progress)
+    is_video = options["format"] == "mp4"
+    share = NETWORK_SHARE if is_video else 1.0
+    performance = _performed(order, limits, lambda done: progress(share * done))
+    performance = _scaled(performance, options.get("gain"))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = list(performance.recording.warnings)
-    notes += _write(out, options["format"], performance, options, limits)
+    if is_video or options["format"] in ("page", "packed"):
+        _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
+    else:
+        notes += _write(out, options["format"], performance, options, limits)
     return {"file": str(out), "notes": notes, "facts": _facts(performance)}
 
 
@@ -75,6 +85,15 @@ def _drawing(options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `animate` on rules and idle motion."""
     names = ("idle", "life", "look_at", "raw", "seed")
     return {name: options[name] for name in names if name in options}
+
+
+def _scaled(performance: Performance, gains: dict[str, float] | None) -> Performance:
+    """The performance with factors on controls or regions, within their ranges."""
+    if not gains:
+        return performance
+    readings = (performance.curves, performance.neutral)
+    curves, neutral = (clamp(gain(reading, gains))[0] for reading in readings)
+    return replace(performance, curves=curves, neutral=neutral)
 
 
 def _direction(options: dict[str, Any]) -> dict[str, Any]:
@@ -121,27 +140,33 @@ def _write(
         settings = dict(performance.settings)
         _zip(write_take(folder, performance, settings=settings, model=about, fps=fps), out)
         return []
-    if name in ("mp4", "page"):
-        _preview(out, performance, fps, limits)
-        return []
     report = write_curves(out, performance.curves, format=name, fps=fps)
     return [report.note] if report.note else []
 
 
-def _preview(out: Path, performance: Performance, fps: float | None, limits: Limits) -> None:
-    from deitalk.preview.page import render_page
+def _preview(
+    out: Path, performance: Performance, order: Order, limits: Limits, progress: Progress
+) -> None:
+    """Write a video, a page, or what a page shows."""
+    from deitalk.preview.page import pack_source, render_page
     from deitalk.preview.source import PreviewSource
     from deitalk.preview.video import render_video
 
     curves, neutral = performance.curves, performance.neutral
+    fps, title = order["options"].get("fps"), order["options"].get("name") or NAME
     if fps is not None:
         curves, neutral = curves.resample(fps), neutral.resample(fps)
     if out.suffix == ".mp4" and len(curves) * VIDEO_PIXELS > limits["max_pixels"]:
         most = int(limits["max_pixels"] // VIDEO_PIXELS)
         raise TooLarge(f"the video has {len(curves)} frames; at most {most} are drawn")
     waveform = performance.recording.waveform
-    source = PreviewSource(out.stem, curves, waveform, SAMPLE_RATE, neutral.values)
-    (render_video if out.suffix == ".mp4" else render_page)(source, out)
+    source = PreviewSource(title, curves, waveform, SAMPLE_RATE, neutral.values)
+    if out.suffix == ".mp4":
+        render_video(source, out, progress=progress)
+    elif out.suffix == ".html":
+        render_page(source, out)
+    else:
+        out.write_bytes(pack_source(source))
 
 
 def _zip(folder: Path, out: Path) -> None:

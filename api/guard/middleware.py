@@ -21,7 +21,8 @@ from api.errors import MEDIA_TYPE, Problem, describe, internal_problem
 from api.guard.keys import KeyRing, Rates
 from api.settings import Settings, is_loopback
 
-OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
+STUDIO_PATH = "/"
+OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", STUDIO_PATH)
 """Answered without a key and without a count: they tell nothing about anyone's work."""
 MOST_HEADERS = 100
 HEADER_BYTES = 16 * 1024
@@ -57,7 +58,9 @@ class Guard:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                message = dict(message) | {"headers": [*message["headers"], *ADDED_HEADERS]}
+                given = {name.lower() for name, _ in message["headers"]}
+                added = [header for header in ADDED_HEADERS if header[0] not in given]
+                message = dict(message) | {"headers": [*message["headers"], *added]}
             await send(message)
 
         try:
@@ -83,7 +86,8 @@ class Guard:
             )  # fmt: skip
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         self._check_host(headers.get(b"host", ""))
-        self._check_origin(headers)
+        if scope["path"] != STUDIO_PATH:  # a link of another site may open it
+            self._check_origin(headers)
         if scope["path"] in OPEN_PATHS:
             return
         client = (scope.get("client") or ("unknown",))[0]

@@ -21,6 +21,7 @@ MEDIA_TYPES = {
     ".zip": "application/zip",
     ".mp4": "video/mp4",
     ".html": "text/html; charset=utf-8",
+    ".gz": "application/gzip",
 }
 
 
@@ -46,6 +47,7 @@ ANIMATION_FORMATS = {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
     "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720"),
     "page": OutputFormat("page", ".html", "preview page in one file, offline"),
+    "packed": OutputFormat("packed", ".packed.gz", "arrays that the studio shows, and the sound"),
 }
 MESH_FORMATS = {
     "glb": OutputFormat("glb", ".glb", "morph targets and their animation"),

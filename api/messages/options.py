@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import EmotionError
-from rig.errors import quoted
+from rig.errors import CurveError, quoted
 from rig.files.reading import load_json
 from rig.limits import SEED
 
@@ -90,6 +90,19 @@ class MotionOptions(BaseModel):
     ] = None
 
 
+class AnimationOptions(MotionOptions):
+    """The same, for curves."""
+
+    gain: Annotated[
+        str | None,
+        Field(
+            max_length=4096,
+            description="Factors on controls or regions, around rest: `brow=0.5,mouth=1.2`.",
+            examples=["brow=0.5"],
+        ),
+    ] = None
+
+
 class MeshOptions(MotionOptions):
     """The same, for a mesh."""
 
@@ -138,10 +151,32 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
         given["intensity_curve"] = curve
     elif options.intensity_curve is not None:
         given["intensity_curve"] = _keys(options.intensity_curve, folder, "intensity")
+    if "gain" in given:
+        given["gain"] = gains_of(given["gain"])
     speaker = given.get("speaker", "")
     if speaker.isascii() and speaker.isdigit():
         given["speaker"] = int(speaker)
     return given
+
+
+def gains_of(text: str) -> dict[str, float]:
+    """Return the factors of ``brow=0.5,mouth=1.2``.
+
+    Raises
+    ------
+    CurveError
+        If the text is something else.
+    """
+    gains = {}
+    for part in text.split(","):
+        name, _, factor = part.partition("=")
+        try:
+            gains[name.strip()] = float(factor)
+        except ValueError:
+            raise CurveError(
+                f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
+            ) from None
+    return gains
 
 
 def weights_of(text: str) -> dict[str, float]:

@@ -11,7 +11,13 @@ from api.guard.keys import Caller
 from api.messages import body_docs
 from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat, choose_format
 from api.messages.incoming import receive
-from api.messages.options import MeshOptions, MotionOptions, RetargetOptions, order_options
+from api.messages.options import (
+    AnimationOptions,
+    MeshOptions,
+    MotionOptions,
+    RetargetOptions,
+    order_options,
+)
 from api.messages.outgoing import answer_order
 from api.messages.schemas import JobView, ValidationView
 from api.routes.deps import AnimatorDep, ServiceDep, problems
@@ -25,12 +31,12 @@ SPEECH = ("recording", "emotion", "intensity_curve")
     "/animations",
     response_class=Response,
     responses=body_docs.answers(ANIMATION_FORMATS, JobView),
-    openapi_extra=body_docs.body(MotionOptions, SPEECH, raw=True),
+    openapi_extra=body_docs.body(AnimationOptions, SPEECH, raw=True),
 )
 async def animations(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
     return await speech(
-        request, service, caller, "animation", MotionOptions, ANIMATION_FORMATS, "json"
+        request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json"
     )
 
 

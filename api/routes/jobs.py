@@ -13,7 +13,7 @@ from api.guard.keys import Caller
 from api.jobs.table import DONE, Job
 from api.messages import body_docs
 from api.messages.formats import ANIMATION_FORMATS
-from api.messages.options import MotionOptions
+from api.messages.options import AnimationOptions
 from api.messages.outgoing import result_headers
 from api.messages.schemas import JOB_EXAMPLE, JobsView, JobView, view_of
 from api.routes.animations import SPEECH, speech
@@ -33,12 +33,12 @@ Status = Literal["queued", "running", "done", "failed", "cancelled"]
     status_code=202,
     response_class=Response,
     responses=body_docs.answers(ANIMATION_FORMATS, JobView, at_once=False) | problems(409, 415),
-    openapi_extra=body_docs.body(MotionOptions, SPEECH, raw=True),
+    openapi_extra=body_docs.body(AnimationOptions, SPEECH, raw=True),
 )
 async def create(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""
     return await speech(
-        request, service, caller, "animation", MotionOptions, ANIMATION_FORMATS, "json",
+        request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json",
         at_once=False,
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ from deitalk.cli.paths import hold_targets
 from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
-from deitalk.cli.serve import key, openapi, serve
+from deitalk.cli.serve import key, openapi, serve, studio
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.study import app as study_app
 from deitalk.cli.train import train
@@ -60,6 +60,7 @@ app.command()(evaluate)
 app.command()(ablate)
 app.command()(benchmark)
 app.command()(serve)
+app.command()(studio)
 app.command()(openapi)
 app.command()(key)
 app.add_typer(livelink_app, name="livelink")

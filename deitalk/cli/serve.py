@@ -1,4 +1,4 @@
-"""`deitalk serve`, `openapi` and `key`: the commands of the service in `api/`.
+"""`deitalk serve`, `studio`, `openapi` and `key`: the commands of the service in `api/`.
 
 The service is built on this package, so nothing here imports it: its module is found by name when
 one of its commands runs.
@@ -34,6 +34,28 @@ def serve(
     deitalk serve --port 9000 --settings service.yaml
     """
     _commands().serve(settings, host=host, port=port)
+
+
+def studio(
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port (8000).")] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="YAML file of settings; see docs/service.md.")
+    ] = None,
+    opens: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+    ] = True,
+) -> None:
+    """Open the studio: drop a recording on a page and see the face speak.
+
+    The same service as `deitalk serve`, on this machine only; the page is at its address.
+
+    Examples
+    --------
+    deitalk studio
+
+    deitalk studio --port 9000 --no-open
+    """
+    _commands().studio(settings, port=port, opens=opens)
 
 
 def openapi(

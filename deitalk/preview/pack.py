@@ -12,8 +12,18 @@ from numpy.typing import NDArray
 KINDS = ("float32", "uint16", "uint32", "int16", "uint8")
 
 
+BEST = 9
+
+
 def pack(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
-    """Pack arrays (flattened, little-endian) and JSON-ready facts.
+    """Pack arrays and facts as `pack_bytes`, as text."""
+    return base64.b64encode(pack_bytes(arrays, facts)).decode()
+
+
+def pack_bytes(
+    arrays: dict[str, NDArray[Any]], facts: dict[str, Any], *, level: int = BEST
+) -> bytes:
+    """Pack arrays (flattened, little-endian) and JSON-ready facts; gzip of a level, 0 to 9.
 
     ::
 
@@ -32,4 +42,4 @@ def pack(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
     header = json.dumps({"facts": facts, "arrays": entries}).encode()
     head = struct.pack("<I", len(header)) + header
     head += b"\0" * (-len(head) % 8)
-    return base64.b64encode(gzip.compress(head + b"".join(blobs), 9, mtime=0)).decode()
+    return gzip.compress(head + b"".join(blobs), level, mtime=0)

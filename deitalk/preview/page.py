@@ -8,11 +8,13 @@ import base64
 import io
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deitalk.errors import MissingError
-from deitalk.preview.pack import pack
+from deitalk.preview.pack import pack, pack_bytes
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.warnings import find_warnings
 from rig.curves import EMOTIONS
@@ -25,6 +27,7 @@ from rig.files import atomic_write, check_file
 
 BUNDLE = Path(__file__).parent / "app" / "index.html"
 _SLOT = "<!--deitalk-data-->"
+_QUICK = 1
 MAX_TAKES = 2
 
 
@@ -79,6 +82,25 @@ def render_page(
     return out
 
 
+def render_studio(identity: int | str | Identity = 0) -> str:
+    """Return the page that a service shows: the player and a head, without a take.
+
+    Raises
+    ------
+    MissingError
+        If this installation has no player.
+    """
+    blocks = [_block("head", _packed_head(identity)), _block("service", "v1")]
+    return _player().replace(_SLOT, "\n".join(blocks))
+
+
+def pack_source(source: PreviewSource) -> bytes:
+    """Return the arrays of a take and its recording, for a page that is open already."""
+    arrays, facts = _take_arrays(source)
+    arrays["audio"] = np.round(np.clip(source.samples, -1, 1) * 32767).astype(np.int16)
+    return pack_bytes(arrays, facts | {"sampleRate": source.sample_rate}, level=_QUICK)
+
+
 def check_player() -> None:
     """Check that this installation has the page's player.
 
@@ -119,8 +141,12 @@ def _packed_head(identity: int | str | Identity) -> str:
 
 
 def _packed_take(source: PreviewSource) -> str:
+    return pack(*_take_arrays(source))
+
+
+def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     curves = source.curves
-    arrays = {"values": np.ascontiguousarray(curves.values, np.float32)}
+    arrays: dict[str, NDArray[Any]] = {"values": np.ascontiguousarray(curves.values, np.float32)}
     if source.neutral is not None:
         arrays["neutral"] = np.ascontiguousarray(source.neutral, np.float32)
     if curves.emotion is not None:
@@ -132,7 +158,7 @@ def _packed_take(source: PreviewSource) -> str:
         "audioSeconds": source.audio_seconds,
         "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip
-    return pack(arrays, facts)
+    return arrays, facts
 
 
 def _audio(source: PreviewSource) -> str:

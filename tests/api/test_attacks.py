@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.api.conftest import KEYS, bearer, wav
+from tests.browser import needs_player
 
 SPEECH = wav(0.6)
 TRAVERSALS = (
@@ -270,3 +271,10 @@ def test_server_is_well_after_all_this(server, client):
     for header, value in {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}.items():
         assert answer.getheader(header) == value
     assert answer.getheader("Server") is None
+
+
+def test_page_is_given_without_a_key_and_its_requests_need_one(keyed_server):
+    needs_player()
+    with keyed_server.client() as client:
+        assert client.get("/").status_code == 200
+        assert client.post("/v1/animations").status_code == 401

@@ -6,6 +6,7 @@ import { base64Bytes, type Packed, unpack } from "./data/packed";
 import { Take } from "./data/take";
 import { $, messageOf, notice } from "./dom";
 import { Player } from "./player";
+import { Studio } from "./studio/studio";
 
 const text = (id: string) => $(id)?.textContent ?? "";
 
@@ -20,10 +21,12 @@ async function loadTakes(player: Player, head: Packed): Promise<void> {
 async function start(): Promise<void> {
   const head = text("head") ? await unpack(text("head")) : undefined;
   const player = new Player(head);
+  let studio: Studio | undefined;
   if (head && text("take-0")) await loadTakes(player, head);
+  else if (head && text("service")) await (studio = new Studio(player)).restore();
   else notice("No take in this page: drop a GLB here, or make one with: deitalk preview take/ -o preview.html");
   player.layout();
-  Object.assign(window, { deitalk: { page: player, ready: true } });
+  Object.assign(window, { deitalk: { page: player, studio, ready: true } });
 }
 
 start().catch((error) => {

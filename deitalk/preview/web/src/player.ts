@@ -49,6 +49,7 @@ export class Player {
     this.transport = new Transport(this.clock, this.span, (s) => this.draw(s), { ...keys, o: () => $("open").click() });
     $("views").prepend(...VIEWS.map(([key, view, label]) => button(`${label} (${key})`, () => this.look(view))));
     $("workbench").hidden = true;
+    if (head && !document.querySelector("#take-0")) this.faces!.set([{ title: "at rest" }]);
     this.intake = this.makeIntake();
     bindIntake(this.intake);
     addEventListener("resize", () => this.layout());
@@ -81,6 +82,7 @@ export class Player {
     this.clock.load(wav, take.seconds);
     this.sound.load(wav);
     $("workbench").hidden = false;
+    $("hint").hidden = true;
     this.span.reset(take.seconds);
     this.history.reset(edit);
     this.show();
@@ -165,7 +167,8 @@ export class Player {
 
   private draw(seconds: number): void {
     const late = Number($<HTMLInputElement>("offset").value) / 1000;
-    this.faces?.show(this.faceTakes.map((take) => take.at(seconds + late)));
+    if (this.take) this.faces?.show(this.faceTakes.map((take) => take.at(seconds + late)));
+    else if (this.head) this.faces?.show([Float32Array.from(this.board.rest)]);
     this.opener.model?.show(seconds + late);
     this.sound.at(seconds);
     this.workbench?.at(seconds);

@@ -29,10 +29,12 @@ export function base64Bytes(text: string): Uint8Array {
   return bytes;
 }
 
-export async function unpack(base64: string): Promise<Packed> {
-  const stream = new Blob([base64Bytes(base64) as BlobPart])
-    .stream()
-    .pipeThrough(new DecompressionStream("gzip"));
+export function unpack(base64: string): Promise<Packed> {
+  return unpackBytes(new Blob([base64Bytes(base64) as BlobPart]));
+}
+
+export async function unpackBytes(packed: Blob): Promise<Packed> {
+  const stream = packed.stream().pipeThrough(new DecompressionStream("gzip"));
   const buffer = await new Response(stream).arrayBuffer();
   const length = new DataView(buffer).getUint32(0, true);
   const header: Header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));

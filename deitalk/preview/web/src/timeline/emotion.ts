@@ -14,13 +14,14 @@ export class EmotionLane implements PointOwner {
   private readonly lane: PointLane;
   private take?: Take;
   private selected = -1;
+  /** Called when another key has the focus, or none. */
+  onSelect: () => void = () => {};
 
   constructor(
     private readonly band: HTMLCanvasElement,
     box: SVGSVGElement,
     private readonly span: Span,
     private readonly history: History,
-    private readonly onSelect: () => void = () => {},
   ) {
     this.lane = new PointLane(box, span, this);
   }
@@ -92,7 +93,8 @@ export class EmotionLane implements PointOwner {
     this.onSelect();
   }
 
-  deselect(): void {
+  leave(to: Element | null): void {
+    if (to?.closest("#emotions")) return;
     this.selected = -1;
     this.onSelect();
   }

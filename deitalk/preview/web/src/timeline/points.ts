@@ -23,6 +23,8 @@ export interface PointOwner {
   /** The end of a drag. */
   done(): void;
   select?(index: number): void;
+  /** The focus goes elsewhere. */
+  leave?(to: Element | null): void;
   /** Steps of the arrow keys: seconds, level. */
   steps(): [number, number];
 }
@@ -78,6 +80,8 @@ export class PointLane {
       dot.setAttribute("aria-valuetext", point.label);
       dot.setAttribute("aria-label", `Point ${k + 1}`);
       dot.style.fill = point.color ?? "";
+      const x = this.x(point.time);
+      dot.style.display = x < -1 || x > this.width + 1 ? "none" : "";
     });
   }
 
@@ -102,6 +106,7 @@ export class PointLane {
     dot.addEventListener("pointerup", () => this.owner.done());
     dot.addEventListener("dblclick", () => this.remove(index));
     dot.addEventListener("focus", () => this.owner.select?.(index));
+    dot.addEventListener("blur", (event) => this.owner.leave?.(event.relatedTarget as Element | null));
     dot.addEventListener("keydown", (event) => this.key(event, index));
     this.box.append(dot);
     return dot;

@@ -1,0 +1,49 @@
+/** Records the microphone; the second press of its button ends the recording. */
+
+import { $, messageOf, notice } from "../dom";
+
+const MOST_SECONDS = 600;
+
+export function bindMicrophone(done: (recording: File) => Promise<void>): void {
+  const button = $("record"), shown = $("recorded");
+  let recorder: MediaRecorder | undefined;
+  button.addEventListener("click", () => {
+    if (recorder) recorder.stop();
+    else void start();
+  });
+
+  async function start(): Promise<void> {
+    try {
+      const stream = await navigator.mediaDevices.getUserMedia({ audio: { echoCancellation: false, noiseSuppression: false, autoGainControl: false } });
+      record(new MediaRecorder(stream), stream);
+    } catch (error) {
+      notice(`the microphone cannot be used: ${messageOf(error)}`);
+    }
+  }
+
+  function record(started: MediaRecorder, stream: MediaStream): void {
+    const parts: Blob[] = [], began = performance.now();
+    const timer = setInterval(() => {
+      const seconds = (performance.now() - began) / 1000;
+      shown.textContent = `${seconds.toFixed(1)} s`;
+      if (seconds > MOST_SECONDS) started.stop();
+    }, 100);
+    started.ondataavailable = (event) => parts.push(event.data);
+    started.onstop = () => {
+      clearInterval(timer);
+      stream.getTracks().forEach((track) => track.stop());
+      recorder = undefined;
+      label(false);
+      void done(new File(parts, "microphone.webm", { type: started.mimeType }));
+    };
+    started.start();
+    recorder = started;
+    label(true);
+  }
+
+  function label(on: boolean): void {
+    button.textContent = on ? "Stop" : "Record";
+    button.setAttribute("aria-pressed", String(on));
+    if (!on) shown.textContent = "";
+  }
+}

@@ -1,0 +1,93 @@
+/** Requests to the service that gave the page: recordings to takes and files. */
+
+import { type Edit, gainsOf } from "../data/edit";
+import { $ } from "../dom";
+
+const POLL_MS = 300;
+const KEY = "deitalk-key";
+
+/** Share that is done, 0 to 1; undefined while it is unknown. */
+export type Progress = (share?: number) => void;
+
+export interface Order {
+  recording: Blob;
+  edit: Edit;
+  /** `intensity.csv` to apply instead of the predicted intensity. */
+  intensityCsv?: string;
+  format: string;
+  name: string;
+  /** Make it a job, whose progress is known. */
+  isLong?: boolean;
+}
+
+export interface Result {
+  content: Blob;
+  notes: string[];
+  fileName: string;
+}
+
+/** Keys of emotion in the columns that `deitalk.emotions` reads. */
+export function emotionCsv(edit: Edit): string {
+  const rows = edit.keys.map((key) => `${key.time.toFixed(6)},${key.emotion},${key.strength}`);
+  return `time,emotion,strength\n${rows.join("\n")}\n`;
+}
+
+/** A name that the service takes for a file. */
+export function fileNameOf(title: string): string {
+  return title.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9 _-]+/g, "_").replace(/^[^A-Za-z0-9]+|[^A-Za-z0-9]+$/g, "").slice(0, 60) || "take";
+}
+
+export async function order(given: Order, progress: Progress, signal: AbortSignal): Promise<Result> {
+  const form = new FormData();
+  form.append("recording", given.recording, "recording");
+  form.append("emotion", new Blob([emotionCsv(given.edit)]), "emotion.csv");
+  if (given.intensityCsv) form.append("intensity_curve", new Blob([given.intensityCsv]), "intensity.csv");
+  const gains = Object.entries(gainsOf(given.edit)).map(([region, gain]) => `${region}=${gain}`);
+  if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));
+  form.append("format", given.format);
+  form.append("name", fileNameOf(given.name));
+  const path = given.isLong ? "/v1/jobs" : "/v1/animations";
+  const answer = await request(path, { method: "POST", body: form, signal });
+  return answer.status === 202 ? await finished(await answer.json(), progress, signal) : await resultOf(answer);
+}
+
+/** Wait for a job and fetch its result; without a listener any more it is cancelled. */
+async function finished(job: any, progress: Progress, signal: AbortSignal): Promise<Result> {
+  const path = `/v1/jobs/${job.id}`;
+  signal.addEventListener("abort", () => void request(`${path}/cancel`, { method: "POST" }).catch(() => {}));
+  while (job.status === "queued" || job.status === "running") {
+    progress(job.progress);
+    await new Promise((done) => setTimeout(done, POLL_MS));
+    job = await (await request(path, { signal })).json();
+  }
+  if (job.status !== "done") throw new Error(job.error?.message ?? `the job is ${job.status}`);
+  const result = await resultOf(await request(`${path}/result`, { signal }));
+  void request(path, { method: "DELETE" }).catch(() => {});
+  return result;
+}
+
+async function resultOf(answer: Response): Promise<Result> {
+  const fileName = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "")?.[1] ?? "take";
+  return { content: await answer.blob(), notes: JSON.parse(answer.headers.get("Deitalk-Notes") ?? "[]"), fileName };
+}
+
+/** A request with the key of this tab; the user is asked for one where it is needed. */
+async function request(path: string, given: RequestInit): Promise<Response> {
+  const key = sessionStorage.getItem(KEY);
+  const answer = await fetch(path, { ...given, headers: key ? { Authorization: `Bearer ${key}` } : {} });
+  if (answer.ok) return answer;
+  if (answer.status === 401 && (await askKey())) return request(path, given);
+  const problem = await answer.json().catch(() => undefined);
+  throw new Error(problem?.message ?? `the service answers ${answer.status}`);
+}
+
+async function askKey(): Promise<boolean> {
+  const dialog = $<HTMLDialogElement>("key-dialog"), field = $<HTMLInputElement>("key");
+  dialog.returnValue = "";
+  field.value = "";
+  dialog.showModal();
+  await new Promise((done) => dialog.addEventListener("close", done, { once: true }));
+  if (dialog.returnValue !== "ok" || !field.value.trim()) return false;
+  sessionStorage.setItem(KEY, field.value.trim());
+  return true;
+}

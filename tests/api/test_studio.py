@@ -1,0 +1,249 @@
+"""The studio at `/` in a browser: from a recording to edits and files, with this service alone."""
+
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from deitalk.cli import app
+from rig import read_curves
+from tests.api.conftest import wav
+from tests.browser import chromium, needs_player
+
+SECONDS = 2.0
+UNTIL_SECONDS = 60
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def speech(tmp_path_factory):
+    path = tmp_path_factory.mktemp("speech") / "my line.wav"
+    path.write_bytes(wav(SECONDS))
+    return path
+
+
+@contextmanager
+def studio(browser, server, **context):
+    """A tab of the studio; addresses of its requests and its complaints are kept."""
+    with browser.new_context(**context) as window:
+        tab = window.new_page()
+        tab.asked, tab.complaints = [], []
+        tab.on("request", lambda request: tab.asked.append(request.url))
+        tab.on("console", lambda m: m.type == "error" and tab.complaints.append(m.text))
+        tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
+        tab.goto(server.url + "/")
+        until(tab, "!!window.deitalk?.ready")
+        yield tab
+
+
+def until(tab, condition: str) -> None:
+    """Wait for a condition; the page forbids eval, which Playwright's own waiting needs."""
+    end = time.monotonic() + UNTIL_SECONDS
+    while not tab.evaluate(condition):
+        assert time.monotonic() < end, (condition, tab.inner_text("#notice"), tab.complaints)
+        time.sleep(0.05)
+
+
+DROP = """async ([name, bytes]) => {
+  const data = new DataTransfer();
+  data.items.add(new File([new Uint8Array(bytes)], name));
+  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+}"""
+
+
+def drop(tab, path) -> None:
+    tab.evaluate(DROP, [path.name, list(path.read_bytes())])
+
+
+def is_quiet(tab) -> None:
+    """Wait until the shown curves are those of the service for the edits."""
+    until(tab, "!deitalk.page.take.isBlend && deitalk.studio.isSettled")
+
+
+def seek(tab, seconds: float) -> None:
+    tab.evaluate("s => deitalk.page.seek(s)", seconds)
+
+
+def download(tab, name: str, folder):
+    with tab.expect_download() as given:
+        tab.get_by_role("button", name=name, exact=True).click()
+    path = folder / given.value.suggested_filename
+    given.value.save_as(path)
+    return path
+
+
+def command(*words) -> None:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+
+
+def edit(tab) -> None:
+    """Happy that turns to sad, twice the intensity from the middle on, half the mouth."""
+    tab.get_by_role("button", name="happy", exact=True).click()
+    seek(tab, 1.5)
+    tab.click("#add-key")
+    tab.get_by_role("button", name="sad", exact=True).click()
+    is_quiet(tab)
+    seek(tab, 0.5)
+    tab.keyboard.press("p")
+    seek(tab, 1.0)
+    tab.keyboard.press("p")
+    for _ in range(9):
+        tab.keyboard.press("ArrowUp")
+    tab.get_by_role("slider", name="Gain of mouth").fill("0.5")
+    is_quiet(tab)
+
+
+def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
+    browser, server, speech, tmp_path
+):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "deitalk.page.take?.seconds > 1")
+        tab.keyboard.press("Space")
+        late, shown = [], []
+        for _ in range(8):
+            time.sleep(0.1)
+            state = tab.evaluate(
+                "(() => { const s = deitalk.page.state(); return [s.time, s.shown]; })()"
+            )
+            late.append(abs(state[0] - state[1]))
+            shown.append(state[1])
+        assert np.median(late) <= 0.040 and max(shown) - min(shown) > 0.3
+        tab.keyboard.press("Space")
+        edit(tab)
+        exported = download(tab, "CSV", tmp_path)
+        assert exported.name == "my line.csv"
+        with tab.expect_download(
+            lambda given: given.suggested_filename == "intensity.csv"
+        ) as given:
+            tab.on("download", lambda d: d.save_as(tmp_path / d.suggested_filename))
+            tab.get_by_role("button", name="Edits", exact=True).click()
+        given.value.path()
+        until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
+        assert tab.complaints == []
+        assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
+    edits = ("--emotion", tmp_path / "emotion.csv", "--intensity-curve", tmp_path / "intensity.csv")
+    command("animate", speech, *edits, "-o", tmp_path / "plain.json")
+    command("convert", tmp_path / "plain.json", tmp_path / "scaled.csv", "--gain", "mouth=0.5")
+    expected = read_curves(tmp_path / "scaled.csv").values
+    assert np.abs(read_curves(exported).values - expected).max() <= 2e-6
+    command("animate", speech, "-o", tmp_path / "neutral.csv")
+    assert np.abs(read_curves(tmp_path / "neutral.csv").values - expected).max() > 0.05
+
+
+def test_page_is_one_script_that_reaches_this_service_only(server):
+    needs_player()
+    with server.client() as client:
+        answer = client.get("/", headers={"Sec-Fetch-Site": "cross-site"})
+    assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/html")
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "connect-src 'self' blob: data:" in policy
+    assert "script-src 'sha256-" in policy and "frame-ancestors 'none'" in policy
+    assert policy.count("unsafe") == 1  # of styles
+
+
+def shown_values(tab) -> np.ndarray:
+    return np.array(tab.evaluate("Array.from(deitalk.page.take.frame(40))"))
+
+
+@pytest.mark.slow
+def test_reload_keeps_the_session_of_each_of_two_pages(browser, server, speech):
+    with studio(browser, server) as tab:
+        other = tab.context.new_page()
+        other.complaints = []
+        other.goto(server.url + "/")
+        until(other, "!!window.deitalk?.ready")
+        for page, emotion in ((tab, "angry"), (other, "surprised")):
+            drop(page, speech)
+            until(page, "!!deitalk.page.take")
+            page.get_by_role("button", name=emotion, exact=True).click()
+            is_quiet(page)
+            page.evaluate("deitalk.page.transport.setRange([0.5, 1])")
+            seek(page, 0.7)
+            page.keyboard.press("p")
+            is_quiet(page)
+        before = [shown_values(page) for page in (tab, other)]
+        assert np.abs(before[0] - before[1]).max() > 0.05
+        time.sleep(1)
+        for page, values, emotion in zip((tab, other), before, ("angry", "surprised"), strict=True):
+            page.reload()
+            until(page, "!!window.deitalk?.ready && !!deitalk.page.take")
+            is_quiet(page)
+            assert np.abs(shown_values(page) - values).max() < 1e-6
+            edit = page.evaluate("deitalk.page.history.edit")
+            assert edit["keys"][0]["emotion"] == emotion and len(edit["points"]) == 1
+            assert page.evaluate("deitalk.page.transport.range") == [0.5, 1]
+
+
+@pytest.mark.slow
+def test_every_export_is_a_file_of_its_kind(browser, server, speech, tmp_path):
+    begins = {
+        "Live Link": b"Timecode",
+        "GLB": b"glTF",
+        "Page": b"<!doctype html>",
+        "Take": b"PK",
+        "JSON": b"{",
+    }
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        for name, begin in begins.items():
+            assert download(tab, name, tmp_path).read_bytes().startswith(begin), name
+        # the limit of pixels of this server is less than the video has
+        tab.get_by_role("button", name="Video", exact=True).click()
+        until(tab, "document.getElementById('notice').textContent.includes('at most')")
+
+
+@pytest.mark.slow
+def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, speech, tmp_path):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        tab.click("#compare")
+        until(tab, "document.querySelectorAll('#faces figure').length === 5")
+        tab.locator("#faces figcaption button", has_text="surprised").click()
+        is_quiet(tab)
+        assert "surprised" in tab.inner_text("#status")
+        values = shown_values(tab)
+        tab.click("#keep")
+        tab.get_by_role("button", name="sad", exact=True).click()
+        is_quiet(tab)
+        assert tab.locator("#faces figure").count() == 2
+        tab.click("#wipe")
+        kept = np.array(tab.evaluate("Array.from(deitalk.page.takes[1].frame(40))"))
+        assert (
+            np.abs(kept - values).max() < 1e-6 and np.abs(shown_values(tab) - values).max() > 0.05
+        )
+        tab.keyboard.press("Control+z")
+        is_quiet(tab)
+        take = download(tab, "Take", tmp_path)
+        curves = download(tab, "CSV", tmp_path)
+        tab.click("#drop-other")
+        drop(tab, curves)  # a captured reference over the curves
+        until(tab, "deitalk.page.takes.length === 2")
+        assert "(my line)" in tab.inner_text("#curves")
+        drop(tab, take)
+        until(tab, "deitalk.page.takes.length === 1")
+        assert np.abs(shown_values(tab) - values).max() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_studio_fits_a_phone_and_names_everything(browser, server, speech, scheme):
+    narrow = {"width": 390, "height": 844}
+    with studio(browser, server, viewport=narrow, color_scheme=scheme) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+        unnamed = """() => [...document.querySelectorAll("button, input, select, [role=slider], [role=group]")]
+            .filter((e) => e.checkVisibility() && !e.textContent.trim() && !e.getAttribute("aria-label")
+              && !e.getAttribute("aria-labelledby") && !e.labels?.length).map((e) => e.outerHTML)"""
+        assert tab.evaluate(unnamed) == []
