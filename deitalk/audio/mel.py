@@ -75,6 +75,12 @@ class MelSpectrogram(nn.Module):
 
         Every spectrum is taken `shift` samples later. Outside the waveform there is silence.
         """
+        mel = self.scaled(self.power(self.windows(waveform, n_spectra, first, shift)))
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)), dim=1)
+
+    def windows(self, waveform: Tensor, n_spectra: int, first: int = 0, shift: int = 0) -> Tensor:
+        """Samples (B, L, window) of the spectra; parameters as for `forward`."""
         centres = spectra_centres(first + n_spectra, self.frame_rate)[first:] + shift
         half = self.length // 2
         start = int(centres[0]) - half
@@ -84,10 +90,15 @@ class MelSpectrogram(nn.Module):
             piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0))
         )
         index = (centres - half - start).unsqueeze(1) + torch.arange(self.length)
-        frames = piece[:, index.to(piece.device)] * self.window  # (B, L, window)
-        spectrum = torch.fft.rfft(frames, self.n_fft)
+        return piece[:, index.to(piece.device)]
+
+    def power(self, windows: Tensor) -> Tensor:
+        """Mel power (B, L, F) of windows (B, L, window) of samples."""
+        spectrum = torch.fft.rfft(windows * self.window, self.n_fft)
         power = spectrum.real.square() + spectrum.imag.square()  # (B, L, bins)
-        mel = torch.log(power @ self.filters / self.length + FLOOR)
-        mel = ((mel + 6.5) / 3.5).transpose(1, 2)  # (B, F, L)
-        slope = derivative(mel)
-        return torch.stack((mel, slope, derivative(slope)), dim=1)
+        mel: Tensor = power @ self.filters / self.length
+        return mel
+
+    def scaled(self, power: Tensor) -> Tensor:
+        """Logarithm (B, F, L) of mel power (B, L, F), on the network's scale."""
+        return ((torch.log(power + FLOOR) + 6.5) / 3.5).transpose(1, 2)

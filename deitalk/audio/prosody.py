@@ -116,7 +116,18 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
     piece = waveform[max(low, 0) : high].astype(np.float64)
     piece = np.pad(piece, (max(-low, 0), high - low - max(-low, 0) - len(piece)))
-    rows = piece[(centres - centres[0])[:, None] + np.arange(WINDOW)] * np.hanning(WINDOW)
+    return measure_windows(piece[(centres - centres[0])[:, None] + np.arange(WINDOW)])
+
+
+def measure_windows(windows: Float64) -> Float64:
+    """Measures of `WINDOW` samples each (T, WINDOW).
+
+    Returns
+    -------
+    ndarray [shape=(31, T)]
+        Level, bright and dark power, pitch, periodicity and power of the bands, as in `Prosody`.
+    """
+    rows = windows * np.hanning(WINDOW)
     power = np.abs(np.fft.rfft(rows, 2 * WINDOW)) ** 2
     frequency = np.fft.rfftfreq(2 * WINDOW, 1 / SAMPLE_RATE)
     above = power[:, (frequency > 1000) & (frequency < 4000)].sum(axis=1)

@@ -151,16 +151,22 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
 def _band_levels(samples: Float32) -> Float32:
     """Power per band (T, K) in dB re full scale, not below `SILENCE_DB`."""
     n_frames = frame_count(len(samples))
+    levels = np.empty((n_frames, len(BAND_EDGES_HZ) - 1), np.float32)
+    for first in range(0, n_frames, 2048):
+        frames = np.arange(first, min(first + 2048, n_frames))
+        levels[frames] = window_levels(_windows(samples, frames))
+    return levels
+
+
+def window_levels(windows: Float32) -> Float32:
+    """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
     scale = 2 / (WINDOW * float((window**2).sum()))  # bins of one band then sum to mean square
     bins = np.ceil(np.array(BAND_EDGES_HZ) * WINDOW / SAMPLE_RATE).astype(int)
-    levels = np.empty((n_frames, len(bins) - 1), np.float32)
-    for first in range(0, n_frames, 2048):
-        frames = np.arange(first, min(first + 2048, n_frames))
-        power = np.abs(np.fft.rfft(_windows(samples, frames) * window)) ** 2 * scale
-        bands = np.add.reduceat(power[:, : bins[-1]], bins[:-1], axis=1)
-        levels[frames] = 10 * np.log10(np.maximum(bands, 10 ** (SILENCE_DB / 10)))
-    return levels
+    power = np.abs(np.fft.rfft(windows * window)) ** 2 * scale
+    bands = np.add.reduceat(power[:, : bins[-1]], bins[:-1], axis=1)
+    levels: Float32 = 10 * np.log10(np.maximum(bands, 10 ** (SILENCE_DB / 10)))
+    return levels.astype(np.float32)
 
 
 def _windows(samples: Float32, frames: Int64) -> Float32:

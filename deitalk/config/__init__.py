@@ -7,6 +7,7 @@ of networks and trainings read these classes, and the rules after the network th
 from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
 from deitalk.config.finetuning import FinetuneConfig, TuneConfig
 from deitalk.config.frontends import (
+    CausalMelConfig,
     ConformerConfig,
     DEITalkFeaturesConfig,
     KarrasConfig,

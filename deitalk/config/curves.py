@@ -2,9 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from deitalk.config.frontends import ConformerConfig, MelConfig, Wav2VecConfig
+from deitalk.config.frontends import CausalMelConfig, ConformerConfig, MelConfig, Wav2VecConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import (
     Dilation,
@@ -19,7 +19,7 @@ from rig import limits
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | Wav2VecConfig | ConformerConfig = Field(
+    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | ConformerConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
     control_set: str = Field(
@@ -60,6 +60,17 @@ class ModelConfig(Section):
     def _default_kind(cls, value: Any) -> Any:
         """A frontend without a kind is the paper's."""
         return {"kind": "wav2vec"} | value if isinstance(value, dict) else value
+
+
+    @model_validator(mode="after")
+    def _causal_ends_never(self) -> "ModelConfig":
+        """What depends on the whole clip does not go with a frontend for one that has not ended."""
+        if isinstance(self.frontend, CausalMelConfig):
+            if self.positions:
+                raise ValueError("frontend.kind causal_mel takes no positions; set positions: false")
+            if self.intensity and self.saliency_frames is None:
+                raise ValueError("frontend.kind causal_mel needs saliency_frames; 121 is 4 s")
+        return self
 
 
 class LossConfig(Section):
@@ -116,6 +127,13 @@ class DataConfig(Section):
         le=1,
         description="share of windows from clips whose lips were measured, their speakers alike",
     )
+    taught_passes: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="times that train.teacher animates every recording before training, half of "
+        "them augmented; its curves are the targets; needs a causal frontend",
+    )
     cache_gigabytes: float = Field(
         default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"
     )
@@ -157,3 +175,12 @@ class Config(Section):
     loss: LossConfig = LossConfig()
     data: DataConfig = DataConfig()
     train: TrainConfig = TrainConfig()
+
+    @model_validator(mode="after")
+    def _taught_by_a_teacher(self) -> "Config":
+        is_causal = isinstance(self.model.frontend, CausalMelConfig)
+        if self.data.taught_passes and not (is_causal and self.train.teacher):
+            raise ValueError(
+                "data.taught_passes needs train.teacher and model.frontend.kind: causal_mel"
+            )
+        return self

@@ -1,6 +1,6 @@
 """Settings of the speech frontends, one class each."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
@@ -75,6 +75,29 @@ class MelConfig(Section):
         if value > info.data.get("window_frames", value):
             raise ValueError("must not be longer than window_frames")
         return value
+
+
+class CausalMelConfig(Section):
+    """Mel spectrogram, Spec-BiLSTM and a forward LSTM with bounded look-ahead; not in the papers.
+
+    Spectra are gathered as in `MelConfig`; along time there is no backward recurrence.
+    """
+
+    kind: Literal["causal_mel"] = "causal_mel"
+    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    frame_spectra: Annotated[int, Field(ge=1, le=8)] = Field(
+        default=2, description="spectra a rig frame; 2 are 60 a second"
+    )
+    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    conv_channels: tuple[Width, Width, Width] = (16, 24, 24)
+    spec_hidden: Width = Field(default=20, description="Spec-BiLSTM units per direction")
+    spectral_size: Width = Field(default=192, description="features of one spectrum (C_spec)")
+    time_hidden: Width = Field(default=384, description="units of the forward LSTM")
+    time_layers: Recurrent = 2
+    lookahead_frames: int = Field(
+        default=2, ge=0, le=limits.WINDOW_FRAMES, description="rig frames that the LSTM runs ahead"
+    )
+    dropout: float = Field(default=0.0, ge=0, lt=1)
 
 
 class Wav2VecConfig(Section):

@@ -49,7 +49,7 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
 
 
 def _problem(item: Any) -> str:
-    kinds = ("mel", "wav2vec", "karras", "voca", "deitalk")
+    kinds = ("mel", "causal_mel", "wav2vec", "karras", "voca", "deitalk")
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":

@@ -6,6 +6,7 @@ Letters: S samples, T frames of a window (128), C controls.
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class Window(NamedTuple):
 
     waveform: Tensor
     """[shape=(S,)], level-normalised (then augmented); or features [shape=(T, D)]
-    where `FrozenFeatures` are given."""
+    where `FrozenFeatures` are given, or gathered spectra (`deitalk.data.taught`)."""
     curves: Tensor
     """[shape=(T, C)]."""
     emotion: Tensor
@@ -51,7 +52,8 @@ class Window(NamedTuple):
     known: Tensor
     """1 for controls that the clip's curves hold, else 0 [shape=(C,)]; others are at rest."""
     clean: Tensor
-    """The waveform before augmentation [shape=(S,)], for a teacher; without one [shape=(0,)]."""
+    """The waveform before augmentation [shape=(S,)], for a teacher, or the teacher's features
+    [shape=(T, D)]; without one [shape=(0,)]."""
 
 
 class Material(NamedTuple):
@@ -120,6 +122,12 @@ def load_material(clip: Clip, controls: ControlSet) -> Material:
         intensity = read_intensity(clip.intensity, times)
     waveform, unit = _waveform(str(clip.audio))
     return Material(waveform, times, values.astype(np.float16), intensity, known, unit)
+
+
+def read_waveform(path: Path) -> Float32:
+    """A recording at the normal level [shape=(S,)]."""
+    steps, unit = _waveform(str(path))
+    return steps.astype(np.float32) * np.float32(unit)
 
 
 @lru_cache(maxsize=64)

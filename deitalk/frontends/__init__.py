@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from torch import Tensor
 
 from deitalk.config import (
+    CausalMelConfig,
     ConformerConfig,
     KarrasConfig,
     MelConfig,
@@ -40,13 +41,13 @@ class Frontend(Protocol):
 
 
 def build_frontend(
-    config: MelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
+    config: MelConfig | CausalMelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
 ) -> Frontend:
     """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
-    config : MelConfig, Wav2VecConfig or ConformerConfig
+    config : MelConfig, CausalMelConfig, Wav2VecConfig or ConformerConfig
         Its class chooses the frontend.
     pretrained : bool
         Read the weights of a wav2vec 2.0 checkpoint; False reads its sizes only.
@@ -55,6 +56,10 @@ def build_frontend(
         from deitalk.frontends.mel_bilstm import MelFrontend
 
         return MelFrontend(config)
+    if isinstance(config, CausalMelConfig):
+        from deitalk.frontends.causal_mel import CausalMelFrontend
+
+        return CausalMelFrontend(config)
     if isinstance(config, ConformerConfig):
         from deitalk.frontends.conformer import ConformerFrontend
 

@@ -15,6 +15,7 @@ from safetensors.torch import save
 
 from deitalk.config import (
     AnyConfig,
+    CausalMelConfig,
     Config,
     ConformerConfig,
     DEITalkFeaturesConfig,
@@ -339,7 +340,13 @@ class Kind(NamedTuple):
 
 
 KINDS = (
-    Kind(Config, (MelConfig, Wav2VecConfig, ConformerConfig), DEITalk, _read_curves, _about_curves),
+    Kind(
+        Config,
+        (MelConfig, CausalMelConfig, Wav2VecConfig, ConformerConfig),
+        DEITalk,
+        _read_curves,
+        _about_curves,
+    ),
     Kind(SDFAConfig, (SDFAMelConfig, KarrasConfig, VocaConfig), SDFA, _read_sdfa, about_mesh),
     Kind(SDFAConfig, (DEITalkFeaturesConfig,), MeshHead, _read_mesh_head, _about_mesh_head),
 )

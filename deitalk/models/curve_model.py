@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, frame_count
-from deitalk.config import ModelConfig, RulesConfig
+from deitalk.config import CausalMelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
@@ -16,6 +16,7 @@ from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder,
 from deitalk.models.positions import dynamic_positions
 from deitalk.models.rig_decoder import RigDecoder
 from rig import ControlSet, default_controls
+from rig.errors import quoted
 
 DECODE_FRAMES = 1024
 """Rig frames decoded at once on a long clip (34 s)."""
@@ -87,6 +88,7 @@ class DEITalk(nn.Module):
                 config.classifier_size,
                 n_emotions,
                 config.saliency_frames,
+                self.is_causal,
             )
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
@@ -103,6 +105,7 @@ class DEITalk(nn.Module):
             rest=torch.tensor(self.controls.rest),
             dropout=config.dropout,
             residual=config.decoder_residual,
+            causal=self.is_causal,
         )
 
     def forward(
@@ -146,9 +149,28 @@ class DEITalk(nn.Module):
         )
 
     @property
+    def is_causal(self) -> bool:
+        """Whether frames depend on a bounded look-ahead only (`deitalk.live`)."""
+        return isinstance(self.config.frontend, CausalMelConfig)
+
+    @property
     def device(self) -> torch.device:
         """Device of the weights."""
         return next(self.parameters()).device
+
+    def actor_of(self, name: str | None) -> str:
+        """The actor whose style is wanted, or the model's first, or nobody.
+
+        Raises
+        ------
+        CheckpointError
+            If the model has no such actor.
+        """
+        actors = self.config.actors
+        if name is not None and name not in actors:
+            known = ", ".join(actors) or "none: it is of one actor, or of nobody"
+            raise CheckpointError(f"actor {quoted(name)} is unknown; the model's are {known}")
+        return name or next(iter(actors), "")
 
     def styles(self, emotion: Tensor, actor: str) -> Tensor:
         """Weights of all styles: those of the emotions, and 1 for an actor.
@@ -201,7 +223,7 @@ class DEITalk(nn.Module):
                 module.project(piece).amax(dim=0) for piece in torch.split(speech, DECODE_FRAMES)
             )
             embedding = torch.stack(list(pieces)).amax(dim=0).unsqueeze(0)
-        margin = (module.saliency_frames or 0) // 2
+        margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
         parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].unsqueeze(0), embedding)

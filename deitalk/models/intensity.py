@@ -43,6 +43,19 @@ def local_maximum(features: Tensor, frames: int) -> Tensor:
     return pooled.transpose(1, 2)
 
 
+def past_maximum(features: Tensor, frames: int, past: Tensor | None = None) -> Tensor:
+    """Largest value of every feature within the last `frames` of each frame, (B, T, E).
+
+    `past` (B, frames - 1, E) is what came before; without it nothing did.
+    """
+    x = features.transpose(1, 2)
+    if past is None:
+        x = F.pad(x, (frames - 1, 0), value=-torch.inf)
+    else:
+        x = torch.cat((past.transpose(1, 2), x), dim=2)
+    return F.max_pool1d(x, frames, stride=1).transpose(1, 2)
+
+
 def emotional_saliency(features: Tensor, embedding: Tensor) -> Tensor:
     """Cosine of every frame with the embedding around it (Eq. 5).
 
@@ -82,6 +95,8 @@ class DynamicIntensity(nn.Module):
         Frames that Eq. 5 compares with. None pools over the whole clip, as printed.
         Deviation: with a number the embedding is pooled around every frame, so that a long take
         keeps the contrast that a training window had and can be computed in chunks.
+    causal : bool
+        The number of frames ends with each frame instead of being around it.
     """
 
     def __init__(
@@ -91,9 +106,10 @@ class DynamicIntensity(nn.Module):
         classifier_size: int,
         n_emotions: int,
         saliency_frames: int | None,
+        causal: bool = False,
     ) -> None:
         super().__init__()
-        self.saliency_frames = saliency_frames
+        self.saliency_frames, self.causal = saliency_frames, causal
         self.project = nn.Linear(in_size, emotion_size)
         self.classifier = nn.Sequential(
             nn.Linear(emotion_size, classifier_size),
@@ -115,7 +131,25 @@ class DynamicIntensity(nn.Module):
             embedding = temporal_maximum(features)
         around = embedding
         if self.saliency_frames is not None:
-            around = local_maximum(features, self.saliency_frames)
+            maximum = past_maximum if self.causal else local_maximum
+            around = maximum(features, self.saliency_frames)
+        return self._compared(features, embedding, around)
+
+    def first_past(self, batch: int) -> Tensor:
+        """Features before the first frame of streams (B, saliency_frames - 1, E): none."""
+        assert self.saliency_frames is not None
+        shape = batch, self.saliency_frames - 1, self.project.out_features
+        return self.project.weight.new_full(shape, -torch.inf)
+
+    def advance(self, speech: Tensor, past: Tensor) -> tuple[Intensity, Tensor]:
+        """Map the next speech features (B, T, D) of streams; `past` is for the next call."""
+        assert self.saliency_frames is not None
+        features = self.project(speech)
+        around = past_maximum(features, self.saliency_frames, past)
+        kept = torch.cat((past, features), dim=1)[:, features.shape[1] :]
+        return self._compared(features, around[:, -1], around), kept
+
+    def _compared(self, features: Tensor, embedding: Tensor, around: Tensor) -> Intensity:
         saliency = emotional_saliency(features, around)
         strength = torch.sigmoid(4 * (F.softplus(self.slope) * saliency + self.offset))
         return Intensity(features, embedding, saliency, saliency.unsqueeze(-1) * features, strength)

@@ -29,6 +29,8 @@ class RigDecoder(nn.Module):
         Add a layer's input to its output, the first excepted (not in the paper).
     n_actors : int
         Actors whose styles are added to the emotional one; they begin at 0 (not in the paper).
+    causal : bool
+        Deviation: a frame depends on earlier ones only, for a voice that has not ended.
     """
 
     def __init__(
@@ -45,16 +47,17 @@ class RigDecoder(nn.Module):
         dropout: float = 0.0,
         residual: bool = False,
         n_actors: int = 0,
+        causal: bool = False,
     ) -> None:
         super().__init__()
         self.residual = residual
-        self.margin = receptive_margin(dilations, kernel_size)
+        self.margin = receptive_margin(dilations, kernel_size, causal=causal)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
         self.actors = nn.Linear(n_actors, style_size, bias=False) if n_actors else None
         extra = style_size + guidance_size
         widths = [in_size] + [channels] * len(dilations)
         self.layers = nn.ModuleList(
-            TemporalConv(width + extra, channels, kernel_size, dilation, dropout)
+            TemporalConv(width + extra, channels, kernel_size, dilation, dropout, causal=causal)
             for width, dilation in zip(widths, dilations, strict=False)
         )
         self.output = nn.Linear(channels, len(rest))
@@ -86,6 +89,52 @@ class RigDecoder(nn.Module):
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
+        x, extra = self._inputs(speech, emotion, guidance)
+        for i, layer in enumerate(self.layers):
+            x = self._joined(i, x, layer(torch.cat((x, extra), dim=1)))
+        return x.transpose(1, 2)
+
+    def first_past(self, batch: int) -> tuple[Tensor, ...]:
+        """What each causal layer was given before the first frame: zeros (B, channels, span)."""
+        layers = [layer for layer in self.layers if isinstance(layer, TemporalConv)]
+        return tuple(
+            layer.conv.weight.new_zeros(batch, layer.conv.in_channels, layer.span)
+            for layer in layers
+        )
+
+    def advance(
+        self, speech: Tensor, emotion: Tensor, guidance: Tensor | None, past: tuple[Tensor, ...]
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Decode the next frames of streams with causal layers.
+
+        Parameters
+        ----------
+        speech, emotion, guidance
+            As for `forward`.
+        past : tuple of Tensor
+            From `first_past`, or from the call before.
+
+        Returns
+        -------
+        curves : Tensor [shape=(B, T, C)]
+        past : tuple of Tensor
+            For the next call.
+        """
+        x, extra = self._inputs(speech, emotion, guidance)
+        kept = []
+        for i, layer in enumerate(self.layers):
+            given = torch.cat((x, extra), dim=1)
+            kept.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
+            x = self._joined(i, x, layer(given, past[i]))
+        return self.output(x.transpose(1, 2)), tuple(kept)
+
+    def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
+        return (x + out) / 2**0.5 if self.residual and i else out
+
+    def _inputs(
+        self, speech: Tensor, emotion: Tensor, guidance: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Speech (B, D, T), and what joins it before each layer (B, style + E, T)."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1).expand(-1, speech.shape[1], -1)
         n_emotions = self.style.in_features
@@ -93,9 +142,4 @@ class RigDecoder(nn.Module):
         if self.actors is not None and emotion.shape[-1] > n_emotions:
             style = style + self.actors(emotion[..., n_emotions:])
         extra = style if guidance is None else torch.cat((style, guidance), dim=-1)
-        extra = extra.transpose(1, 2)  # (B, style + E, T)
-        x = speech.transpose(1, 2)  # (B, D, T)
-        for i, layer in enumerate(self.layers):
-            out = layer(torch.cat((x, extra), dim=1))
-            x = (x + out) / 2**0.5 if self.residual and i else out
-        return x.transpose(1, 2)
+        return speech.transpose(1, 2), extra.transpose(1, 2)

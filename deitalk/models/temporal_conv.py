@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 
 class TemporalConv(nn.Module):
@@ -16,18 +18,33 @@ class TemporalConv(nn.Module):
         output at frame t depends on t-4, t and t+4; outside the clip there are zeros.
     dilation : int
     dropout : float
+    causal : bool
+        The output at frame t depends on t-8, t-4 and t instead.
+
+    Attributes
+    ----------
+    span : int
+        Frames that the kernel reaches over, besides its own.
     """
 
     def __init__(
-        self, in_channels: int, out_channels: int, kernel_size: int, dilation: int, dropout: float
+        self,
+        in_channels: int,
+        out_channels: int,
+        kernel_size: int,
+        dilation: int,
+        dropout: float,
+        *,
+        causal: bool = False,
     ) -> None:
         super().__init__()
+        self.causal, self.span = causal, dilation * (kernel_size - 1)
         self.conv = nn.Conv1d(
             in_channels,
             out_channels,
             kernel_size,
             dilation=dilation,
-            padding=dilation * (kernel_size - 1) // 2,
+            padding=0 if causal else self.span // 2,
         )
         # Paper silent: initialisation. torch's own loses 60 % of the signal per layer; after
         # eight of them only the inputs that join at every layer are left, not speech.
@@ -36,12 +53,20 @@ class TemporalConv(nn.Module):
         nn.init.zeros_(self.conv.bias)
         self.after = nn.Sequential(nn.ReLU(), nn.Dropout(dropout))
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, in_channels, T) to (B, out_channels, T)."""
+    def forward(self, x: Tensor, past: Tensor | None = None) -> Tensor:
+        """Map (B, in_channels, T) to (B, out_channels, T).
+
+        `past` (B, in_channels, span) is what a causal layer was given before; zeros without it.
+        """
+        if self.causal:
+            x = F.pad(x, (self.span, 0)) if past is None else torch.cat((past, x), dim=2)
         out: Tensor = self.after(self.conv(x))
         return out
 
 
-def receptive_margin(dilations: Sequence[int], kernel_size: int) -> int:
-    """Frames on either side that a stack of `TemporalConv` spans: 30 for 1 2 4 8 1 2 4 8, k=3."""
-    return sum(dilations) * (kernel_size - 1) // 2
+def receptive_margin(dilations: Sequence[int], kernel_size: int, *, causal: bool = False) -> int:
+    """Frames on either side that a stack of `TemporalConv` spans: 30 for 1 2 4 8 1 2 4 8, k=3.
+
+    Of causal layers, twice as many, before the frame.
+    """
+    return sum(dilations) * (kernel_size - 1) // (1 if causal else 2)

@@ -14,7 +14,6 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
-from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
@@ -27,7 +26,6 @@ from deitalk.postprocess.life.traits import Seeds
 from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
-from rig.errors import quoted
 
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
@@ -134,15 +132,6 @@ def animate(
     )
 
 
-def _actor(network: DEITalk, actor: str | None) -> str:
-    """The actor whose style is wanted, or the model's first, or nobody."""
-    actors = network.config.actors
-    if actor is not None and actor not in actors:
-        known = ", ".join(actors) or "none: it is of one actor, or of nobody"
-        raise CheckpointError(f"actor {quoted(actor)} is unknown; the model's are {known}")
-    return actor or next(iter(actors), "")
-
-
 def _read(
     network: DEITalk,
     speech: Speech,
@@ -153,7 +142,7 @@ def _read(
     progress: Callable[[float], None],
 ) -> tuple[Float32, Float32, Intensities]:
     """Neutral and emotional reading [shape=(T, C)], and intensities; the analysis is freed."""
-    name = _actor(network, actor)
+    name = network.actor_of(actor)
     analysis = network.analyse(speech.sound, speech.n_frames, progress)
 
     def decode(weights: Tensor) -> Float32:

@@ -128,15 +128,19 @@ class Expression:
         curves : array [shape=(T, C)]
             A reading as the network predicts it, 30 frames per second.
         """
+        curves[:, self.seals] = self.sharpened(curves[:, self.seals])
+
+    def sharpened(self, contacts: Float32) -> Float32:
+        """Contacts as `sharpen_contacts` raises and lowers them [shape=(T, ...)]."""
         rule = self.settings.sharpen_contacts
-        if rule is None or not len(curves) or not len(self.seals):
-            return
-        values = np.clip(curves[:, self.seals], 0, 1)
+        if rule is None or not contacts.size:
+            return contacts
+        values = np.clip(contacts, 0, 1)
         peaks: Float32 = sliding_maximum(values, PEAK_FRAMES)
         shares = np.asarray(values / np.maximum(peaks, 1e-6), np.float32)
         shoulder = np.minimum(rule.shoulder + rule.doubt * (1 - peaks), rule.sharpest)
         heights = _decided(peaks, rule.peak, rule.steepness)
-        curves[:, self.seals] = heights * _decided(shares, shoulder, rule.steepness)
+        return np.asarray(heights * _decided(shares, shoulder, rule.steepness), np.float32)
 
     def scale_opening(
         self, curves: Float32, voice: Float32, network: Float32, take: float = 0.0
@@ -177,17 +181,19 @@ class Expression:
         curves : array [shape=(T, C)]
             30 frames per second.
         """
+        curves[:, self.seals] = self.limited(curves[:, self.seals])
+
+    def limited(self, contacts: Float32) -> Float32:
+        """Contacts as `limit_contact_speed` raises them [shape=(T, ...)]; a copy."""
         rule = self.settings.limit_contact_speed
+        slow = contacts.copy()
         if rule is None:
-            return
-        for place in self.seals:
-            sharp = curves[:, place].copy()
-            for frames in range(1, int(1 / rule.step) + 1):
-                reach = frames * rule.step
-                curves[frames:, place] = np.maximum(curves[frames:, place], sharp[:-frames] - reach)
-                curves[:-frames, place] = np.maximum(
-                    curves[:-frames, place], sharp[frames:] - reach
-                )
+            return slow
+        for frames in range(1, int(1 / rule.step) + 1):
+            lower = contacts - np.float32(frames * rule.step)
+            slow[frames:] = np.maximum(slow[frames:], lower[:-frames])
+            slow[:-frames] = np.maximum(slow[:-frames], lower[frames:])
+        return slow
 
     def contact(self, neutral: Float32) -> Float32:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""

@@ -32,7 +32,7 @@ def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     """
     since, until = _distances(activity)
     closing, opening = gates.mouth_closes + 1, gates.mouth_opens + 1
-    return np.maximum(_fade(since / closing), _fade(until / opening))
+    return np.maximum(fade(since / closing), fade(until / opening))
 
 
 def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
@@ -52,14 +52,14 @@ def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     array [shape=(T,), range 0 to 1]
     """
     since, until = _distances(activity)
-    fading = _fade((since - gates.expression_holds) / gates.expression_fades)
-    gate = np.maximum(fading, _fade(until / (gates.expression_rises + 1)))
+    fading = fade((since - gates.expression_holds) / gates.expression_fades)
+    gate = np.maximum(fading, fade(until / (gates.expression_rises + 1)))
     if len(gate) and 0 < since[-1] < gates.expression_holds + gates.expression_fades:
         trailing = int(since[-1])
         depth = np.clip((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END), 0, 1)
         held = max(trailing - gates.expression_fades, trailing // 4)
         progress = (np.arange(1, trailing + 1) - held) / (trailing - held)
-        gate[-trailing:] = 1 - depth * (1 - _fade(progress))
+        gate[-trailing:] = 1 - depth * (1 - fade(progress))
     return gate
 
 
@@ -72,7 +72,7 @@ def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
     return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
 
 
-def _fade(progress: AnyFloat) -> Float32:
+def fade(progress: AnyFloat) -> Float32:
     """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
     faded: Float32 = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
     return faded

@@ -63,7 +63,7 @@ def voice_intensity(
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return network
-    z = _smoothed(_deviation(network), speaking)
+    z = _smoothed(deviation(network), speaking)
     z -= z[speaking].mean()  # labels of training have one mean per take
     z += rule.index_weight * prosody_index(prosody) + take
     corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
@@ -86,7 +86,7 @@ def take_z(strength: float, rule: VoiceIntensity = VoiceIntensity()) -> float:
     return MOST_TAKE * float(np.tanh(rule.strength_weight * strength / MOST_TAKE))
 
 
-def _deviation(intensity: Float32) -> Float64:
+def deviation(intensity: Float32) -> Float64:
     """Standard deviations from the usual intensity; inverse of the curve of the labels."""
     share = np.clip((intensity.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
     z: Float64 = np.log(share / (1 - share)) / STEEPNESS

@@ -16,7 +16,8 @@ from deitalk.config import Config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
-from deitalk.data.seeded_batches import Share
+from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.taught import TaughtBatches, one_clip_each, write_pass
 from deitalk.data.windows import Window, WindowBatches, count_windows
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import (
@@ -27,6 +28,7 @@ from deitalk.evaluation.validation import (
     predict,
 )
 from deitalk.figures.validation import ClipRows, Row
+from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
@@ -116,6 +118,7 @@ class CurveTask(Task[Window]):
     ) -> None:
         self.config, self.start_from = config, start_from
         self.frozen_features = frozen_features
+        self.taught: list[list[Clip]] = []
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
         self.clips = read_clips(data, "train")
@@ -142,24 +145,55 @@ class CurveTask(Task[Window]):
         self._loss = CurveLoss(config.loss, controls, device, taught)
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
+        if teacher is not None and config.data.taught_passes:
+            self._teach(teacher)
+
+    def read(self, out: Path) -> None:
+        """Remember where recordings that the teacher animates are kept."""
+        self.out = out
+
+    def _teach(self, teacher: DEITalk) -> None:
+        """Have the teacher animate every recording; the spectral layers no longer learn."""
+        student = self.model.frontend
+        assert isinstance(student, CausalMelFrontend)
+        student.spectral.requires_grad_(False).eval()
+        seed, data = self.config.train.seed, self.config.data
+        self.taught = [one_clip_each(self.clips, k) for k in range(data.taught_passes)]
+        for k, clips in enumerate(self.taught):
+            folder = self.out / "taught" / str(k)
+            write_pass(folder, clips, teacher, student, data, (seed, k))
 
     def epoch_size(self) -> int:
         """All windows of all clips."""
         return count_windows(self.clips, self.config.data)
 
     def optimizer(self) -> torch.optim.Optimizer:
-        """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`."""
+        """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`.
+
+        A causal decoder has much to learn, and does not.
+        """
         settings = self.config.train
 
         def factor(name: str) -> float:
             is_started = settings.teacher is not None and not name.startswith("frontend.")
+            is_started = is_started and not self.taught
             return 1 / STARTED_SLOWER if is_started else 1
 
         return new_optimizer(self.model, settings, factor)
 
-    def batches(self, share: Share) -> WindowBatches:
+    def batches(self, share: Share) -> SeededBatches[Window]:
         """Windows of the training clips."""
         settings = self.config.train
+        if self.taught:
+            return TaughtBatches(
+                self.out / "taught",
+                self.taught,
+                self.config.data,
+                cast("CausalMelFrontend", self.model.frontend).config.lookahead_frames,
+                settings.seed,
+                settings.batch_size,
+                share,
+            )
         return WindowBatches(
             self.clips,
             self.controls,
@@ -180,6 +214,8 @@ class CurveTask(Task[Window]):
         self.model.train()
         if self.config.train.frozen_frontend is not None:
             self.model.get_submodule("frontend").eval()
+        if self.taught:
+            self.model.get_submodule("frontend.spectral").eval()
 
     def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
         """Scores of `ValidationSet`, and the clips that are drawn."""

@@ -17,6 +17,7 @@ from torch import Tensor
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.temporal_conv import TemporalConv
 from deitalk.training.processes import in_precision
 
 
@@ -37,6 +38,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
     if width != wanted:
         way_out = {
             "mel": f"time_hidden={wanted // 2}",
+            "causal_mel": f"time_hidden={wanted}",
             "conformer": f"hidden_size={wanted}",
             "wav2vec": f"encoder.hidden_size={wanted}",
         }
@@ -51,6 +53,8 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
 def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
     """Copy the teacher's weights of equal name and shape; the frontend's if it is of one kind.
 
+    A causal frontend takes the layers that gather one spectrum from a mel frontend.
+
     Returns
     -------
     list of str
@@ -63,11 +67,27 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
         given = theirs.get(name)
         if given is None or given.shape != value.shape:
             continue
-        if name.startswith("frontend.") and not alike:
+        if name.startswith("frontend.") and not alike and ".spectral." not in name:
             continue
         value.copy_(given)
         copied.append(name)
+    if student.is_causal and not teacher.is_causal:
+        for module in student.decoder.modules():
+            if isinstance(module, TemporalConv):
+                _turn_to_the_past(module.conv.weight)
     return copied
+
+
+def _turn_to_the_past(kernel: Tensor) -> None:
+    """Move the taps of a symmetric kernel (..., K) to a causal one's, in place.
+
+    The taps after the centre are added to it: what does not change with time has the same result.
+    """
+    half = kernel.shape[-1] // 2
+    symmetric = kernel.clone()
+    kernel.zero_()
+    kernel[..., half:] = symmetric[..., : half + 1]
+    kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
 
 
 MOTION_WEIGHT = 4.0
@@ -101,7 +121,7 @@ class Teacher:
         Parameters
         ----------
         clean : Tensor [shape=(B, S)]
-            The student's input before augmentation.
+            The student's input before augmentation; or the teacher's features (B, T, D).
         speech : Tensor [shape=(B, T, D)]
             The student's features; gradients flow into them alone.
 
@@ -111,6 +131,6 @@ class Teacher:
             In units of the teacher's features, whose variance is about 1.
         """
         with torch.no_grad():
-            target: Tensor = self.frontend(clean, speech.shape[1])
+            target: Tensor = clean if clean.dim() == 3 else self.frontend(clean, speech.shape[1])
         error = speech.float() - target.float()
         return error.square().mean() + MOTION_WEIGHT * error.diff(dim=1).square().mean()

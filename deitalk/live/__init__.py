@@ -1,0 +1,1 @@
+"""Curves of a voice that has not ended: frames a fifth of a second after their sound."""

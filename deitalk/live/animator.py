@@ -1,0 +1,265 @@
+"""`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.config import RulesConfig
+from deitalk.emotions import Direction, EmotionTrack
+from deitalk.errors import AudioError, CheckpointError
+from deitalk.live import rules
+from deitalk.live.idle import RunningIdle
+from deitalk.live.network import advance, first_state, put, take
+from deitalk.live.stream import Change, Stream
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.arguments import whole_seed
+from rig.arrays import Float32
+from rig.errors import quoted
+
+BLOCK_FRAMES = 256
+"""Frames of a stream that the network reads at once."""
+Samples = npt.ArrayLike | bytes
+Emotion = str | Path | Mapping[str, float] | EmotionTrack
+
+
+class LiveAnimator:
+    """Curves of voices that have not ended.
+
+    Whole recordings and any pieces of them give the same frames, to rounding. Frame t is at
+    t / 30 s of its stream and is given once `lookahead_seconds` of sound have come after it.
+
+    Parameters
+    ----------
+    model : str, Path or DEITalk
+        A model with a causal frontend, such as ``live``.
+    streams : int
+        Voices, each with its own sound, emotion and state; read in one call of the network.
+    emotion : str, mapping, Path or EmotionTrack
+        As for `deitalk.animate`; of every stream at the start.
+    intensity : float, range 0 to 4
+        As for `deitalk.animate`.
+    sample_rate : int
+        Of the samples, Hz; others than 16000 are resampled.
+    idle : bool
+        Add blinks and small motions of the gaze, if the model's rules have them.
+    raw : bool
+        The network alone, without the model's rules.
+    seed : int
+        Seed of the blinks; stream k has ``seed + k``.
+    actor : str, optional
+        Whose style, of a model that was tuned on several actors; by default its first.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it needs the whole clip.
+    EmotionError
+        If emotion or intensity is unknown or out of range.
+    AudioError
+        If the number of streams or the sample rate is out of range.
+
+    Attributes
+    ----------
+    network : DEITalk
+    names : tuple of str
+        Controls, in the order of the columns.
+    fps : float
+        30.
+    lookahead_seconds : float
+        Sound after a frame that it depends on.
+    """
+
+    fps = float(FRAME_RATE)
+
+    def __init__(
+        self,
+        model: "str | Path | DEITalk" = "live",
+        *,
+        streams: int = 1,
+        emotion: Emotion = "neutral",
+        intensity: float = 1.0,
+        sample_rate: int = SAMPLE_RATE,
+        idle: bool = True,
+        raw: bool = False,
+        seed: int = 0,
+        actor: str | None = None,
+    ) -> None:
+        self.network = require_causal(model)
+        if not 1 <= streams <= 1024:
+            raise AudioError(f"streams={streams} must be 1 to 1024; make several animators")
+        if not 8_000 <= sample_rate <= 192_000:
+            raise AudioError(f"sample_rate={sample_rate} must be 8000 to 192000 Hz")
+        self.names, self.sample_rate = tuple(self.network.controls.names), sample_rate
+        self.actor = self.network.actor_of(actor)
+        self.settings = RulesConfig.none() if raw else self.network.rules
+        self.idle, self.seed = idle and self.settings.idle is not None, whole_seed(seed)
+        direction = Direction.of(emotion, intensity)
+        self._first = Change(0.0, direction.emotion, direction.intensity)
+        frontend = self.network.frontend
+        ahead = frontend.lookahead_samples / SAMPLE_RATE  # type: ignore[union-attr]
+        self.lookahead_seconds = float(ahead) + rules.AHEAD / FRAME_RATE
+        self.state = first_state(self.network, streams)
+        self.streams = [self._stream(k) for k in range(streams)]
+        self.resamplers = [self._resampler() for _ in range(streams)]
+
+    def feed(self, samples: Samples | Sequence[Samples]) -> Any:
+        """Take the next samples; return the frames that are known now.
+
+        Parameters
+        ----------
+        samples : array, bytes, or a sequence of them
+            Mono: floating point with full scale 1, 16-bit integers, or bytes of these
+            (little-endian). Of several streams a sequence of one entry each, of any lengths.
+
+        Returns
+        -------
+        array [shape=(n, C)], or a list of them for several streams
+
+        Raises
+        ------
+        AudioError
+            If samples are not mono or not finite, or their number is not that of the streams.
+        """
+        rows = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
+        if len(rows) != len(self.streams):
+            raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
+        for k, row in enumerate(rows):
+            self._append(k, checked_samples(row), last=False)
+        return self._collected()
+
+    def finish(self) -> Any:
+        """Take the end of all streams; return their last frames, as `feed`.
+
+        A stream of S seconds then has given ceil(30 S) frames. `reset` begins again.
+        """
+        for k, stream in enumerate(self.streams):
+            if stream.n_total is None:
+                self._append(k, np.zeros(0, np.float32), last=True)
+                stream.finish()
+        return self._collected()
+
+    def set(
+        self,
+        *,
+        emotion: Emotion | None = None,
+        intensity: float | None = None,
+        stream: int | None = None,
+    ) -> None:
+        """Change emotion or intensity from the sound on that comes next, over 0.2 s.
+
+        Parameters
+        ----------
+        emotion, intensity
+            As for the constructor; None leaves it as it is.
+        stream : int, optional
+            Which stream; all by default.
+        """
+        direction = Direction.of(
+            "neutral" if emotion is None else emotion, 1.0 if intensity is None else intensity
+        )
+        for one in self.streams if stream is None else [self.streams[stream]]:
+            one.change(
+                None if emotion is None else direction.emotion,
+                None if intensity is None else direction.intensity,
+            )
+
+    def reset(self, stream: int | None = None) -> None:
+        """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
+        for k in range(len(self.streams)) if stream is None else [stream]:
+            put(self.state, [k], first_state(self.network, 1))
+            self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
+
+    def _stream(self, number: int) -> Stream:
+        network, idle = self.network, None
+        if self.idle and self.settings.idle is not None:
+            idle = RunningIdle(network.controls, self.settings.idle, self.seed + number)
+        frontend: Any = network.frontend
+        return Stream(frontend, network.controls, self.settings, self._first, idle)
+
+    def _resampler(self) -> Any:
+        if self.sample_rate == SAMPLE_RATE:
+            return None
+        import soxr
+
+        return soxr.ResampleStream(self.sample_rate, SAMPLE_RATE, 1, dtype="float32")
+
+    def _append(self, number: int, samples: Float32, *, last: bool) -> None:
+        stream, resampler = self.streams[number], self.resamplers[number]
+        if stream.n_total is not None:
+            if len(samples):
+                raise AudioError("the stream has ended; reset it to begin again")
+            return
+        if resampler is not None:
+            samples = resampler.resample_chunk(samples, last=last)
+        stream.sound.append(samples)
+
+    def _collected(self) -> Any:
+        self._advance()
+        frames = [stream.collect(len(self.names)) for stream in self.streams]
+        return frames[0] if len(frames) == 1 else frames
+
+    def _advance(self) -> None:
+        """Read what has come, as many streams at once as have something new."""
+        while True:
+            counts = [stream.n_ready() for stream in self.streams]
+            ready = [k for k, count in enumerate(counts) if count > 0]
+            if not ready:
+                return
+            count = min(BLOCK_FRAMES, *(counts[k] for k in ready))
+            taken = [self.streams[k].take(count) for k in ready]
+            windows = torch.stack([windows for windows, _ in taken])
+            styles = torch.stack(
+                [self.network.styles(torch.from_numpy(e), self.actor) for _, e in taken]
+            )
+            rows, state = advance(self.network, windows, styles, take(self.state, ready))
+            put(self.state, ready, state)
+            for place, k in enumerate(ready):
+                self.streams[k].accept(*(part[place].cpu().numpy() for part in rows))
+
+
+def require_causal(model: "str | Path | DEITalk") -> DEITalk:
+    """A model for voices that have not ended.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it is one that needs the whole clip.
+    """
+    network = require_model(model, DEITalk)
+    if not network.is_causal:
+        raise CheckpointError(
+            f"model {quoted(str(model))} needs the whole clip; use the model live, or one "
+            "trained from configs/live.yaml"
+        )
+    return network
+
+
+def checked_samples(samples: Samples) -> Float32:
+    """Mono samples as floating point with full scale 1.
+
+    Raises
+    ------
+    AudioError
+        If they are not one row of finite samples.
+    """
+    if isinstance(samples, bytes | bytearray | memoryview):
+        if len(samples) % 2:
+            raise AudioError(f"{len(samples)} bytes are no whole number of 16-bit samples")
+        samples = np.frombuffer(samples, "<i2")
+    array = np.asarray(samples)
+    if array.dtype == np.int16:
+        array = array.astype(np.float32) / np.float32(32768)
+    if array.ndim != 1 or array.dtype.kind != "f":
+        raise AudioError(
+            f"samples have the shape {array.shape} and the type {array.dtype}; give one row of "
+            "floating point, full scale 1, or of 16-bit integers"
+        )
+    if not np.isfinite(array).all():
+        raise AudioError("samples must be finite; some are NaN or infinite")
+    return array.astype(np.float32)

@@ -1,0 +1,112 @@
+"""Intensity of a voice that has not ended: the causal form of `voice_intensity`.
+
+The network's prediction and the prosody count relative to their means over the speech so far, which
+forget; smoothing looks back instead of to both sides. The strength of a whole take is not known
+while somebody speaks and is left out.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED
+from deitalk.config import VoiceIntensity
+from deitalk.postprocess.voice_intensity import FAINTEST, STEEPNESS, deviation
+from rig.arrays import Bool, Float32, Float64
+
+FORGET_FRAMES = 900.0
+"""Frames of speech that a mean remembers (30 s)."""
+USUAL_FRAMES = 30.0
+"""Weight of the usual intensity at the start, frames."""
+SMOOTHING = 1 / 8
+"""Share of a new frame in the smoothed values: 0.27 s."""
+MOST = 2.5
+"""Limit of a measure's standard deviations."""
+
+
+class Mean:
+    """Mean that forgets.
+
+    Parameters
+    ----------
+    value : float
+        At the start.
+    weight : float
+        Frames that it counts for.
+    """
+
+    def __init__(self, value: float = 0.0, weight: float = 0.0) -> None:
+        self.value, self.weight = value, weight
+
+    def add(self, value: float) -> float:
+        """Take a value; return its distance from the mean with it."""
+        self.weight = min(self.weight + 1, FORGET_FRAMES)
+        self.value += (value - self.value) / self.weight
+        return value - self.value
+
+
+class Measures(NamedTuple):
+    """Prosody of consecutive frames [shape=(n,)], from `deitalk.audio.prosody.measure_windows`."""
+
+    level: Float64
+    tilt: Float64
+    pitch: Float64
+    periodicity: Float64
+
+    @classmethod
+    def of(cls, measured: Float64) -> "Measures":
+        """Take measured rows (31, n)."""
+        level, bright, dark, pitch, periodicity = measured[:5]
+        return cls(level, 10 * np.log10((bright + 1e-12) / (dark + 1e-12)), pitch, periodicity)
+
+
+class RunningIntensity:
+    """Intensity of one stream, frame by frame.
+
+    Parameters
+    ----------
+    rule : VoiceIntensity or None
+        Weight of the prosody; None: the network's intensity stays as it is.
+    """
+
+    def __init__(self, rule: VoiceIntensity | None) -> None:
+        self.rule = rule
+        self.usual = Mean(0.0, USUAL_FRAMES)
+        self.level, self.tilt, self.pitch = Mean(), Mean(), Mean()
+        self.z = self.index = 0.0
+
+    def feed(self, network: Float32, measures: Measures, speaking: Bool) -> Float32:
+        """Corrected intensity of the next frames [shape=(n,), range 0 to 1].
+
+        Parameters
+        ----------
+        network : array [shape=(n,), range 0 to 1]
+            Predicted by the network.
+        measures : Measures
+            Prosody of the same frames.
+        speaking : array of bool [shape=(n,)]
+            Frames of speech; in others the intensity stays as it was.
+        """
+        if self.rule is None:
+            return network
+        rows = zip(deviation(network), *measures, speaking, strict=True)
+        return np.array([self._next(*row) for row in rows], np.float32)
+
+    def _next(
+        self, z: float, level: float, tilt: float, pitch: float, periodicity: float, speaks: bool
+    ) -> float:
+        assert self.rule is not None
+        if speaks:
+            is_voiced = periodicity > VOICED
+            parts = [_limited(self.level.add(level) / LEVEL_DB)]
+            parts.append(_limited(self.tilt.add(tilt) / TILT_DB))
+            parts.append(_limited(self.pitch.add(pitch) / PITCH_SEMITONES) if is_voiced else 0.0)
+            self.index += SMOOTHING * (sum(parts) / len(parts) - self.index)
+            self.z += SMOOTHING * (self.usual.add(z) - self.z)
+        total = self.z + self.rule.index_weight * self.index
+        return FAINTEST + (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * total))
+
+
+def _limited(z: float) -> float:
+    return max(-MOST, min(MOST, z))

@@ -1,0 +1,239 @@
+"""One voice that has not ended: its sound, what is measured of it, and its frames.
+
+Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.prosody import measure_windows
+from deitalk.audio.voice_activity import WINDOW, window_levels
+from deitalk.config import RulesConfig
+from deitalk.emotions import EMOTIONS, EmotionTrack
+from deitalk.frontends.causal_mel import CausalMelFrontend
+from deitalk.live import rules as running
+from deitalk.live.activity import AHEAD, RunningActivity
+from deitalk.live.idle import RunningIdle
+from deitalk.live.intensity import Measures, RunningIntensity
+from deitalk.live.rules import BEHIND, RawRows, RunningRules, rows_before
+from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
+from rig import ControlSet
+from rig.arrays import Float32
+
+RAMP_SECONDS = 0.2
+"""Time over which one emotion, or intensity, passes into the next."""
+MEASURED_AHEAD = AHEAD - running.AHEAD
+"""Frames after a row of the network whose activity is known when it is."""
+
+
+class Change(NamedTuple):
+    """Emotion and intensity from a time of the sound on."""
+
+    seconds: float
+    emotion: EmotionTrack
+    intensity: float
+
+
+class Sound:
+    """The last samples of a stream at 16 kHz."""
+
+    def __init__(self) -> None:
+        self.samples, self.begin = np.zeros(0, np.float32), 0
+
+    @property
+    def end(self) -> int:
+        """Samples that have come."""
+        return self.begin + len(self.samples)
+
+    def append(self, samples: Float32) -> None:
+        """Take the next samples."""
+        self.samples = np.concatenate((self.samples, samples))
+
+    def windows(self, starts: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]],
+                size: int) -> Float32:
+        """`size` samples from each start on [shape=(n, size)]; silence before the first sample."""
+        first = int(starts[0])
+        piece = self.samples[max(first - self.begin, 0) :]
+        if first < 0:
+            piece = np.concatenate((np.zeros(-first, np.float32), piece))
+        rows = np.lib.stride_tricks.sliding_window_view(piece, size)
+        return np.asarray(rows[np.asarray(starts) - first])
+
+    def forget(self, before: int) -> None:
+        """Drop samples before a place."""
+        if before - self.begin > SAMPLE_RATE:
+            self.samples = self.samples[before - self.begin :].copy()
+            self.begin = before
+
+
+class Stream:
+    """One stream.
+
+    Parameters
+    ----------
+    frontend : CausalMelFrontend
+        Of the network.
+    controls : ControlSet
+        Columns of the curves.
+    rules : RulesConfig
+        Rules after the network.
+    change : Change
+        Emotion and intensity at the start.
+    idle : RunningIdle or None
+        Blinks and gaze.
+    """
+
+    def __init__(
+        self,
+        frontend: CausalMelFrontend,
+        controls: ControlSet,
+        rules: RulesConfig,
+        change: Change,
+        idle: RunningIdle | None,
+    ) -> None:
+        self.frontend, self.settings, self.idle = frontend, rules, idle
+        expression = Expression(controls, rules)
+        self.rules, self.rows = RunningRules(expression), rows_before(expression)
+        self.activity = RunningActivity(rules.gates)
+        self.intensity = RunningIntensity(rules.voice_intensity)
+        self.speaking = np.zeros(0, bool)
+        self.measured = np.zeros((31, 0))
+        self.sound, self.changes = Sound(), [change]
+        self.groups = self.n_measured = self.n_frames = 0
+        self.n_total: int | None = None
+        self.frames: list[Float32] = []
+
+    def change(self, emotion: EmotionTrack | None, intensity: float | None) -> None:
+        """Change emotion or intensity from the sound on that comes next."""
+        last = self.changes[-1]
+        new = last.emotion if emotion is None else emotion
+        factor = last.intensity if intensity is None else intensity
+        self.changes.append(Change(self.sound.end / SAMPLE_RATE, new, factor))
+
+    def finish(self) -> None:
+        """Take the end of the sound: silence follows, until the last frame is known."""
+        self.n_total = frame_count(self.sound.end)
+        self.sound.append(np.zeros(round(1.5 * SAMPLE_RATE), np.float32))
+
+    def n_ready(self) -> int:
+        """Groups of spectra whose samples have come and that were not taken."""
+        if self.n_total is not None:
+            return self.n_total + running.AHEAD + self.frontend.delay - self.groups
+        rate, length = self.frontend.mel.frame_rate, self.frontend.mel.length
+        last = self.sound.end - (length - length // 2)  # centre of the last whole spectrum
+        spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
+        while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
+            spectra -= 1
+        return max(spectra // self.frontend.config.frame_spectra - self.groups, 0)
+
+    def take(self, count: int) -> tuple[Tensor, Float32]:
+        """Take the next groups.
+
+        Returns
+        -------
+        windows : Tensor [shape=(count P, W)]
+        emotion : array [shape=(count, 5)]
+            Of the frames that the network reads with them.
+        """
+        mel, spectra = self.frontend.mel, self.frontend.config.frame_spectra
+        index = np.arange(self.groups * spectra, (self.groups + count) * spectra)
+        centres = np.round(index * SAMPLE_RATE / mel.frame_rate).astype(np.int64)
+        windows = self.sound.windows(centres - mel.length // 2, mel.length)
+        frames = np.arange(self.groups, self.groups + count) - self.frontend.delay
+        self.groups += count
+        return torch.from_numpy(windows), self._directed(frames)[0]
+
+    def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
+        """Take the network's rows for the groups taken last; frames that are known are appended."""
+        last = self.groups - self.frontend.delay  # rows before it are known
+        first = last - len(neutral)
+        begin = max(-first, 0)  # rows before the first frame
+        if last <= 0:
+            return
+        self._measure(last + MEASURED_AHEAD)
+        frames = np.arange(first + begin, last)
+        network = strength[begin:].astype(np.float32)
+        measured, self.measured = np.split(self.measured, [len(frames)], axis=1)
+        on = self.speaking[: len(frames)] & (
+            self.speaking[1 : len(frames) + 1] | self.was_speaking(len(frames))
+        )
+        self.before = bool(self.speaking[len(frames) - 1])
+        self.speaking = self.speaking[len(frames) :]
+        voice = self.intensity.feed(network, Measures.of(measured), on)
+        scale = self._directed(frames)[1]
+        if self.settings.voice_intensity is not None:
+            scale = scale * voice / np.maximum(network, LEAST_PREDICTED)
+        new = RawRows(neutral[begin:], emotional[begin:], network, voice, scale.astype(np.float32))
+        self.rows = self.rows.joined(new)
+        self._emit()
+        self._forget()
+
+    before = False
+
+    def was_speaking(self, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Whether the frame before each of the next frames was speech."""
+        return np.concatenate(([self.before], self.speaking[: count - 1]))
+
+    def collect(self, n_controls: int) -> Float32:
+        """Frames since the last call [shape=(n, C)]."""
+        frames, self.frames = self.frames, []
+        return np.concatenate(frames) if frames else np.zeros((0, n_controls), np.float32)
+
+    def _measure(self, stop: int) -> None:
+        """Measure activity and prosody of the frames before `stop`."""
+        frames = np.arange(self.n_measured, stop)
+        if not len(frames):
+            return
+        starts = frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+        windows = self.sound.windows(starts, WINDOW)
+        speaking = self.activity.feed(window_levels(windows))
+        self.speaking = np.concatenate((self.speaking, speaking))
+        measured = measure_windows(windows.astype(np.float64))
+        self.measured = np.concatenate((self.measured, measured), axis=1)
+        self.n_measured = stop
+
+    def _emit(self) -> None:
+        count = len(self.rows.scale) - BEHIND - running.AHEAD
+        if self.n_total is not None:
+            count = min(count, self.n_total - self.n_frames)
+        if count <= 0:
+            return
+        gates = self.activity.gate(count)
+        curves = self.rules.apply(self.rows, gates)
+        self.rows = self.rows.since(count)
+        self.n_frames += count
+        if self.idle is not None:
+            self.idle.add_to(curves)
+            np.clip(
+                curves, self.rules.expression.controls.minimum,
+                self.rules.expression.controls.maximum, out=curves,
+            )
+        self.frames.append(curves)
+
+    def _forget(self) -> None:
+        """Drop sound and changes that no frame needs any more."""
+        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.frontend.mel.length
+        activity = self.n_measured * SAMPLE_RATE // FRAME_RATE - WINDOW
+        self.sound.forget(min(spectrum, activity))
+        seconds = (self.groups - self.frontend.delay) / FRAME_RATE - RAMP_SECONDS
+        while len(self.changes) > 1 and self.changes[1].seconds < seconds:
+            self.changes.pop(0)
+
+    def _directed(
+        self, frames: np.ndarray[tuple[int], np.dtype[np.int64]]
+    ) -> tuple[Float32, Float32]:
+        """Emotion (n, 5) and intensity (n,) of frames."""
+        times = np.maximum(frames, 0) / FRAME_RATE
+        first = self.changes[0]
+        emotion = first.emotion.at(times).astype(np.float32).reshape(len(times), len(EMOTIONS))
+        intensity = np.full(len(times), first.intensity, np.float32)
+        for change in self.changes[1:]:
+            share = np.clip((times - change.seconds) / RAMP_SECONDS, 0, 1).astype(np.float32)
+            emotion = emotion + share[:, None] * (change.emotion.at(times) - emotion)
+            intensity = intensity + share * (np.float32(change.intensity) - intensity)
+        return np.asarray(emotion, np.float32), intensity
