@@ -14,6 +14,7 @@ FLOORS = {
         preview training batch
         evaluation
         data
+        live
         pipeline corpus
         models
         frontends figures postprocess

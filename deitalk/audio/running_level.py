@@ -1,8 +1,8 @@
 """Running level of a voice that has not ended: the causal form of `normalise_level`.
 
-The level is a mean of the power of the frames so far that forgets, and counts a frame by how loud it
-is beside the mean. Pauses and quiet noise hardly change it, and it is remembered through them.
-It begins with that of a quiet voice, with the weight of a few frames.
+The level is a mean of the power of the frames so far that forgets, and counts a frame by how loud
+it is beside the mean. Pauses and quiet noise hardly change it. It begins with that of a quiet
+voice, with the weight of a few frames.
 
 Letters: B streams, T rig frames.
 """

@@ -22,6 +22,7 @@ from deitalk.config.rules import Gates, Idle, KeepContacts, RulesConfig, VoiceIn
 
 __all__ = [
     "AnyConfig",
+    "CausalMelConfig",
     "Config",
     "ConformerConfig",
     "DEITalkFeaturesConfig",

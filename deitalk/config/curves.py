@@ -61,15 +61,14 @@ class ModelConfig(Section):
         """A frontend without a kind is the paper's."""
         return {"kind": "wav2vec"} | value if isinstance(value, dict) else value
 
-
     @model_validator(mode="after")
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
         if isinstance(self.frontend, CausalMelConfig):
             if self.positions:
-                raise ValueError("frontend.kind causal_mel takes no positions; set positions: false")
+                raise ValueError("causal_mel takes no positions; set positions: false")
             if self.intensity and self.saliency_frames is None:
-                raise ValueError("frontend.kind causal_mel needs saliency_frames; 121 is 4 s")
+                raise ValueError("causal_mel needs saliency_frames; 121 is 4 s")
         return self
 
 

@@ -35,7 +35,7 @@ from deitalk.data.windows import Window, n_clip_frames, read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.models.curve_model import DEITalk
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 
 GAIN_DB = (-18.0, 14.0)
 """Range of a recording's gain beside the normal level; the running level must make up for it."""
@@ -223,7 +223,7 @@ def _tensor(rows: NDArray[np.generic]) -> Tensor:
     return torch.from_numpy(rows.astype(np.float32))
 
 
-def _chances(clips: Sequence[Clip], config: DataConfig) -> NDArray[np.float64]:
+def _chances(clips: Sequence[Clip], config: DataConfig) -> Float64:
     """Chance of every clip, by its source."""
     measured = np.array([clip.source == MEASURED for clip in clips])
     recorded = np.array([clip.source == "recording" for clip in clips])
@@ -235,6 +235,5 @@ def _chances(clips: Sequence[Clip], config: DataConfig) -> NDArray[np.float64]:
     if own is not None and measured.any() and not measured.all():
         chances[~measured] *= (1 - own) / chances[~measured].sum()
         chances[measured] = own / measured.sum()
-    scaled: NDArray[np.float64] = chances / chances.sum()
+    scaled: Float64 = chances / chances.sum()
     return scaled
-

@@ -172,9 +172,7 @@ class CausalMelFrontend(nn.Module):
         state = state._replace(hidden=hidden.transpose(0, 1), cell=cell.transpose(0, 1))
         return self.project(read), state
 
-    def _pieces(
-        self, waveform: Tensor, n_frames: int, progress: Callable[[float], None]
-    ) -> Tensor:
+    def _pieces(self, waveform: Tensor, n_frames: int, progress: Callable[[float], None]) -> Tensor:
         """Features of a clip from its beginning (B, n_frames, D)."""
         state, parts = self.first_state(len(waveform)), []
         total, spectra = n_frames + self.delay, self.config.frame_spectra

@@ -34,7 +34,7 @@ AHEAD = 5
 FLOOR_EVERY = 10
 """Frames between two measurements of the noise floor."""
 QUIET_ROWS = 5
-"""Frames of a quiet room that come before the first one: until 1.5 s of sound they are the floor."""
+"""Frames of a quiet room before the first one: until 1.5 s of sound they are the floor."""
 
 
 class GateRows(NamedTuple):
@@ -142,7 +142,7 @@ def _distances(rows: Bool) -> tuple[Float32, Float32]:
     speaking = np.zeros_like(rows)
     speaking[:, 1:] |= pair
     speaking[:, :-1] |= pair
-    before, after = speaking[:, : -AHEAD][:, ::-1], speaking[:, -AHEAD - 1 :]
+    before, after = speaking[:, :-AHEAD][:, ::-1], speaking[:, -AHEAD - 1 :]
     since = np.where(before.any(axis=1), before.argmax(axis=1), np.inf)
     until = np.where(after.any(axis=1), after.argmax(axis=1), np.inf)
     return since.astype(np.float32), until.astype(np.float32)

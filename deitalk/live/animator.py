@@ -14,7 +14,7 @@ from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import AudioError, CheckpointError
 from deitalk.live import rules
 from deitalk.live.idle import RunningIdle
-from deitalk.live.network import advance, first_state, put, take
+from deitalk.live.network import advance, causal_frontend, first_state, put, take
 from deitalk.live.stream import Change, Stream
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -101,9 +101,8 @@ class LiveAnimator:
         self.idle, self.seed = idle and self.settings.idle is not None, whole_seed(seed)
         direction = Direction.of(emotion, intensity)
         self._first = Change(0.0, direction.emotion, direction.intensity)
-        frontend = self.network.frontend
-        ahead = frontend.lookahead_samples / SAMPLE_RATE  # type: ignore[union-attr]
-        self.lookahead_seconds = float(ahead) + rules.AHEAD / FRAME_RATE
+        ahead = causal_frontend(self.network).lookahead_samples / SAMPLE_RATE
+        self.lookahead_seconds = ahead + rules.AHEAD / FRAME_RATE
         self.state = first_state(self.network, streams)
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
@@ -126,7 +125,7 @@ class LiveAnimator:
         AudioError
             If samples are not mono or not finite, or their number is not that of the streams.
         """
-        rows = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
+        rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
         for k, row in enumerate(rows):
@@ -179,7 +178,7 @@ class LiveAnimator:
         network, idle = self.network, None
         if self.idle and self.settings.idle is not None:
             idle = RunningIdle(network.controls, self.settings.idle, self.seed + number)
-        frontend: Any = network.frontend
+        frontend = causal_frontend(network)
         return Stream(frontend, network.controls, self.settings, self._first, idle)
 
     def _resampler(self) -> Any:

@@ -90,7 +90,7 @@ class RunningRules:
         curves[:, rules.seals] = rules.limited(contacts[0] + blended)[BEHIND]
         rules.apply_dead_zone(curves)
         rules.rest_in_silence(curves, gates.mouth, gates.expression)
-        return np.clip(curves, rules.controls.minimum, rules.controls.maximum)
+        return curves
 
 
 def _around(rows: Float32, count: int) -> Float32:

@@ -3,7 +3,6 @@
 Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.prosody import measure_windows
 from deitalk.audio.voice_activity import WINDOW, window_levels
 from deitalk.config import RulesConfig
-from deitalk.emotions import EMOTIONS, EmotionTrack
+from deitalk.emotions import EmotionTrack
 from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.live import rules as running
 from deitalk.live.activity import AHEAD, RunningActivity
@@ -23,7 +22,7 @@ from deitalk.live.intensity import Measures, RunningIntensity
 from deitalk.live.rules import BEHIND, RawRows, RunningRules, rows_before
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
-from rig.arrays import Float32
+from rig.arrays import Bool, Float32, Float64, Int64
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
@@ -54,15 +53,14 @@ class Sound:
         """Take the next samples."""
         self.samples = np.concatenate((self.samples, samples))
 
-    def windows(self, starts: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]],
-                size: int) -> Float32:
+    def windows(self, starts: Int64, size: int) -> Float32:
         """`size` samples from each start on [shape=(n, size)]; silence before the first sample."""
         first = int(starts[0])
         piece = self.samples[max(first - self.begin, 0) :]
         if first < 0:
             piece = np.concatenate((np.zeros(-first, np.float32), piece))
         rows = np.lib.stride_tricks.sliding_window_view(piece, size)
-        return np.asarray(rows[np.asarray(starts) - first])
+        return np.asarray(rows[starts - first])
 
     def forget(self, before: int) -> None:
         """Drop samples before a place."""
@@ -101,8 +99,10 @@ class Stream:
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
         self.intensity = RunningIntensity(rules.voice_intensity)
-        self.speaking = np.zeros(0, bool)
-        self.measured = np.zeros((31, 0))
+        self.speaking: Bool = np.zeros(1, bool)
+        """Activity from the frame before the next row on."""
+        self.prosody: Float64 = np.zeros((31, 0))
+        """Measures from the next row on."""
         self.sound, self.changes = Sound(), [change]
         self.groups = self.n_measured = self.n_frames = 0
         self.n_total: int | None = None
@@ -150,34 +150,21 @@ class Stream:
 
     def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
         """Take the network's rows for the groups taken last; frames that are known are appended."""
-        last = self.groups - self.frontend.delay  # rows before it are known
-        first = last - len(neutral)
-        begin = max(-first, 0)  # rows before the first frame
-        if last <= 0:
+        stop = self.groups - self.frontend.delay
+        start = stop - len(neutral)
+        if stop <= 0:
             return
-        self._measure(last + MEASURED_AHEAD)
-        frames = np.arange(first + begin, last)
-        network = strength[begin:].astype(np.float32)
-        measured, self.measured = np.split(self.measured, [len(frames)], axis=1)
-        on = self.speaking[: len(frames)] & (
-            self.speaking[1 : len(frames) + 1] | self.was_speaking(len(frames))
-        )
-        self.before = bool(self.speaking[len(frames) - 1])
-        self.speaking = self.speaking[len(frames) :]
-        voice = self.intensity.feed(network, Measures.of(measured), on)
+        first = max(-start, 0)  # earlier rows are of no frame
+        self._measure(stop + MEASURED_AHEAD)
+        frames, network = np.arange(start + first, stop), strength[first:]
+        voice = self.intensity.feed(network, *self._measured(len(frames)))
         scale = self._directed(frames)[1]
         if self.settings.voice_intensity is not None:
-            scale = scale * voice / np.maximum(network, LEAST_PREDICTED)
-        new = RawRows(neutral[begin:], emotional[begin:], network, voice, scale.astype(np.float32))
+            scale *= voice / np.maximum(network, LEAST_PREDICTED)
+        new = RawRows(neutral[first:], emotional[first:], network, voice, scale)
         self.rows = self.rows.joined(new)
         self._emit()
         self._forget()
-
-    before = False
-
-    def was_speaking(self, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Whether the frame before each of the next frames was speech."""
-        return np.concatenate(([self.before], self.speaking[: count - 1]))
 
     def collect(self, n_controls: int) -> Float32:
         """Frames since the last call [shape=(n, C)]."""
@@ -193,9 +180,17 @@ class Stream:
         windows = self.sound.windows(starts, WINDOW)
         speaking = self.activity.feed(window_levels(windows))
         self.speaking = np.concatenate((self.speaking, speaking))
-        measured = measure_windows(windows.astype(np.float64))
-        self.measured = np.concatenate((self.measured, measured), axis=1)
+        measured = measure_windows(np.asarray(windows, np.float64))
+        self.prosody = np.concatenate((self.prosody, measured), axis=1)
         self.n_measured = stop
+
+    def _measured(self, count: int) -> tuple[Measures, Bool]:
+        """Prosody of the next frames, and which of them are speech: a lone one is a click."""
+        on = self.speaking
+        self.speaking = on[count:]
+        now, before, after = on[1 : count + 1], on[:count], on[2 : count + 2]
+        measured, self.prosody = np.split(self.prosody, [count], axis=1)
+        return Measures.of(measured), now & (before | after)
 
     def _emit(self) -> None:
         count = len(self.rows.scale) - BEHIND - running.AHEAD
@@ -209,11 +204,8 @@ class Stream:
         self.n_frames += count
         if self.idle is not None:
             self.idle.add_to(curves)
-            np.clip(
-                curves, self.rules.expression.controls.minimum,
-                self.rules.expression.controls.maximum, out=curves,
-            )
-        self.frames.append(curves)
+        controls = self.rules.expression.controls
+        self.frames.append(np.clip(curves, controls.minimum, controls.maximum))
 
     def _forget(self) -> None:
         """Drop sound and changes that no frame needs any more."""
@@ -224,16 +216,14 @@ class Stream:
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
 
-    def _directed(
-        self, frames: np.ndarray[tuple[int], np.dtype[np.int64]]
-    ) -> tuple[Float32, Float32]:
+    def _directed(self, frames: Int64) -> tuple[Float32, Float32]:
         """Emotion (n, 5) and intensity (n,) of frames."""
         times = np.maximum(frames, 0) / FRAME_RATE
         first = self.changes[0]
-        emotion = first.emotion.at(times).astype(np.float32).reshape(len(times), len(EMOTIONS))
+        emotion = first.emotion.at(times)
         intensity = np.full(len(times), first.intensity, np.float32)
         for change in self.changes[1:]:
             share = np.clip((times - change.seconds) / RAMP_SECONDS, 0, 1).astype(np.float32)
             emotion = emotion + share[:, None] * (change.emotion.at(times) - emotion)
             intensity = intensity + share * (np.float32(change.intensity) - intensity)
-        return np.asarray(emotion, np.float32), intensity
+        return emotion.astype(np.float32), intensity.astype(np.float32)

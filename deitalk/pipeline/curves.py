@@ -111,7 +111,7 @@ def animate(
     head = None
     if idle and rules.idle is not None and speech.activity.any():
         shown = weights * intensities.applied[:, None]
-        seeds = Seeds.of(speech.waveform, _actor(network, actor), seed)
+        seeds = Seeds.of(speech.waveform, network.actor_of(actor), seed)
         motion = _idle_motion(speech, shown, seeds, rules.idle, life)
         motion.move(values, neutral, controls)
         head = motion.head

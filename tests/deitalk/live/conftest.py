@@ -1,0 +1,47 @@
+"""A tiny causal model of random weights, and speech-like sound."""
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.config import Config
+from deitalk.models.curve_model import DEITalk
+
+RATE = 16_000
+TINY = {
+    "frontend": {
+        "kind": "causal_mel",
+        "conv_channels": (4, 4, 4),
+        "spec_hidden": 4,
+        "spectral_size": 16,
+        "time_hidden": 24,
+    },
+    "positions": False,
+    "saliency_frames": 31,
+    "emotion_size": 16,
+    "motion_channels": (8, 8),
+    "decoder_channels": 16,
+    "decoder_dilations": (1, 2),
+    "decoder_residual": True,
+}
+
+
+@pytest.fixture(scope="session")
+def tiny() -> DEITalk:
+    torch.manual_seed(0)
+    config = Config.model_validate({"model": TINY})
+    network = DEITalk(config.model, rules=config.rules).eval()
+    with torch.no_grad():
+        network.decoder.output.weight.normal_(0, 0.3)
+    return network
+
+
+@pytest.fixture(scope="session")
+def voice() -> np.ndarray:
+    """Syllables of 0.2 s on a glide, a pause of 0.7 s, more syllables, over faint noise."""
+    rng = np.random.default_rng(1)
+    t = np.arange(round(3.1 * RATE)) / RATE
+    phase = 2 * np.pi * np.cumsum(120 + 40 * np.sin(2 * np.pi * 0.7 * t)) / RATE
+    tone = sum(np.sin(k * phase) / k for k in range(1, 12))
+    loud = np.clip(np.sin(2 * np.pi * 2.5 * t), 0, 1) * ((t < 1.2) | (t > 1.9))
+    return (0.08 * tone * loud + 2e-4 * rng.standard_normal(len(t))).astype(np.float32)

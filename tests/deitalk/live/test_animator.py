@@ -1,0 +1,137 @@
+"""Live frames: the same for any pieces of the sound, from a bounded look-ahead."""
+
+import math
+
+import numpy as np
+import pytest
+
+from deitalk.errors import AudioError, CheckpointError, EmotionError
+from deitalk.live.animator import LiveAnimator
+from tests.deitalk.live.conftest import RATE
+
+CLOSE = 1e-5
+
+
+def in_pieces(animator, sound, rng, sizes=(1, 7, 160, 533, 1600, 9000)):
+    found, at = [], 0
+    while at < len(sound):
+        size = int(rng.choice(sizes))
+        found.append(animator.feed(sound[at : at + size]))
+        at += size
+    return np.concatenate([*found, animator.finish()])
+
+
+def whole(network, sound, **options):
+    animator = LiveAnimator(network, **options)
+    return np.concatenate((animator.feed(sound), animator.finish()))
+
+
+def test_pieces_of_any_size_give_the_frames_of_the_whole(tiny, voice, rng):
+    expected = whole(tiny, voice, emotion="happy")
+    assert expected.shape == (93, 185) and expected.std(axis=0).max() > 0.05
+    animator = LiveAnimator(tiny, emotion="happy")
+    for _ in range(2):
+        animator.reset()
+        assert np.abs(in_pieces(animator, voice, rng) - expected).max() < CLOSE
+
+
+def test_streams_in_one_call_give_the_frames_of_each_alone(tiny, voice, rng):
+    sounds = [voice, voice[5000:], 0.2 * voice[::-1].copy()]
+    animator = LiveAnimator(tiny, streams=3, emotion="sad")
+    animator.set(emotion="angry", stream=1)
+    found, at = [[], [], []], [0, 0, 0]
+    while any(at[k] < len(sounds[k]) for k in range(3)):
+        sizes = rng.choice([0, 100, 1600, 4800], 3)
+        pieces = [sounds[k][at[k] : at[k] + sizes[k]] for k in range(3)]
+        at = [a + int(size) for a, size in zip(at, sizes, strict=True)]
+        for k, frames in enumerate(animator.feed(pieces)):
+            found[k].append(frames)
+    for k, frames in enumerate(animator.finish()):
+        alone = LiveAnimator(tiny, emotion="sad", seed=k)
+        if k == 1:
+            alone.set(emotion="angry")
+        expected = np.concatenate((alone.feed(sounds[k]), alone.finish()))
+        assert np.abs(np.concatenate([*found[k], frames]) - expected).max() < CLOSE
+
+
+@pytest.mark.parametrize("second", [1.0, 2.03])
+def test_frame_depends_on_no_sound_beyond_the_look_ahead(tiny, voice, rng, second):
+    changed = voice.copy()
+    changed[round(second * RATE) :] = 0.2 * rng.standard_normal(len(voice) - round(second * RATE))
+    animator = LiveAnimator(tiny, emotion="happy")
+    first = animator.feed(voice)
+    animator.reset()
+    second_frames = animator.feed(changed)
+    assert animator.lookahead_seconds <= 0.2
+    known = int((second - animator.lookahead_seconds) * 30) + 1
+    assert np.array_equal(first[:known], second_frames[:known])
+    assert np.abs(first[known + 3 :] - second_frames[known + 3 :]).max() > 0.01
+
+
+def test_frames_are_given_as_soon_as_their_look_ahead_has_come(tiny, voice):
+    animator = LiveAnimator(tiny)
+    given = 0
+    for stop in range(160, len(voice), 160):
+        given += len(animator.feed(voice[stop - 160 : stop]))
+        known = math.floor((stop / RATE - animator.lookahead_seconds) * 30) + 1
+        assert given == max(known, 0)
+
+
+def test_changes_hold_from_the_sound_on_that_comes_next(tiny, voice, rng):
+    plain = whole(tiny, voice, emotion="happy")
+    animator, found = LiveAnimator(tiny, emotion="happy"), []
+    for start in range(0, len(voice), 1600):
+        if start == 16_000:
+            animator.set(emotion="angry", intensity=2.0)
+        found.append(animator.feed(voice[start : start + 1600]))
+    frames = np.concatenate([*found, animator.finish()])
+    assert np.abs(frames[:28] - plain[:28]).max() < CLOSE  # contacts are known two frames ahead
+    assert np.abs(frames[36:50] - plain[36:50]).max() > 0.02
+    angry = whole(tiny, voice, emotion="angry", intensity=2.0)
+    assert np.abs(frames[70:] - angry[70:]).max() < CLOSE  # older than every layer's past
+
+
+def test_intensity_0_gives_the_neutral_reading(tiny, voice):
+    neutral = whole(tiny, voice, emotion="neutral")
+    assert np.abs(whole(tiny, voice, emotion="happy", intensity=0) - neutral).max() < CLOSE
+
+
+def test_mouth_rests_in_silence(tiny):
+    frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", idle=False)
+    assert np.abs(frames - tiny.controls.rest).max() < 1e-6
+
+
+def test_other_rates_and_integers_are_read(tiny, voice):
+    integers = np.round(voice * 32767).astype("<i2")
+    expected = whole(tiny, integers / np.float32(32768))
+    assert np.array_equal(whole(tiny, integers), expected)
+    assert np.array_equal(whole(tiny, integers.tobytes()), expected)
+    twice = np.repeat(voice, 2)
+    assert len(whole(tiny, twice, sample_rate=2 * RATE)) == 93
+
+
+def test_blinks_are_those_of_the_seed(tiny):
+    silence = np.zeros(20 * RATE, np.float32)
+    lid = tiny.controls.index("CTRL_L_eye_blink.ty")
+    first, same, other = (whole(tiny, silence, seed=seed)[:, lid] for seed in (1, 1, 2))
+    assert np.array_equal(first, same) and not np.array_equal(first, other)
+    assert first.max() > 0.9 and 2 <= np.sum(np.diff((first > 0.5).astype(int)) == 1) <= 15
+
+
+def test_messages_name_the_value_and_the_way_out(tiny, voice):
+    animator = LiveAnimator(tiny, streams=2)
+    with pytest.raises(AudioError, match="3 streams; there are 2"):
+        animator.feed([voice, voice, voice])
+    with pytest.raises(AudioError, match="finite"):
+        animator.feed([np.array([np.nan]), voice])
+    with pytest.raises(AudioError, match="one row"):
+        animator.feed([np.zeros((2, 2)), voice])
+    animator.finish()
+    with pytest.raises(AudioError, match="reset"):
+        animator.feed([voice, voice])
+    with pytest.raises(EmotionError):
+        animator.set(emotion="merry")
+    with pytest.raises(AudioError, match="streams=0"):
+        LiveAnimator(tiny, streams=0)
+    with pytest.raises(CheckpointError, match="whole clip"):
+        LiveAnimator("default")

@@ -1,0 +1,100 @@
+"""Activity, level and intensity of a voice that has not ended."""
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
+from deitalk.audio.voice_activity import BAND_EDGES_HZ
+from deitalk.config import Gates, VoiceIntensity
+from deitalk.live.activity import AHEAD, RunningActivity
+from deitalk.live.intensity import Measures, RunningIntensity
+
+BANDS = len(BAND_EDGES_HZ) - 1
+
+
+def gates_of(speaking, *, noise_db=-75.0, piece=1000):
+    """Gates for a voice 30 dB above its noise, fed in pieces."""
+    levels = np.full((len(speaking), BANDS), noise_db, np.float32)
+    levels[np.asarray(speaking, bool)] += 30
+    running, mouth = RunningActivity(Gates()), []
+    known = 0
+    for start in range(0, len(levels), piece):
+        running.feed(levels[start : start + piece])
+        count = min(start + piece, len(levels)) - AHEAD - known
+        if count > 0:
+            mouth.append(running.gate(count))
+            known += count
+    return tuple(np.concatenate(parts) for parts in zip(*mouth, strict=True))
+
+
+def spoken(*spans, frames=200):
+    flags = np.zeros(frames, bool)
+    for start, stop in spans:
+        flags[start:stop] = True
+    return flags
+
+
+def test_mouth_opens_before_speech_and_closes_after():
+    mouth, _ = gates_of(spoken((60, 100)))
+    assert mouth[60:100].min() == 1 and mouth[:57].max() == 0 and mouth[107:150].max() == 0
+    assert np.all(np.diff(mouth[56:61]) > 0) and np.all(np.diff(mouth[99:107]) < 0)
+
+
+def test_closures_are_bridged_and_clicks_left_out():
+    mouth, _ = gates_of(spoken((60, 80), (84, 100), (150, 151)))
+    assert mouth[60:100].min() == 1 and mouth[140:160].max() == 0
+
+
+def test_expression_stays_through_a_pause_and_fades():
+    _, expression = gates_of(spoken((60, 80), frames=300))
+    assert expression[80:120].min() == 1 and expression[170:].max() == 0
+
+
+def test_gates_are_the_same_for_any_pieces():
+    speaking = spoken((20, 60), (70, 90), (140, 180))
+    one, other = gates_of(speaking), gates_of(speaking, piece=3)
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_steady_noise_becomes_the_floor():
+    levels = np.full((120, BANDS), -50, np.float32)
+    on = RunningActivity(Gates()).feed(levels)
+    assert on[:30].all() and not on[70:].any()
+
+
+@pytest.mark.parametrize("gain_db", [-20, 0, 15])
+def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng):
+    syllables = np.clip(np.sin(np.arange(150) / 2), 0, 1) ** 2
+    power = USUAL_POWER * 10 ** (gain_db / 10) * np.concatenate((syllables, np.zeros(300)))
+    level, _ = follow_level(torch.tensor(power)[None].float(), first_level(1, torch.zeros(1)))
+    found = 10 * np.log10(level[0].numpy() / USUAL_POWER) - gain_db
+    assert abs(found[149]) < 4 and abs(found[60]) < 6  # syllables are half of the time
+    assert found[149] == pytest.approx(found[-1], abs=1e-3)
+
+
+def test_running_level_goes_on_where_it_stopped(rng):
+    power = torch.tensor(rng.uniform(0, 0.01, (2, 50))).float()
+    whole, end = follow_level(power, first_level(2, power))
+    first, state = follow_level(power[:, :20], first_level(2, power))
+    second, last = follow_level(power[:, 20:], state)
+    assert torch.equal(torch.cat((first, second), dim=1), whole) and torch.equal(last, end)
+
+
+def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True):
+    n = len(level_db)
+    measures = Measures(np.asarray(level_db, float), np.zeros(n), np.zeros(n), np.ones(n))
+    flags = np.full(n, speaking)
+    return RunningIntensity(rule).feed(np.full(n, network, np.float32), measures, flags)
+
+
+def test_intensity_rises_with_the_level_and_not_with_the_gain():
+    louder = np.repeat([-30.0, -20.0], 90)
+    voice = intensity_of(louder)
+    assert voice[110] > voice[80] + 0.05
+    assert np.allclose(intensity_of(louder + 12), voice)
+
+
+def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
+    assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
+    assert np.all(intensity_of(np.zeros(5), network=0.3, rule=None) == np.float32(0.3))
