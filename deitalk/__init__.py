@@ -15,6 +15,7 @@ __all__ = [
     "DeitalkError",
     "EmotionTrack",
     "IntensityCurve",
+    "LiveAnimator",
     "MeshPerformance",
     "Performance",
     "Recording",
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from deitalk.batch.run import animate_batch
     from deitalk.emotions import EMOTIONS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
+    from deitalk.live.animator import LiveAnimator
     from deitalk.models.checkpoint import load_model
     from deitalk.pipeline.curves import animate
     from deitalk.pipeline.mesh import animate_mesh
@@ -46,6 +48,7 @@ _HOMES = {
     "models.checkpoint": ("load_model",),
     "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
+    "live.animator": ("LiveAnimator",),
     "pipeline.mesh": ("animate_mesh",),
     "pipeline.performance": ("MeshPerformance", "Performance"),
     "pipeline.curves": ("animate",),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deitalk.emotions import EMOTIONS
 from deitalk.live.activity import GateRows
 from deitalk.postprocess.curve_rules import Expression
 from rig.arrays import Float32
@@ -33,6 +34,10 @@ class RawRows(NamedTuple):
     """The same, corrected by the prosody [shape=(n,), range 0 to 1]."""
     scale: Float32
     """Factor on the difference of the readings [shape=(n,)]."""
+    emotion: Float32
+    """Weights of the emotions [shape=(n, 5)]."""
+    applied: Float32
+    """Intensity to show in speech [shape=(n,), range 0 to 4]."""
 
     def joined(self, other: "RawRows") -> "RawRows":
         """These rows and the ones that follow them."""
@@ -46,8 +51,8 @@ class RawRows(NamedTuple):
 def rows_before(expression: Expression) -> RawRows:
     """Rows before the first frame: the face at rest."""
     rest = np.tile(expression.controls.rest, (BEHIND, 1)).astype(np.float32)
-    ones = np.ones(BEHIND, np.float32)
-    return RawRows(rest, rest.copy(), ones, ones, ones)
+    ones, emotion = np.ones(BEHIND, np.float32), np.zeros((BEHIND, len(EMOTIONS)), np.float32)
+    return RawRows(rest, rest.copy(), ones, ones, ones, emotion, ones)
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,8 @@ class RunningRules:
             readings.append(own)
             contacts.append(sharp)
         curves = rules.blend(readings[0], readings[1], rows.scale[inner])
+        applied = rows.applied[inner] * gates.expression
+        rules.widen_speech(curves, readings[0], rows.emotion[inner], applied)
         scale = _around(rows.scale[:, None], count)
         blended = (contacts[1] - contacts[0]) * scale
         if rules.settings.keep_contacts is not None:

@@ -158,10 +158,12 @@ class Stream:
         self._measure(stop + MEASURED_AHEAD)
         frames, network = np.arange(start + first, stop), strength[first:]
         voice = self.intensity.feed(network, *self._measured(len(frames)))
-        scale = self._directed(frames)[1]
+        emotion, factor = self._directed(frames)
+        scale, applied = factor, voice * factor
         if self.settings.voice_intensity is not None:
-            scale *= voice / np.maximum(network, LEAST_PREDICTED)
-        new = RawRows(neutral[first:], emotional[first:], network, voice, scale)
+            scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
+        readings = neutral[first:], emotional[first:]
+        new = RawRows(*readings, network, voice, scale, emotion, applied)
         self.rows = self.rows.joined(new)
         self._emit()
         self._forget()
