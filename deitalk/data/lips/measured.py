@@ -9,6 +9,8 @@ A folder of measured lips::
     **/<clip>.opus    the sound, or another audio file of that name; measure i is taken at
                       (i + .5) / 25 s
 
+An npz may also hold ``pose`` [shape=(n, 3 or more)]: yaw, pitch and roll of the head in degrees.
+
 People differ in size and in how their lips rest, so measures become displacements from the rest
 of their speaker, in cm of a head (`speaker_rest`).
 
@@ -48,6 +50,62 @@ class LipClip:
     """Displacements from the speaker's rest [shape=(T, M)], cm of a head; NaN where missing."""
     speaking: Bool
     """From the first word to the last [shape=(T,)]."""
+
+
+@dataclass(frozen=True)
+class PoseClip:
+    """One recording with the turn of its speaker's head."""
+
+    name: str
+    speaker: str
+    sound: Path
+    degrees: Float64
+    """Yaw, pitch and roll as measured, 25 a second [shape=(n, 3)]."""
+
+
+def read_poses(folder: Path | str, most: int | None = None) -> dict[str, list[PoseClip]]:
+    """Read the heads of a folder of measured lips, by speaker; clips with gaps are left out.
+
+    Parameters
+    ----------
+    folder : Path
+        As described above.
+    most : int or None
+        Most recordings of a speaker, evenly spread.
+
+    Raises
+    ------
+    DataError
+        If a table or a file is missing or damaged, or no recording has a pose.
+    """
+    folder = Path(folder)
+    files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
+    names: dict[str, list[str]] = {}
+    for name, speaker, _ in _rows(folder / "clips.csv"):
+        names.setdefault(speaker, []).append(name)
+    poses: dict[str, list[PoseClip]] = {}
+    for speaker, clips in sorted(names.items()):
+        count = len(clips) if most is None else min(most, len(clips))
+        chosen = [clips[i] for i in np.linspace(0, len(clips) - 1, count).round().astype(int)]
+        for name in chosen:
+            degrees = _pose(files, name)
+            if degrees is not None:
+                clip = PoseClip(name, speaker, _sound(folder, files, name), degrees)
+                poses.setdefault(speaker, []).append(clip)
+    if not poses:
+        raise DataError(f"{folder}: no recording with a pose of shape (frames, 3 or more)")
+    return poses
+
+
+def _pose(files: dict[str, Path], name: str) -> Float64 | None:
+    """Degrees (n, 3), or None where the file is missing or has gaps."""
+    path = files.get(f"{name}.npz")
+    pose = None if path is None else read_npz(path, limit=limits.MESH_BYTES, error=DataError)
+    turns = None if pose is None else pose.get("pose")
+    if turns is None or turns.dtype.kind != "f" or turns.ndim != 2 or turns.shape[1] < 3:
+        return None
+    degrees: Float64 = turns[:, :3].astype(np.float64)
+    return degrees if len(degrees) and np.isfinite(degrees).all() else None
 
 
 def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:

@@ -26,7 +26,7 @@ from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
-NODS = (0.35, 1.2, 0.25)
+NODS = (0.4, 1.6, 0.3)
 """Largest yaw, pitch and roll of an accent, degrees."""
 NOD_SECONDS = ((0.16, 0.26), (0.22, 0.45))
 """Attack and decay."""
@@ -34,9 +34,10 @@ NOD_LAG = 0.04
 """The nod is lowest so long after the peak of the accent, seconds."""
 DOWN_SHARE = 0.75
 """Share of the accents with a nod; the others raise the head."""
-SWAY = (0.5, 0.7, 0.3)
-SWAY_SECONDS = 0.45
-"""Standard deviation and slowness of the sway of yaw, pitch and roll, degrees and seconds."""
+SWAY, SWAY_SECONDS = (0.28, 0.5, 0.2), 0.45
+STIR, STIR_SECONDS = (0.5, 0.82, 0.34), 0.14
+"""Standard deviation of slow and of quick turns, yaw, pitch and roll in degrees, and the sigma of
+the Gaussian that their noise is smoothed with."""
 QUIET = 0.5
 """Share of the sway that is left in a pause."""
 FINAL_DEGREES, INITIAL_DEGREES = -0.8, 0.5
@@ -45,7 +46,7 @@ BREATH_SECONDS, BREATH_CM, BREATH_DEGREES = 4.0, 0.05, 0.15
 """Period of quiet breathing, its lift, and the pitch that goes with it."""
 INHALE_CM, INHALE_DEGREES = 0.14, 0.35
 """The same in a pause of at least 0.3 s before a phrase."""
-SHIFT_CM = (0.05, 0.03, 0.08)
+SHIFT_CM = (0.07, 0.05, 0.1)
 POSTURE: dict[str, tuple[float, ...]] = {
     "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "angry": (0.0, -3.0, 0.0, 0.0, -0.1, 0.8),
@@ -99,10 +100,11 @@ def head_motion(
 
 
 def _sway(voice: Voice, rng: np.random.Generator) -> Float64:
-    """Slow turns, smaller in pauses [shape=(T, 3)]."""
+    """Slow and quick turns, smaller in pauses [shape=(T, 3)]."""
     speaking = _smooth(voice.speaking[:, None])
-    noise = _noises(voice.n_frames, 3, SWAY_SECONDS, rng)
-    return np.asarray(SWAY) * noise * (QUIET + (1 - QUIET) * speaking)
+    slow = np.asarray(SWAY) * _noises(voice.n_frames, 3, SWAY_SECONDS, rng)
+    quick = np.asarray(STIR) * _noises(voice.n_frames, 3, STIR_SECONDS, rng)
+    return (slow + quick) * (QUIET + (1 - QUIET) * speaking)
 
 
 def _nods(voice: Voice, rng: np.random.Generator) -> Float64:
