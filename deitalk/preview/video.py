@@ -8,6 +8,7 @@ import numpy as np
 from deitalk.preview.encoding import find_encoder, write_mp4
 from deitalk.preview.panel import Panel, label
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from rig.arrays import AnyFloat
 from rig.curves import EMOTIONS
 from rig.face import build_head
 from rig.face.geometry.mesh import vertex_normals
@@ -15,6 +16,7 @@ from rig.face.identity import Identity
 from rig.face.render import VIEWS, Renderer, make_renderer
 from rig.face.render.picture import Picture
 from rig.face.render.renderer import Backend
+from rig.face.turn import neck_share, turned
 from rig.files import atomic_write, check_file
 
 WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
@@ -108,10 +110,12 @@ def draw_frames(
         for name, size in sizes.items()
     ]
     panel = Panel(source, (WIDTH, PANEL_HEIGHT))
-    values = source.curves.values
+    values, share = source.curves.values, neck_share(head.mesh.vertices)
     try:
         for start in range(0, len(values), BATCH):
-            poses = head.pose(values[start : start + BATCH])
+            poses: AnyFloat = head.pose(values[start : start + BATCH])
+            if source.curves.head is not None:
+                poses = turned(poses, source.curves.head[start : start + BATCH], share)
             for k, pose in enumerate(poses):
                 normals = vertex_normals(pose, head.mesh.faces)
                 picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)

@@ -205,6 +205,7 @@ FORMATS: tuple[Format, ...] = (
         "our head with morph targets and their animation",
         write=_write_glb,
         control_set=DEFAULT_ID,
+        tracks=("head",),
     ),
     Format(
         "usd",

@@ -33,6 +33,22 @@ _NORMAL_STILL = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
+class RigidMotion:
+    """Turn and shift of a node over time.
+
+    Parameters
+    ----------
+    rotation : array [shape=(T, 4)]
+        Unit quaternions x, y, z, w.
+    translation : array [shape=(T, 3)]
+        In the file's unit.
+    """
+
+    rotation: NDArray[Any]
+    translation: NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
 class WeightAnimation:
     """Morph weights over time.
 
@@ -43,11 +59,14 @@ class WeightAnimation:
     fps : float
         Frame i is at i / fps seconds.
     name : str
+    motion : RigidMotion, optional
+        Of the node of the mesh, in as many frames.
     """
 
     weights: NDArray[Any]
     fps: float = 30.0
     name: str = "take"
+    motion: RigidMotion | None = None
 
 
 @dataclass
@@ -220,6 +239,13 @@ def add_animation(
         output = builder.dense(columns.ravel(), "SCALAR")
         channels.append({"sampler": len(samplers), "target": {"node": node, "path": "weights"}})
         samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+    if animation.motion is not None:
+        parts = (("rotation", animation.motion.rotation, "VEC4"),
+                 ("translation", animation.motion.translation, "VEC3"))  # fmt: skip
+        for path, rows, kind in parts:
+            channels.append({"sampler": len(samplers), "target": {"node": 0, "path": path}})
+            output = builder.dense(rows, kind)
+            samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
     builder.json.setdefault("animations", []).append(
         {"name": animation.name, "samplers": samplers, "channels": channels}
     )

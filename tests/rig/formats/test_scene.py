@@ -4,12 +4,13 @@ import json
 import shutil
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rig import RigCurves, default_controls, read_curves, write_curves
+from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.errors import FormatError, RigError
 from rig.retarget.morph_head import morph_head, srgb_to_linear
 
@@ -40,7 +41,7 @@ def posed(curves):
 def accessor(glb, blob, index):
     """Read one accessor after the glTF specification (§3.6.2), dense or sparse."""
     a = glb.accessors[index]
-    width = {"SCALAR": 1, "VEC3": 3}[a.type]
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[a.type]
     array = np.zeros((a.count, width), np.float32)
 
     def view(i, kind, count, columns):
@@ -86,6 +87,27 @@ def test_glb_holds_the_posed_head_by_an_independent_reader(glb_path, curves):
     assert np.linalg.norm(expected[2] - expected[0], axis=-1).max() > 0.02
     colours = accessor(glb, blob, primitive.attributes.COLOR_0)
     assert colours.min() >= 0 and colours.max() <= 1 and np.ptp(colours) > 0.3
+
+
+def test_glb_turns_its_node_with_the_head_track(tmp_path):
+    from scipy.spatial.transform import Rotation
+
+    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib")
+    track = np.array([[0, 0, 0, 0, 0, 0], [12, -8, 5, 0.5, -0.3, 1.0]], np.float32)
+    write_curves(tmp_path / "a.glb", replace(rest_curves(2), head=track))
+    glb = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+    blob, animation = glb.binary_blob(), glb.animations[0]
+    motion = {
+        channel.target.path: accessor(glb, blob, animation.samplers[channel.sampler].output)
+        for channel in animation.channels
+    }
+    point = np.array([0.03, -0.02, 0.09])
+    shown = Rotation.from_quat(motion["rotation"]).apply(point) + motion["translation"]
+    # yaw to the right about -y, pitch up about -x, roll to the right about z, after each other
+    turn = Rotation.from_euler("YXZ", [-12, 8, 5], degrees=True)
+    joint = np.array([0, -0.04, -0.015])
+    expected = turn.apply(point - joint) + joint + [0.005, -0.003, 0.01]
+    np.testing.assert_allclose(shown, [point, expected], atol=1e-6)
 
 
 def test_glb_obeys_the_container_rules(glb_path):
