@@ -22,6 +22,7 @@ from rig.face import build_head
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
+from rig.face.turn import JOINT, neck_share
 from rig.face.web_export import head_arrays
 from rig.files import atomic_write, check_file
 
@@ -128,7 +129,10 @@ def _block(name: str, text: str) -> str:
 
 @lru_cache(maxsize=4)
 def _packed_head(identity: int | str | Identity) -> str:
-    arrays, facts = head_arrays(build_head(identity))
+    head = build_head(identity)
+    arrays, facts = head_arrays(head)
+    arrays["neck.share"] = neck_share(head.mesh.vertices).astype(np.float32)
+    facts["joint"] = JOINT.tolist()
     light, sky = glsl(), glsl_background()
     facts["shaders"] = {
         "vertex": light[0], "fragment": light[1], "skyVertex": sky[0], "skyFragment": sky[1],
@@ -149,10 +153,8 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
     arrays: dict[str, NDArray[Any]] = {"values": np.ascontiguousarray(curves.values, np.float32)}
     if source.neutral is not None:
         arrays["neutral"] = np.ascontiguousarray(source.neutral, np.float32)
-    if curves.emotion is not None:
-        arrays["emotion"] = np.ascontiguousarray(curves.emotion, np.float32)
-    if curves.intensity is not None:
-        arrays["intensity"] = np.ascontiguousarray(curves.intensity, np.float32)
+    for name, track in curves.tracks.items():
+        arrays[name] = np.ascontiguousarray(track, np.float32)
     facts = {
         "title": source.title, "fps": curves.fps, "frames": len(curves), "emotions": list(EMOTIONS),
         "audioSeconds": source.audio_seconds,

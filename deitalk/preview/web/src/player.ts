@@ -167,7 +167,8 @@ export class Player {
 
   private draw(seconds: number): void {
     const late = Number($<HTMLInputElement>("offset").value) / 1000;
-    if (this.take) this.faces?.show(this.faceTakes.map((take) => take.at(seconds + late)));
+    const takes = this.faceTakes;
+    if (this.take) this.faces?.show(takes.map((t) => t.at(seconds + late)), takes.map((t) => t.headAt(seconds + late)));
     else if (this.head) this.faces?.show([Float32Array.from(this.board.rest)]);
     this.opener.model?.show(seconds + late);
     this.sound.at(seconds);

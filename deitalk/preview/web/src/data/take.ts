@@ -35,6 +35,8 @@ export class Take {
   readonly warnings: Warning[];
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
+  /** Turn and shift of the head (T, 6); undefined if it is unknown. */
+  private readonly head?: Float32Array;
   private edit: Edit = NO_EDIT;
   private gains: number[] = [];
   private exact?: Exact;
@@ -50,6 +52,7 @@ export class Take {
     this.emotions = facts.emotions;
     this.values = arrays.values as Float32Array;
     this.neutral = arrays.neutral as Float32Array | undefined;
+    this.head = arrays.head as Float32Array | undefined;
     this.emotion = arrays.emotion as Float32Array | undefined;
     this.intensity = arrays.intensity as Float32Array | undefined;
     this.warnings = findWarnings(this.values, this, board, facts.warnings ?? []);
@@ -99,11 +102,21 @@ export class Take {
 
   /** All controls at a time, linear between frames. */
   at(seconds: number): Float32Array {
+    return this.between(seconds, (frame) => this.frame(frame));
+  }
+
+  /** Turn and shift of the head at a time: degrees and cm. */
+  headAt(seconds: number): Float32Array | undefined {
+    const { head } = this;
+    return head && this.between(seconds, (frame) => head.slice(6 * frame, 6 * frame + 6));
+  }
+
+  private between(seconds: number, row: (frame: number) => Float32Array): Float32Array {
     const place = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const low = Math.floor(place), high = Math.min(low + 1, this.frames - 1);
-    const a = this.frame(low), t = place - low;
+    const a = row(low), t = place - low;
     if (!t) return a;
-    const b = this.frame(high);
+    const b = row(high);
     return a.map((x, k) => x + t * (b[k] - x));
   }
 

@@ -4,6 +4,7 @@ import * as THREE from "three";
 
 import type { Packed } from "../data/packed";
 import { Rig } from "./rig";
+import { turnHead } from "./turn";
 import { Viewport } from "./viewport";
 
 const es = (source: string) => source.replace("#version 330\n", "precision highp float;\n");
@@ -13,6 +14,8 @@ export class Face extends Viewport {
   private readonly geometry = new THREE.BufferGeometry();
   private readonly material: THREE.RawShaderMaterial;
   private readonly faces: Uint16Array;
+  private readonly joint: number[];
+  private readonly neck: Float32Array;
   private readonly views: Record<string, { target: number[]; position: number[]; degrees: number }>;
 
   constructor(head: Packed) {
@@ -20,6 +23,8 @@ export class Face extends Viewport {
     this.rig = new Rig(head);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
+    this.joint = head.facts.joint;
+    this.neck = head.arrays["neck.share"] as Float32Array;
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     const { shaders } = head.facts;
     this.material = new THREE.RawShaderMaterial({
@@ -62,8 +67,10 @@ export class Face extends Viewport {
     this.aim(new THREE.Vector3(...position), new THREE.Vector3(...target), degrees);
   }
 
-  show(values: ArrayLike<number>): void {
+  /** Show 185 control values, and the head's turn and shift where they are known. */
+  show(values: ArrayLike<number>, head?: ArrayLike<number>): void {
     this.rig.pose(values);
+    if (head) turnHead(this.rig.vertices, head, this.joint, this.neck);
     this.normals();
     this.geometry.attributes.position.needsUpdate = true;
     this.geometry.attributes.normal.needsUpdate = true;

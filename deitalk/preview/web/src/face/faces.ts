@@ -46,9 +46,9 @@ export class Faces {
     this.placeWipe();
   }
 
-  /** Draw the controls of each face. */
-  show(values: Float32Array[]): void {
-    values.forEach((row, k) => this.shown[k]?.face.show(row));
+  /** Draw the controls of each face, and the turn of its head where it is known. */
+  show(values: Float32Array[], heads: (Float32Array | undefined)[] = []): void {
+    values.forEach((row, k) => this.shown[k]?.face.show(row, heads[k]));
   }
 
   look(view: string): void {
