@@ -14,6 +14,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.mel_filters import mel_filters
 
 LOWEST_HZ, HIGHEST_HZ = 50, 7600
+MEAN, SPREAD = -6.5, 3.5
+"""Of the logarithm, measured on level-normalised speech."""
 FLOOR = 1e-5
 """Added to mel power before the logarithm; speech at -23 dB has cells of 1e-4 to 10."""
 
@@ -51,8 +53,8 @@ class MelSpectrogram(nn.Module):
 
     Notes
     -----
-    Paper silent: scaling. The log-power is moved and divided by fixed numbers (mean -6.5, spread
-    3.5 measured on level-normalised speech), the same for every clip: nothing depends on how
+    Paper silent: scaling. The log-power is moved and divided by the fixed numbers `MEAN` and
+    `SPREAD`, the same for every clip: nothing depends on how
     much silence a clip holds, and a piece of a clip gives the same spectra as the whole.
     """
 
@@ -101,4 +103,4 @@ class MelSpectrogram(nn.Module):
 
     def scaled(self, power: Tensor) -> Tensor:
         """Logarithm (B, F, L) of mel power (B, L, F), on the network's scale."""
-        return ((torch.log(power + FLOOR) + 6.5) / 3.5).transpose(1, 2)
+        return ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)

@@ -11,6 +11,7 @@ import typer
 from deitalk.cli.arguments import MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
+    Backend,
     Device,
     Emotion,
     Force,
@@ -24,7 +25,10 @@ from deitalk.cli.options import (
 from deitalk.cli.paths import reserve_file, reserve_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from deitalk.audio.load import Recording
+    from deitalk.models.network import CurveNetwork
     from deitalk.pipeline.performance import Performance
     from deitalk.pipeline.take import Extra
 
@@ -57,6 +61,7 @@ def animate(
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Another drawing of them.")] = 0,
+    backend: Backend = "torch",
     device: Device = "cpu",
     threads: Threads = 1,
     preview: Annotated[
@@ -92,7 +97,7 @@ def animate(
         "raw": raw,
         "seed": seed,
     }
-    performance = _perform(speech, model, device, threads, options)
+    performance = _perform(speech, _loader(model, backend, device, threads), options)
     settings = options | {
         "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
     }  # fmt: skip
@@ -161,21 +166,30 @@ def _preview_notes(out: Path) -> tuple[str, ...]:
     return check_preview(out)
 
 
+def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
+    def load() -> "CurveNetwork":
+        from deitalk.models.network import is_onnx, load_network
+
+        most = min(threads, os.cpu_count() or 1)
+        if not is_onnx(model, backend):
+            import torch
+
+            torch.set_num_threads(most)
+        return load_network(model, backend=backend, device=device, threads=most)
+
+    return load
+
+
 def _perform(
-    speech: str, model: str, device: str, threads: int, options: dict[str, Any]
+    speech: str, load: "Callable[[], CurveNetwork]", options: dict[str, Any]
 ) -> "Performance":
     began = perf_counter()
     sound, given = _read(speech, options)
     reading_seconds = perf_counter() - began
     with console().status("loading the network"):
-        import torch
-
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
         from deitalk.pipeline.curves import animate as perform
 
-        torch.set_num_threads(min(threads, os.cpu_count() or 1))
-        network = require_model(model, DEITalk, device=device)
+        network = load()
     with bar("animating") as progress:
         performance = perform(sound, model=network, progress=progress, **given)
     performance.timings["audio"] += reading_seconds

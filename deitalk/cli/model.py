@@ -8,7 +8,7 @@ import typer
 
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.paths import reserve_folder
+from deitalk.cli.paths import reserve_file, reserve_folder
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
 
@@ -21,16 +21,45 @@ def _group() -> None:
 @app.command()
 def export(
     model: Annotated[str, typer.Argument(help="Model folder, such as runs/mel/best.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write.")] = None,
+    onnx: Annotated[
+        Path | None, typer.Option("--onnx", help="File.onnx to write, for ONNX Runtime and Unreal.")
+    ] = None,
     data: Annotated[str, typer.Option(help="Description of the training data.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
 ) -> None:
-    """Write a model for distribution: half precision, without paths of this machine.
+    """Write a model for distribution: a folder in half precision, or an ONNX file.
 
     Examples
     --------
     deitalk model export runs/mel/best -o my_model --data "my captures"
+
+    deitalk model export default --onnx default.onnx
     """
+    from deitalk.errors import DeitalkError
+
+    if (out is None) == (onnx is None):
+        raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
+    if onnx is not None:
+        _export_onnx(model, onnx, force)
+    elif out is not None:
+        _export_folder(model, out, data, force)
+
+
+def _export_onnx(model: str, out: Path, force: bool) -> None:
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import model_folder
+    from deitalk.models.onnx.export import export_onnx, operators
+
+    source = model_folder(model)
+    reserve_file(out, force=force, inputs=(source / "model.safetensors",))
+    export_onnx(require_model(model, DEITalk), out, name=model)
+    console().print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    console().note(f"operators: {', '.join(sorted(operators(out)))}")
+
+
+def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
     from deitalk.config.load import load_config, without_paths
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk

@@ -26,7 +26,10 @@ Voice = Annotated[
     Path | None,
     typer.Option(help="Usual voice of the actor, from `deitalk actor build`."),
 ]
-Model = Annotated[str, typer.Option(help="default, compact, or a model folder.")]
+Model = Annotated[str, typer.Option(help="default, compact, a model folder, or an .onnx file.")]
+Backend = Annotated[
+    str, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.")
+]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
 Threads = Annotated[
     int,

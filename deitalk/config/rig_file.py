@@ -22,7 +22,7 @@ import yaml
 from pydantic import Field, ValidationError
 
 from deitalk.config.section import Section
-from deitalk.config.yaml_text import read_yaml
+from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
 from rig.controls import DEFAULT_ID, Control
@@ -66,8 +66,17 @@ def read_controls(name: str) -> ControlSet:
         raise ConfigError(
             f"model.control_set={quoted(name)} is neither {DEFAULT_ID!r} nor a rig file (.yaml)"
         )
+    return _checked(path, read_yaml(path))
+
+
+def parse_controls(text: str, where: Path) -> ControlSet:
+    """Control set of the text of a rig file; `where` begins messages. Errors as `read_controls`."""
+    return _checked(where, load_yaml(text, where))
+
+
+def _checked(path: Path, tree: Any) -> ControlSet:
     try:
-        return _controls(path, RigFile.model_validate(read_yaml(path)))
+        return _controls(path, RigFile.model_validate(tree))
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"

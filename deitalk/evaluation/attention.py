@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from deitalk.audio.load import load_audio
 from deitalk.config import MelConfig
@@ -46,7 +47,7 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
         If the model has no temporal attention.
     """
     rate = spectra_per_second(network)
-    weights = network.attention_weights(Speech.of(waveform).sound)
+    weights = network.attention_weights(torch.from_numpy(Speech.of(waveform).sound))
     return Attention(weights.cpu().numpy(), network.fps, rate)
 
 

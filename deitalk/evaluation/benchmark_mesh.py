@@ -126,7 +126,7 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
         separately through convolutions, both BiLSTMs and attention; `ratio`; `largest_difference`
         of the features, and their largest value `largest`.
     """
-    (chunk,) = model.feature_chunks(Speech.of(sound).sound)
+    (chunk,) = model.feature_chunks(torch.from_numpy(Speech.of(sound).sound))
     encoder = model.encoder
     assert isinstance(encoder, SDFAEncoder)
 
@@ -213,7 +213,7 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
     laps: dict[str, Callable[[], Any]] = {
         "set static mesh": lambda: state.update(solver=mesh_solver(model.template(0))),
         "preprocess audio": lambda: state.update(
-            chunks=list(model.feature_chunks(Speech.of(sound).sound))
+            chunks=list(model.feature_chunks(torch.from_numpy(Speech.of(sound).sound)))
         ),
         "audio feature": lambda: state.update(
             feature=torch.cat(

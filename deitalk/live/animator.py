@@ -18,6 +18,7 @@ from deitalk.live.network import advance, causal_frontend, first_state, put, tak
 from deitalk.live.stream import Change, Stream
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.network import chosen_actor
 from deitalk.pipeline.arguments import whole_seed
 from rig.arrays import Float32
 from rig.errors import quoted
@@ -96,7 +97,7 @@ class LiveAnimator:
         if not 8_000 <= sample_rate <= 192_000:
             raise AudioError(f"sample_rate={sample_rate} must be 8000 to 192000 Hz")
         self.names, self.sample_rate = tuple(self.network.controls.names), sample_rate
-        self.actor = self.network.actor_of(actor)
+        self.actor = chosen_actor(self.network.actors, actor)
         self.settings = RulesConfig.none() if raw else self.network.rules
         self.idle, self.seed = idle and self.settings.idle is not None, whole_seed(seed)
         direction = Direction.of(emotion, intensity)

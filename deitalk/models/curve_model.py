@@ -13,10 +13,11 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
+from deitalk.models.network import Reading, Tracks, read_twice
 from deitalk.models.positions import dynamic_positions
 from deitalk.models.rig_decoder import RigDecoder
 from rig import ControlSet, default_controls
-from rig.errors import quoted
+from rig.arrays import Float32
 
 DECODE_FRAMES = 1024
 """Rig frames decoded at once on a long clip (34 s)."""
@@ -47,6 +48,13 @@ class Analysis(NamedTuple):
     """e_sim [shape=(T,), range -1 to 1]."""
     strength: Tensor | None
     """Predicted intensity [shape=(T,), range 0 to 1]."""
+
+    @property
+    def tracks(self) -> Tracks:
+        """Saliency and strength as arrays."""
+        if self.saliency is None or self.strength is None:
+            return Tracks(None, None)
+        return Tracks(self.saliency.cpu().numpy(), self.strength.cpu().numpy())
 
 
 class DEITalk(nn.Module):
@@ -158,19 +166,26 @@ class DEITalk(nn.Module):
         """Device of the weights."""
         return next(self.parameters()).device
 
-    def actor_of(self, name: str | None) -> str:
-        """The actor whose style is wanted, or the model's first, or nobody.
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names of the actors whose styles it has."""
+        return tuple(self.config.actors)
 
-        Raises
-        ------
-        CheckpointError
-            If the model has no such actor.
-        """
-        actors = self.config.actors
-        if name is not None and name not in actors:
-            known = ", ".join(actors) or "none: it is of one actor, or of nobody"
-            raise CheckpointError(f"actor {quoted(name)} is unknown; the model's are {known}")
-        return name or next(iter(actors), "")
+    def read(
+        self,
+        sound: Float32,
+        weights: Float32,
+        actor: str = "",
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Reading:
+        """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
+        analysis = self.analyse(torch.from_numpy(sound), len(weights), progress)
+
+        def decode(weights: Float32) -> Float32:
+            styles = self.styles(torch.from_numpy(weights).to(self.device), actor)
+            return self.decode(analysis, styles).cpu().numpy()
+
+        return Reading(*read_twice(decode, weights), analysis.tracks)
 
     def styles(self, emotion: Tensor, actor: str) -> Tensor:
         """Weights of all styles: those of the emotions, and 1 for an actor.

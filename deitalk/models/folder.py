@@ -83,23 +83,30 @@ def product_of(name_or_path: str | Path) -> Literal["curves", "mesh"]:
 
 
 def describe_model(name_or_path: str | Path) -> dict[str, Any]:
-    """Content of ``model.json`` but for the control names; rules, hash and size of the weights."""
+    """Content of ``model.json`` but for the control names; rules, hash and size of the weights.
+
+    Of an ``.onnx`` file: its hash and size.
+    """
+    if str(name_or_path).endswith(".onnx"):
+        return {"name": str(name_or_path), **_size_and_hash(Path(name_or_path))}
     folder = model_folder(name_or_path)
     about = read_about(folder)
-    weights = folder / "model.safetensors"
     about.pop("controls", None)
-    size = check_file(weights, limits.WEIGHTS_BYTES, error=CheckpointError)
     config = load_config(folder / "config.yaml")
     if isinstance(config, Config):
         about["rules"] = config.rules.model_dump(mode="json")
-    return {"name": str(name_or_path), **about, "bytes": size, "sha256": weights_hash(folder)}
+    return {"name": str(name_or_path), **about, **_size_and_hash(folder / "model.safetensors")}
 
 
 def weights_hash(folder: Path) -> str:
     """SHA-256 of a folder's weights, in hexadecimal."""
+    return str(_size_and_hash(folder / "model.safetensors")["sha256"])
+
+
+def _size_and_hash(path: Path) -> dict[str, int | str]:
+    size = check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
     digest = hashlib.sha256()
-    path = folder / "model.safetensors"
     with open_file(path, limits.WEIGHTS_BYTES, error=CheckpointError) as stream:
         while part := stream.read(limits.MIB):
             digest.update(part)
-    return digest.hexdigest()
+    return {"bytes": size, "sha256": digest.hexdigest()}

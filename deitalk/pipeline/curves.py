@@ -7,18 +7,16 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.models.network import CurveNetwork, chosen_actor, load_network
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
-from deitalk.pipeline.speech import Intensities, Speech, measure_intensities, read_twice
+from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import TakeMotion, plan_motion
@@ -35,7 +33,8 @@ def animate(
     emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
     sample_rate: float | None = None,
-    model: str | Path | DEITalk = "default",
+    model: str | Path | CurveNetwork = "default",
+    backend: str = "torch",
     actor: str | None = None,
     intensity: float = 1.0,
     intensity_curve: str | Path | IntensityCurve | None = None,
@@ -58,8 +57,10 @@ def animate(
         A label (``"happy"``), weights (``"happy=0.7,surprised=0.3"``) or a keyframed track.
     sample_rate : float, optional
         Hz, of an array or a tensor; nothing else takes it.
-    model : str, Path or DEITalk
-        Name of an embedded model, a model folder, or a loaded model.
+    model : str, Path, DEITalk or OnnxNetwork
+        Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
+    backend : str
+        ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.network.load_network`.
     actor : str, optional
         Whose style, of a model that was tuned on several actors; by default its first.
     intensity : float, range 0 to 4
@@ -96,14 +97,14 @@ def animate(
     check_progress(progress)
     recording = _with_note_on(direction.curve, recording_of(audio, sample_rate))
     clock.lap("audio")
-    network = require_model(model, DEITalk)
+    network = load_network(model, backend=backend)
     clock.lap("model")
     rules = RulesConfig.none() if raw else network.rules
     speech = Speech.of(recording.waveform, rules.gates)
     weights = direction.emotion.at(speech.times)
-    neutral, emotional, intensities = _read(
-        network, speech, weights, actor, direction, rules, progress
-    )
+    name = chosen_actor(network.actors, actor)
+    neutral, emotional, tracks = network.read(speech.sound, weights, name, progress)
+    intensities = measure_intensities(speech, tracks, direction, rules.voice_intensity)
     clock.lap("network")
     controls = network.controls
     expression = Expression(controls, rules)
@@ -111,7 +112,7 @@ def animate(
     head = None
     if idle and rules.idle is not None and speech.activity.any():
         shown = weights * intensities.applied[:, None]
-        seeds = Seeds.of(speech.waveform, network.actor_of(actor), seed)
+        seeds = Seeds.of(speech.waveform, name, seed)
         motion = _idle_motion(speech, shown, seeds, rules.idle, life)
         motion.move(values, neutral, controls)
         head = motion.head
@@ -130,28 +131,6 @@ def animate(
         _settings(emotion, direction, intensity_curve, life, **others),
         str(model) if isinstance(model, str | Path) else "",
     )
-
-
-def _read(
-    network: DEITalk,
-    speech: Speech,
-    weights: Float32,
-    actor: str | None,
-    direction: Direction,
-    rules: RulesConfig,
-    progress: Callable[[float], None],
-) -> tuple[Float32, Float32, Intensities]:
-    """Neutral and emotional reading [shape=(T, C)], and intensities; the analysis is freed."""
-    name = network.actor_of(actor)
-    analysis = network.analyse(speech.sound, speech.n_frames, progress)
-
-    def decode(weights: Tensor) -> Float32:
-        styles = network.styles(weights, name)
-        return np.asarray(network.decode(analysis, styles).cpu().numpy())
-
-    neutral, emotional = read_twice(decode, weights, network.device)
-    rule = rules.voice_intensity
-    return neutral, emotional, measure_intensities(speech, analysis, direction, rule)
 
 
 def _apply_rules(

@@ -30,10 +30,11 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.network import read_twice
 from deitalk.pipeline.arguments import check_progress, whole_seed
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
-from deitalk.pipeline.speech import Speech, measure_intensities, read_twice
+from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.lip_seal import seal_lips
 from rig.arrays import Float32
 from rig.curves import snap_fps
@@ -185,17 +186,20 @@ def mesh_coefficients(
     if not direction.is_neutral:
         raise EmotionError(NO_EMOTION)
     assert isinstance(model, SDFA)
-    return model.coefficients(speech.sound, speaker)
+    return model.coefficients(torch.from_numpy(speech.sound), speaker)
 
 
 def _head_coefficients(
     model: MeshHead, speech: Speech, speaker: str | int, direction: Direction
 ) -> Iterator[Coefficients]:
     network = model.encoder.network
-    analysis = network.analyse(speech.sound, speech.n_frames)
-    describe = partial(network.describe, analysis)
-    readings = read_twice(describe, direction.emotion.at(speech.times), network.device)
-    scale = measure_intensities(speech, analysis, direction).scale
+    analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
+
+    def describe(weights: Float32) -> torch.Tensor:
+        return network.describe(analysis, torch.from_numpy(weights).to(network.device))
+
+    readings = read_twice(describe, direction.emotion.at(speech.times))
+    scale = measure_intensities(speech, analysis.tracks, direction).scale
     return model.coefficients(
         *readings, torch.from_numpy(scale), torch.from_numpy(speech.shown), speaker
     )

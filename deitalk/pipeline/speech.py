@@ -7,14 +7,11 @@
               -> prosody -> intensity of the voice -> applied intensity
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import checked_waveform
@@ -22,14 +19,12 @@ from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.config import Gates, VoiceIntensity
-from deitalk.emotions import EMOTIONS, Direction
-from deitalk.models.curve_model import Analysis
+from deitalk.emotions import Direction
+from deitalk.models.network import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
-
-Rows = TypeVar("Rows", Tensor, Float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +68,9 @@ class Speech:
         return frame_times(self.n_frames)
 
     @property
-    def sound(self) -> Tensor:
+    def sound(self) -> Float32:
         """The waveform with its speech at the level of the training [shape=(S,)]."""
-        return torch.from_numpy(normalise_level(self.waveform, activity=self.activity))
+        return normalise_level(self.waveform, activity=self.activity)
 
     @cached_property
     def mouth(self) -> Float32:
@@ -123,7 +118,7 @@ class Intensities(NamedTuple):
 
 def measure_intensities(
     speech: Speech,
-    analysis: Analysis,
+    tracks: Tracks,
     direction: Direction,
     rule: VoiceIntensity | None = VoiceIntensity(),
 ) -> Intensities:
@@ -134,8 +129,8 @@ def measure_intensities(
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
-    if analysis.strength is not None and analysis.saliency is not None:
-        network, saliency = analysis.strength.cpu().numpy(), analysis.saliency.cpu().numpy()
+    if tracks.strength is not None and tracks.saliency is not None:
+        network, saliency = tracks.strength, tracks.saliency
     voice, take = network, 0.0
     if rule is not None:
         usual = 0.0 if direction.voice is None else direction.voice.strength
@@ -148,26 +143,3 @@ def measure_intensities(
     if rule is None and direction.curve is None:
         scale = np.full(speech.n_frames, direction.intensity, np.float32)
     return Intensities(saliency, network, voice, predicted, applied, scale, take)
-
-
-def read_twice(
-    decode: Callable[[Tensor], Rows], weights: Float32, device: torch.device
-) -> tuple[Rows, Rows]:
-    """Neutral and emotional reading of one speech; one and the same if all weights are neutral.
-
-    Parameters
-    ----------
-    decode : callable
-        Maps emotion weights (T, 5) to rows (T, ...): curves, or features of a mesh head.
-    weights : array [shape=(T, 5)]
-        Emotion of each frame.
-    device : torch.device
-        Of the weights that `decode` is called with.
-    """
-    place = EMOTIONS.index("neutral")
-    plain = torch.zeros(weights.shape, device=device)
-    plain[:, place] = 1
-    neutral = decode(plain)
-    if not (weights[:, place] < 1).any():
-        return neutral, neutral
-    return neutral, decode(torch.from_numpy(weights).to(device))

@@ -301,10 +301,12 @@ def test_prediction_rejects_an_unknown_speaker():
 
 def test_attention_rows_sum_to_one():
     for recurrence in ("window", "segment"):
-        weights = model(recurrence=recurrence).attention_weights(Speech.of(noise(0.5)).sound)
+        weights = model(recurrence=recurrence).attention_weights(
+            torch.from_numpy(Speech.of(noise(0.5)).sound)
+        )
         assert weights.shape == (30, 16)
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
         assert (weights >= 0).all()
     for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
         with pytest.raises(CheckpointError, match="no temporal attention"):
-            model(frontend=other).attention_weights(Speech.of(noise(0.5)).sound)
+            model(frontend=other).attention_weights(torch.from_numpy(Speech.of(noise(0.5)).sound))

@@ -106,8 +106,8 @@ def test_raw_is_the_network_alone(network):
     """A recording within silence: no gate shuts the mouth, no rule changes the decoder's rows."""
     speech = recording(lead=0.5, trail=0.5)
     prepared = Speech.of(speech.waveform)
-    weights = torch.eye(5)[EMOTIONS.index("happy")].expand(prepared.n_frames, -1)
-    decoded = network.decode(network.analyse(prepared.sound, prepared.n_frames), weights).numpy()
+    weights = np.eye(5, dtype=np.float32)[[EMOTIONS.index("happy")] * prepared.n_frames]
+    decoded = network.read(prepared.sound, weights).emotional
     expected = np.clip(decoded, network.controls.minimum, network.controls.maximum)
     performance = animate(speech, "happy", model=network, raw=True)
     np.testing.assert_allclose(performance.curves.values, expected, atol=1e-5)

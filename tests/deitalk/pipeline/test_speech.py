@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-import torch
 
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.emotions import Direction, IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.models.curve_model import Analysis
-from deitalk.pipeline.speech import Speech, measure_intensities, read_twice
+from deitalk.models.network import Tracks, read_twice
+from deitalk.pipeline.speech import Speech, measure_intensities
 
 
 @pytest.fixture(scope="module")
@@ -18,9 +17,9 @@ def speech():
     return Speech.of(np.concatenate((silence, 0.1 * speechlike(3.0), silence)))
 
 
-def analysis(speech, strength):
-    rows = torch.full((speech.n_frames,), strength)
-    return Analysis(torch.zeros(speech.n_frames, 1), None, 2 * rows - 1, rows)
+def tracks(speech, strength):
+    rows = np.full(speech.n_frames, strength, np.float32)
+    return Tracks(2 * rows - 1, rows)
 
 
 def test_speech_has_a_row_for_each_thirtieth_of_a_second(speech):
@@ -36,7 +35,7 @@ def test_gates_are_shut_in_silence_and_open_in_speech(speech):
 
 
 def test_sound_has_its_speech_at_the_level_of_the_training(speech):
-    assert active_level_db(speech.sound.numpy(), speech.activity) == pytest.approx(-23, abs=0.01)
+    assert active_level_db(speech.sound, speech.activity) == pytest.approx(-23, abs=0.01)
 
 
 @pytest.mark.parametrize("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])
@@ -46,7 +45,7 @@ def test_speech_rejects_what_is_no_row_of_finite_samples(bad):
 
 
 def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
-    found = analysis(speech, 0.5)
+    found = tracks(speech, 0.5)
     once, twice = (measure_intensities(speech, found, Direction.of("happy", k)) for k in (1, 2))
     np.testing.assert_array_equal(once.applied, once.predicted)
     np.testing.assert_allclose(twice.applied, 2 * once.applied)
@@ -57,7 +56,7 @@ def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
 
 def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
     curve = IntensityCurve(np.zeros(1), np.array([0.5]))
-    found = measure_intensities(speech, analysis(speech, 0.5), Direction.of("sad", 1.0, curve))
+    found = measure_intensities(speech, tracks(speech, 0.5), Direction.of("sad", 1.0, curve))
     np.testing.assert_array_equal(found.applied, np.float32(0.5))  # also where nobody speaks
     open_ = speech.shown == 1
     np.testing.assert_allclose(found.scale[open_], 1)
@@ -65,9 +64,7 @@ def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
 
 
 def test_network_without_intensity_predicts_one_everywhere(speech):
-    found = measure_intensities(
-        speech, Analysis(torch.zeros(210, 1), None, None, None), Direction.of("happy")
-    )
+    found = measure_intensities(speech, Tracks(None, None), Direction.of("happy"))
     np.testing.assert_array_equal(found.network, 1)
     np.testing.assert_array_equal(found.saliency, 0)
 
@@ -79,12 +76,11 @@ def test_neutral_weights_are_read_once():
         calls.append(weights)
         return 2 * weights
 
-    cpu = torch.device("cpu")
     neutral = np.tile(np.eye(5, dtype=np.float32)[0], (4, 1))
-    plain, emotional = read_twice(decode, neutral, cpu)
+    plain, emotional = read_twice(decode, neutral)
     assert emotional is plain and len(calls) == 1
     happy = np.tile(np.eye(5, dtype=np.float32)[2], (4, 1))
-    plain, emotional = read_twice(decode, happy, cpu)
+    plain, emotional = read_twice(decode, happy)
     assert len(calls) == 3
     np.testing.assert_array_equal(plain, 2 * neutral)
     np.testing.assert_array_equal(emotional, 2 * happy)

@@ -1,0 +1,178 @@
+"""What the pipeline needs of a curve network: arrays in, arrays out, whatever evaluates it.
+
+`deitalk.models.curve_model.DEITalk` does it in torch, `deitalk.models.onnx.OnnxNetwork` in ONNX
+Runtime. This module imports neither.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol, TypeAlias, TypeVar
+
+import numpy as np
+
+from deitalk.config import RulesConfig
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError, DeitalkError
+from rig import ControlSet
+from rig.arrays import Float32
+from rig.errors import quoted
+
+Backend: TypeAlias = Literal["torch", "onnx"]
+BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
+Rows = TypeVar("Rows")
+
+
+class Tracks(NamedTuple):
+    """What a network predicts of each frame besides curves; None if it has no such module."""
+
+    saliency: Float32 | None
+    """e_sim (DEITalk Eq. 5) [shape=(T,), range -1 to 1]."""
+    strength: Float32 | None
+    """Predicted intensity [shape=(T,), range 0 to 1]."""
+
+
+class Reading(NamedTuple):
+    """Output of a network for a whole recording."""
+
+    neutral: Float32
+    """Curves of the neutral reading [shape=(T, C)]."""
+    emotional: Float32
+    """Curves with the emotion; the same array as `neutral` if all weights are neutral."""
+    tracks: Tracks
+
+
+class CurveNetwork(Protocol):
+    """A network from speech and emotion to curves."""
+
+    @property
+    def controls(self) -> ControlSet:
+        """Columns of the curves."""
+
+    @property
+    def rules(self) -> RulesConfig:
+        """Post-processing that belongs to the model."""
+
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names of the actors whose styles it has; empty if it has none."""
+
+    def read(
+        self,
+        sound: Float32,
+        weights: Float32,
+        actor: str = "",
+        progress: Callable[[float], None] = ...,
+    ) -> Reading:
+        """Predict curves of a whole recording.
+
+        Parameters
+        ----------
+        sound : array [shape=(S,)]
+            16 kHz, level-normalised.
+        weights : array [shape=(T, 5)]
+            Emotion of each frame.
+        actor : str
+            One of `actors`, or empty.
+        progress : callable
+            Called with the share of the work that is done, 0 to 1.
+        """
+
+
+def load_network(
+    model: "str | Path | CurveNetwork",
+    *,
+    backend: str = "torch",
+    device: str = "cpu",
+    threads: int = 1,
+) -> CurveNetwork:
+    """Return a curve network, loaded if a name, a folder or an ONNX file is given.
+
+    Parameters
+    ----------
+    model : str, Path or CurveNetwork
+        As for `deitalk.models.checkpoint.load_model`; an ``.onnx`` file of
+        ``deitalk model export --onnx``; or a loaded network, which stays as it is.
+    backend : str
+        ``torch``, or ``onnx``: ONNX Runtime, for which a model is exported once into the cache.
+    device : str
+        As for `load_model`; ONNX Runtime has ``cpu`` only.
+    threads : int
+        Processor threads of ONNX Runtime; those of torch are set for the process.
+
+    Raises
+    ------
+    CheckpointError
+        If it cannot be loaded or is no curve model.
+    DeitalkError
+        If the backend is unknown, not installed, or lacks the device.
+    """
+    if backend not in BACKENDS:
+        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
+    if not isinstance(model, str | Path):
+        return _checked(model)
+    if is_onnx(model, backend):
+        from deitalk.models.onnx import load_onnx
+
+        return load_onnx(model, device=device, threads=threads)
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+
+    return require_model(model, DEITalk, device=device)
+
+
+def is_onnx(model: str | Path, backend: str) -> bool:
+    """Whether a model is evaluated by ONNX Runtime."""
+    return backend == "onnx" or str(model).endswith(".onnx")
+
+
+def _checked(model: CurveNetwork) -> CurveNetwork:
+    """A loaded network; one of torch is put into evaluation mode."""
+    from deitalk.models.onnx import OnnxNetwork
+
+    if isinstance(model, OnnxNetwork):
+        return model
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+
+    return require_model(model, DEITalk)  # type: ignore[arg-type]
+
+
+def chosen_actor(actors: Sequence[str], name: str | None) -> str:
+    """The actor whose style is wanted, or the model's first, or nobody.
+
+    Raises
+    ------
+    CheckpointError
+        If the model has no such actor.
+    """
+    if name is not None and name not in actors:
+        known = ", ".join(actors) or "none: it is of one actor, or of nobody"
+        raise CheckpointError(f"actor {quoted(name)} is unknown; the model's are {known}")
+    return name or next(iter(actors), "")
+
+
+def neutral_weights(n_frames: int) -> Float32:
+    """Weights of the neutral reading [shape=(T, 5)]."""
+    return np.tile(np.eye(len(EMOTIONS), dtype=np.float32)[_NEUTRAL], (n_frames, 1))
+
+
+def is_neutral(weights: Float32) -> bool:
+    """Whether no frame has another emotion."""
+    return not (weights[:, _NEUTRAL] < 1).any()
+
+
+def read_twice(decode: Callable[[Float32], Rows], weights: Float32) -> tuple[Rows, Rows]:
+    """Neutral and emotional reading of one speech; one and the same if all weights are neutral.
+
+    Parameters
+    ----------
+    decode : callable
+        Maps emotion weights (T, 5) to rows (T, ...): curves, or features of a mesh head.
+    weights : array [shape=(T, 5)]
+        Emotion of each frame.
+    """
+    neutral = decode(neutral_weights(len(weights)))
+    return neutral, neutral if is_neutral(weights) else decode(weights)
+
+
+_NEUTRAL = EMOTIONS.index("neutral")

@@ -1,0 +1,222 @@
+"""A curve model as one graph for ONNX: sound and emotion of a whole clip in, curves out.
+
+The layers are those of the model; what lies between them is written without operations that other
+runtimes lack: the Fourier transform is a product with two matrices, windows along time are strided
+slices.
+"""
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.mel import FLOOR, MEAN, SPREAD, MelSpectrogram, derivative
+from deitalk.errors import CheckpointError
+from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.intensity import local_maximum
+from deitalk.models.network import neutral_weights
+
+BLOCK = 64
+"""Frames whose attention is applied in one product."""
+MARGIN = 4096
+"""Zeros on either side of the sound, longer than any window and shift."""
+
+
+class GraphOutput(NamedTuple):
+    """Outputs of the graph, in their order."""
+
+    curves: Tensor
+    neutral: Tensor
+    saliency: Tensor
+    intensity: Tensor
+
+
+class MelGraph(nn.Module):
+    """`MelSpectrogram` of a whole sound, at several shifts side by side."""
+
+    index: Tensor
+    transform: Tensor
+    filters: Tensor
+
+    def __init__(self, mel: MelSpectrogram, shifts: list[int]) -> None:
+        super().__init__()
+        step = Fraction(SAMPLE_RATE) / Fraction(mel.frame_rate).limit_denominator(1000)
+        self.period, self.count, self.phases = step.numerator, step.denominator, len(shifts)
+        self.length = mel.length
+        starts = torch.round(torch.arange(self.count, dtype=torch.float64) * float(step)).long()
+        within = torch.arange(mel.length) - mel.length // 2 + MARGIN
+        index = torch.tensor(shifts)[:, None, None] + starts[:, None] + within
+        self.register_buffer("index", index.flatten())
+        angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
+        angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
+        window = mel.window.double()[:, None]
+        waves = torch.cat((angle.cos(), angle.sin()), dim=1)  # real part, imaginary part
+        self.register_buffer("transform", (window * waves).float())
+        self.register_buffer("filters", torch.cat((mel.filters, mel.filters)) / mel.length)
+
+    def forward(self, sound: Tensor, n_spectra: int) -> Tensor:
+        """Map (S,) to (phases, 3, F, n_spectra)."""
+        periods = torch.arange((n_spectra + self.count - 1) // self.count) * self.period
+        padded = F.pad(sound, (MARGIN, MARGIN))
+        frames = padded[(periods[:, None] + self.index).flatten()]
+        frames = frames.view(-1, self.phases, self.count, self.length)
+        frames = frames.transpose(0, 1).reshape(self.phases, -1, self.length)[:, :n_spectra]
+        power = (frames @ self.transform).square() @ self.filters
+        mel = ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)), dim=1)
+
+
+class MelFrontendGraph(nn.Module):
+    """`MelFrontend` of a whole clip, averaged over its phases."""
+
+    def __init__(self, frontend: MelFrontend) -> None:
+        super().__init__()
+        config = frontend.config
+        steps = config.frame_rate / config.time_stack / FRAME_RATE
+        if config.recurrence != "segment" or steps != round(steps):
+            raise CheckpointError(
+                "only models with recurrence: segment and a multiple of 30 spectra a second are "
+                "exported"
+            )
+        self.frontend, self.steps, self.stack = frontend, round(steps), config.time_stack
+        self.window = config.window_frames // config.time_stack
+        self.mel = MelGraph(frontend.mel, frontend.shifts)
+
+    def forward(self, sound: Tensor, n_frames: int) -> Tensor:
+        """Map (S,) to (1, T, D)."""
+        frontend = self.frontend
+        length = self.steps * (n_frames - 1) + 1
+        spectral = frontend.spectral(self.mel(sound, length * self.stack))
+        memory, _ = frontend.recurrent(
+            spectral.reshape(self.mel.phases, -1, frontend.recurrent.input_size)
+        )
+        attended = self._attended(frontend.attention, memory)
+        rows: Tensor = frontend.rig(frontend._centred(attended, memory[:, :: self.steps]))
+        return rows.mean(dim=0, keepdim=True)
+
+    def _attended(self, attention: TemporalAttention, memory: Tensor) -> Tensor:
+        """`TemporalAttention.along` around every `steps`-th state."""
+        half, before = attention.query_frames // 2, self.window // 2
+        filtered = F.conv1d(
+            F.pad(memory.transpose(1, 2), (half, half)),
+            attention.query.weight,
+            attention.query.bias,
+            stride=self.steps,
+        )
+        query = attention.query_project(filtered.transpose(1, 2))  # (B, T, C_att)
+        sides = (0, 0, before, self.window - before)
+        keys = F.pad(attention.key_project(memory), sides)
+        outside = F.pad(torch.zeros_like(memory[:, :, :1]), sides, value=-1e9)
+        n_frames = query.shape[1]
+        scores = [
+            attention.score(torch.tanh(self._at(keys, i, n_frames) + query))
+            + self._at(outside, i, n_frames)
+            for i in range(self.window)
+        ]
+        weights = torch.cat(scores, dim=-1).softmax(dim=-1)  # (B, T, window)
+        return self._weighted(
+            weights, F.pad(memory, (0, 0, before, BLOCK * self.steps + self.window))
+        )
+
+    def _weighted(self, weights: Tensor, memory: Tensor) -> Tensor:
+        """Sum of the memory's windows by the weights: products of banded blocks.
+
+        A block's rows of weights, each padded to one window and the block's steps, become a band
+        when they are read as rows that are `steps` shorter.
+        """
+        batch, n_frames, size = weights.shape[0], weights.shape[1], memory.shape[-1]
+        n_blocks = (n_frames + BLOCK - 1) // BLOCK
+        width = self.window + BLOCK * self.steps
+        rows = F.pad(weights, (0, BLOCK * self.steps, 0, BLOCK))[:, : n_blocks * BLOCK]
+        band = rows.reshape(batch, n_blocks, BLOCK * width)[:, :, : BLOCK * (width - self.steps)]
+        band = band.reshape(batch, n_blocks, BLOCK, width - self.steps)
+        starts = torch.arange(n_blocks) * (BLOCK * self.steps)
+        places = starts[:, None] + torch.arange(width - self.steps)
+        parts = memory[:, places.flatten()].reshape(batch, n_blocks, width - self.steps, size)
+        return (band @ parts).reshape(batch, n_blocks * BLOCK, size)[:, :n_frames]
+
+    def _at(self, padded: Tensor, offset: int, n_frames: int) -> Tensor:
+        last = offset + self.steps * (n_frames - 1) + 1
+        return padded[:, offset : last : self.steps]
+
+
+class CurveGraph(nn.Module):
+    """A curve model, arguments and results without a batch.
+
+    Parameters
+    ----------
+    model : DEITalk
+        With a mel frontend and an intensity module.
+
+    Raises
+    ------
+    CheckpointError
+        If it has other ones.
+    """
+
+    neutral: Tensor
+    frequency: Tensor
+
+    def __init__(self, model: DEITalk) -> None:
+        super().__init__()
+        if not isinstance(model.frontend, MelFrontend) or not model.config.intensity:
+            raise CheckpointError(
+                "only models with a mel frontend and an intensity module are exported, such as "
+                "default"
+            )
+        self.model = model
+        self.frontend = MelFrontendGraph(model.frontend)
+        self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
+        size = model.frontend.output_size
+        exponent = torch.arange(0, size, 2, dtype=torch.float32) / size
+        self.register_buffer("frequency", 20 * math.pi * 10000.0**-exponent)
+
+    def forward(self, sound: Tensor, emotion: Tensor, place: Tensor) -> GraphOutput:
+        """Predict a clip.
+
+        Parameters
+        ----------
+        sound : Tensor [shape=(S,)]
+            16 kHz, level-normalised.
+        emotion : Tensor [shape=(T, 5 + actors)]
+            Weights of the styles.
+        place : Tensor [shape=(T,), range 0 to 1]
+            Frame i of T as i / T.
+        """
+        speech = self.frontend(sound, emotion.shape[0])
+        intensity = self._intensity(speech)
+        placed = speech
+        if self.model.config.positions:
+            angle = place[:, None] * self.frequency
+            waves = torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(-2)
+            placed = speech + waves[:, : speech.shape[-1]]
+        n_emotions = self.neutral.shape[1]
+        plain = torch.cat((0 * emotion[:, :n_emotions] + self.neutral, emotion[:, n_emotions:]), 1)
+        saliency, strength, guidance = intensity
+        readings = self.model.decoder(
+            placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
+        )
+        return GraphOutput(readings[1], readings[0], saliency[0], strength[0])
+
+    def _intensity(self, speech: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Saliency, strength (1, T) and guidance (1, T, E), as `DynamicIntensity`."""
+        module = self.model.intensity
+        features = module.project(speech)
+        if module.saliency_frames is None:
+            around = features.amax(dim=1, keepdim=True)
+        else:
+            around = local_maximum(features, module.saliency_frames)
+        norms = _norm(features) * _norm(around)
+        saliency = (features * around).sum(dim=-1) / norms
+        strength = torch.sigmoid(4 * (F.softplus(module.slope) * saliency + module.offset))
+        return saliency, strength, saliency.unsqueeze(-1) * features
+
+
+def _norm(features: Tensor) -> Tensor:
+    return features.square().sum(dim=-1).sqrt().clamp_min(1e-8)

@@ -1,0 +1,55 @@
+"""Networks of ONNX Runtime by the names of models."""
+
+import hashlib
+from pathlib import Path
+
+from deitalk import __version__
+from deitalk.errors import DeitalkError
+from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.onnx.network import OnnxNetwork
+from rig.errors import quoted
+from rig.files import cache_folder
+
+
+def load_onnx(model: str | Path, *, device: str = "cpu", threads: int = 1) -> OnnxNetwork:
+    """Return a network of ONNX Runtime.
+
+    Parameters
+    ----------
+    model : str or Path
+        An ``.onnx`` file; or a name or a folder as for `deitalk.models.checkpoint.load_model`,
+        which is exported into the cache folder once, with torch.
+    device : str
+        ``cpu``.
+    threads : int
+        Processor threads.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it cannot be exported or read.
+    DeitalkError
+        If the device is another, or a package of the extra ``onnx`` is not installed.
+    """
+    if device != "cpu":
+        raise DeitalkError(f"device {quoted(device)}: the backend onnx runs on cpu only")
+    path = Path(model)
+    if path.suffix != ".onnx":
+        path = cached_export(model)
+    return OnnxNetwork(path, threads)
+
+
+def cached_export(model: str | Path) -> Path:
+    """File of a model in the cache folder, written if it is not there; errors as `load_onnx`."""
+    folder = model_folder(model)
+    settings = (folder / "config.yaml").read_bytes()
+    key = hashlib.sha256(f"{__version__} {weights_hash(folder)}".encode() + settings).hexdigest()
+    path = cache_folder() / f"model-{key[:20]}.onnx"
+    if not path.is_file():
+        from deitalk.models.checkpoint import require_model
+        from deitalk.models.curve_model import DEITalk
+        from deitalk.models.onnx.export import export_onnx
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        export_onnx(require_model(folder, DEITalk), path, name=str(model))
+    return path

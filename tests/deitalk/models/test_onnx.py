@@ -1,0 +1,235 @@
+"""Curve models as ONNX files: equal to torch at every length, and read without torch."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk import animate
+from deitalk.config import Config, MelConfig, ModelConfig, RulesConfig
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError, DeitalkError, MissingError
+from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import embedded_models
+from deitalk.models.network import load_network
+from deitalk.models.onnx import OnnxNetwork, load_onnx
+from deitalk.models.onnx import network as network_module
+from rig import default_controls
+from tests.deitalk.models.test_curve_model import MEL, SMALL
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
+
+RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2}
+TOLERANCE = 1e-4
+"""Of a control's range."""
+
+
+def tiny(**settings):
+    """A network whose rig layers and styles change the curves."""
+    torch.manual_seed(6)
+    config = {"frontend": MelConfig(**RIG_LAYERS), "saliency_frames": 31} | SMALL | settings
+    model = DEITalk(ModelConfig(**config)).eval()
+    with torch.no_grad():
+        model.decoder.output.weight.normal_(std=0.2)
+        model.decoder.style.weight.normal_()
+        for layer in model.frontend.rig:
+            layer.project.weight.normal_(std=0.3)
+    return model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return tiny(actors=("ann", "bob"))
+
+
+@pytest.fixture(scope="module")
+def exported(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("onnx") / "tiny.onnx"
+    export_onnx(model, path, name="tiny")
+    return OnnxNetwork(path)
+
+
+def weights(n_frames, **amounts):
+    rows = np.zeros((n_frames, len(EMOTIONS)), np.float32)
+    for name, amount in amounts.items():
+        rows[:, EMOTIONS.index(name)] = amount
+    return rows
+
+
+def assert_equal(found, expected, controls=None):
+    span = (controls or default_controls()).maximum - (controls or default_controls()).minimum
+    for ours, theirs in ((found.neutral, expected.neutral), (found.emotional, expected.emotional)):
+        assert ours.shape == theirs.shape
+        assert np.abs((ours - theirs) / span).max() <= TOLERANCE
+    for ours, theirs in zip(found.tracks, expected.tracks, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 7, 64, 65, 131])
+def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
+    sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
+    rows = weights(n_frames, happy=0.6, sad=0.4)
+    assert_equal(exported.read(sound, rows, "bob"), model.read(sound, rows, "bob"))
+
+
+def test_actors_differ_as_they_do_in_torch(model, exported):
+    with torch.no_grad():
+        model.decoder.actors.weight.normal_()
+    sound, rows = speechlike(1.0), weights(30, angry=1)
+    assert exported.actors == ("ann", "bob") == model.actors
+    before = exported.read(sound, rows, "ann").emotional
+    np.testing.assert_allclose(before, exported.read(sound, rows, "bob").emotional, atol=1e-6)
+    model.decoder.actors.weight.data.zero_()
+
+
+def test_neutral_weights_give_one_reading(exported):
+    found = exported.read(speechlike(0.5), weights(15, neutral=1))
+    assert found.emotional is found.neutral
+
+
+def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, monkeypatch):
+    """Parts of 90 frames with 60 of context, more than the tiny network remembers."""
+    sound, rows = speechlike(8.0), weights(240, happy=1)
+    whole = exported.read(sound, rows)
+    shares = []
+    monkeypatch.setattr(network_module, "PART_FRAMES", 90)
+    monkeypatch.setattr(network_module, "CONTEXT_FRAMES", 60)
+    parts = exported.read(sound, rows, progress=shares.append)
+    assert shares == [90 / 240, 180 / 240, 1]
+    assert parts.emotional.shape == whole.emotional.shape
+    assert np.abs(parts.emotional - whole.emotional).max() < 0.01
+    for frames in (network_module.PART_FRAMES, 9000, 3000):
+        assert frames % 3 == 0, "frame 3 k lies on sample 1600 k"
+
+
+def test_metadata_describes_controls_rules_and_input(model, exported):
+    about = exported.metadata
+    assert json.loads(about["controls"]) == list(model.controls.names)
+    assert json.loads(about["rest"]) == pytest.approx(model.controls.rest.tolist())
+    assert json.loads(about["emotions"]) == list(EMOTIONS)
+    assert (about["sample_rate"], about["frame_rate"], about["level_db"]) == (
+        "16000",
+        "30",
+        "-23.0",
+    )
+    assert RulesConfig.model_validate(json.loads(about["rules"])) == model.rules == exported.rules
+    content = onnx.load(str(exported.path))
+    assert [entry.version for entry in content.opset_import if not entry.domain] == [OPSET]
+    inputs = {
+        i.name: [d.dim_param for d in i.type.tensor_type.shape.dim] for i in content.graph.input
+    }
+    assert {name: shape[0] for name, shape in inputs.items()} == {
+        "sound": "S",
+        "emotion": "T",
+        "place": "T",
+    }
+
+
+def test_file_has_standard_operators_without_control_flow(exported):
+    found = operators(exported.path)
+    assert found["LSTM"] == 4 and found["Conv"] >= 9
+    assert not set(found) & {"If", "Loop", "Scan", "DFT", "STFT", "ScatterElements"}
+
+
+def test_animate_gives_the_same_curves_with_either_backend(model, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "cache"))
+    settings = Config(model=model.config, name="tiny")
+    save_model(tmp_path / "tiny", model, settings, {})
+    sound = speechlike(2.0)
+    torch_made, onnx_made = (
+        animate(sound, "happy", sample_rate=16_000, model=tmp_path / "tiny", backend=backend)
+        for backend in ("torch", "onnx")
+    )
+    span = model.controls.maximum - model.controls.minimum
+    difference = np.abs(torch_made.curves.values - onnx_made.curves.values) / span
+    assert difference.max() <= TOLERANCE
+    (kept,) = (tmp_path / "cache").glob("model-*.onnx")
+    written = kept.stat().st_mtime_ns
+    assert isinstance(load_network(tmp_path / "tiny", backend="onnx"), OnnxNetwork)
+    assert kept.stat().st_mtime_ns == written, "exported once"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"intensity": False}, "intensity module"), ({"frontend": MEL | {"recurrence": "window"}}, "recurrence: segment")],
+)  # fmt: skip
+def test_export_rejects_models_with_other_parts(settings, message, tmp_path):
+    if "frontend" in settings:
+        settings = {"frontend": MelConfig(**settings["frontend"])}
+    chosen = {
+        "frontend": MelConfig(**MEL),
+        "motion_channels": (8,),
+        "decoder_channels": 8,
+    } | settings
+    with pytest.raises(CheckpointError, match=message):
+        export_onnx(DEITalk(ModelConfig(**chosen)), tmp_path / "x.onnx")
+    assert not (tmp_path / "x.onnx").exists()
+
+
+def test_load_onnx_rejects_what_is_no_export(tmp_path, exported):
+    with pytest.raises(CheckpointError, match=r"none\.onnx"):
+        load_onnx(tmp_path / "none.onnx")
+    (tmp_path / "text.onnx").write_text("not a graph")
+    with pytest.raises(CheckpointError, match=r"text\.onnx: cannot be read as ONNX"):
+        load_onnx(tmp_path / "text.onnx")
+    other = onnx.load(str(exported.path))
+    del other.metadata_props[:]
+    onnx.save(other, str(tmp_path / "other.onnx"))
+    with pytest.raises(CheckpointError, match="no model of `deitalk model export --onnx`"):
+        load_onnx(tmp_path / "other.onnx")
+
+
+def test_onnx_rejects_other_devices_and_unknown_backends():
+    with pytest.raises(DeitalkError, match="runs on cpu only"):
+        load_onnx("default", device="cuda")
+    with pytest.raises(DeitalkError, match="'tensorflow' is unknown; use torch or onnx"):
+        load_network("default", backend="tensorflow")
+
+
+def test_missing_onnxruntime_is_named_with_its_install_line(monkeypatch, exported):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingError, match=r"pip install 'deitalk\[onnx\]'"):
+        load_onnx(exported.path)
+
+
+COMMAND = """
+import sys
+sys.argv = ["deitalk", "animate", {sound!r}, "-e", "happy", "-o", {out!r}, "--model", {model!r}]
+from deitalk.cli import main
+try:
+    main()
+except SystemExit as exit:
+    assert not exit.code, exit.code
+slow = {{"torch", "onnx", "scipy", "pandas", "librosa", "transformers", "matplotlib", "safetensors.torch"}}
+print("LOADED", sorted(slow & set(sys.modules)))
+"""
+
+
+def test_animate_with_an_onnx_file_imports_no_torch(exported, tmp_path):
+    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
+    code = COMMAND.format(sound=str(sample), out=str(tmp_path / "take"), model=str(exported.path))
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "LOADED []"
+    about = json.loads((tmp_path / "take/take.json").read_text())["model"]
+    assert about["name"] == str(exported.path) and about["bytes"] == exported.path.stat().st_size
+
+
+@pytest.mark.slow
+def test_default_in_onnx_equals_torch(tmp_path):
+    if "default" not in embedded_models():
+        pytest.skip("the default weights are not in this checkout")
+    model = load_model("default")
+    export_onnx(model, tmp_path / "default.onnx")
+    sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
+    assert_equal(OnnxNetwork(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
