@@ -1,6 +1,7 @@
 """Commands of the service, for `deitalk.cli.serve`; heavy imports happen inside them."""
 
 import json
+import socket
 import sys
 import threading
 import time
@@ -52,11 +53,19 @@ def studio(file: Path | None, *, port: int | None, opens: bool) -> None:
 
     check_player()
     settings = load_settings(file, host="127.0.0.1", port=port)
+    _check_free(settings.port)
     address = f"http://127.0.0.1:{settings.port}/"
     sys.stderr.write(f"studio at {address}\n")
     if opens:
         threading.Thread(target=_open, args=(address,), daemon=True).start()
     serve(file, host=settings.host, port=settings.port)
+
+
+def _check_free(port: int) -> None:
+    """Refuse a port on which something listens: its page would be opened."""
+    with socket.socket() as probe:
+        if probe.connect_ex(("127.0.0.1", port)) == 0:
+            raise ConfigError(f"port {port} is taken; give another `port`", parameter="port")
 
 
 def _open(address: str) -> None:

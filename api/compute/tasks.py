@@ -24,6 +24,8 @@ from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import animate_mesh
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.take import write_take
+from rig.controls import DEFAULT_ID
+from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.curves.edit import clamp, gain
 from rig.formats import read_curves, write_curves
@@ -238,6 +240,18 @@ def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts}
 
 
+def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
+    options = order["options"]
+    curves = read_curves(options["curves"], fps=options.get("curves_fps"), control_set=None)
+    curves = convert(curves, DEFAULT_ID)
+    if "gain" in options:
+        curves, _ = clamp(gain(curves, options["gain"]))
+    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    report = write_curves(out, curves, format=options["format"], fps=options.get("fps"))
+    notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
+    return {"file": str(out), "notes": notes + ([report.note] if report.note else [])}
+
+
 def _validation(order: Order, limits: Limits, progress: Progress) -> Answer:
     validation = validate(Path(order["options"]["curves"]))
     findings = [{"level": f.level, "text": f.text} for f in validation.findings]
@@ -267,6 +281,7 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "animation": _animation,
     "mesh": _mesh,
     "retarget": _retarget,
+    "conversion": _conversion,
     "validation": _validation,
     "live": _live,
 }

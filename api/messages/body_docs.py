@@ -55,10 +55,6 @@ def answers(
     formats: dict[str, OutputFormat], job: type[BaseModel], *, at_once: bool = True
 ) -> dict[int | str, Any]:
     """Return ``responses`` of a route with a file, unless `at_once` is false, or a job."""
-    content: dict[str, Any] = {}
-    for known in formats.values():
-        content[known.media_type.partition(";")[0]] = {"schema": BINARY}
-    content["application/json"] = {"schema": {"type": "object"}}
     found: dict[int | str, Any] = {
         202: {
             "description": "A job; its path is in `Location`",
@@ -67,9 +63,16 @@ def answers(
             },
         },
     }
-    if at_once:
-        found[200] = {"description": "The result", "content": content}
-    return found
+    return found | (file_answers(formats) if at_once else {})
+
+
+def file_answers(formats: dict[str, OutputFormat]) -> dict[int | str, Any]:
+    """Return ``responses`` of a route with a file."""
+    content: dict[str, Any] = {}
+    for known in formats.values():
+        content[known.media_type.partition(";")[0]] = {"schema": BINARY}
+    content["application/json"] = {"schema": {"type": "object"}}
+    return {200: {"description": "The result", "content": content}}
 
 
 def _parameter(name: str, option: dict[str, Any]) -> dict[str, Any]:

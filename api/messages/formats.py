@@ -39,11 +39,12 @@ class OutputFormat:
         return MEDIA_TYPES["." + self.suffix.rpartition(".")[2]]
 
 
-ANIMATION_FORMATS = {
+CURVE_FORMATS = {
     known.name: OutputFormat(known.name, known.suffixes[0], known.description)
     for known in FORMATS
     if known.write
-} | {
+}
+ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
     "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720"),
     "page": OutputFormat("page", ".html", "preview page in one file, offline"),

@@ -23,6 +23,16 @@ _PAIR = r"\s*[A-Za-z]{1,40}\s*=\s*[0-9.eE+-]{1,40}\s*"
 _WEIGHTS = re.compile(rf"{_PAIR}(?:,{_PAIR}){{0,20}}")
 
 
+Gain = Annotated[
+    str | None,
+    Field(
+        max_length=4096,
+        description="Factors on controls or regions, around rest: `brow=0.5,mouth=1.2`.",
+        examples=["brow=0.5"],
+    ),
+]
+
+
 class MotionOptions(BaseModel):
     """What to make of a recording."""
 
@@ -93,14 +103,7 @@ class MotionOptions(BaseModel):
 class AnimationOptions(MotionOptions):
     """The same, for curves."""
 
-    gain: Annotated[
-        str | None,
-        Field(
-            max_length=4096,
-            description="Factors on controls or regions, around rest: `brow=0.5,mouth=1.2`.",
-            examples=["brow=0.5"],
-        ),
-    ] = None
+    gain: Gain = None
 
 
 class MeshOptions(MotionOptions):
@@ -123,6 +126,32 @@ class RetargetOptions(MotionOptions):
     curves_fps: Annotated[
         float | None, Field(ge=1, le=240, description="Rate of curves without one.")
     ] = None
+
+
+class ConversionOptions(BaseModel):
+    """What to make of a file of curves."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: Annotated[
+        str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
+    ] = None
+    fps: Annotated[
+        float | None,
+        Field(ge=1, le=240, description="Rate of the result, Hz; as it is by default."),
+    ] = None
+    curves_fps: Annotated[
+        float | None, Field(ge=1, le=240, description="Rate of curves without one.")
+    ] = None
+    gain: Gain = None
+    name: Annotated[
+        str | None, Field(pattern=NAME_PATTERN, description="Name of the result's file.")
+    ] = None
+
+    def order_options(self) -> dict[str, Any]:
+        """Return the options of an order."""
+        given = self.model_dump(exclude={"format"}, exclude_none=True)
+        return given | ({"gain": gains_of(self.gain)} if self.gain is not None else {})
 
 
 def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict[str, Any]:

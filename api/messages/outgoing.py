@@ -67,7 +67,7 @@ async def answer_order(
             answer = await service.pool.run(work | {"folder": str(folder)})
             if "long" not in answer:
                 service.metrics.audio.inc(answer.get("facts", {}).get("seconds", 0.0))
-                return await _result(folder, answer, output)
+                return await file_answer(folder, answer, output)
         job = await accept(request, service, caller, folder, work, given, output)
         body = view_of(job).model_dump_json()
         headers = {"Location": f"/v1/jobs/{job.id}"}
@@ -131,7 +131,8 @@ def _digest(folder: Path, content: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-async def _result(folder: Path, answer: Answer, output: OutputFormat) -> Response:
+async def file_answer(folder: Path, answer: Answer, output: OutputFormat) -> Response:
+    """Return the file that an order wrote into its folder, with its notes."""
     path = result_path(folder, answer)
     headers = result_headers(path.name, answer.get("notes", []))
     if path.stat().st_size <= AT_ONCE_BYTES:

@@ -9,16 +9,23 @@ from api.compute.order import Kind, Order
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.messages import body_docs
-from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat, choose_format
+from api.messages.formats import (
+    ANIMATION_FORMATS,
+    CURVE_FORMATS,
+    MESH_FORMATS,
+    OutputFormat,
+    choose_format,
+)
 from api.messages.incoming import receive
 from api.messages.options import (
     AnimationOptions,
+    ConversionOptions,
     MeshOptions,
     MotionOptions,
     RetargetOptions,
     order_options,
 )
-from api.messages.outgoing import answer_order
+from api.messages.outgoing import answer_order, file_answer
 from api.messages.schemas import JobView, ValidationView
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
@@ -67,6 +74,23 @@ async def retargets(request: Request, service: ServiceDep, caller: AnimatorDep) 
     )
 
 
+@router.post(
+    "/conversions",
+    response_class=Response,
+    responses=body_docs.file_answers(CURVE_FORMATS),
+    openapi_extra=body_docs.body(ConversionOptions, ("curves",), raw=False),
+)
+async def conversions(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+    """A file of curves in another format, on the control board."""
+    async with service.stage.folder() as folder:
+        given, sent = await receive(request, folder, ConversionOptions, ("curves",))
+        output = choose_format(CURVE_FORMATS, given.format, request.headers.get("accept"), "json")
+        options = given.order_options() | checked_curves(sent)
+        options |= {"format": output.name, "suffix": output.suffix}
+        order: Order = {"kind": "conversion", "folder": str(folder), "options": options}
+        return await file_answer(folder, await service.pool.run(order), output)
+
+
 class NoOptions(BaseModel):
     """A request without options."""
 
@@ -78,9 +102,8 @@ async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -
     """Check a file of curves by the rules of the programs that import it."""
     async with service.stage.folder() as folder:
         _, sent = await receive(request, folder, NoOptions, ("curves",))
-        if "curves" not in sent:
-            raise Problem(422, "send the file of curves as the part `curves` of the form")
-        order: Order = {"kind": "validation", "folder": str(folder), "options": dict(sent)}
+        options = checked_curves(sent)
+        order: Order = {"kind": "validation", "folder": str(folder), "options": options}
         answer = await service.pool.run(order)
         return ValidationView(**answer["facts"])
 
@@ -126,6 +149,13 @@ async def speech(
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
         given = given if at_once else given.model_copy(update={"wait": False})
         return await answer_order(request, service, caller, folder, kind, options, given, output)
+
+
+def checked_curves(sent: dict[str, str]) -> dict[str, Any]:
+    """Return the file of curves by its part; Problem 422 if it is missing."""
+    if "curves" not in sent:
+        raise Problem(422, "send the file of curves as the part `curves` of the form")
+    return dict(sent)
 
 
 def checked_files(kind: Kind, sent: dict[str, str]) -> dict[str, Any]:

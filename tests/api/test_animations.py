@@ -1,4 +1,4 @@
-"""Animations, meshes, retargets and checks over HTTP."""
+"""Animations, meshes, retargets, conversions and checks over HTTP."""
 
 import io
 import json
@@ -9,7 +9,8 @@ import pytest
 
 from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
-from rig import read_curves
+from rig import read_curves, write_curves
+from rig.conversion.convert import convert
 from tests.api.conftest import wav
 
 SPEECH = wav(1.5)
@@ -200,3 +201,27 @@ def test_page_of_the_routes_names_each_and_loads_nothing(client):
     for path in client.get("/openapi.json").json()["paths"]:
         assert path in page
     assert "<script" not in page and "src=" not in page
+
+
+def test_conversion_gives_what_the_library_writes(client, tmp_path):
+    curves = client.post("/v1/animations", files={"recording": SPEECH}).content
+    (tmp_path / "curves.json").write_bytes(curves)
+    write_curves(tmp_path / "Phone.csv", read_curves(tmp_path / "curves.json"), format="livelink")
+    files = {"curves": ("Phone.csv", (tmp_path / "Phone.csv").read_bytes())}
+    form = {"format": "npz", "gain": "jaw=0.5", "name": "mine"}
+    answer = client.post("/v1/conversions", files=files, data=form)
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-disposition"] == 'attachment; filename="mine.npz"'
+    (tmp_path / "mine.npz").write_bytes(answer.content)
+    board = convert(read_curves(tmp_path / "Phone.csv", control_set=None), "metahuman-185@mh4")
+    found = read_curves(tmp_path / "mine.npz")["CTRL_C_jaw.ty"]
+    assert np.abs(found - 0.5 * board["CTRL_C_jaw.ty"]).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("form", "status"),
+    [({"gain": "jaw"}, 422), ({"gain": "knee=2"}, 422), ({"format": "mp4"}, 400)],
+)
+def test_wrong_conversions_are_refused(client, form, status):
+    files = {"curves": ("c.csv", b"frame,time,CTRL_C_jaw.ty\n0,0,0.5\n1,0.033333,0.5\n")}
+    assert client.post("/v1/conversions", files=files, data=form).status_code == status

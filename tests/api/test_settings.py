@@ -2,6 +2,8 @@
 
 import json
 import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 import api
+from api import commands
 from api.app import create_app
 from api.errors import Problem, problem_of, without_paths
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
@@ -20,6 +23,7 @@ from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
 from rig.errors import CurveError
+from tests.browser import needs_player
 
 
 def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
@@ -191,3 +195,37 @@ def test_gains_are_read_as_those_of_convert():
     assert gains_of("brow=0.5, mouth=1.2") == {"brow": 0.5, "mouth": 1.2}
     with pytest.raises(CurveError, match="NAME=FACTOR"):
         gains_of("brow")
+
+
+class Ready(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200 if self.path == "/readyz" else 404)
+        self.end_headers()
+
+    def log_message(self, *words):
+        pass
+
+
+@pytest.fixture
+def listening():
+    """Port of a program that answers /readyz."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), Ready) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        yield running.server_port
+        running.shutdown()
+
+
+def test_studio_is_opened_once_the_service_answers(listening, monkeypatch):
+    opened = []
+    monkeypatch.setattr(commands.webbrowser, "open", opened.append)
+    commands._open(f"http://127.0.0.1:{listening}/")
+    assert opened == [f"http://127.0.0.1:{listening}/"]
+
+
+def test_studio_refuses_a_port_on_which_something_listens(listening, monkeypatch):
+    needs_player()
+    opened = []
+    monkeypatch.setattr(commands.webbrowser, "open", opened.append)
+    with pytest.raises(ConfigError, match=f"port {listening} is taken"):
+        commands.studio(None, port=listening, opens=True)
+    assert not opened

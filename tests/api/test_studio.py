@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from rig import read_curves
+from rig import default_controls, read_curves
 from tests.api.conftest import wav
 from tests.browser import chromium, lateness, needs_player
 
@@ -106,7 +106,8 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
 ):
     with studio(browser, server) as tab:
         drop(tab, speech)
-        until(tab, "deitalk.page.take?.seconds > 1")
+        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
+        tab.keyboard.press("Space")
         assert lateness(tab, 0.04) <= 0.04
         edit(tab)
         exported = download(tab, "CSV", tmp_path)
@@ -171,6 +172,13 @@ def test_reload_keeps_the_session_of_each_of_two_pages(browser, server, speech):
             edit = page.evaluate("deitalk.page.history.edit")
             assert edit["keys"][0]["emotion"] == emotion and len(edit["points"]) == 1
             assert page.evaluate("deitalk.page.transport.range") == [0.5, 1]
+        third = tab.context.new_page()
+        third.complaints = []
+        third.goto(server.url + "/")
+        until(third, "!!window.deitalk?.ready")
+        third.get_by_role("button", name="Continue with my line.wav").click()
+        until(third, "!!deitalk.page.take")
+        assert third.evaluate("deitalk.page.history.edit.points.length") == 1
 
 
 @pytest.mark.slow
@@ -220,6 +228,13 @@ def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, s
         drop(tab, curves)  # a captured reference over the curves
         until(tab, "deitalk.page.takes.length === 2")
         assert "(my line)" in tab.inner_text("#curves")
+        drop(tab, download(tab, "Live Link", tmp_path))  # of an iPhone: the service converts it
+        until(tab, "deitalk.page.takes[1]?.title !== 'my line'")
+        found = tab.evaluate(
+            "deitalk.page.takes[1].frame(40)[deitalk.page.board.controls.indexOf('CTRL_C_jaw.ty')]"
+        )
+        jaw = values[default_controls().index("CTRL_C_jaw.ty")]
+        assert found == pytest.approx(jaw, abs=0.1)
         drop(tab, take)
         until(tab, "deitalk.page.takes.length === 1")
         assert np.abs(shown_values(tab) - values).max() < 1e-5

@@ -11,7 +11,7 @@ export interface Intake {
   recording?(file: File): Promise<void>;
 }
 
-const CURVES = /\.(csv|json)$/i, RECORDING = /^(audio|video)\//;
+const CURVES = /\.(csv|json|npz|txt|tsv|xml|usd[ac]?)$/i, RECORDING = /^(audio|video)\//;
 const RECORDING_NAME = /\.(wav|flac|ogg|opus|mp3|m4a|aac|aiff?|wma|webm|mp4|mov|mkv)$/i;
 const MOST_FILES = 200;
 
@@ -43,7 +43,7 @@ async function open(file: File, intake: Intake): Promise<void> {
     else if (/\.zip$/i.test(file.name)) await intake.archive(file);
     else if (CURVES.test(file.name)) await intake.curves(file);
     else if (RECORDING.test(file.type) || RECORDING_NAME.test(file.name)) await openRecording(file, intake);
-    else notice(`${file.name}: drop a recording, a take folder, curves (.csv .json) or a .glb`);
+    else notice(`${file.name}: drop a recording, a take folder, curves or a .glb`);
   } catch (error) {
     notice(`${file.name}: ${messageOf(error)}`);
   }

@@ -30,6 +30,8 @@ export class Player {
   readonly intake: Intake;
   /** Called after every edit. */
   onEdit: () => void = () => {};
+  /** Converts curves that the page cannot read itself. */
+  convert?: (file: File) => Promise<File>;
   /** Called with a take that was dropped. */
   onTake: (take: TakeFiles) => void = () => {};
   private readonly faces?: Faces;
@@ -191,7 +193,10 @@ export class Player {
       archive: async (file) => take(await filesOfZip(await file.arrayBuffer()), file.name.replace(/\.zip$/i, "")),
       curves: async (file) => {
         needHead();
-        const curves = await readCurves(file, this.board);
+        const curves = await readCurves(file, this.board).catch(async (error) => {
+          if (!this.convert) throw error;
+          return readCurves(await this.convert(file), this.board);
+        });
         if (this.take) this.setOthers([new Take(curves, this.board, true)]);
         else this.load(new Take(curves, this.board), null);
       },

@@ -61,6 +61,12 @@ export class Transport {
     this.labelPlay();
   }
 
+  /** Play, if the browser allows it without a press. */
+  play(): void {
+    this.clock.play().catch(() => this.pause());
+    this.labelPlay();
+  }
+
   private step(frames: number): void {
     this.clock.pause();
     this.seek((Math.round(this.clock.time * this.fps) + frames) / this.fps);

@@ -51,6 +51,15 @@ export async function order(given: Order, progress: Progress, signal: AbortSigna
   return answer.status === 202 ? await finished(await answer.json(), progress, signal) : await resultOf(answer);
 }
 
+/** A file of curves of any format as `curves.json` of the board. */
+export async function convert(file: File): Promise<File> {
+  const form = new FormData();
+  form.append("curves", file, file.name);
+  form.append("format", "json");
+  const { content } = await resultOf(await request("/v1/conversions", { method: "POST", body: form }));
+  return new File([content], `${file.name.replace(/\.[^.]*$/, "")}.json`);
+}
+
 /** Wait for a job and fetch its result; without a listener any more it is cancelled. */
 async function finished(job: any, progress: Progress, signal: AbortSignal): Promise<Result> {
   const path = `/v1/jobs/${job.id}`;

@@ -8,8 +8,8 @@ import type { Player } from "../player";
 import { COLORS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindMicrophone } from "./microphone";
-import { emotionCsv, order, type Order, type Result } from "./service";
-import { loadSession, saveSession, type Session } from "./session";
+import { convert, emotionCsv, order, type Order, type Result } from "./service";
+import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
 const EMOTIONS = ["neutral", "angry", "happy", "sad", "surprised"];
@@ -19,7 +19,7 @@ const EXPORTS: [string, string, boolean][] = [
   ["Video", "mp4", true], ["Page", "page", false], ["Take", "take", false],
 ];
 const SETTLE_MS = 350;
-const SAVE_MS = 500;
+const SAVE_MS = 200;
 /** Longer recordings are not animated again after every edit; exports are exact all the same. */
 const LIVE_SECONDS = 60;
 
@@ -38,6 +38,8 @@ export class Studio {
     player.workbench!.emotion.onSelect = () => this.showEmotion();
     player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: "neutral", strength: 1 }] });
     player.onEdit = () => this.edited();
+    player.convert = convert;
+    addEventListener("pagehide", () => this.save());
     player.intake.recording = (file) => this.open(file);
     player.onTake = ({ wav, emotion }) => void this.adopt(wav, emotion);
     $("pick").addEventListener("click", () => $("file").click());
@@ -53,10 +55,24 @@ export class Studio {
     this.enable();
   }
 
-  /** Continue with the session of this tab, if it has one. */
-  async restore(): Promise<boolean> {
-    const session = await loadSession().catch(() => undefined);
-    if (!session) return false;
+  /** Continue with the session of this tab; without one, offer the latest. */
+  async restore(): Promise<void> {
+    try {
+      const session = await loadSession();
+      if (session) return await this.resume(session);
+      const latest = await latestSession();
+      if (latest) $("hint").append(button(`Continue with ${latest.name}`, () => void this.continue(latest.id)));
+    } catch (error) {
+      notice(`the last session cannot be read: ${messageOf(error)}`);
+    }
+  }
+
+  private async continue(id: string): Promise<void> {
+    const session = await loadSession(id);
+    if (session) await this.resume(session);
+  }
+
+  private async resume(session: Session): Promise<void> {
     const { take, wav } = await this.unpacked(session.packed);
     this.session = session;
     this.animated = session.edit.keys;
@@ -64,7 +80,6 @@ export class Studio {
     this.player.transport.setRange(session.range);
     this.player.seek(session.time);
     this.enable();
-    return true;
   }
 
   /** Whether the shown take has the keys of the edits, and nothing is on its way. */
@@ -84,6 +99,7 @@ export class Studio {
     this.animated = keys;
     this.player.load(take, wav, [], edit);
     this.enable();
+    this.player.transport.play();
   }
 
   private animate(recording: Blob, edit: Edit, name: string, intensityCsv?: string): Promise<Blob | undefined> {
@@ -235,12 +251,14 @@ export class Studio {
   /** Save the session once no more changes come. */
   private keep(): void {
     clearTimeout(this.saving);
-    this.saving = window.setTimeout(() => {
-      const { session, player } = this;
-      if (!session) return;
-      Object.assign(session, { range: player.transport.range, time: player.transport.shown });
-      saveSession(session).catch((error) => notice(`the session cannot be kept: ${messageOf(error)}`));
-    }, SAVE_MS);
+    this.saving = window.setTimeout(() => this.save(), SAVE_MS);
+  }
+
+  private save(): void {
+    const { session, player } = this;
+    if (!session) return;
+    Object.assign(session, { range: player.transport.range, time: player.transport.shown });
+    saveSession(session).catch((error) => notice(`the session cannot be kept: ${messageOf(error)}`));
   }
 
   private enable(): void {
