@@ -17,6 +17,7 @@ _FLAGS = [
     "--no-sandbox",
     "--disable-dev-shm-usage",
     "--autoplay-policy=no-user-gesture-required",
+    "--use-fake-device-for-media-stream",
 ]
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from rig import default_controls, read_curves
-from tests.api.conftest import wav
+from tests.api.conftest import KEYS, wav
 from tests.browser import chromium, lateness, needs_player
 
 SECONDS = 2.0
@@ -252,3 +252,47 @@ def test_studio_fits_a_phone_and_names_everything(browser, server, speech, schem
             .filter((e) => e.checkVisibility() && !e.textContent.trim() && !e.getAttribute("aria-label")
               && !e.getAttribute("aria-labelledby") && !e.labels?.length).map((e) => e.outerHTML)"""
         assert tab.evaluate(unnamed) == []
+
+
+@pytest.mark.slow
+def test_microphone_is_recorded_and_spoken(browser, server):
+    with studio(browser, server, permissions=["microphone"]) as tab:
+        tab.click("#record")
+        until(tab, "parseFloat(document.getElementById('recorded').textContent) > 1")
+        assert tab.get_attribute("#record", "aria-pressed") == "true"
+        tab.click("#record")
+        until(tab, "deitalk.page.take?.seconds > 0.8")
+        assert tab.evaluate("deitalk.page.take.audioSeconds") > 0.8
+
+
+@pytest.mark.slow
+def test_longer_recording_becomes_a_job_and_is_spoken(browser, server, tmp_path):
+    (tmp_path / "long.wav").write_bytes(wav(6.0))  # this server answers 4 s at once
+    with studio(browser, server) as tab:
+        drop(tab, tmp_path / "long.wav")
+        until(tab, "deitalk.page.take?.seconds >= 6")
+        assert any("/v1/jobs/" in url for url in tab.asked)
+
+
+@pytest.mark.slow
+def test_page_asks_for_a_key_where_one_is_needed(browser, keyed_server, speech):
+    with studio(browser, keyed_server) as tab:
+        drop(tab, speech)
+        until(tab, "document.getElementById('key-dialog').open")
+        tab.fill("#key", KEYS["viewer"])
+        tab.click("#key-dialog button[value=ok]")
+        until(tab, "!!deitalk.page.take")
+
+
+@pytest.mark.slow
+def test_what_cannot_be_read_is_one_line(browser, server, tmp_path):
+    (tmp_path / "noise.wav").write_bytes(b"RIFF" + bytes(100))
+    (tmp_path / "text.pdf").write_bytes(b"%PDF")
+    (tmp_path / "table.csv").write_text("a,b\n1,2\n3,4\n")
+    with studio(browser, server) as tab:
+        for name in ("noise.wav", "text.pdf", "table.csv"):
+            tab.evaluate("document.getElementById('notice').textContent = ''")
+            drop(tab, tmp_path / name)
+            until(tab, "!!document.getElementById('notice').textContent")
+            assert len(tab.inner_text("#notice").splitlines()) == 1
+        assert tab.evaluate("deitalk.page.take === undefined")
