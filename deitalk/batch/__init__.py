@@ -6,10 +6,15 @@
     manifest.py    rows of a table -> lines
     source.py      a manifest or a folder -> lines that can be animated, and those that cannot
     journal.py     SQLite: what was written, from what
-    outputs.py     files moved to their names, none of the user's replaced
+    outputs.py     files moved to their names, none of the user's replaced; cloud.py: at a URL
+    storage.py     recordings on this machine or wherever fsspec reaches
+    messages.py    what goes to a worker and what comes back
     performer.py   one line in a worker: sound -> staged files
     processes.py   worker processes, one model each
     actors.py      usual voice of each actor
+    orders.py      lines -> orders, results -> rows
+    progress.py    rate and time left
+    findings.py    warnings about curves
     report.py      the tables of a run
     run.py         `animate_batch`: all of it
 """

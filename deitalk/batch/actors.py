@@ -8,15 +8,14 @@ removed.
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
 
 from deitalk.batch.journal import Journal
 from deitalk.batch.lines import Line
-from deitalk.batch.performer import Order, Outcome
+from deitalk.batch.messages import Order, Outcome
+from deitalk.batch.outputs import AnyOutputs
 from deitalk.batch.source import ACTORS
-from deitalk.emotions import ActorReference, read_actor
+from deitalk.emotions import ActorReference, parse_actor
 from deitalk.pipeline.actor import reference_of
-from rig.files import atomic_write
 
 MOST_LINES = 100
 """Lines of an actor that are measured, spread evenly over all of them."""
@@ -34,8 +33,7 @@ def file_of(actor: str) -> str:
 
 def references(
     lines: Iterable[Line],
-    out: Path,
-    journal: Journal,
+    outputs: AnyOutputs,
     signature: Callable[[str], str],
     run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
 ) -> dict[str, ActorReference]:
@@ -45,10 +43,8 @@ def references(
     ----------
     lines : iterable of Line
         All lines of the batch.
-    out : Path
-        The output folder.
-    journal : Journal
-        Keeps the strength of each recording.
+    outputs : Outputs or CloudOutputs
+        The output folder; its journal keeps the strength of each recording.
     signature : callable
         State of a recording's file; empty if it is not there.
     run : callable
@@ -62,21 +58,22 @@ def references(
     found: dict[str, ActorReference] = {}
     samples: dict[str, list[tuple[str, str]]] = {}
     for actor, chosen in _by_actor(lines).items():
-        path = out / file_of(actor)
-        if path.is_file():
-            found[actor] = read_actor(path)
+        content = outputs.reference(file_of(actor))
+        if content is not None:
+            found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
         else:
             audios = dict.fromkeys(line.audio for line in _spread(chosen))
             signed = [(audio, signature(audio)) for audio in audios]
             samples[actor] = [(audio, sign) for audio, sign in signed if sign]
+    journal = outputs.journal
     _measure([sample for group in samples.values() for sample in group], journal, run)
     for actor, group in samples.items():
         measured = [journal.voice(*sample) for sample in group]
         voiced = [m for m in measured if m is not None and m[0] is not None]
         if len(voiced) >= FEWEST_LINES:
-            path = out / file_of(actor)
-            _write(path, reference_of(voiced))
-            found[actor] = read_actor(path)  # rounded, as every later run reads it
+            text = reference_of(voiced).as_json()
+            outputs.keep_reference(file_of(actor), text)
+            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
     return found
 
 
@@ -108,9 +105,3 @@ def _measure(
                 if outcome.status == "done":
                     row = (outcome.strength, outcome.seconds)
                     journal.write_voice(outcome.output, signs[outcome.output], *row)
-
-
-def _write(path: Path, reference: ActorReference) -> None:
-    path.parent.mkdir(exist_ok=True)
-    with atomic_write(path) as beside:
-        beside.write_text(reference.as_json(), encoding="utf-8")

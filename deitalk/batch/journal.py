@@ -81,6 +81,8 @@ class Journal:
     ----------
     path : Path
         Made if it does not exist; its folder must.
+    folder : Path or str
+        The output folder, for messages.
 
     Raises
     ------
@@ -88,8 +90,8 @@ class Journal:
         If it is damaged, of another format or open elsewhere.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, folder: Path | str) -> None:
+        self.path, self.folder = path, folder
         with self._errors():
             self._database = sqlite3.connect(path, timeout=1.0, isolation_level=None)
             run = self._database.execute
@@ -103,13 +105,19 @@ class Journal:
                 self.describe("format", FORMAT)
         elif found != FORMAT:
             raise TargetError(
-                f"{path.parent.parent} was written by another version of deitalk (journal {found}, "
+                f"{folder} was written by another version of deitalk (journal {found}, "
                 f"this reads {FORMAT}); name another folder"
             )
 
     def close(self) -> None:
         """Write everything into the one file and close it."""
         self._database.close()
+
+    def copy(self, path: Path) -> None:
+        """Copy everything into another file."""
+        with self._errors():
+            path.unlink(missing_ok=True)
+            self._database.execute("VACUUM INTO ?", (str(path),))
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -200,7 +208,7 @@ class Journal:
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise TargetError(
-                    f"{self.path.parent.parent} is being written by another process; wait for it, "
+                    f"{self.folder} is being written by another process; wait for it, "
                     "or name another folder"
                 ) from None
             raise TargetError(

@@ -1,18 +1,18 @@
 """Lines to orders for the workers, and results to files, journal and rows of the summary."""
 
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from deitalk import __version__
 from deitalk.batch.actors import references
-from deitalk.batch.journal import DONE, FAILED, Entry, Journal
+from deitalk.batch.journal import DONE, FAILED, Entry
 from deitalk.batch.lines import BadLine, Line, line_key
-from deitalk.batch.outputs import Outputs
-from deitalk.batch.performer import Order, Outcome
+from deitalk.batch.messages import Order, Outcome
+from deitalk.batch.outputs import AnyOutputs
 from deitalk.batch.progress import Pace, Progress
 from deitalk.batch.report import Row
+from deitalk.batch.storage import Recordings
 from deitalk.config import Config, load_config
 from deitalk.emotions import ActorReference
 from deitalk.errors import AudioError, CheckpointError
@@ -30,10 +30,8 @@ class Batch:
     ----------
     lines : sequence of Line or BadLine
         In the order of their source.
-    journal : Journal
-        Of the output folder.
-    outputs : Outputs
-        Of the output folder.
+    outputs : Outputs or CloudOutputs
+        The output folder.
     model : str
         Identity of the model.
 
@@ -45,20 +43,19 @@ class Batch:
         What applies to the whole batch.
     """
 
-    def __init__(
-        self, lines: Sequence[Line | BadLine], journal: Journal, outputs: Outputs, model: str
-    ) -> None:
-        self.lines, self.journal, self.outputs, self.model = lines, journal, outputs, model
+    def __init__(self, lines: Sequence[Line | BadLine], outputs: AnyOutputs, model: str) -> None:
+        self.lines, self.outputs, self.model = lines, outputs, model
+        self.journal, self.recordings = outputs.journal, Recordings()
         self.rows: list[Row] = []
         self.notes: list[str] = []
-        self._signatures: dict[str, str] = {}
         self._orders: list[Order] = []
         self._entries: dict[str, tuple[int, Entry]] = {}
+        self._before: dict[str, Entry] = {}
 
     def prepare(self, run: Run) -> None:
         """Measure the actors, then find what is to be done."""
         good = [line for line in self.lines if isinstance(line, Line)]
-        voices = references(good, self.outputs.folder, self.journal, self._signature, run)
+        voices = references(good, self.outputs, self.recordings.signature, run)
         actors = {line.settings.actor for line in good if not line.settings.voice} - {""}
         if unmeasured := sorted(actors - voices.keys()):
             self.notes.append(
@@ -69,8 +66,10 @@ class Batch:
 
     def perform(self, run: Run, progress: Progress) -> None:
         """Animate what is to be done, the longest recordings first."""
-        sizes = {order.output: self._size(order.audio) for order in self._orders}
+        sizes = {order.output: self.recordings.size(order.audio) for order in self._orders}
         orders = sorted(self._orders, key=lambda order: -sizes[order.output])
+        new = [self._entries[order.output][1] for order in orders if not order.known]
+        self.outputs.announce(new)
         pace = Pace(len(orders), sum(sizes.values()))
         for outcomes in run(orders) if orders else ():
             self._store(outcomes)
@@ -90,18 +89,18 @@ class Batch:
 
     def _known(self, line: Line, voices: dict[str, ActorReference]) -> Row | None:
         """The row of a line whose outputs are there."""
-        if not self._signature(line.audio):
+        if not self.recordings.signature(line.audio):
             raise AudioError(f"there is no recording {line.audio}; check the path")
         entry = self.journal.entry(line.output)
         key = line_key(line, self.model, _strength(line, voices))
-        fresh = Entry(line.output, line.audio, self._signature(line.audio), key=key)
+        fresh = Entry(line.output, line.audio, self.recordings.signature(line.audio), key=key)
         self._entries[line.output] = (len(self.rows), fresh)
         if entry is None or entry.state != DONE or entry.key != key:
             return None
         state = self.outputs.state(line.output)
         if state == "missing":
             return None
-        fresh.sound = entry.sound
+        fresh.sound, self._before[line.output] = entry.sound, entry
         if (entry.signature, entry.audio) != (fresh.signature, fresh.audio):
             return None
         status = "unchanged" if state == "intact" else "edited"
@@ -128,7 +127,7 @@ class Batch:
                 )
             number, entry = self._entries[outcome.output]
             if outcome.status == "unchanged":
-                old = self.journal.entry(entry.output) or entry
+                old = self._before[entry.output]
                 entry.seconds, entry.frames, entry.warnings = old.seconds, old.frames, old.warnings
             else:
                 entry.seconds, entry.frames = outcome.seconds, outcome.frames
@@ -140,19 +139,6 @@ class Batch:
         for entry, outcome in placed:
             number, _ = self._entries[entry.output]
             self.rows[number] = _finished(self.rows[number], entry, outcome)
-
-    def _signature(self, audio: str) -> str:
-        """Size and time of a recording's file; empty if it is not there."""
-        if audio not in self._signatures:
-            try:
-                found = os.stat(audio)
-                self._signatures[audio] = f"{found.st_size}-{found.st_mtime_ns}"
-            except (OSError, ValueError):
-                self._signatures[audio] = ""
-        return self._signatures[audio]
-
-    def _size(self, audio: str) -> float:
-        return float(self._signature(audio).partition("-")[0] or 0)
 
 
 def _strength(line: Line, voices: dict[str, ActorReference]) -> float | None:

@@ -2,19 +2,83 @@
 
 import os
 import shutil
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Protocol
 
 from deitalk.batch.journal import DONE, FAILED, PLACING, Entry, File, Journal
-from deitalk.batch.performer import Outcome
-from deitalk.pipeline.take import KIND
+from deitalk.batch.messages import Outcome
+from deitalk.pipeline.take import KIND as TAKE_KIND
+from rig import limits
 from rig.errors import TargetError
-from rig.files import check_folder, output_folder, recover
+from rig.files import (
+    atomic_write,
+    begin_folder,
+    check_folder,
+    claim,
+    output_folder,
+    recover,
+    replace_recorded,
+)
 from rig.files.manifest import MANIFEST, digest_of
+from rig.files.reading import read_bytes
 
+KIND = "batch"
+"""Kind of the output folder in its manifest."""
 PRIVATE = ".deitalk-batch"
 """Folder of the journal and of unfinished files."""
+
+
+class AnyOutputs(Protocol):
+    """Results of lines in a folder (`Outputs`) or at a URL (`deitalk.batch.cloud`)."""
+
+    journal: Journal
+    stage: str
+    """Folder of unfinished files; empty: temporary ones of the workers."""
+    url: str
+    """Where workers upload to; empty: the files are moved from the stage."""
+
+    @property
+    def folder(self) -> Path | str:
+        """The output folder."""
+        ...
+
+    def begin(self) -> None:
+        """Finish or forget what a killed process left."""
+        ...
+
+    def state(self, output: str) -> str:
+        """Whether the files of a finished line are ``intact``, ``missing`` or ``edited``."""
+        ...
+
+    def check_free(self, targets: Sequence[str]) -> None:
+        """Refuse targets where files lie that the batch did not write."""
+        ...
+
+    def announce(self, entries: Sequence[Entry]) -> None:
+        """Enter lines before they are animated."""
+        ...
+
+    def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
+        """Enter results, their files at their names."""
+        ...
+
+    def reference(self, name: str) -> bytes | None:
+        """Content of a reference of an actor."""
+        ...
+
+    def keep_reference(self, name: str, text: str) -> None:
+        """Write a reference of an actor."""
+        ...
+
+    def has_table(self, name: str) -> bool:
+        """Whether a table is there."""
+        ...
+
+    def write_table(self, name: str, text: str) -> None:
+        """Write a table; one that the user changed is refused."""
+        ...
 
 
 class Outputs:
@@ -30,13 +94,13 @@ class Outputs:
 
     def __init__(self, folder: Path, journal: Journal) -> None:
         self.folder, self.journal = folder, journal
-        self.stage = folder / PRIVATE / "stage"
+        self.stage, self.url = str(folder / PRIVATE / "stage"), ""
         self._made: set[Path] = set()
 
     def begin(self) -> None:
         """Finish or forget what a killed process left."""
         shutil.rmtree(self.stage, ignore_errors=True)
-        self.stage.mkdir(parents=True)
+        os.makedirs(self.stage)
         for entry in self.journal.entries(PLACING):
             recover(self.folder / entry.output)
             new = self.journal.files(entry.output, new=True)
@@ -68,6 +132,9 @@ class Outputs:
                     "name another output"
                 )
 
+    def announce(self, entries: Sequence[Entry]) -> None:
+        """Nothing: files are entered before they get their names."""
+
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
         """Give staged files their names and enter the results, all in two transactions."""
         good = []
@@ -89,6 +156,31 @@ class Outputs:
             else:
                 placed.append(entry)
         self._finish(placed)
+
+    def reference(self, name: str) -> bytes | None:
+        """Content of a reference of an actor."""
+        path = self.folder / name
+        return read_bytes(path, limits.TRACK_JSON_BYTES) if path.is_file() else None
+
+    def keep_reference(self, name: str, text: str) -> None:
+        """Write a reference of an actor."""
+        (self.folder / name).parent.mkdir(exist_ok=True)
+        with atomic_write(self.folder / name) as beside:
+            beside.write_text(text, encoding="utf-8")
+
+    def has_table(self, name: str) -> bool:
+        """Whether a table is there."""
+        return (self.folder / name).is_file()
+
+    def write_table(self, name: str, text: str) -> None:
+        """Write a table.
+
+        Raises
+        ------
+        TargetError
+            If the user changed it.
+        """
+        replace_recorded(self.folder, name, text)
 
     def _finish(self, entries: Sequence[Entry]) -> None:
         """Remove what lines no longer write, and enter them as done."""
@@ -119,7 +211,7 @@ class Outputs:
 
     def _exchange(self, source: Path, folder: Path) -> None:
         """Replace the files of a take; others in its folder stay."""
-        with output_folder(folder, kind=KIND, force=True) as stage:
+        with output_folder(folder, kind=TAKE_KIND, force=True) as stage:
             for name in os.listdir(source):
                 if name != MANIFEST:
                     os.replace(source / name, stage / name)
@@ -142,7 +234,7 @@ class Outputs:
     def _check_take(self, path: Path, target: str) -> None:
         """A folder may be filled if its take is of the batch and unchanged, or it holds nothing."""
         recover(path)
-        check_folder(path, kind=KIND, force=True)
+        check_folder(path, kind=TAKE_KIND, force=True)
         if any(path.iterdir()) and not self._is_own(f"{target}/take.json"):
             raise TargetError(
                 f"{path} is a take that this batch did not write; move it away, or name another "
@@ -158,3 +250,19 @@ class Outputs:
                 if not parent.is_dir():
                     raise TargetError(f"{parent} is a file; name another output")
                 return
+
+
+@contextmanager
+def opened_folder(out: Path) -> Iterator[Outputs]:
+    """The outputs in a folder that no other process writes to.
+
+    Raises
+    ------
+    TargetError
+        If another process writes there, the folder holds files of others, or a table was edited.
+    """
+    with claim(out):
+        begin_folder(out, kind=KIND)
+        (out / PRIVATE).mkdir(exist_ok=True)
+        with closing(Journal(out / PRIVATE / "journal.sqlite", out)) as journal:
+            yield Outputs(out, journal)

@@ -3,64 +3,20 @@
 import errno
 import hashlib
 import os
-from dataclasses import dataclass, field
+import shutil
+import socket
 from pathlib import Path
-from typing import Any, NamedTuple
+from tempfile import mkdtemp
+from typing import Any
+from weakref import finalize
 
 from deitalk.batch.journal import File
-from deitalk.batch.lines import TAKE, Settings
-from deitalk.emotions import ActorReference
+from deitalk.batch.lines import TAKE
+from deitalk.batch.messages import Order, Outcome, Target
+from deitalk.batch.storage import read_recording, upload
 from rig.errors import UserError, one_line
 
-IN_MEMORY_BYTES = 64 * 2**20
-"""Largest recording that is hashed and decoded from one reading."""
 _FULL = {errno.ENOSPC, errno.EDQUOT}
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """A line as a worker gets it."""
-
-    output: str
-    audio: str
-    settings: Settings = field(default_factory=Settings)
-    voice: ActorReference | None = None
-    """Reference of the actor, where one was measured."""
-    known: str = ""
-    """SHA-256 of the recording that the outputs are of; empty: they are to be made."""
-    only_voice: bool = False
-    """Measure the strength of the voice and write nothing."""
-
-
-class Target(NamedTuple):
-    """A staged file or take folder, and its place below the output folder."""
-
-    name: str
-    path: str
-
-
-@dataclass(slots=True)
-class Outcome:
-    """What a worker made of a line.
-
-    Attributes
-    ----------
-    status : str
-        ``done``, ``unchanged`` (the recording is the known one), ``failed``, or ``full`` where the
-        disk is.
-    """
-
-    output: str
-    status: str
-    error: str = ""
-    sound: str = ""
-    seconds: float = 0.0
-    frames: int = 0
-    warnings: tuple[str, ...] = ()
-    strength: float | None = None
-    stage: str = ""
-    targets: tuple[Target, ...] = ()
-    files: tuple[File, ...] = ()
 
 
 class Performer:
@@ -71,10 +27,12 @@ class Performer:
     model : str
         Name or folder.
     stage : str
-        Folder on the disk of the outputs.
+        Folder on the disk of the outputs; empty: a temporary one.
+    url : str
+        Where files are uploaded to; empty: they stay staged.
     """
 
-    def __init__(self, model: str, stage: str) -> None:
+    def __init__(self, model: str, stage: str, url: str = "") -> None:
         import torch
 
         from deitalk.models.checkpoint import require_model
@@ -84,8 +42,11 @@ class Performer:
         torch.set_num_threads(1)
         self.network = require_model(model, DEITalk)
         self.about = describe_model(model)
-        self.stage = Path(stage) / str(os.getpid())
-        self.count = 0
+        if not stage:
+            stage = mkdtemp(prefix="deitalk-batch-")
+            finalize(self, shutil.rmtree, stage, ignore_errors=True)
+        self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
+        self.url, self.count = url, 0
 
     def __call__(self, order: Order) -> Outcome:
         """Animate a line; whatever is wrong with it is in the result."""
@@ -104,10 +65,9 @@ class Performer:
             return Outcome(order.output, "failed", text)
 
     def _measure(self, order: Order) -> Outcome:
-        from deitalk.audio.load import load_audio
         from deitalk.pipeline.actor import voice_strength
 
-        recording = load_audio(order.audio)
+        recording = decoded(order.audio, read_recording(order.audio)[0])
         strength = voice_strength(recording)
         return Outcome(order.output, "done", seconds=recording.duration, strength=strength)
 
@@ -116,7 +76,7 @@ class Performer:
         from deitalk.pipeline.curves import animate
 
         settings = order.settings
-        data, sound = read_sound_file(order.audio)
+        data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
         recording = decoded(order.audio, data)
@@ -133,6 +93,11 @@ class Performer:
             seed=settings.seed,
         )
         folder, targets = self._write(order, performance)
+        staged = _files(folder, targets)
+        files = tuple(staged.values())
+        if self.url:
+            files = tuple(upload(self.url, path, file) for path, file in staged.items())
+            shutil.rmtree(folder)
         return Outcome(
             order.output,
             "done",
@@ -142,7 +107,7 @@ class Performer:
             warnings=(*recording.warnings, *findings(performance)),
             stage=str(folder),
             targets=targets,
-            files=tuple(_files(folder, targets)),
+            files=files,
         )
 
     def _style(self, actor: str) -> str | None:
@@ -175,24 +140,6 @@ class Performer:
         os.rename(beside, folder)
 
 
-def read_sound_file(path: str) -> tuple[bytes | None, str]:
-    """Content of a recording (None: too large to be held twice) and its SHA-256.
-
-    Raises
-    ------
-    AudioError
-        If there is no such file, or it is no file.
-    """
-    from deitalk.audio.load import check_path
-
-    check_path(Path(path))
-    with open(path, "rb") as file:
-        if os.fstat(file.fileno()).st_size > IN_MEMORY_BYTES:
-            return None, hashlib.file_digest(file, "sha256").hexdigest()
-        data = file.read()
-    return data, hashlib.sha256(data).hexdigest()
-
-
 def decoded(path: str, data: bytes | None) -> Any:
     """The recording of a file that was read; warnings and errors name its path."""
     from deitalk.audio.decoding import open_sound
@@ -204,15 +151,16 @@ def decoded(path: str, data: bytes | None) -> Any:
         return read_sound(path, sound)
 
 
-def _files(folder: Path, targets: tuple[Target, ...]) -> list[File]:
-    """Hashes of what was staged, under the names it will have."""
-    found = []
+def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:
+    """Staged files, and their hashes under the names that they will have; take.json is the last."""
+    found: dict[Path, File] = {}
     for name, place in targets:
         staged = folder / name
         if staged.is_dir():
-            found += [_file(p, f"{place}/{p.name}") for p in sorted(staged.iterdir())]
+            paths = sorted(staged.iterdir(), key=lambda path: (path.name == "take.json", path.name))
+            found |= {path: _file(path, f"{place}/{path.name}") for path in paths}
         else:
-            found.append(_file(staged, place))
+            found[staged] = _file(staged, place)
     return found
 
 

@@ -10,13 +10,23 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
+from typing import Protocol
 
-from deitalk.batch.performer import Order, Outcome
+from deitalk.batch.messages import Order, Outcome
 from deitalk.errors import DeitalkError
 from deitalk.workers import end_with_parent
 from rig.errors import UserError
 
 Make = Callable[[], Callable[[Order], Outcome]]
+
+
+class Pool(Protocol):
+    """What animates lines: `Workers`, or `deitalk.batch.cluster.Cluster`."""
+
+    def run(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
+        """Yield results as they come, in any order, several at a time."""
+        ...
+
 
 AHEAD = 2
 """Orders that a process holds, so that it has work while a result is stored."""

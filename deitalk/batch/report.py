@@ -5,7 +5,6 @@ import io
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from rig.errors import as_line
 
@@ -35,10 +34,9 @@ class BatchReport:
     ----------
     rows : list of Row
         One for each line, in the order of the source.
-    summary : Path
-        The table of all rows.
-    failed_table : Path or None
-        The table of failed lines, if there are any.
+    out : str
+        Folder or URL of the results, with ``batch-summary.csv`` and, if lines failed,
+        ``batch-failed.csv``.
     wall_seconds : float
         Duration of the run.
     notes : tuple of str
@@ -46,8 +44,7 @@ class BatchReport:
     """
 
     rows: list[Row]
-    summary: Path
-    failed_table: Path | None
+    out: str
     wall_seconds: float
     notes: tuple[str, ...] = ()
 

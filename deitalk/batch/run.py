@@ -8,26 +8,24 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic
 
-from deitalk.batch.journal import Journal
+from deitalk.batch.cloud import opened_cloud
 from deitalk.batch.lines import Settings, check_settings, parse_formats
 from deitalk.batch.orders import Batch, model_identity
-from deitalk.batch.outputs import PRIVATE, Outputs
+from deitalk.batch.outputs import AnyOutputs, opened_folder
 from deitalk.batch.performer import Performer
-from deitalk.batch.processes import Workers
+from deitalk.batch.processes import Make, Pool, Workers
 from deitalk.batch.progress import Progress
-from deitalk.batch.report import BatchReport, Row, failed_text, summary_text
-from deitalk.batch.source import FAILED, SUMMARY, read_source
+from deitalk.batch.report import FAILED, BatchReport, Row, failed_text, summary_text
+from deitalk.batch.source import FAILED as FAILED_TABLE
+from deitalk.batch.source import SUMMARY, read_source
+from deitalk.batch.storage import is_url
 from deitalk.errors import DeitalkError
 from rig.errors import TargetError
-from rig.files import begin_folder, claim, replace_recorded
-
-KIND = "batch"
-"""Kind of the output folder in its manifest."""
 
 
 def animate_batch(
@@ -44,6 +42,7 @@ def animate_batch(
     seed: int = 0,
     model: str | Path = "default",
     workers: int | None = None,
+    ray: str | None = None,
     force: bool = False,
     progress: Progress = lambda share, text: None,
 ) -> BatchReport:
@@ -66,7 +65,10 @@ def animate_batch(
     model : str or Path
         Name or folder of a curve model.
     workers : int, optional
-        Processes; one for each processor by default.
+        Processes; by default one for each processor of this machine, or of the cluster.
+    ray : str, optional
+        Address of a Ray cluster whose machines do the work, or ``local`` (extra ``ray``). Paths
+        must be URLs, or on a disk that all machines have.
     force : bool
         Go on in a folder that was begun from another source.
     progress : callable
@@ -89,56 +91,63 @@ def animate_batch(
         raw=raw, seed=seed,
     )  # fmt: skip
     check_settings(defaults)
-    identity, source, out = model_identity(model), Path(source), Path(out)
-    count = _processes(workers)
+    identity, count = model_identity(model), _processes(workers, ray)
     plan = read_source(source, out, defaults)
-    with _opened(out, source, force=force) as journal:
-        outputs = Outputs(out, journal)
+    with _opened(out, source, force=force) as outputs:
         outputs.begin()
-        batch = Batch(plan.lines, journal, outputs, identity)
-        with Workers(count, partial(Performer, str(model), str(outputs.stage))) as pool:
+        batch = Batch(plan.lines, outputs, identity)
+        make = partial(Performer, str(model), outputs.stage, outputs.url)
+        with _pool(count, make, ray) as pool:
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)
-        _write_tables(out, batch.rows)
-    failed = any(row.status == "failed" for row in batch.rows)
-    table = out / FAILED if failed else None
+        _write_tables(outputs, batch.rows)
     notes = (*_unused(plan.unused), *batch.notes)
-    return BatchReport(batch.rows, out / SUMMARY, table, monotonic() - began, notes)
+    return BatchReport(batch.rows, str(out), monotonic() - began, notes)
 
 
-def _processes(workers: int | None) -> int:
-    if workers is None:
-        is_linux = hasattr(os, "sched_getaffinity")
-        return len(os.sched_getaffinity(0)) if is_linux else os.cpu_count() or 1
-    if workers < 1:
-        raise DeitalkError(f"workers {workers} must be 1 or more")
-    return workers
+def _processes(workers: int | None, ray: str | None) -> int | None:
+    """Number of processes; None: as many as a cluster has processors."""
+    if workers is not None:
+        if workers < 1:
+            raise DeitalkError(f"workers {workers} must be 1 or more")
+        return workers
+    if ray is not None:
+        return None
+    is_linux = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if is_linux else os.cpu_count() or 1
+
+
+def _pool(count: int | None, make: Make, ray: str | None) -> AbstractContextManager[Pool]:
+    if ray is not None:
+        from deitalk.batch.cluster import Cluster
+
+        return Cluster(ray, count, make)
+    return Workers(count or 1, make)
 
 
 @contextmanager
-def _opened(out: Path, source: Path, *, force: bool) -> Iterator[Journal]:
-    """The journal of an output folder that no other process writes to."""
-    with claim(out):
-        begin_folder(out, kind=KIND)
-        (out / PRIVATE).mkdir(exist_ok=True)
-        with closing(Journal(out / PRIVATE / "journal.sqlite")) as journal:
-            name, known = os.path.realpath(source), journal.about("source")
-            if known not in (None, name) and not force:
-                raise TargetError(
-                    f"{out} was made from {known}, not from {name}; name another folder, or set "
-                    "`force=True`",
-                    parameter="force",
-                )
-            with journal.transaction():
-                journal.describe("source", name)
-            yield journal
+def _opened(out: str | Path, source: str | Path, *, force: bool) -> Iterator[AnyOutputs]:
+    """The output folder, if it was begun from this source."""
+    opened = opened_cloud(str(out)) if is_url(out) else opened_folder(Path(out))
+    with opened as outputs:
+        name = str(source) if is_url(source) else os.path.realpath(source)
+        known = outputs.journal.about("source")
+        if known not in (None, name) and not force:
+            raise TargetError(
+                f"{out} was made from {known}, not from {name}; name another folder, or set "
+                "`force=True`",
+                parameter="force",
+            )
+        with outputs.journal.transaction():
+            outputs.journal.describe("source", name)
+        yield outputs
 
 
-def _write_tables(out: Path, rows: Sequence[Row]) -> None:
-    failed = [row for row in rows if row.status == "failed"]
-    replace_recorded(out, SUMMARY, summary_text(rows))
-    if failed or (out / FAILED).is_file():
-        replace_recorded(out, FAILED, failed_text(failed))
+def _write_tables(outputs: AnyOutputs, rows: Sequence[Row]) -> None:
+    failed = [row for row in rows if row.status == FAILED]
+    outputs.write_table(SUMMARY, summary_text(rows))
+    if failed or outputs.has_table(FAILED_TABLE):
+        outputs.write_table(FAILED_TABLE, failed_text(failed))
 
 
 def _unused(columns: tuple[str, ...]) -> tuple[str, ...]:

@@ -8,10 +8,11 @@ from pathlib import Path, PurePosixPath
 from deitalk.audio.headers import RECORDINGS
 from deitalk.batch.lines import TAKE, BadLine, Line, Settings
 from deitalk.batch.manifest import checked_output, read_manifest
+from deitalk.batch.storage import cloud_errors, file_system, is_url
 from deitalk.errors import DataError
 from rig import limits
 from rig.errors import UserError
-from rig.files.reading import read_text
+from rig.files.reading import decode_text, read_text
 
 SUMMARY, FAILED, ACTORS = "batch-summary.csv", "batch-failed.csv", "batch-actors"
 """Tables and references of a batch in its output folder."""
@@ -26,7 +27,7 @@ class Plan:
     """Columns of the manifest that are not used."""
 
 
-def read_source(source: Path, out: Path, defaults: Settings) -> Plan:
+def read_source(source: str | Path, out: str | Path, defaults: Settings) -> Plan:
     """Lines of a manifest (a file) or of all recordings in a folder and its subfolders.
 
     Hidden files and folders are left out, and the output folder where it lies in the source.
@@ -36,20 +37,32 @@ def read_source(source: Path, out: Path, defaults: Settings) -> Plan:
     DataError
         If there is no recording, or the manifest is missing or no table.
     """
-    if source.is_dir():
-        return Plan(distinct(list(_in_folder(source, out, defaults))))
-    text = read_text(source, limits.DATASET_TABLE_BYTES, error=DataError)
-    lines, unused = read_manifest(text, str(source), str(source.parent), defaults)
+    base = str(source).rstrip("/") if is_url(source) else os.path.normpath(source)
+    names = _names_at(base, out) if is_url(source) else _names_in(base, out)
+    if names is not None:
+        return Plan(distinct(list(_found(base, names, defaults))))
+    text = _text_of(base)
+    lines, unused = read_manifest(text, base, os.path.dirname(base), defaults)
     return Plan(distinct(lines), unused)
 
 
-def _in_folder(folder: Path, out: Path, defaults: Settings) -> Iterator[Line | BadLine]:
-    names = _recordings(folder, out)
+def _text_of(manifest: str) -> str:
+    if not is_url(manifest):
+        return read_text(Path(manifest), limits.DATASET_TABLE_BYTES, error=DataError)
+    system, path = file_system(manifest)
+    with cloud_errors(manifest):
+        data = system.cat_file(path)
+    return decode_text(data, manifest, error=DataError)
+
+
+def _found(folder: str, names: list[str], defaults: Settings) -> Iterator[Line | BadLine]:
     if not names:
         known = " ".join(RECORDINGS)
         raise DataError(f"{folder}: holds no recording ({known}); name another folder")
-    for number, name in enumerate(names, 1):
-        audio = str(folder / name)
+    if len(names) > limits.BATCH_LINES:
+        raise DataError(f"{folder}: more than {limits.BATCH_LINES:,} recordings; divide it")
+    for number, name in enumerate(sorted(names), 1):
+        audio = f"{folder}/{name}"
         try:
             output = checked_output(os.path.splitext(name)[0])
         except UserError as error:
@@ -58,22 +71,34 @@ def _in_folder(folder: Path, out: Path, defaults: Settings) -> Iterator[Line | B
             yield Line(number, audio, output, defaults)
 
 
-def _recordings(folder: Path, out: Path) -> list[str]:
-    """Recordings below a folder, with ``/``, sorted."""
+def _names_in(folder: str, out: str | Path) -> list[str] | None:
+    """Recordings below a folder, with ``/``; None if it is no folder."""
+    if not os.path.isdir(folder):
+        return None
     left_out, found = os.path.realpath(out), []
     for root, folders, names in os.walk(folder):
         folders[:] = [
-            name
-            for name in folders
-            if not name.startswith(".") and os.path.realpath(os.path.join(root, name)) != left_out
+            name for name in folders if os.path.realpath(os.path.join(root, name)) != left_out
         ]
         below = Path(root).relative_to(folder)
-        for name in names:
-            if name.lower().endswith(RECORDINGS) and not name.startswith("."):
-                found.append((below / name).as_posix())
-        if len(found) > limits.BATCH_LINES:
-            raise DataError(f"{folder}: more than {limits.BATCH_LINES:,} recordings; divide it")
-    return sorted(found)
+        found += [(below / name).as_posix() for name in names]
+    return [name for name in found if _is_recording(name)]
+
+
+def _names_at(url: str, out: str | Path) -> list[str] | None:
+    """Recordings below a URL; None if it is no folder."""
+    system, path = file_system(url)
+    with cloud_errors(url):
+        if not system.isdir(path):
+            return None
+        names = [name[len(path) + 1 :] for name in system.find(path)]
+    left_out = f"{out}/".removeprefix(f"{url}/")
+    return [name for name in names if _is_recording(name) and not name.startswith(left_out)]
+
+
+def _is_recording(name: str) -> bool:
+    is_hidden = name.startswith(".") or "/." in name
+    return name.lower().endswith(RECORDINGS) and not is_hidden
 
 
 def distinct(lines: list[Line | BadLine]) -> list[Line | BadLine]:

@@ -1,6 +1,5 @@
 """`deitalk batch`: all lines of a manifest or a folder."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def batch(
-    source: Annotated[Path, typer.Argument(help="Folder of recordings, or a manifest (.csv).")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the results.")],
+    source: Annotated[str, typer.Argument(help="Folder of recordings, or a manifest; or a URL.")],
+    out: Annotated[str, typer.Option("--out", "-o", help="Folder of the results, or a URL.")],
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
     actor: Annotated[
@@ -36,6 +35,9 @@ def batch(
     workers: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
+    ] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="Address of a Ray cluster, such as host:6379 or auto.")
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Go on in a folder begun from another source.")
@@ -58,8 +60,8 @@ def batch(
     with bar("animating") as progress:
         report = animate_batch(
             source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
-            fps=fps, idle=idle, raw=raw, seed=seed, model=model, workers=workers, force=force,
-            progress=progress,
+            fps=fps, idle=idle, raw=raw, seed=seed, model=model, workers=workers, ray=ray,
+            force=force, progress=progress,
         )  # fmt: skip
     for note in report.notes:
         console().note(note)
@@ -70,18 +72,20 @@ def batch(
     _fail_if_any_failed(report)
 
 
-def _line(out: Path, report: "BatchReport") -> str:
+def _line(out: str, report: "BatchReport") -> str:
+    from deitalk.batch.source import SUMMARY
+
     counts = ", ".join(f"{count} {status}" for status, count in report.counts.items() if count)
     rate = report.seconds / report.wall_seconds
     return (
         f"{out}: {counts} of {len(report.rows)} lines in {report.wall_seconds:.0f} s "
-        f"({rate:.0f} x real time); {report.summary.name} has a row for each"
+        f"({rate:.0f} x real time); {SUMMARY} has a row for each"
     )
 
 
 def _summary(report: "BatchReport") -> dict[str, Any]:
     return {
-        "summary": str(report.summary),
+        "out": report.out,
         "lines": len(report.rows),
         **report.counts,
         "with_warnings": sum(bool(row.warnings) for row in report.rows),
@@ -91,11 +95,12 @@ def _summary(report: "BatchReport") -> dict[str, Any]:
 
 
 def _fail_if_any_failed(report: "BatchReport") -> None:
+    from deitalk.batch.source import FAILED
     from deitalk.errors import DeitalkError
 
     if report.failed:
         first = report.failed[0]
         raise DeitalkError(
-            f"{len(report.failed)} of {len(report.rows)} lines failed, see {report.failed_table}; "
+            f"{len(report.failed)} of {len(report.rows)} lines failed, see {FAILED} there; "
             f"the first is line {first.number}: {first.error}"
         )

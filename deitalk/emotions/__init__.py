@@ -1,6 +1,6 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
-from deitalk.emotions.actor import ActorReference, read_actor
+from deitalk.emotions.actor import ActorReference, parse_actor, read_actor
 from deitalk.emotions.direction import Direction
 from deitalk.emotions.tracks import (
     EMOTIONS,
@@ -20,6 +20,7 @@ __all__ = [
     "EmotionTrack",
     "IntensityCurve",
     "check_intensity",
+    "parse_actor",
     "parse_emotion",
     "read_actor",
     "read_emotion_track",

@@ -13,7 +13,7 @@ from pathlib import Path
 from deitalk.errors import EmotionError
 from rig import limits
 from rig.errors import quoted
-from rig.files.reading import read_json
+from rig.files.reading import load_json, read_bytes
 
 FORMAT, VERSION = "deitalk-actor", 1
 LARGEST = 100.0
@@ -58,7 +58,12 @@ def read_actor(path: Path) -> ActorReference:
     EmotionError
         If it is absent, too large or malformed.
     """
-    content = read_json(path, limits.TRACK_JSON_BYTES, error=EmotionError)
+    return parse_actor(read_bytes(path, limits.TRACK_JSON_BYTES, error=EmotionError), path)
+
+
+def parse_actor(data: bytes, path: object) -> ActorReference:
+    """As `read_actor`, of the content of a file; `path` is for messages."""
+    content = load_json(data, path, error=EmotionError)
     rule = "is no actor reference; `deitalk actor build` writes one"
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise EmotionError(f"{path}: {rule}")

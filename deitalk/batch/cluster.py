@@ -1,0 +1,123 @@
+"""Lines on the machines of a Ray cluster, by Ray Data: actors with one model each.
+
+Ray Data gives blocks of a few lines to the actors, and gives those of a machine that ends to
+others. A line may then be animated twice; the second result has the same files.
+"""
+
+import pickle
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from deitalk.batch.messages import Order, Outcome
+from deitalk.batch.processes import Make
+from deitalk.errors import DeitalkError, MissingError
+from rig.errors import UserError, one_line
+
+LINES_PER_BLOCK = 8
+"""Lines that one task animates; so many are animated again if its machine ends."""
+
+
+class Cluster:
+    """The machines of a Ray cluster; a context manager.
+
+    Parameters
+    ----------
+    address : str
+        As for ``ray.init``: ``host:6379``, ``auto``, ``ray://host:10001`` or ``local``.
+    count : int or None
+        Actors; one for each processor if None.
+    make : callable
+        As for `deitalk.batch.processes.Workers`.
+
+    Raises
+    ------
+    MissingError
+        If Ray is not installed.
+    DeitalkError
+        If no cluster answers.
+    """
+
+    def __init__(self, address: str, count: int | None, make: Make) -> None:
+        try:
+            import ray
+            import ray.data
+        except ImportError as error:
+            raise MissingError(
+                f"a Ray cluster needs Ray ({error}); install it by `pip install 'deitalk[ray]'`"
+            ) from None
+        self._count, self._make = count, pickle.dumps(make)
+        self._is_ours = not ray.is_initialized()
+        if self._is_ours:
+            try:
+                ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+            except (ConnectionError, RuntimeError, ValueError) as error:
+                text = one_line(f"Ray at {address}: {error}")
+                raise DeitalkError(f"{text}; check the address, or start a cluster") from None
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._is_ours:
+            import ray
+
+            ray.shutdown()
+
+    def run(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
+        """Yield results as blocks of them are finished, in any order.
+
+        Raises
+        ------
+        UserError
+            If the model cannot be loaded, or the cluster gives up.
+        """
+        import ray
+
+        context = ray.data.DataContext.get_current()
+        context.enable_progress_bars = False
+        count = self._count or max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        data = ray.data.from_items(
+            [{"order": pickle.dumps(order)} for order in orders],
+            override_num_blocks=-(-len(orders) // LINES_PER_BLOCK),
+        )
+        results = data.map_batches(
+            _Actor,
+            fn_constructor_kwargs={"make": self._make},
+            batch_size=None,
+            batch_format="numpy",
+            compute=ray.data.ActorPoolStrategy(min_size=1, max_size=count),
+            num_cpus=1,
+            max_restarts=-1,
+            max_task_retries=-1,
+        )
+        try:
+            for batch in results.iter_batches(batch_size=None, batch_format="numpy"):
+                yield [_outcome(row) for row in batch["outcome"]]
+        except ray.exceptions.RayError as error:
+            raise DeitalkError(one_line(f"Ray: {error}")) from None
+
+
+def _outcome(row: bytes) -> Outcome:
+    found = pickle.loads(row)
+    if isinstance(found, Exception):
+        raise found
+    assert isinstance(found, Outcome)
+    return found
+
+
+class _Actor:
+    """One actor with its model; a callable for `map_batches`."""
+
+    def __init__(self, make: bytes) -> None:
+        self._error: UserError | None = None
+        try:
+            self._perform = pickle.loads(make)()
+        except UserError as error:
+            self._error = type(error)(str(error))
+
+    def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """Map a column of orders to one of results."""
+        if self._error is not None:
+            return {"outcome": [pickle.dumps(self._error)] * len(batch["order"])}
+        outcomes = [self._perform(pickle.loads(order)) for order in batch["order"]]
+        return {"outcome": [pickle.dumps(outcome) for outcome in outcomes]}

@@ -1,0 +1,54 @@
+"""What goes to a worker, and what comes back."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from deitalk.batch.journal import File
+from deitalk.batch.lines import Settings
+from deitalk.emotions import ActorReference
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A line as a worker gets it."""
+
+    output: str
+    audio: str
+    settings: Settings = field(default_factory=Settings)
+    voice: ActorReference | None = None
+    """Reference of the actor, where one was measured."""
+    known: str = ""
+    """SHA-256 of the recording that the outputs are of; empty: they are to be made."""
+    only_voice: bool = False
+    """Measure the strength of the voice and write nothing."""
+
+
+class Target(NamedTuple):
+    """A staged file or take folder, and its place below the output folder."""
+
+    name: str
+    path: str
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a worker made of a line.
+
+    Attributes
+    ----------
+    status : str
+        ``done``, ``unchanged`` (the recording is the known one), ``failed``, or ``full`` where the
+        disk is.
+    """
+
+    output: str
+    status: str
+    error: str = ""
+    sound: str = ""
+    seconds: float = 0.0
+    frames: int = 0
+    warnings: tuple[str, ...] = ()
+    strength: float | None = None
+    stage: str = ""
+    targets: tuple[Target, ...] = ()
+    files: tuple[File, ...] = ()

@@ -1,0 +1,142 @@
+"""Recordings and outputs at a URL, and on the machines of a Ray cluster."""
+
+import os
+import shutil
+import threading
+from pathlib import Path
+
+import pytest
+
+from deitalk.batch import cloud
+from deitalk.batch.run import animate_batch
+from deitalk.batch.source import SUMMARY
+from deitalk.batch.storage import file_system, version_of
+from deitalk.errors import DataError, MissingError
+from rig.errors import TargetError
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def memory(lines, monkeypatch, tmp_path):
+    """An empty storage service with the recordings in ``memory://in``."""
+    monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "cache"))
+    system, _ = file_system("memory://in")
+    system.store.clear()
+    system.pseudo_dirs[:] = [""]
+    system.put(str(lines), "/in", recursive=True)
+    return system
+
+
+def names(system):
+    found = (name.removeprefix("/out/") for name in system.find("/out"))
+    return {name for name in found if ".deitalk-batch" not in name}
+
+
+def test_url_gives_the_files_of_a_folder(run, memory):
+    run(formats="csv;take")
+    assert run("memory://in", "memory://out", formats="csv;take").counts["done"] == 3
+    assert memory.cat_file("/out/anna/a.csv") == (run.out / "anna/a.csv").read_bytes()
+    assert {"c/take.json", "c/c.unreal.json", "c.csv", SUMMARY} <= names(memory)
+
+
+def test_second_run_at_a_url_does_nothing(run, orders, memory):
+    run("memory://in", "memory://out")
+    orders.clear()
+    assert run("memory://in", "memory://out").counts["unchanged"] == 3 and not orders
+
+
+def test_another_machine_goes_on_with_the_journal(run, orders, memory, tmp_path):
+    run("memory://in", "memory://out")
+    shutil.rmtree(tmp_path / "cache")
+    orders.clear()
+    assert run("memory://in", "memory://out").counts["unchanged"] == 3 and not orders
+
+
+def test_ended_run_at_a_url_goes_on(run, memory, monkeypatch):
+    def end(self, results):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cloud.CloudOutputs, "place", end)
+    with pytest.raises(KeyboardInterrupt):
+        run("memory://in", "memory://out")
+    assert len(names(memory)) == 1, "uploaded, and not entered"
+    monkeypatch.undo()
+
+
+def test_file_of_the_user_at_a_url_stays(run, memory):
+    run("memory://in", "memory://out", formats="npz")
+    memory.pipe_file("/out/c.csv", b"mine")
+    memory.pipe_file("/out/anna/a.npz", b"edited")
+    report = run("memory://in", "memory://out", formats="csv")
+    assert {row.output: row.status for row in report.rows} == {
+        "anna/a": "done", "anna/b": "done", "c": "failed",
+    }  # fmt: skip
+    assert memory.cat_file("/out/c.csv") == b"mine"
+    assert names(memory) == {
+        "anna/a.csv", "anna/a.npz", "anna/b.csv", "c.csv", "c.npz", SUMMARY, "batch-failed.csv",
+    }  # fmt: skip
+
+
+def test_manifest_at_a_url_is_read(run, memory):
+    memory.pipe_file("/in/lines.csv", b"audio,output\nanna/a.wav,x\nnone.wav,y\n")
+    report = run("memory://in/lines.csv", "memory://out")
+    assert [row.status for row in report.rows] == ["done", "failed"]
+    assert "there is no recording memory://in/none.wav" in report.failed[0].error
+
+
+def test_url_that_cannot_be_used_is_one_line(run, memory):
+    memory.pipe_file("/other/mine.txt", b"mine")
+    with pytest.raises(TargetError, match="did not write"):
+        run("memory://in", "memory://other")
+    with pytest.raises(DataError, match="does not exist"):
+        run("memory://nowhere", "memory://out")
+    with pytest.raises(DataError, match="nosuch://"):
+        run("nosuch://nowhere", "memory://out")
+
+
+def test_version_changes_with_the_content():
+    versions = {version_of(i) for i in ({"size": 1}, {"size": 2}, {"size": 1, "ETag": "a"})}
+    assert len(versions) == 3
+
+
+def test_missing_ray_is_one_line(run, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(MissingError, match="pip install"):
+        run(ray="auto")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of Ray, about its own parts
+def test_cluster_finishes_when_a_machine_ends(lines, model, tmp_path, monkeypatch):
+    """Two machines on this one; the second is killed after the first results."""
+    ray = pytest.importorskip("ray", reason="needs Ray (extra ray)")
+    pytest.importorskip("pyarrow", reason="needs Ray Data (extra ray)")
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    manifest = lines / "many.csv"
+    rows = [f"{('c.flac', 'anna/a.wav')[i % 2]},{i}" for i in range(64)]
+    manifest.write_text("audio,output\n" + "\n".join(rows) + "\n")
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    other = cluster.add_node(num_cpus=1)
+    ended = threading.Event()
+
+    def progress(share, text):
+        if not ended.is_set():
+            ended.set()
+            cluster.remove_node(other, allow_graceful=False)
+
+    try:
+        report = animate_batch(
+            manifest, tmp_path / "out", model=model, ray=cluster.address, progress=progress
+        )
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    assert ended.is_set() and report.counts["done"] == 64
+    whole = animate_batch(manifest, tmp_path / "whole", model=model, workers=1)
+    assert whole.counts["done"] == 64
+    for i in range(64):
+        name = f"{i}.csv"
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
