@@ -10,11 +10,10 @@
     storage.py     recordings on this machine or wherever fsspec reaches
     messages.py    what goes to a worker and what comes back
     performer.py   one line in a worker: sound -> staged files
-    processes.py   worker processes, one model each
+    processes.py   worker processes, one model each; cluster.py: machines of a Ray cluster
     actors.py      usual voice of each actor
     orders.py      lines -> orders, results -> rows
-    progress.py    rate and time left
     findings.py    warnings about curves
-    report.py      the tables of a run
+    report.py      progress of a run and its tables
     run.py         `animate_batch`: all of it
 """

@@ -10,8 +10,7 @@ from deitalk.batch.journal import DONE, FAILED, Entry
 from deitalk.batch.lines import BadLine, Line, line_key
 from deitalk.batch.messages import Order, Outcome
 from deitalk.batch.outputs import AnyOutputs
-from deitalk.batch.progress import Pace, Progress
-from deitalk.batch.report import Row
+from deitalk.batch.report import Pace, Progress, Row
 from deitalk.batch.storage import Recordings
 from deitalk.config import Config, load_config
 from deitalk.emotions import ActorReference

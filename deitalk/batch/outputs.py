@@ -265,4 +265,6 @@ def opened_folder(out: Path) -> Iterator[Outputs]:
         begin_folder(out, kind=KIND)
         (out / PRIVATE).mkdir(exist_ok=True)
         with closing(Journal(out / PRIVATE / "journal.sqlite", out)) as journal:
-            yield Outputs(out, journal)
+            outputs = Outputs(out, journal)
+            yield outputs
+            shutil.rmtree(outputs.stage, ignore_errors=True)

@@ -19,8 +19,7 @@ from deitalk.batch.orders import Batch, model_identity
 from deitalk.batch.outputs import AnyOutputs, opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Make, Pool, Workers
-from deitalk.batch.progress import Progress
-from deitalk.batch.report import FAILED, BatchReport, Row, failed_text, summary_text
+from deitalk.batch.report import FAILED, BatchReport, Progress, Row, failed_text, summary_text
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url

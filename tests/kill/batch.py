@@ -118,7 +118,9 @@ def run(folder: Path, lines: int, kills: int, seed: int) -> None:
     whole.pop(SUMMARY), found.pop(SUMMARY)
     assert found == whole
     assert all(".deitalk-batch" in name for name in hidden(folder / "out"))
-    assert not list((folder / "out" / ".deitalk-batch" / "stage").iterdir())
+    assert [path.name for path in (folder / "out" / ".deitalk-batch").iterdir()] == [
+        "journal.sqlite"
+    ]
 
 
 def main() -> int:

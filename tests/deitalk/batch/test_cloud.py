@@ -108,7 +108,7 @@ def test_missing_ray_is_one_line(run, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of Ray, about its own parts
-def test_cluster_finishes_when_a_machine_ends(lines, model, tmp_path, monkeypatch):
+def test_cluster_finishes_when_a_machine_ends(run, lines, model, tmp_path, monkeypatch):
     """Two machines on this one; the second is killed after the first results."""
     ray = pytest.importorskip("ray", reason="needs Ray (extra ray)")
     pytest.importorskip("pyarrow", reason="needs Ray Data (extra ray)")
@@ -135,7 +135,7 @@ def test_cluster_finishes_when_a_machine_ends(lines, model, tmp_path, monkeypatc
         ray.shutdown()
         cluster.shutdown()
     assert ended.is_set() and report.counts["done"] == 64
-    whole = animate_batch(manifest, tmp_path / "whole", model=model, workers=1)
+    whole = run(manifest, tmp_path / "whole")
     assert whole.counts["done"] == 64
     for i in range(64):
         name = f"{i}.csv"

@@ -1,6 +1,6 @@
 """Rate and time left of a batch."""
 
-from deitalk.batch.progress import Pace, clock_text
+from deitalk.batch.report import Pace, clock_text
 
 
 def test_pace_counts_from_the_first_result():
