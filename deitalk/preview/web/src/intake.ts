@@ -62,7 +62,7 @@ async function openFolder(folder: FileSystemDirectoryEntry, intake: Intake): Pro
       if (!entries.length) break;
       for (const entry of entries.filter((e) => e.isFile)) {
         const file = await new Promise<File>((done, fail) => (entry as FileSystemFileEntry).file(done, fail));
-        if (/\.(json|npz|wav)$/i.test(file.name)) files.set(file.name, new Uint8Array(await file.arrayBuffer()));
+        if (/\.(json|npz|wav)$|^intensity\.csv$/i.test(file.name)) files.set(file.name, new Uint8Array(await file.arrayBuffer()));
         if (files.size > MOST_FILES) throw new Error(`it holds over ${MOST_FILES} files; drop one take`);
       }
     }

@@ -19,8 +19,12 @@ interface Columns {
 export interface TakeFiles {
   packed: Packed;
   wav?: Uint8Array;
-  /** Text of the emotion it was made with, such as `happy=0.7`. */
-  emotion: string;
+  /** Arguments of `deitalk animate`, of `take.json`. */
+  settings: Record<string, any>;
+  /** Name of the model. */
+  model: string;
+  /** Text of `intensity.csv`: weights of the emotions and applied intensity. */
+  intensityCsv: string;
 }
 
 /** A file of curves in the order of the board, as the page's own arrays. */
@@ -30,7 +34,7 @@ export async function readCurves(file: File, board: Board): Promise<Packed> {
   return packed(columns, board, file.name.replace(/\.[^.]*$/, ""));
 }
 
-/** A take folder: `curves.json`, and where they are there `neutral.npz`, `audio.wav`, `take.json`. */
+/** A take folder: `curves.json`, and where they are there `neutral.npz`, `audio.wav`, `intensity.csv`, `take.json`. */
 export async function readTake(files: Map<string, Uint8Array>, title: string, board: Board): Promise<TakeFiles> {
   const text = (name: string) => new TextDecoder().decode(files.get(name));
   if (!files.has("curves.json")) throw new Error("it has no curves.json; drop a folder that deitalk animate wrote");
@@ -38,8 +42,9 @@ export async function readTake(files: Map<string, Uint8Array>, title: string, bo
   if (files.has("neutral.npz")) take.arrays.neutral = await neutralOf(files.get("neutral.npz")!, board);
   const wav = files.get("audio.wav");
   if (wav) take.facts.audioSeconds = (wav.length - 44) / 2 / new DataView(wav.buffer, wav.byteOffset).getUint32(24, true);
-  const settings = files.has("take.json") ? JSON.parse(text("take.json")).settings : undefined;
-  return { packed: take, wav, emotion: String(settings?.emotion ?? "neutral") };
+  const about = files.has("take.json") ? JSON.parse(text("take.json")) : {};
+  const model = String(about.model?.name ?? "default");
+  return { packed: take, wav, settings: about.settings ?? {}, model, intensityCsv: text("intensity.csv") };
 }
 
 /** The files of a zipped take, without the folder they may lie in. */

@@ -18,7 +18,7 @@ export interface Board {
 /** Curves for the intensity of an edit, computed by the service: they replace the blend. */
 interface Exact {
   points: Edit["points"];
-  values: Float32Array;
+  take: Take;
 }
 
 export class Take {
@@ -82,13 +82,13 @@ export class Take {
 
   /** Take curves of the service for the points of an edit; they hold while the points stay. */
   setExact(points: Edit["points"], exact: Take): void {
-    if (exact.values.length === this.values.length) this.exact = { points, values: exact.values };
+    if (exact.values.length === this.values.length) this.exact = { points, take: exact };
   }
 
   /** Applied intensity at a frame: that of the reading times the factor of the edit. */
-  intensityAt(frame: number): number {
+  intensityAt(frame: number, points = this.edit.points): number {
     if (!this.intensity) return 0;
-    return Math.min(this.intensity[frame] * factorAt(this.edit.points, frame / this.fps), MAX_INTENSITY);
+    return Math.min(this.intensity[frame] * factorAt(points, frame / this.fps), MAX_INTENSITY);
   }
 
   /** Mean of the applied intensity over the take; 0 if every frame is neutral. */
@@ -107,7 +107,7 @@ export class Take {
 
   /** Turn and shift of the head at a time: degrees and cm. */
   headAt(seconds: number): Float32Array | undefined {
-    const { head } = this;
+    const { head } = this.isExact ? this.exact!.take : this;
     return head && this.between(seconds, (frame) => head.slice(6 * frame, 6 * frame + 6));
   }
 
@@ -123,7 +123,7 @@ export class Take {
   /** All controls of one frame with the edit, within their ranges. */
   frame(index: number): Float32Array {
     const { board } = this, n = board.controls.length;
-    const values = this.isExact ? this.exact!.values : this.values;
+    const values = (this.isExact ? this.exact!.take : this).values;
     const out = values.slice(index * n, index * n + n);
     if (this.isBlend && this.neutral && this.intensity) {
       const share = this.intensityAt(index) / (this.intensity[index] || 1);
@@ -143,14 +143,14 @@ export class Take {
   frozen(title: string): Take {
     const n = this.board.controls.length, values = new Float32Array(this.values.length);
     for (let k = 0; k < this.frames; k++) values.set(this.frame(k), k * n);
-    const { fps, frames, emotions, audioSeconds } = this;
-    return new Take({ facts: { title, fps, frames, emotions, audioSeconds }, arrays: { values } }, this.board, true);
+    const { fps, frames, emotions, audioSeconds } = this, arrays = this.head ? { values, head: this.head } : { values };
+    return new Take({ facts: { title, fps, frames, emotions, audioSeconds }, arrays: arrays as Packed["arrays"] }, this.board, true);
   }
 
   /** The applied intensity of every frame, as `deitalk animate --intensity-curve` reads it. */
-  intensityCsv(): string {
+  intensityCsv(points = this.edit.points): string {
     const rows = Array.from({ length: this.frames }, (_, k) =>
-      `${(k / this.fps).toFixed(6)},${Number(this.intensityAt(k).toPrecision(7))}`);
+      `${(k / this.fps).toFixed(6)},${Number(this.intensityAt(k, points).toPrecision(7))}`);
     return `time,intensity\n${rows.join("\n")}\n`;
   }
 }

@@ -9,13 +9,24 @@ const KEY = "deitalk-key";
 /** Share that is done, 0 to 1; undefined while it is unknown. */
 export type Progress = (share?: number) => void;
 
-export interface Order {
+/** What a take is made of. */
+export interface Source {
   recording: Blob;
+  /** For the files that are written. */
+  name: string;
+  /** Arguments beside emotion and intensity, such as the seed, of a take that was dropped. */
+  options: Record<string, string>;
+  /** Weights of the emotions of a dropped take, while it has no keys. */
+  weightsCsv?: string;
+  /** Whether the intensity is that of a dropped take, not the predicted one. */
+  hasOwnIntensity: boolean;
+}
+
+export interface Order extends Source {
   edit: Edit;
   /** `intensity.csv` to apply instead of the predicted intensity. */
   intensityCsv?: string;
   format: string;
-  name: string;
   /** Make it a job, whose progress is known. */
   isLong?: boolean;
 }
@@ -26,10 +37,19 @@ export interface Result {
   fileName: string;
 }
 
-/** Keys of emotion in the columns that `deitalk.emotions` reads. */
-export function emotionCsv(edit: Edit): string {
+/** Keys of emotion, or weights, in the columns that `deitalk.emotions` reads. */
+export function emotionCsv(edit: Edit, source: Source): string {
+  if (!edit.keys.length && source.weightsCsv) return source.weightsCsv;
   const rows = edit.keys.map((key) => `${key.time.toFixed(6)},${key.emotion},${key.strength}`);
   return `time,emotion,strength\n${rows.join("\n")}\n`;
+}
+
+/** An argument as the command line spells it. */
+export function optionOf(name: string, value: string): string {
+  const option = `--${name.replace("_", "-")}`;
+  if (value === "true" || value === "True") return name === "idle" ? "" : option;
+  if (value === "false" || value === "False") return name === "idle" ? "--no-idle" : "";
+  return `${option} ${value}`;
 }
 
 /** A name that the service takes for a file. */
@@ -40,10 +60,11 @@ export function fileNameOf(title: string): string {
 export async function order(given: Order, progress: Progress, signal: AbortSignal): Promise<Result> {
   const form = new FormData();
   form.append("recording", given.recording, "recording");
-  form.append("emotion", new Blob([emotionCsv(given.edit)]), "emotion.csv");
+  form.append("emotion", new Blob([emotionCsv(given.edit, given)]), "emotion.csv");
   if (given.intensityCsv) form.append("intensity_curve", new Blob([given.intensityCsv]), "intensity.csv");
   const gains = Object.entries(gainsOf(given.edit)).map(([region, gain]) => `${region}=${gain}`);
   if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));
+  for (const [name, value] of Object.entries(given.options)) form.append(name, value);
   form.append("format", given.format);
   form.append("name", fileNameOf(given.name));
   const path = given.isLong ? "/v1/jobs" : "/v1/animations";

@@ -1,10 +1,9 @@
 /** The session of a tab in the browser's own database, so that a reload keeps it. */
 
 import type { Edit } from "../data/edit";
+import type { Source } from "./service";
 
-export interface Session {
-  name: string;
-  recording: Blob;
+export interface Session extends Source {
   edit: Edit;
   /** The take as the service packed it. */
   packed: Blob;

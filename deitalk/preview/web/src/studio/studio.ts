@@ -1,5 +1,6 @@
 /** The studio: a recording and edits become takes and files through the service. */
 
+import type { TakeFiles } from "../data/curvefile";
 import { type Edit, NO_EDIT } from "../data/edit";
 import { type Packed, unpackBytes } from "../data/packed";
 import { Take } from "../data/take";
@@ -8,7 +9,7 @@ import type { Player } from "../player";
 import { COLORS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, order, type Order, type Result } from "./service";
+import { convert, emotionCsv, optionOf, order, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
@@ -18,6 +19,8 @@ const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
   ["Video", "mp4", true], ["Page", "page", false], ["Take", "take", false],
 ];
+/** Arguments of a dropped take that its edits keep. */
+const OPTIONS = ["model", "seed", "idle", "raw", "life", "look_at"];
 const SETTLE_MS = 350;
 const SAVE_MS = 200;
 /** Longer recordings are not animated again after every edit; exports are exact all the same. */
@@ -41,7 +44,7 @@ export class Studio {
     player.convert = convert;
     addEventListener("pagehide", () => this.save());
     player.intake.recording = (file) => this.open(file);
-    player.onTake = ({ wav, emotion }) => void this.adopt(wav, emotion);
+    player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
     bindMicrophone((file) => this.open(file));
     $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)));
@@ -91,9 +94,10 @@ export class Studio {
   async open(file: File): Promise<void> {
     const keys = [{ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? "neutral", strength: 1 }];
     const edit: Edit = { ...NO_EDIT, keys };
-    const packed = await this.animate(file, edit, file.name);
+    const source: Source = { recording: file, name: file.name, options: {}, hasOwnIntensity: false };
+    const packed = await this.animate(source, edit);
     if (!packed) return;
-    this.session = { name: file.name, recording: file, edit, packed, time: 0 };
+    this.session = { ...source, edit, packed, time: 0 };
     const { take, wav } = await this.unpacked(packed);
     this.leaveGallery();
     this.animated = keys;
@@ -102,29 +106,30 @@ export class Studio {
     this.player.transport.play();
   }
 
-  private animate(recording: Blob, edit: Edit, name: string, intensityCsv?: string): Promise<Blob | undefined> {
-    const given: Order = { recording, edit, name, intensityCsv, format: "packed" };
+  /** The take as the page shows it, by the service. */
+  private animate(source: Source, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
     return this.animating.run("Animating", async (progress, signal) => {
-      const { content, notes } = await order(given, progress, signal);
+      const { content, notes } = await order({ ...source, edit, intensityCsv, format: "packed" }, progress, signal);
       if (notes.length) notice(notes.join("; "));
       return content;
     });
   }
 
-  /** A take that was dropped: its sound is the recording, its emotion the first key. */
-  private async adopt(wav: Uint8Array | undefined, emotion: string): Promise<void> {
+  /** A take that was dropped: its sound is the recording, its arguments are those of the edits. */
+  private async adopt({ wav, settings, model, intensityCsv }: TakeFiles): Promise<void> {
     this.session = undefined;
     this.leaveGallery();
     this.enable();
-    const found = /^\s*([a-z]+)(?:=([0-9.]+))?\s*$/.exec(emotion);
-    if (!wav || !found || !EMOTIONS.includes(found[1])) return;
-    const file = new File([wav as BlobPart], this.player.take!.title, { type: "audio/wav" });
-    const keys = [{ time: 0, emotion: found[1], strength: Number(found[2] ?? 1) }];
-    const packed = await this.animate(file, { ...NO_EDIT, keys }, file.name);
+    if (!wav || !intensityCsv) return;
+    const recording = new File([wav as BlobPart], this.player.take!.title, { type: "audio/wav" });
+    const given = Object.entries({ ...settings, model }).filter(([name, value]) => OPTIONS.includes(name) && value !== null);
+    const options = Object.fromEntries(given.map(([name, value]) => [name, String(value)]));
+    const source: Source = { recording, name: recording.name, options, weightsCsv: intensityCsv, hasOwnIntensity: true };
+    const { edit } = this.player.history;
+    const packed = await this.animate(source, edit, intensityCsv);
     if (!packed) return;
-    this.session = { name: file.name, recording: file, edit: { ...NO_EDIT, keys }, packed, time: 0 };
-    this.animated = keys;
-    this.player.history.reset({ ...NO_EDIT, keys });
+    this.session = { ...source, edit, packed, time: 0 };
+    this.animated = edit.keys;
     this.enable();
   }
 
@@ -149,20 +154,16 @@ export class Studio {
   }
 
   private async settle(): Promise<void> {
-    const { session, player } = this, take = player.take;
-    if (!session || !take || take.seconds > LIVE_SECONDS) return this.settleLong();
+    const { session, player } = this;
+    if (!session || !player.take) return;
     const { edit } = session;
     if (edit.keys !== this.animated) await this.animateKeys(session, edit);
-    if (edit === session.edit && player.take!.isBlend) await this.animatePoints(session, edit);
-  }
-
-  /** A long recording is animated again for its keys only. */
-  private async settleLong(): Promise<void> {
-    if (this.session && this.session.edit.keys !== this.animated) await this.animateKeys(this.session, this.session.edit);
+    const isLong = player.take.seconds > LIVE_SECONDS;
+    if (!isLong && edit === session.edit && player.take.isBlend) await this.animatePoints(session, edit);
   }
 
   private async animateKeys(session: Session, edit: Edit): Promise<void> {
-    const packed = await this.animate(session.recording, edit, session.name);
+    const packed = await this.animate(session, edit, session.hasOwnIntensity ? this.readingCsv() : undefined);
     if (!packed || session.edit.keys !== edit.keys) return;
     session.packed = packed;
     this.animated = edit.keys;
@@ -172,7 +173,7 @@ export class Studio {
 
   private async animatePoints(session: Session, edit: Edit): Promise<void> {
     const { take } = this.player;
-    const packed = await this.animate(session.recording, edit, session.name, take!.intensityCsv());
+    const packed = await this.animate(session, edit, take!.intensityCsv());
     if (!packed || take !== this.player.take) return;
     take!.setExact(edit.points, (await this.unpacked(packed)).take);
     this.player.replace(take!);
@@ -187,8 +188,9 @@ export class Studio {
       for (const emotion of EMOTIONS) {
         progress(found.length / EMOTIONS.length);
         const edit = { ...session.edit, keys: [{ time: 0, emotion, strength: 1 }] };
-        const given = { recording: session.recording, edit, name: session.name, format: "packed" };
-        found.push((await this.unpacked((await order(given, progress, signal)).content)).take);
+        const intensityCsv = session.hasOwnIntensity ? this.readingCsv() : undefined;
+        const { content } = await order({ ...session, edit, intensityCsv, format: "packed" }, progress, signal);
+        found.push((await this.unpacked(content)).take);
       }
       return found;
     });
@@ -220,9 +222,9 @@ export class Studio {
   private async export(format: string, isLong: boolean): Promise<void> {
     const { session, player } = this;
     if (!session) return;
-    const intensityCsv = session.edit.points.length ? player.take!.intensityCsv() : undefined;
-    const given = { recording: session.recording, edit: session.edit, name: session.name, intensityCsv, format, isLong };
-    const result: Result | undefined = await this.exporting.run(`Exporting ${format}`, (progress, signal) => order(given, progress, signal));
+    const intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
+    const result = await this.exporting.run(`Exporting ${format}`, (progress, signal) =>
+      order({ ...session, intensityCsv, format, isLong }, progress, signal));
     if (!result) return;
     save(result.content, result.fileName);
     notice([`saved ${result.fileName}`, ...result.notes].join("; "));
@@ -232,13 +234,24 @@ export class Studio {
   private exportEdits(): void {
     const { session, player } = this;
     if (!session) return;
-    save(new Blob([emotionCsv(session.edit)], { type: "text/csv" }), "emotion.csv");
+    save(new Blob([emotionCsv(session.edit, session)], { type: "text/csv" }), "emotion.csv");
     const words = [`deitalk animate ${session.name} --emotion emotion.csv`];
-    if (session.edit.points.length) {
+    if (this.hasIntensity(session)) {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");
     }
-    notice(`${words.join(" ")} -o take/`);
+    for (const [name, value] of Object.entries(session.options)) words.push(optionOf(name, value));
+    notice(`${words.filter(Boolean).join(" ")} -o take/`);
+  }
+
+  /** Whether the intensity is not the predicted one. */
+  private hasIntensity(session: Session): boolean {
+    return session.hasOwnIntensity || session.edit.points.length > 0;
+  }
+
+  /** Intensity of the shown reading before the edits. */
+  private readingCsv(): string {
+    return this.player.take!.intensityCsv([]);
   }
 
   private async unpacked(packed: Blob): Promise<{ take: Take; wav: Uint8Array | null }> {

@@ -69,6 +69,10 @@ export class EmotionLane implements PointOwner {
 
   /** Give an emotion to the key in focus, else to the only key, else to a key at a time. */
   choose(emotion: string, time: number): void {
+    if (!this.keys.length) {
+      this.add(0, 1, emotion);
+      return;
+    }
     const at = this.selected >= 0 && this.selected < this.keys.length ? this.selected : this.keys.length > 1 ? -1 : 0;
     if (at < 0) {
       this.lane.focus(this.add(time, 1, emotion));
