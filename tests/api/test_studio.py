@@ -98,6 +98,8 @@ def edit(tab) -> None:
     for _ in range(9):
         tab.keyboard.press("ArrowUp")
     tab.get_by_role("slider", name="Gain of mouth").fill("0.5")
+    tab.get_by_role("slider", name="Motion of brows").fill("2")
+    time.sleep(0.5)  # until the page has begun to animate again
     is_quiet(tab)
 
 
@@ -121,7 +123,14 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
         until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
         assert tab.complaints == []
         assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
-    edits = ("--emotion", tmp_path / "emotion.csv", "--intensity-curve", tmp_path / "intensity.csv")
+    edits = (
+        "--life",
+        "brows=2",
+        "--emotion",
+        tmp_path / "emotion.csv",
+        "--intensity-curve",
+        tmp_path / "intensity.csv",
+    )
     command("animate", speech, *edits, "-o", tmp_path / "plain.json")
     command("convert", tmp_path / "plain.json", tmp_path / "scaled.csv", "--gain", "mouth=0.5")
     expected = read_curves(tmp_path / "scaled.csv").values

@@ -158,7 +158,7 @@ def page_file(tmp_path_factory):
 RESET = """() => {
   const { page } = deitalk;
   page.transport.pause();
-  page.history.reset({ points: [], keys: [], gains: {}, muted: [] });
+  page.history.reset({ points: [], keys: [], gains: {}, muted: [], life: {} });
   page.transport.setRange();
   page.span.fit();
   document.getElementById("loop").checked = false;

@@ -19,9 +19,11 @@ export interface Edit {
   /** Factor of a region's distance from rest; 1 where none is given. */
   readonly gains: Readonly<Record<string, number>>;
   readonly muted: readonly string[];
+  /** Factors on the idle motion of brows, head, blinks and gaze; 1 where none is given. */
+  readonly life: Readonly<Record<string, number>>;
 }
 
-export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [] };
+export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {} };
 export const MAX_FACTOR = 4;
 export const MAX_GAIN = 2;
 

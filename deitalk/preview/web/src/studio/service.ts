@@ -44,6 +44,12 @@ export function emotionCsv(edit: Edit, source: Source): string {
   return `time,emotion,strength\n${rows.join("\n")}\n`;
 }
 
+/** Arguments of an edit beside emotion and intensity. */
+export function optionsOf(source: Source, edit: Edit): Record<string, string> {
+  const life = Object.entries(edit.life).filter(([, factor]) => factor !== 1).map(([part, factor]) => `${part}=${factor}`);
+  return life.length ? { ...source.options, life: life.join(",") } : source.options;
+}
+
 /** An argument as the command line spells it. */
 export function optionOf(name: string, value: string): string {
   const option = `--${name.replace("_", "-")}`;
@@ -64,7 +70,7 @@ export async function order(given: Order, progress: Progress, signal: AbortSigna
   if (given.intensityCsv) form.append("intensity_curve", new Blob([given.intensityCsv]), "intensity.csv");
   const gains = Object.entries(gainsOf(given.edit)).map(([region, gain]) => `${region}=${gain}`);
   if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));
-  for (const [name, value] of Object.entries(given.options)) form.append(name, value);
+  for (const [name, value] of Object.entries(optionsOf(given, given.edit))) form.append(name, value);
   form.append("format", given.format);
   form.append("name", fileNameOf(given.name));
   const path = given.isLong ? "/v1/jobs" : "/v1/animations";

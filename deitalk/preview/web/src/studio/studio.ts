@@ -9,7 +9,7 @@ import type { Player } from "../player";
 import { COLORS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, order, type Source } from "./service";
+import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
@@ -26,14 +26,17 @@ const SAVE_MS = 200;
 /** Longer recordings are not animated again after every edit; exports are exact all the same. */
 const LIVE_SECONDS = 60;
 
+/** Whether two edits need the same curves of the network. */
+const isSameReading = (a: Edit, b?: Edit) => a.keys === b?.keys && a.life === b?.life;
+
 export class Studio {
   private session?: Session;
   private readonly animating = new Work();
   private readonly exporting = new Work();
   private settling = 0;
   private saving = 0;
-  /** The keys of the shown take. */
-  private animated?: Edit["keys"];
+  /** The edit of the shown take. */
+  private animated?: Edit;
 
   constructor(private readonly player: Player) {
     document.body.classList.add("studio");
@@ -78,16 +81,16 @@ export class Studio {
   private async resume(session: Session): Promise<void> {
     const { take, wav } = await this.unpacked(session.packed);
     this.session = session;
-    this.animated = session.edit.keys;
+    this.animated = session.edit;
     this.player.load(take, wav, [], session.edit);
     this.player.transport.setRange(session.range);
     this.player.seek(session.time);
     this.enable();
   }
 
-  /** Whether the shown take has the keys of the edits, and nothing is on its way. */
+  /** Whether the shown take is that of the edits, and nothing is on its way. */
   get isSettled(): boolean {
-    return !this.animating.isBusy && this.session?.edit.keys === this.animated;
+    return !this.animating.isBusy && this.session !== undefined && isSameReading(this.session.edit, this.animated);
   }
 
   /** Begin anew with a recording, in the emotion that was chosen. */
@@ -100,7 +103,7 @@ export class Studio {
     this.session = { ...source, edit, packed, time: 0 };
     const { take, wav } = await this.unpacked(packed);
     this.leaveGallery();
-    this.animated = keys;
+    this.animated = edit;
     this.player.load(take, wav, [], edit);
     this.enable();
     this.player.transport.play();
@@ -129,7 +132,7 @@ export class Studio {
     const packed = await this.animate(source, edit, intensityCsv);
     if (!packed) return;
     this.session = { ...source, edit, packed, time: 0 };
-    this.animated = edit.keys;
+    this.animated = edit;
     this.enable();
   }
 
@@ -157,16 +160,17 @@ export class Studio {
     const { session, player } = this;
     if (!session || !player.take) return;
     const { edit } = session;
-    if (edit.keys !== this.animated) await this.animateKeys(session, edit);
+    if (!isSameReading(edit, this.animated)) await this.animateAgain(session, edit);
     const isLong = player.take.seconds > LIVE_SECONDS;
     if (!isLong && edit === session.edit && player.take.isBlend) await this.animatePoints(session, edit);
   }
 
-  private async animateKeys(session: Session, edit: Edit): Promise<void> {
+  /** Another reading, for other keys of emotion or motion. */
+  private async animateAgain(session: Session, edit: Edit): Promise<void> {
     const packed = await this.animate(session, edit, session.hasOwnIntensity ? this.readingCsv() : undefined);
-    if (!packed || session.edit.keys !== edit.keys) return;
+    if (!packed || !isSameReading(session.edit, edit)) return;
     session.packed = packed;
-    this.animated = edit.keys;
+    this.animated = edit;
     this.player.replace((await this.unpacked(packed)).take);
     this.keep();
   }
@@ -240,7 +244,7 @@ export class Studio {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");
     }
-    for (const [name, value] of Object.entries(session.options)) words.push(optionOf(name, value));
+    for (const [name, value] of Object.entries(optionsOf(session, session.edit))) words.push(optionOf(name, value));
     notice(`${words.filter(Boolean).join(" ")} -o take/`);
   }
 

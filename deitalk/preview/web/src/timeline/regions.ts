@@ -3,6 +3,24 @@
 import { type History, MAX_GAIN } from "../data/edit";
 import { button } from "../dom";
 
+/** A slider of one of the factors of an edit, 0 to 2; double click: 1. */
+export function factorSlider(label: string, history: History, part: "gains" | "life", name: string) {
+  const slider = document.createElement("input");
+  const set = (value: number, gesture?: string) =>
+    history.change({ [part]: { ...history.edit[part], [name]: value } }, gesture);
+  Object.assign(slider, { type: "range", min: "0", max: String(MAX_GAIN), step: "0.05" });
+  slider.setAttribute("aria-label", label);
+  slider.addEventListener("input", () => set(Number(slider.value), label));
+  slider.addEventListener("change", () => history.endGesture());
+  slider.addEventListener("dblclick", () => set(1));
+  const show = () => {
+    const value = history.edit[part][name] ?? 1;
+    slider.value = String(value);
+    slider.title = `${label}: ${value.toFixed(2)}; double click: 1`;
+  };
+  return { slider, show };
+}
+
 export class Regions {
   private readonly rows: (() => void)[] = [];
 
@@ -21,23 +39,13 @@ export class Regions {
     row.className = "region";
     const mute = button(region, () => this.mute(this.regions.filter((r) => (r === region) !== this.muted.has(r))));
     const solo = button("S", () => this.mute(this.isSolo(region) ? [] : this.regions.filter((r) => r !== region)));
-    const gain = document.createElement("input");
-    Object.assign(gain, { type: "range", min: "0", max: String(MAX_GAIN), step: "0.05" });
-    gain.addEventListener("input", () => {
-      const gains = { ...this.history.edit.gains, [region]: Number(gain.value) };
-      this.history.change({ gains }, `gain ${region}`);
-    });
-    gain.addEventListener("change", () => this.history.endGesture());
-    gain.addEventListener("dblclick", () => this.history.change({ gains: { ...this.history.edit.gains, [region]: 1 } }));
-    gain.setAttribute("aria-label", `Gain of ${region}`);
+    const { slider, show } = factorSlider(`Gain of ${region}`, this.history, "gains", region);
     solo.setAttribute("aria-label", `Only ${region}`);
     mute.title = `Mute ${region}`;
     solo.title = `Only ${region}; again: all`;
-    row.append(mute, solo, gain);
+    row.append(mute, solo, slider);
     this.rows.push(() => {
-      const value = this.history.edit.gains[region] ?? 1;
-      gain.value = String(value);
-      gain.title = `Gain of ${region}: ${value.toFixed(2)}; double click: 1`;
+      show();
       mute.setAttribute("aria-pressed", String(!this.muted.has(region)));
       solo.setAttribute("aria-pressed", String(this.isSolo(region)));
     });

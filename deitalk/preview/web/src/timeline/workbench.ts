@@ -6,18 +6,21 @@ import { $, button, save, timeCode } from "../dom";
 import { CurveLanes } from "./curves";
 import { EmotionLane } from "./emotion";
 import { IntensityLane } from "./intensity";
-import { Regions } from "./regions";
+import { factorSlider, Regions } from "./regions";
 import { bindSearch } from "./search";
 import type { Span } from "./span";
 
 const REBUILD_MS = 250;
 const ZOOM_STEP = 0.7;
+/** Parts of the idle motion that `deitalk animate --life` scales. */
+const LIFE = ["brows", "head", "blinks", "gaze"];
 
 export class Workbench {
   readonly emotion: EmotionLane;
   private readonly intensity: IntensityLane;
   private readonly lanes: CurveLanes;
   private readonly regions: Regions;
+  private readonly life: (() => void)[];
   private take?: Take;
   private mean = 0;
   private stale = 0;
@@ -34,6 +37,7 @@ export class Workbench {
     this.intensity = new IntensityLane($<SVGSVGElement>("intensity"), span, history);
     this.lanes = new CurveLanes($("curves"), span, controls, seek);
     this.regions = new Regions($("regions"), regions, history);
+    this.life = LIFE.map((name) => this.lifeSlider(name));
     bindSearch(controls, (name) => this.lanes.add(name));
     this.bindEdits();
     this.bindZoom();
@@ -55,6 +59,7 @@ export class Workbench {
     $<HTMLButtonElement>("undo").disabled = !history.canUndo;
     $<HTMLButtonElement>("redo").disabled = !history.canRedo;
     this.regions.show();
+    this.life.forEach((show) => show());
     if (!take) return;
     for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
     $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
@@ -87,6 +92,15 @@ export class Workbench {
     if (take.intensity) parts.push(`intensity ${take.intensityAt(frame).toFixed(2)} (mean ${this.mean.toFixed(2)})`);
     if (take.isBlend) parts.push("a blend of two readings: animate with the saved CSV applies every rule");
     return parts.join(", ");
+  }
+
+  private lifeSlider(name: string): () => void {
+    const { slider, show } = factorSlider(`Motion of ${name}`, this.history, "life", name);
+    const label = document.createElement("label");
+    label.append(name, slider);
+    $("life").append(label);
+    show();
+    return show;
   }
 
   private bindEdits(): void {
