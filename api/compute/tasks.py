@@ -85,7 +85,7 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
 
 def _drawing(options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `animate` on rules and idle motion."""
-    names = ("idle", "life", "look_at", "raw", "seed")
+    names = ("idle", "life", "listen", "look_at", "raw", "seed")
     return {name: options[name] for name in names if name in options}
 
 

@@ -84,6 +84,9 @@ class MotionOptions(BaseModel):
             examples=["10,-5"],
         ),
     ] = "0,0"
+    listen: Annotated[
+        float, Field(ge=0, le=600, description="Seconds of living silence after the speech.")
+    ] = 0.0
     raw: Annotated[bool, Field(description="The network alone, without the model's rules.")] = False
     format: Annotated[
         str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")

@@ -57,6 +57,9 @@ def animate(
     look_at: Annotated[
         str, typer.Option(help="Listener's place: degrees to the character's left and up.")
     ] = "0,0",
+    listen: Annotated[
+        float, typer.Option(help="Seconds of living silence after the speech.")
+    ] = 0.0,
     raw: Annotated[
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
@@ -94,6 +97,7 @@ def animate(
         "idle": idle,
         "life": life,
         "look_at": look_at,
+        "listen": listen,
         "raw": raw,
         "seed": seed,
     }

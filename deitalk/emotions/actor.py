@@ -1,14 +1,20 @@
-"""Usual voice of an actor: the reference of a recording's strength.
+"""An actor: the usual voice, from which a recording's strength counts, and the way of moving.
 
 Written by `deitalk actor build`::
 
-    {"format": "deitalk-actor", "version": 1, "strength": 0.41, "recordings": 12, "seconds": 63.5}
+    {"format": "deitalk-actor", "version": 1, "strength": 0.41, "recordings": 12, "seconds": 63.5,
+     "traits": {"blink_interval": 1.1, "side": -0.09, "brow_range": 1, "head_range": 1.05,
+                "avoids": 0.3}}
+
+The traits may be edited, or left out: then they are drawn for each recording.
 """
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from deitalk.errors import EmotionError
 from rig import limits
@@ -17,6 +23,14 @@ from rig.files.reading import load_json, read_bytes
 
 FORMAT, VERSION = "deitalk-actor", 1
 LARGEST = 100.0
+TRAITS = {
+    "blink_interval": (0.25, 4.0),
+    "side": (-0.3, 0.3),
+    "brow_range": (0.0, 2.0),
+    "head_range": (0.0, 2.0),
+    "avoids": (-1.0, 1.0),
+}
+"""Names and ranges of the traits, see `deitalk.postprocess.life.traits.Traits`."""
 
 
 @dataclass(frozen=True)
@@ -32,21 +46,26 @@ class ActorReference:
         How many there were.
     seconds : float
         Their length.
+    traits : mapping of str to float
+        Some of `TRAITS`; empty: drawn for each recording.
     """
 
     strength: float
     recordings: int
     seconds: float
+    traits: Mapping[str, float] = field(default_factory=dict)
 
     def as_json(self) -> str:
         """Return the content of a reference file."""
-        content = {
+        content: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
             "strength": round(self.strength, 4),
             "recordings": self.recordings,
             "seconds": round(self.seconds, 2),
         }
+        if self.traits:
+            content["traits"] = {name: round(value, 4) for name, value in self.traits.items()}
         return json.dumps(content) + "\n"
 
 
@@ -79,4 +98,16 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
         raise EmotionError(
             f"{path}: strength {strength:g} must be from -{LARGEST:g} to {LARGEST:g}"
         )
-    return ActorReference(strength, recordings, seconds)
+    return ActorReference(strength, recordings, seconds, _traits(path, content.get("traits", {})))
+
+
+def _traits(path: Path, traits: Any) -> dict[str, float]:
+    """Traits of a file, each in its range."""
+    if not isinstance(traits, dict) or any(name not in TRAITS for name in traits):
+        raise EmotionError(f"{path}: traits must be an object with some of {', '.join(TRAITS)}")
+    for name, value in traits.items():
+        low, high = TRAITS[name]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not low <= value <= high:
+            raise EmotionError(f"{path}: {name} {quoted(value)} must be from {low:g} to {high:g}")
+    return {name: float(value) for name, value in traits.items()}

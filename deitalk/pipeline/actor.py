@@ -1,6 +1,7 @@
 """Measure the usual voice of an actor from recordings: ``deitalk actor build``."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from deitalk.audio.load import Recording
 from deitalk.emotions.actor import ActorReference
 from deitalk.errors import AudioError
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.life.traits import Seeds, Traits
 
 
 def measure_actor(
@@ -46,6 +48,8 @@ def voice_strength(recording: Recording) -> float | None:
 def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReference:
     """Reference of an actor from the strength and the seconds of each recording.
 
+    The traits of the actor's motion are drawn from them: equal recordings give equal traits.
+
     Raises
     ------
     AudioError
@@ -55,4 +59,7 @@ def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReferen
     if not voiced:
         raise AudioError("no voice in the recordings of the actor; give some with speech")
     strengths, lengths = zip(*voiced, strict=True)
-    return ActorReference(float(np.median(strengths)), len(voiced), sum(lengths))
+    facts = np.array([*strengths, *lengths]) / 1000
+    seeds = Seeds.of(facts.astype(np.float32), "", 0)
+    traits = asdict(Traits.of(seeds.character()))
+    return ActorReference(float(np.median(strengths)), len(voiced), sum(lengths), traits)

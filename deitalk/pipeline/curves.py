@@ -13,6 +13,7 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
+from deitalk.errors import AudioError
 from deitalk.models.network import CurveNetwork, chosen_actor, load_network
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
@@ -20,11 +21,13 @@ from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import TakeMotion, plan_motion
-from deitalk.postprocess.life.traits import Seeds
+from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.errors import quoted
 
+LONGEST_LISTENING = 600.0  # seconds
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
 
@@ -44,6 +47,7 @@ def animate(
     look_at: tuple[float, float] | str = (0.0, 0.0),
     raw: bool = False,
     seed: int = 0,
+    listen: float = 0.0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Performance:
     """Animate a face from speech.
@@ -79,6 +83,8 @@ def animate(
         The network alone, without the model's rules (`deitalk.config.RulesConfig`).
     seed : int
         Another drawing of the idle motion; each recording and each actor has its own already.
+    listen : float, range 0 to 600
+        Seconds of silence after the recording in which the face listens: its eyes and head live on.
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
 
@@ -95,7 +101,7 @@ def animate(
     direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
     life = Life.of(life, look_at)
     check_progress(progress)
-    recording = _with_note_on(direction.curve, recording_of(audio, sample_rate))
+    recording = _extended(_with_note_on(direction.curve, recording_of(audio, sample_rate)), listen)
     clock.lap("audio")
     network = load_network(model, backend=backend)
     clock.lap("model")
@@ -110,10 +116,10 @@ def animate(
     expression = Expression(controls, rules)
     values = _apply_rules(expression, neutral, emotional, weights, intensities, speech)
     head = None
-    if idle and rules.idle is not None and speech.activity.any():
+    if idle and rules.idle is not None and (listen or speech.activity.any()):
         shown = weights * intensities.applied[:, None]
         seeds = Seeds.of(speech.waveform, name, seed)
-        motion = _idle_motion(speech, shown, seeds, rules.idle, life)
+        motion = _idle_motion(speech, shown, seeds, rules.idle, life, direction.voice)
         motion.move(values, neutral, controls)
         head = motion.head
     clipped = _clamp(values, controls)
@@ -128,7 +134,7 @@ def animate(
         recording,
         clipped,
         clock.laps,
-        _settings(emotion, direction, intensity_curve, life, **others),
+        _settings(emotion, direction, intensity_curve, life, listen=listen, **others),
         str(model) if isinstance(model, str | Path) else "",
     )
 
@@ -155,11 +161,17 @@ def _apply_rules(
 
 
 def _idle_motion(
-    speech: Speech, shown: Float32, seeds: Seeds, idle: Idle, life: Life
+    speech: Speech,
+    shown: Float32,
+    seeds: Seeds,
+    idle: Idle,
+    life: Life,
+    actor: ActorReference | None,
 ) -> TakeMotion:
     """Motion above the mouth for the emotion that is shown [shape=(T, 5)]."""
     voice = measure_voice(speech.activity, speech.prosody)
-    return plan_motion(voice, shown, seeds, idle, life)
+    traits = Traits(**actor.traits) if actor is not None and actor.traits else None
+    return plan_motion(voice, shown, seeds, idle, life, traits)
 
 
 def _settings(
@@ -198,6 +210,19 @@ def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recordi
         f"{recording.duration:.1f} s: what comes after is not used"
     )
     return replace(recording, warnings=(*recording.warnings, note))
+
+
+def _extended(recording: Recording, seconds: Any) -> Recording:
+    """The recording with so much silence after it."""
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    if not is_number or not 0 <= seconds <= LONGEST_LISTENING:
+        raise AudioError(
+            f"listen {quoted(seconds)} must be a number of seconds, 0 to {LONGEST_LISTENING:g}"
+        )
+    silence = np.zeros(round(seconds * recording.sample_rate), np.float32)
+    if not len(silence):
+        return recording
+    return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
 
 
 def _clamp(values: Float32, controls: ControlSet) -> int:

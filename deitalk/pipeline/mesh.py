@@ -88,7 +88,7 @@ def animate_mesh(
     progress : callable
         Called with the share of the work that is done, 0 to 1.
     **options
-        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, seed.
+        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, listen, seed.
 
     Returns
     -------
@@ -294,7 +294,7 @@ def retarget_speech(
         As for `rig.retarget.retarget_files.retarget_curves`.
     **options
         More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle,
-        life, look_at, seed.
+        life, look_at, listen, seed.
 
     Returns
     -------

@@ -9,6 +9,7 @@ Level Sequence, and the name of its sound as ``audio``.
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
-from rig.curves import RigCurves
+from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json
 from rig.formats.decimal_text import Block, rows
@@ -29,7 +30,7 @@ DECIMALS = 6
 
 
 def write(path: Path, curves: RigCurves) -> None:
-    """Write ``frame_rate``, ``n_frames``, ``raw`` and ``board``."""
+    """Write ``frame_rate``, ``n_frames``, ``raw``, ``board``, and ``head`` if it is known."""
     rate = Fraction(curves.fps).limit_denominator(1001)
     head = {
         "schema": SCHEMA,
@@ -52,14 +53,21 @@ def write(path: Path, curves: RigCurves) -> None:
                 stream.write((b", " if j else b"") + f'"{axis}": '.encode())
                 stream.writelines(_values(curves[name]))
             stream.write(b"}")
-        stream.write(b"\n}}\n")
+        stream.write(b"\n}")
+        if curves.head is not None:
+            stream.write(b',\n"head": {')
+            for i, (name, values) in enumerate(zip(HEAD, curves.head.T, strict=True)):
+                stream.write(_key(name, first=i == 0))
+                stream.writelines(_values(np.ascontiguousarray(values)))
+            stream.write(b"\n}")
+        stream.write(b"}\n")
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
     """Read board controls, or raw curves if there are none; those that are absent rest."""
     curves, _ = read_present(path)
     if fps is not None:
-        curves = RigCurves(curves.values, curves.names, fps, control_set=curves.control_set)
+        curves = replace(curves, fps=fps)
     return curves.reorder(
         default_controls() if curves.control_set == DEFAULT_ID else raw_controls()
     )
@@ -83,7 +91,28 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     known = default_controls() if board else raw_controls()
     names = known.resolve(list(columns))
     n_frames, rate = _length_and_rate(path, data, len(names))
-    values = np.empty((n_frames, len(names)), np.float32)
+    values = _filled(path, columns, n_frames)
+    head = _head(path, data.get("head"), n_frames)
+    try:
+        known_set = DEFAULT_ID if board else RAW_ID
+        curves = RigCurves(values, names, rate, control_set=known_set, head=head)
+    except CurveError as error:
+        raise FormatError(f"{path}: {error}") from error
+    return curves, str(data.get("audio") or "")
+
+
+def _head(path: Path, head: Any, n_frames: int) -> Float32 | None:
+    """The head track, if the file has one."""
+    if head is None:
+        return None
+    if not isinstance(head, dict) or any(name not in head for name in HEAD):
+        raise FormatError(f"{path}: head needs {', '.join(HEAD)}")
+    return _filled(path, {name: head[name] for name in HEAD}, n_frames)
+
+
+def _filled(path: Path, columns: dict[str, Any], n_frames: int) -> Float32:
+    """Columns of a list, or of one number each [shape=(T, columns)]."""
+    values = np.empty((n_frames, len(columns)), np.float32)
     for place, (name, numbers) in enumerate(columns.items()):
         if isinstance(numbers, list) and len(numbers) != n_frames:
             raise FormatError(f"{path}: {name} has {len(numbers)} values, not {n_frames}")
@@ -92,11 +121,7 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
                 values[:, place] = numbers
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"{path}: {name} is no list of numbers") from None
-    try:
-        curves = RigCurves(values, names, rate, control_set=DEFAULT_ID if board else RAW_ID)
-    except CurveError as error:
-        raise FormatError(f"{path}: {error}") from error
-    return curves, str(data.get("audio") or "")
+    return values
 
 
 def _raw_columns(path: Path, raw: dict[str, Any]) -> dict[str, Any]:

@@ -18,8 +18,20 @@ class DeitalkError(RuntimeError):
     """An error that the user can correct; the message says how."""
 
 
+HEAD = {
+    "HeadYaw": ("yaw", 1.0),
+    "HeadPitch": ("pitch", 1.0),
+    "HeadRoll": ("roll", 1.0),
+    "HeadTranslationX": ("z", 1.0),
+    "HeadTranslationY": ("x", -1.0),
+    "HeadTranslationZ": ("y", 1.0),
+}
+"""Curves of the head, degrees and cm, from the columns of a head track; Unreal's axes are forward,
+right and up."""
+
+
 def load(path: str) -> dict[str, Any]:
-    """Read and check a ``*.unreal.json``."""
+    """Read and check a ``*.unreal.json``; a head track becomes raw curves (see `HEAD`)."""
     try:
         with open(path, encoding="utf-8") as stream:
             data = json.load(stream)
@@ -33,6 +45,7 @@ def load(path: str) -> dict[str, Any]:
     if not isinstance(rate, list) or [type(n) for n in rate] != [int, int] or min(rate) < 1:
         raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
     try:
+        data["raw"] = {**data["raw"], **_head_curves(data.get("head"))}
         channels = [*data["raw"].values()]
         channels += [values for axes in data["board"].values() for values in axes.values()]
         lists = [values if isinstance(values, list) else [values] for values in channels]
@@ -44,6 +57,18 @@ def load(path: str) -> dict[str, Any]:
         what = f"{min(lengths)} values, not {n_frames}" if lengths else "NaN or a huge number"
         raise DeitalkError(f"{path}: a curve has {what}; write it again")
     return data
+
+
+def _head_curves(head: Any) -> dict[str, Any]:
+    """Curves of a head track and the switch that lets them turn the head; none without a track."""
+    if head is None:
+        return {}
+    curves: dict[str, Any] = {"HeadControlSwitch": 1.0}
+    for curve, (column, sign) in HEAD.items():
+        values = head[column]
+        is_list = isinstance(values, list)
+        curves[curve] = [sign * value for value in values] if is_list else sign * values
+    return curves
 
 
 def asset_name(path: str) -> str:

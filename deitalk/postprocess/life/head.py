@@ -34,6 +34,9 @@ NOD_LAG = 0.04
 """The nod is lowest so long after the peak of the accent, seconds."""
 DOWN_SHARE = 0.75
 """Share of the accents with a nod; the others raise the head."""
+LISTENING_SECONDS = 3.0
+"""Silence of at least so long is a turn of the other: single and double nods, six seconds apart on
+the average (Dittmann and Llewellyn 1968)."""
 SWAY, SWAY_SECONDS = (0.28, 0.5, 0.2), 0.45
 STIR, STIR_SECONDS = (0.5, 0.82, 0.34), 0.14
 """Standard deviation of slow and of quick turns, yaw, pitch and roll in degrees, and the sigma of
@@ -117,6 +120,13 @@ def _nods(voice: Voice, rng: np.random.Generator) -> Float64:
         height = (0.2 + 0.8 * accent.strength) * rng.uniform(0.6, 1.4)
         aside = rng.normal(0, 0.6, 2)
         nods += height * shape[:, None] * np.array([aside[0], sign, aside[1]])
+    for start, stop in voice.pauses(LISTENING_SECONDS):
+        time = start / FRAME_RATE + rng.exponential(LISTENING_SECONDS)
+        while time < stop / FRAME_RATE - 1:
+            for beat in range(int(rng.integers(1, 3))):
+                shape = swell(voice.n_frames, time + 0.45 * beat, 0.25, 0.35)
+                nods[:, 1] -= rng.uniform(0.5, 1.0) * shape
+            time += LISTENING_SECONDS + rng.exponential(LISTENING_SECONDS)
     return np.asarray(NODS) * nods
 
 

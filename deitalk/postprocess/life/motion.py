@@ -83,6 +83,7 @@ def plan_motion(
     seeds: Seeds,
     idle: Idle = Idle(),
     life: Life = Life(),
+    traits: Traits | None = None,
 ) -> TakeMotion:
     """Draw the motion of a take.
 
@@ -98,10 +99,12 @@ def plan_motion(
         The model's own numbers.
     life : Life
         Factors on them, and the listener's place.
+    traits : Traits, optional
+        Of the character; drawn from the seeds by default.
     """
     n_frames = voice.n_frames
     amounts = Life(**{part: getattr(idle, part) * getattr(life, part) for part in PARTS})
-    traits = Traits.of(seeds.character())
+    traits = traits or Traits.of(seeds.character())
     rng = seeds.generator("gaze")
     aversions = plan_aversions(voice, rng, traits.avoids)
     gaze, shifts = gaze_degrees(n_frames, aversions, rng)

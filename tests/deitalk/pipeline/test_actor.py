@@ -11,6 +11,7 @@ from deitalk import animate
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.emotions import ActorReference, Direction, read_actor
+from deitalk.emotions.actor import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.pipeline.actor import measure_actor
 from deitalk.pipeline.speech import Speech
@@ -39,12 +40,24 @@ def test_usual_strength_is_the_median_and_silence_does_not_count(recordings):
         measure_actor([recordings / "silence.wav"])
 
 
+def test_traits_are_drawn_from_the_recordings_within_their_ranges(recordings):
+    first, again = (measure_actor([recordings / "usual.wav"]) for _ in range(2))
+    other = measure_actor([recordings / "soft.wav"])
+    assert first.traits == again.traits
+    assert first.traits != other.traits
+    assert set(first.traits) == set(TRAITS)
+    assert all(low <= first.traits[name] <= high for name, (low, high) in TRAITS.items())
+
+
 def test_reference_file_gives_the_reference_back(tmp_path):
-    actor = ActorReference(1.25, 12, 63.5)
+    actor = ActorReference(1.25, 12, 63.5, {"side": -0.1, "blink_interval": 1.2})
     path = tmp_path / "anna.json"
     path.write_text(actor.as_json())
     assert read_actor(path) == actor
     assert Direction.of(voice=path).voice == actor
+
+
+PLAIN = {"format": "deitalk-actor", "version": 1, "strength": 0, "recordings": 1, "seconds": 1}
 
 
 @pytest.mark.parametrize(
@@ -56,6 +69,10 @@ def test_reference_file_gives_the_reference_back(tmp_path):
         {"format": "deitalk-actor", "version": 1, "strength": "x", "recordings": 1, "seconds": 1},
         {"format": "deitalk-actor", "version": 1, "strength": 1e9, "recordings": 1, "seconds": 1},
         {"format": "deitalk-actor", "version": 1, "recordings": 1, "seconds": 1},
+        {**PLAIN, "traits": {"nose": 1}},
+        {**PLAIN, "traits": {"side": 2}},
+        {**PLAIN, "traits": {"side": None}},
+        {**PLAIN, "traits": [1]},
     ],
 )
 def test_read_actor_rejects_other_files_in_one_line(tmp_path, content):

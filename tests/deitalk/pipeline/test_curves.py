@@ -7,7 +7,7 @@ import torch
 from deitalk import animate
 from deitalk.audio.load import Recording, load_audio
 from deitalk.config import MelConfig, ModelConfig, RulesConfig
-from deitalk.emotions import EMOTIONS, IntensityCurve
+from deitalk.emotions import EMOTIONS, ActorReference, IntensityCurve
 from deitalk.errors import AudioError, EmotionError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.opening import mouth_opening
@@ -220,6 +220,34 @@ def test_idle_motion_leaves_the_mouth_as_it_is(network):
     off = animate(speech, "angry", model=network, life="brows=0,head=0,gaze=0,blinks=0")
     np.testing.assert_array_equal(off.curves.values, still.curves.values)
     assert off.head is None
+
+
+def test_face_listens_in_silence_after_the_speech(network):
+    performance = animate(recording(2), "happy", model=network, listen=6)
+    assert len(performance.curves) == 240
+    assert performance.recording.duration == pytest.approx(8)
+    names = network.controls.names
+    eyes = [names.index(f"CTRL_L_{name}") for name in ("eye.tx", "eye_blink.ty", "brow_raiseIn.ty")]
+    listening = performance.curves.values[120:210]
+    assert (listening[:, eyes].std(axis=0) > 0.005).all()
+    assert np.ptp(performance.head[120:210, 1]) > 0.3
+    np.testing.assert_allclose(performance.curves.values[-1], network.controls.rest, atol=1e-6)
+    for seconds in (-1, float("nan"), 1e4, "8"):
+        with pytest.raises(AudioError, match="listen"):
+            animate(recording(1), model=network, listen=seconds)
+
+
+def test_actor_file_decides_how_the_face_moves(network):
+    """The stronger side of the brows is that of the actor's traits."""
+    speech, names = recording(8), network.controls.names
+    left, right = (names.index(f"CTRL_{side}_brow_raiseIn.ty") for side in "LR")
+    plain = values(speech, model=network, idle=False)
+    lean = []
+    for side in (-0.3, 0.3):
+        actor = ActorReference(0.0, 1, 8.0, {"side": side})
+        moved = values(speech, model=network, voice=actor) - plain
+        lean.append(moved[:, left].sum() - moved[:, right].sum())
+    assert lean[0] < lean[1]
 
 
 def test_curves_stay_within_their_ranges_at_four_times_the_intensity(network):

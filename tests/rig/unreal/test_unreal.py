@@ -5,13 +5,14 @@ import importlib.util
 import itertools
 import json
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rig import RigCurves, default_controls, rest_curves, write_curves
+from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from tests import fake_unreal
 
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
@@ -85,6 +86,20 @@ def test_anim_sequence_gets_every_raw_curve_in_one_bracket(take, monkeypatch):
     assert values == pytest.approx([0, 0.25, 0.5, 0.75])
     # a missing curve would mean 0, which is wrong for these two
     assert sequence.curves["CTRL_expressions_noseWrinkleUpperL"] == ([0.0, 0.1], [1.0, 1.0])
+
+
+def test_head_track_becomes_curves_in_unreals_axes(tmp_path, monkeypatch):
+    path = tmp_path / "nod.unreal.json"
+    track = np.array([[0, 0, 0, 0, 0, 0], [10, -5, 2, 0.1, 0.2, 0.3]], np.float32)
+    write_curves(path, replace(speech(2), head=track))
+    np.testing.assert_allclose(read_curves(path).head, track, atol=1e-6)
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    curves = run_inside(module, monkeypatch).anim_sequence(str(path)).curves
+    last = {name: values[-1] for name, (_, values) in curves.items() if name.startswith("Head")}
+    assert last == pytest.approx(
+        {"HeadControlSwitch": 1, "HeadYaw": 10, "HeadPitch": -5, "HeadRoll": 2,
+         "HeadTranslationX": 0.3, "HeadTranslationY": -0.1, "HeadTranslationZ": 0.2}
+    )  # fmt: skip
 
 
 def test_bracket_is_closed_when_a_curve_fails(take, monkeypatch):
@@ -326,6 +341,8 @@ def test_mistake_on_the_command_line_is_one_line_of_the_log(take, monkeypatch, a
         ({"raw": {"CTRL_expressions_jawOpen": [0, 1, 2, None]}}, "raw or board is damaged"),
         ({"raw": {"CTRL_expressions_jawOpen": float("nan")}}, "a curve has NaN"),
         ({"raw": []}, "raw or board is damaged"),
+        ({"head": {"yaw": 1}}, "raw or board is damaged"),
+        ({"head": {n: [0, 1] for n in ("yaw", "pitch", "roll", "x", "y", "z")}}, "has 2 values"),
         ({"board": {"CTRL_C_jaw": 1}}, "raw or board is damaged"),
         ({"frame_rate": [30]}, "must be two whole numbers"),
         ({"frame_rate": [0, 1]}, "must be two whole numbers"),
