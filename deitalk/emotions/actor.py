@@ -101,7 +101,7 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
     return ActorReference(strength, recordings, seconds, _traits(path, content.get("traits", {})))
 
 
-def _traits(path: Path, traits: Any) -> dict[str, float]:
+def _traits(path: object, traits: Any) -> dict[str, float]:
     """Traits of a file, each in its range."""
     if not isinstance(traits, dict) or any(name not in TRAITS for name in traits):
         raise EmotionError(f"{path}: traits must be an object with some of {', '.join(TRAITS)}")
