@@ -23,6 +23,7 @@ from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
 from deitalk.cli.finetune import finetune
+from deitalk.cli.live import live
 from deitalk.cli.livelink import app as livelink_app
 from deitalk.cli.mesh import mesh
 from deitalk.cli.model import app as model_app
@@ -46,6 +47,7 @@ app = CheckedCommands(
 )
 app.command()(animate)
 app.command()(batch)
+app.command()(live)
 app.command()(controls)
 app.command()(plot)
 app.command()(attention)

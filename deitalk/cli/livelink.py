@@ -67,7 +67,7 @@ def send(
     parse_emotion(emotion)
     _rig_id(rig)
     signals = [_signal(start_signal)] if start_signal else []
-    port = _checked(host, port, protocol, subject, fps)
+    port = checked_port(host, port, protocol, subject, fps)
     curves, audio = _source(source, emotion, intensity, model)
     if protocol == "json":
         curves = _as_rig(curves, rig)
@@ -93,7 +93,7 @@ def replay(
     """
     from rig import read_curves
 
-    port = _checked(host, port, protocol, subject, fps)
+    port = checked_port(host, port, protocol, subject, fps)
     _send(
         read_curves(curves_of(file), control_set=None),
         protocol,
@@ -218,7 +218,9 @@ def _send(
     )
 
 
-def _checked(host: str, port: int | None, protocol: str, subject: str, fps: float | None) -> int:
+def checked_port(
+    host: str, port: int | None, protocol: str, subject: str, fps: float | None
+) -> int:
     """The given port or the protocol's own; raises before a recording is animated."""
     from rig.curves import snap_fps
     from rig.livelink import check_address, find_protocol, make_protocol

@@ -95,7 +95,7 @@ def send(
     if protocol.control_set is not None:
         curves = convert(curves, protocol.control_set)
     clock = clock or Clock()
-    with _connected(address) as link:
+    with connected(address) as link:
         run = _Run(curves, protocol, link, clock, first_frame, loop=loop)
         if on_start is not None:
             on_start()
@@ -192,10 +192,11 @@ def check_address(address: tuple[str, int]) -> None:
     FormatError
         If the host is unknown or the port is not 1 to 65535.
     """
-    _connected(address).close()
+    connected(address).close()
 
 
-def _connected(address: tuple[str, int]) -> socket.socket:
+def connected(address: tuple[str, int]) -> socket.socket:
+    """Return a UDP socket that sends to an address; errors as `check_address`."""
     host, port = address
     if not 0 < port < 65536:
         raise FormatError(f"port {port} must be 1 to 65535")

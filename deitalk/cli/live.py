@@ -1,0 +1,134 @@
+"""`deitalk live`: the face of a voice that has not ended, over UDP."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deitalk.cli.console import console
+from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
+from deitalk.cli.options import Emotion, Intensity
+from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from deitalk.live.animator import LiveAnimator
+    from deitalk.live.sources import Source
+    from rig.livelink import LiveSender
+
+POLL_SECONDS = 0.05
+"""Longest wait for sound."""
+
+
+def live(
+    speech: Annotated[
+        Path | None, typer.Argument(help="Recording, played at its own pace.")
+    ] = None,
+    mic: Annotated[bool, typer.Option("--mic", help="The microphone instead.")] = False,
+    device: Annotated[
+        str | None, typer.Option(help="Name, part of it, or number of another input.")
+    ] = None,
+    emotion: Emotion = "neutral",
+    intensity: Intensity = 1.0,
+    model: Annotated[str, typer.Option(help="live, or the folder of a causal model.")] = "live",
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    protocol: ProtocolName = "livelink",
+    subject: Subject = "deitalk",
+    idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
+    seconds: Annotated[
+        float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
+    ] = None,
+) -> None:
+    """Animate a voice while it is spoken, 0.2 s behind it, and send the face.
+
+    Ctrl-C ends it; the face rests at the end. A microphone needs `pip install 'deitalk[mic]'`.
+
+    Examples
+    --------
+    deitalk live --mic --subject anna
+
+    deitalk live speech.wav --emotion happy --host 192.168.0.12
+
+    deitalk live --mic --protocol vmc --emotion angry=0.5
+    """
+    if mic == (speech is not None):
+        raise DeitalkError("give either a recording or --mic")
+    port = checked_port(host, port, protocol, subject, None)
+    from deitalk.live.animator import LiveAnimator, require_causal
+    from deitalk.live.sources import Microphone, PacedSound
+
+    network = require_causal(model)
+    if speech is not None:
+        from deitalk.audio.load import load_audio
+
+        waveform = load_audio(speech).waveform
+    source = PacedSound(waveform) if speech is not None else Microphone(_number(device))
+    animator = LiveAnimator(
+        network, emotion=emotion, intensity=intensity, sample_rate=source.sample_rate, idle=idle
+    )
+    sender = _sender(animator, protocol, host, port, subject)
+    console().print(
+        f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "
+        "the computing behind the sound, Ctrl-C stops"
+    )
+    try:
+        transmit(source, animator, sender, seconds)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        sender.rest()
+        sender.close()
+        if isinstance(source, Microphone):
+            source.close()
+    report = sender.report()
+    console().print(
+        f"{report.n_sent} frames, {report.n_skipped} skipped, {report.n_failed} not taken by the "
+        f"network; sent {1000 * report.waited[0]:.1f} ms after they were known, at most "
+        f"{1000 * report.waited[1]:.1f} ms"
+    )
+
+
+def transmit(
+    source: "Source",
+    animator: "LiveAnimator",
+    sender: "LiveSender",
+    seconds: float | None = None,
+    is_over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Animate the sound of a source and send the frames, until it or the given time is over."""
+    taken, most = 0, None if seconds is None else seconds * source.sample_rate
+    while not (source.is_over or is_over() or (most is not None and taken >= most)):
+        wait = sender.wait()
+        block = source.read(POLL_SECONDS if wait is None else min(wait, POLL_SECONDS))
+        if block is not None:
+            taken += len(block)
+            sender.push(animator.feed(block))
+        sender.send_due()
+    sender.push(animator.finish(), catch_up=False)
+    sender.drain()
+
+
+def _sender(
+    animator: "LiveAnimator", protocol: str, host: str, port: int, subject: str
+) -> "LiveSender":
+    from datetime import datetime
+
+    from rig.livelink import LiveSender, make_protocol
+
+    now = datetime.now().astimezone()
+    midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
+    return LiveSender(
+        make_protocol(protocol, subject, animator.names),
+        (host, port),
+        animator.names,
+        animator.network.controls.id,
+        animator.fps,
+        first_frame=int((now - midnight).total_seconds() * animator.fps),
+        note=console().note,
+    )
+
+
+def _number(device: str | None) -> str | int | None:
+    """A device by its number, where it is one."""
+    return int(device) if device is not None and device.isdigit() else device

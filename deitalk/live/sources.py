@@ -1,0 +1,150 @@
+"""Sound that comes in blocks of 10 ms: a microphone, or a recording at its own pace."""
+
+import queue
+from collections.abc import Callable
+from time import monotonic, sleep
+from typing import Any, Protocol
+
+import numpy as np
+
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.errors import AudioError, MissingError
+from rig.arrays import Float32
+from rig.errors import quoted, shorten
+
+BLOCK = SAMPLE_RATE // 100
+"""Samples of a block."""
+SILENT_SECONDS = 2.0
+"""Time without a block after which a microphone counts as gone."""
+
+
+class Source(Protocol):
+    """Sound that comes in blocks."""
+
+    sample_rate: int
+    is_over: bool
+
+    def read(self, seconds: float) -> Float32 | None:
+        """Samples of the next block; None if none came in time."""
+
+
+class PacedSound:
+    """A recording whose blocks come as if it were spoken now.
+
+    Parameters
+    ----------
+    waveform : array [shape=(S,)]
+        16 kHz.
+    now, wait : callable
+        Source of time, seconds.
+    """
+
+    sample_rate = SAMPLE_RATE
+
+    def __init__(
+        self,
+        waveform: Float32,
+        now: Callable[[], float] = monotonic,
+        wait: Callable[[float], None] = sleep,
+    ) -> None:
+        self.waveform, self.now, self.wait = waveform, now, wait
+        self.start, self.at = now(), 0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all blocks were read."""
+        return self.at >= len(self.waveform)
+
+    def read(self, seconds: float) -> Float32 | None:
+        """The next block, once its last sample would have been spoken."""
+        due = self.start + min(self.at + BLOCK, len(self.waveform)) / SAMPLE_RATE
+        wait = due - self.now()
+        if wait > seconds:
+            self.wait(max(seconds, 0.0))
+            return None
+        if wait > 0:
+            self.wait(wait)
+        block = self.waveform[self.at : self.at + BLOCK]
+        self.at += len(block)
+        return block
+
+
+class Microphone:
+    """An input of this computer, by the package sounddevice.
+
+    Parameters
+    ----------
+    device : str, int or None
+        Name, part of one, or number of the input; None is the default one.
+
+    Raises
+    ------
+    MissingError
+        If sounddevice or PortAudio is not installed.
+    AudioError
+        If there is no such input, or it cannot be opened.
+    """
+
+    is_over = False
+
+    def __init__(self, device: str | int | None = None) -> None:
+        sounddevice = _sounddevice()
+        self.name = "the microphone" if device is None else f"the input {quoted(str(device))}"
+        self.blocks: queue.Queue[Float32] = queue.Queue()
+        self.heard = monotonic()
+        try:
+            about = sounddevice.query_devices(device, "input")
+            self.sample_rate = round(float(about["default_samplerate"]))
+            self.stream = sounddevice.InputStream(
+                samplerate=self.sample_rate,
+                blocksize=self.sample_rate // 100,
+                device=device,
+                channels=1,
+                dtype="float32",
+                latency="low",
+                callback=self._take,
+            )
+            self.stream.start()
+        except (sounddevice.PortAudioError, ValueError, OSError) as error:
+            reason = shorten(" ".join(str(error).split()), 120)
+            raise AudioError(
+                f"{self.name} cannot be opened ({reason}); connect one, or name another"
+            ) from None
+
+    def read(self, seconds: float) -> Float32 | None:
+        """The next block; None if none came in time.
+
+        Raises
+        ------
+        AudioError
+            If no block has come for 2 s.
+        """
+        try:
+            block = self.blocks.get(timeout=max(seconds, 0.001))
+        except queue.Empty:
+            if monotonic() - self.heard > SILENT_SECONDS:
+                raise AudioError(
+                    f"{self.name} has given no sound for {SILENT_SECONDS:g} s; connect it again "
+                    "and restart"
+                ) from None
+            return None
+        self.heard = monotonic()
+        return block
+
+    def close(self) -> None:
+        """Let the device go."""
+        self.stream.close(ignore_errors=True)
+
+    def _take(self, samples: Any, frames: int, time: Any, status: Any) -> None:
+        self.blocks.put(np.array(samples[:, 0], np.float32))
+
+
+def _sounddevice() -> Any:
+    try:
+        import sounddevice  # type: ignore[import-untyped]
+    except (ImportError, OSError) as error:
+        raise MissingError(
+            f"a microphone needs the package sounddevice and PortAudio ({error}); "
+            "pip install 'deitalk[mic]', or give a file"
+        ) from None
+    return sounddevice

@@ -1,0 +1,110 @@
+"""Sound in blocks, and the way from it to datagrams."""
+
+import socket
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deitalk.cli.live import transmit
+from deitalk.errors import AudioError, MissingError
+from deitalk.live import sources
+from deitalk.live.animator import LiveAnimator
+from deitalk.live.sources import BLOCK, Microphone, PacedSound
+from rig.livelink import LiveSender, decode, make_protocol
+from rig.livelink.sender import Clock
+
+
+class Time:
+    """A clock that moves when somebody waits."""
+
+    def __init__(self):
+        self.seconds = 0.0
+
+    def now(self):
+        return self.seconds
+
+    def sleep(self, seconds):
+        self.seconds += seconds
+
+
+def test_recording_comes_at_its_own_pace(voice):
+    time = Time()
+    source = PacedSound(voice, time.now, time.sleep)
+    assert source.read(0.001) is None and time.seconds == pytest.approx(0.001)
+    blocks = []
+    while not source.is_over:
+        blocks.append(source.read(1.0))
+        assert time.seconds == pytest.approx(sum(map(len, blocks)) / 16_000)
+    assert np.array_equal(np.concatenate(blocks), voice) and len(blocks[0]) == BLOCK
+
+
+def test_recording_becomes_datagrams_behind_its_look_ahead(tiny, voice):
+    time, times, frames = Time(), [], []
+    source = PacedSound(voice, time.now, time.sleep)
+    animator = LiveAnimator(tiny, emotion="happy")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5)
+        sender = LiveSender(
+            make_protocol("livelink", "anna", animator.names),
+            receiver.getsockname(),
+            animator.names,
+            tiny.controls.id,
+            30.0,
+            clock=Clock(now=time.now, sleep=time.sleep),
+        )
+        send = sender._send
+
+        def noted(number, row):
+            times.append(time.seconds - number / 30)
+            send(number, row)
+            frames.append(decode(receiver.recv(2048)).frame)
+
+        sender._send = noted
+        transmit(source, animator, sender)
+        sender.close()
+    assert frames == list(range(93))
+    assert max(times) <= animator.lookahead_seconds + 0.03  # computing takes no time on this clock
+    assert min(times) >= animator.lookahead_seconds - 0.001
+
+
+class Device:
+    """A stand-in for sounddevice with one input."""
+
+    PortAudioError = type("PortAudioError", (Exception,), {})
+
+    def __init__(self, error=None):
+        self.error, self.made = error, None
+
+    def query_devices(self, device, kind):
+        if self.error is not None:
+            raise self.error
+        return {"default_samplerate": 44100.0}
+
+    def InputStream(self, **options):
+        self.made = options
+        return SimpleNamespace(start=lambda: None, close=lambda ignore_errors: None)
+
+
+def test_microphone_gives_its_blocks_and_tells_when_it_is_gone(monkeypatch):
+    device = Device()
+    monkeypatch.setitem(sys.modules, "sounddevice", device)
+    microphone = Microphone()
+    assert microphone.sample_rate == 44100 and device.made["blocksize"] == 441
+    device.made["callback"](np.full((441, 1), 0.5), 441, None, None)
+    assert np.array_equal(microphone.read(0.1), np.full(441, 0.5, np.float32))
+    assert microphone.read(0.001) is None
+    monkeypatch.setattr(sources, "SILENT_SECONDS", 0.0)
+    with pytest.raises(AudioError, match="given no sound"):
+        microphone.read(0.001)
+
+
+def test_missing_microphone_or_package_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sounddevice", Device(ValueError("No input device\nmatching")))
+    with pytest.raises(AudioError, match=r"'x' cannot be opened \(No input device matching\)"):
+        Microphone("x")
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    with pytest.raises(MissingError, match=r"deitalk\[mic\]"):
+        Microphone()
