@@ -25,8 +25,8 @@ def live(
         Path | None, typer.Argument(help="Recording, played at its own pace.")
     ] = None,
     mic: Annotated[bool, typer.Option("--mic", help="The microphone instead.")] = False,
-    device: Annotated[
-        str | None, typer.Option(help="Name, part of it, or number of another input.")
+    source_name: Annotated[
+        str | None, typer.Option("--input", help="Name, part of it, or number of another input.")
     ] = None,
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
@@ -63,7 +63,7 @@ def live(
         from deitalk.audio.load import load_audio
 
         waveform = load_audio(speech).waveform
-    source = PacedSound(waveform) if speech is not None else Microphone(_number(device))
+    source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
     animator = LiveAnimator(
         network, emotion=emotion, intensity=intensity, sample_rate=source.sample_rate, idle=idle
     )
@@ -129,6 +129,6 @@ def _sender(
     )
 
 
-def _number(device: str | None) -> str | int | None:
-    """A device by its number, where it is one."""
-    return int(device) if device is not None and device.isdigit() else device
+def _number(name: str | None) -> str | int | None:
+    """An input by its number, where it is one."""
+    return int(name) if name is not None and name.isdigit() else name

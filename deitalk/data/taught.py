@@ -39,6 +39,9 @@ from rig.arrays import Float32, Float64
 
 GAIN_DB = (-18.0, 14.0)
 """Range of a recording's gain beside the normal level; the running level must make up for it."""
+LEAD_SHARE, LEAD_FRAMES = 0.2, 40
+"""Share of the windows that begin with silence before a clip, as every stream does, and its most
+frames."""
 ARRAYS = ("inputs", "features", "curves", "strength", "emotion")
 
 
@@ -167,8 +170,8 @@ class TaughtBatches(SeededBatches[Window]):
         Of every pass.
     config : DataConfig
         Window, and shares of the sources.
-    ahead : int
-        Groups of spectra that the frontend runs ahead.
+    student : CausalMelFrontend
+        Gives the look-ahead, and the inputs in silence.
     seed, batch_size, share
         As for `SeededBatches`; an item is a window.
     """
@@ -178,13 +181,15 @@ class TaughtBatches(SeededBatches[Window]):
         folder: Path,
         clips: Sequence[Sequence[Clip]],
         config: DataConfig,
-        ahead: int,
+        student: CausalMelFrontend,
         seed: int,
         batch_size: int,
         share: Share = Share(),
     ) -> None:
         super().__init__(seed, batch_size, share)
-        self.config, self.ahead = config, ahead
+        self.config, self.ahead = config, student.config.lookahead_frames
+        with torch.no_grad():
+            self.silence = gathered_rows(student, np.zeros(8000, np.float32), 10)[-1:]
         names = [folder / str(k) for k in range(len(clips))]
         self.arrays = [
             Row(*(np.load(part / f"{name}.npy", mmap_mode="r") for name in ARRAYS))
@@ -199,23 +204,34 @@ class TaughtBatches(SeededBatches[Window]):
         turn = int(rng.integers(len(self.arrays)))
         rows, first = self.arrays[turn], self.first[turn]
         clip = int(rng.choice(len(first) - 1, p=self.chances[turn]))
-        frames = self.config.window_frames
+        frames, lead = self.config.window_frames, 0
+        if rng.random() < LEAD_SHARE:
+            lead = min(int(rng.integers(1, LEAD_FRAMES + 1)), frames - 1)
         last = max(int(first[-1]) - frames - self.ahead, 0)
         stop = max(int(first[clip + 1]) - frames, int(first[clip]) + 1)
         start = min(int(rng.integers(first[clip], stop)), last)
-        curves = _tensor(rows.curves[start : start + frames])
-        emotion = torch.from_numpy(rows.emotion[start : start + frames].astype(np.int64))
+        if lead:
+            start = min(int(first[clip]), last)
+        end = start + frames - lead
+        curves, features, strength, chosen = (
+            np.concatenate((part[start : start + 1].repeat(lead, axis=0), part[start:end]))
+            for part in (rows.curves, rows.features, rows.strength, rows.emotion)
+        )
+        inputs = np.concatenate(
+            (self.silence.repeat(lead, 0), rows.inputs[start : end + self.ahead])
+        )
+        emotion = torch.from_numpy(chosen.astype(np.int64))
         styles = torch.nn.functional.one_hot(emotion, len(EMOTIONS)).float()
         return Window(
-            _tensor(rows.inputs[start : start + frames + self.ahead]),
-            curves,
+            _tensor(inputs),
+            _tensor(curves),
             styles,
             styles.mean(dim=0),
-            _tensor(rows.strength[start : start + frames]),
+            _tensor(strength),
             torch.arange(frames),
             torch.tensor(frames),
             torch.ones(curves.shape[1]),
-            _tensor(rows.features[start : start + frames]),
+            _tensor(features),
         )
 
 

@@ -21,8 +21,13 @@ SILENT_SECONDS = 2.0
 class Source(Protocol):
     """Sound that comes in blocks."""
 
-    sample_rate: int
-    is_over: bool
+    @property
+    def sample_rate(self) -> int:
+        """Hz."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all of it was read."""
 
     def read(self, seconds: float) -> Float32 | None:
         """Samples of the next block; None if none came in time."""

@@ -189,7 +189,7 @@ class CurveTask(Task[Window]):
                 self.out / "taught",
                 self.taught,
                 self.config.data,
-                cast("CausalMelFrontend", self.model.frontend).config.lookahead_frames,
+                cast("CausalMelFrontend", self.model.frontend),
                 settings.seed,
                 settings.batch_size,
                 share,
