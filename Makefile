@@ -61,12 +61,13 @@ train-tiny: setup  ## Build a corpus of two minutes and train six steps
 	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
 	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
 
-pictures: setup-dev  ## Draw docs/pictures: head, moving picture, architecture
+pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architecture, studio
 	mkdir -p docs/pictures
 	$(BIN)/deitalk face sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
 	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 	$(BIN)/python docs/make_architecture.py
 	$(BIN)/python docs/make_talking.py
+	PYTHONPATH=. $(BIN)/python docs/make_studio.py
 
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
 	$(BIN)/deitalk plot docs/samples/promise.flac --emotion happy -o docs/curves.png --force
