@@ -19,13 +19,12 @@ from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config import MelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.chunking import encode_in_segments, phase_shifts
+from deitalk.frontends.whole_clip import encode_whole
 
 SEGMENT_FRAMES = 960
-"""Rig frames the Time-BiLSTM runs over at once on a clip (32 s)."""
+"""Rig frames whose windows are encoded at once on a clip, with ``recurrence: window`` (32 s)."""
 CONTEXT_FRAMES = 256
-"""Rig frames of context on either side of a segment, computed and not kept (8.5 s). The memory of
-the default weights is longer, so two ways to divide a clip differ by some hundredths of a range in
-places; a slow test holds the step between two segments below the usual motion in a frame."""
+"""Rig frames of context on either side of them, computed and not kept, for the rig's layers."""
 ATTENDED_FRAMES = 128
 """Rig frames whose attention is applied at once: a matrix of so many rows, banded."""
 
@@ -254,10 +253,12 @@ class MelFrontend(nn.Module):
         *,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Tensor:
-        """Map a whole clip (S,) to (n_frames, D), segment by segment: memory does not grow.
+        """Map a whole clip (S,) to (n_frames, D) in bounded memory; see `whole_clip`.
 
         `progress` is called with the share done, 0 to 1.
         """
+        if self.config.recurrence == "segment":
+            return encode_whole(self, waveform, n_frames, progress)
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(
             self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
@@ -315,7 +316,7 @@ class MelFrontend(nn.Module):
         window = config.window_frames // config.time_stack
         places = (centres - begin).to(memory.device)
         attended = self.attention.along(memory, places, window)
-        out: Tensor = self.rig(self._centred(attended, memory[:, places]))
+        out: Tensor = self.rig(self.centred(attended, memory[:, places]))
         return out
 
     def _frames_by_window(self, waveform: Tensor, first: int, last: int, shift: int) -> Tensor:
@@ -334,11 +335,12 @@ class MelFrontend(nn.Module):
         middle = half - config.query_frames // 2
         query = memory[:, middle : middle + config.query_frames]
         attended, _ = self.attention.windows(memory, query)
-        attended = self._centred(attended, memory[:, half])
+        attended = self.centred(attended, memory[:, half])
         out: Tensor = self.rig(attended.view(batch, frames, -1))
         return out
 
-    def _centred(self, attended: Tensor, centre: Tensor) -> Tensor:
+    def centred(self, attended: Tensor, centre: Tensor) -> Tensor:
+        """Attended rows with the states at their centres added, on the scale of positions."""
         if self.normalise is None:
             return attended
         out: Tensor = self.normalise(attended + centre)

@@ -97,7 +97,7 @@ class MelFrontendGraph(nn.Module):
             spectral.reshape(self.mel.phases, -1, frontend.recurrent.input_size)
         )
         attended = self._attended(frontend.attention, memory)
-        rows: Tensor = frontend.rig(frontend._centred(attended, memory[:, :: self.steps]))
+        rows: Tensor = frontend.rig(frontend.centred(attended, memory[:, :: self.steps]))
         return rows.mean(dim=0, keepdim=True)
 
     def _attended(self, attention: TemporalAttention, memory: Tensor) -> Tensor:
