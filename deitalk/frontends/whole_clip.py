@@ -11,7 +11,7 @@ Letters: K states of the Time-BiLSTM, n of a piece, H units per direction.
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -53,63 +53,69 @@ def encode_whole(
     -------
     Tensor [shape=(T, D)]
     """
-    rows = torch.zeros(n_frames, frontend.output_size, device=frontend.mel.window.device)
+    device, phases = frontend.mel.window.device, len(frontend.shifts)
+    rows = torch.zeros(n_frames, frontend.output_size, device=device)
     stages = 2 + frontend.recurrent.num_layers + len(frontend.rig)
-    n_pieces = -(-n_frames // PIECE_FRAMES)
-    done = count(1)
+    done, calls = count(1), phases * stages * -(-n_frames // PIECE_FRAMES)
 
     def tick() -> None:
-        progress(min(next(done) / (len(frontend.shifts) * stages * n_pieces), 1.0))
+        progress(min(next(done) / calls, 1.0))
 
     for shift in frontend.shifts:
-        for start, piece in _features(frontend, waveform.unsqueeze(0), n_frames, shift, tick):
-            rows[start : start + piece.shape[1]] += piece[0] / len(frontend.shifts)
+        features = _features(frontend, waveform.unsqueeze(0), n_frames, shift, tick)
+        for start, stop in _pieces(n_frames, PIECE_FRAMES):
+            rows[start:stop] += features[start:stop].float() / phases
     return rows
 
 
 def _features(
     frontend: "MelFrontend", waveform: Tensor, n_frames: int, shift: int, tick: Callable[[], None]
-) -> Iterator[tuple[int, Tensor]]:
-    """First frame and features (1, n, D) of every piece; `tick` is called per piece and stage."""
+) -> Tensor:
+    """Features (T, D) of one phase; `tick` is called per piece and stage."""
+    device, size = frontend.mel.window.device, frontend.output_size
     store = torch.float32 if n_frames <= EXACT_FRAMES else torch.float16
     centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
-    starts = list(range(0, n_frames, PIECE_FRAMES))
-    memory = []
-    for first in range(0, length := int(centres[-1]) + 1, 2 * PIECE_FRAMES):
-        part = first, min(2 * PIECE_FRAMES, length - first), length
-        memory.append(_spectral(frontend, waveform, *part, shift).to(store))
+    length = int(centres[-1]) + 1
+    # One block of memory for a sequence: pieces of it would not go back to the system.
+    sequence = torch.empty(length, frontend.recurrent.input_size, dtype=store, device=device)
+    for first, last in _pieces(length, 2 * PIECE_FRAMES):
+        sequence[first:last] = _spectral(frontend, waveform, first, last, length, shift)
         tick()
     for layer in range(frontend.recurrent.num_layers):
-        for i, output in layer_outputs(frontend.recurrent, layer, memory):
-            memory[i] = output.to(store)
-            tick()
-    rows = []
-    for start in starts:
-        rows.append(_attended(frontend, memory, centres[start : start + PIECE_FRAMES]).to(store))
+        sequence = layer_output(frontend.recurrent, layer, sequence, tick)
+    rows = torch.empty(n_frames, size, dtype=store, device=device)
+    for start, stop in _pieces(n_frames, PIECE_FRAMES):
+        rows[start:stop] = _attended(frontend, sequence, centres[start:stop])
         tick()
-    memory.clear()
     for rig in frontend.rig:
-        for i, output in layer_outputs(rig.recurrent, 0, rows):
-            rows[i] = (rows[i] + rig.project(output)).to(store)
-            tick()
-    while rows:
-        yield starts[len(rows) - 1], rows.pop().float()
+        context = layer_output(cast(Any, rig).recurrent, 0, rows, tick)
+        for start, stop in _pieces(n_frames, PIECE_FRAMES):
+            rows[start:stop] += cast(Any, rig).project(context[start:stop].float())
+    return rows
+
+
+def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:
+    """Ranges of at most `size` that cover a sequence."""
+    for first in range(0, length, size):
+        yield first, min(first + size, length)
 
 
 def _spectral(
-    frontend: "MelFrontend", waveform: Tensor, first: int, n: int, length: int, shift: int
+    frontend: "MelFrontend", waveform: Tensor, first: int, last: int, length: int, shift: int
 ) -> Tensor:
-    """Input (1, n, C) of the Time-BiLSTM, from state `first` of `length`."""
+    """Input (n, C) of the Time-BiLSTM, states `first` to `last - 1` of `length`."""
     stack = frontend.config.time_stack
     # Derivatives reach two spectra further; at the ends of the clip they repeat.
-    before, after = min(2, first * stack), min(2, (length - first - n) * stack)
-    begin, n_spectra = first * stack - before, n * stack + before + after
+    before, after = min(2, first * stack), min(2, (length - last) * stack)
+    begin, n_spectra = first * stack - before, (last - first) * stack + before + after
     mel = frontend.mel(waveform, n_spectra, begin, shift)[..., before : n_spectra - after]
-    return frontend.spectral(mel).reshape(1, n, -1)
+    return frontend.spectral(mel).reshape(last - first, -1)
 
 
-def layer_outputs(lstm: nn.LSTM, layer: int, pieces: list[Tensor]) -> Iterator[tuple[int, Tensor]]:
-    """Output of one bidirectional layer for every piece of its input, the last piece first.
+def layer_output(
+    lstm: nn.LSTM, layer: int, sequence: Tensor, tick: Callable[[], None] = lambda: None
+) -> Tensor:
+    """Output (K, 2 H) of one bidirectional layer.
 
     Parameters
     ----------
@@ -117,58 +123,49 @@ def layer_outputs(lstm: nn.LSTM, layer: int, pieces: list[Tensor]) -> Iterator[t
         Bidirectional, batch first.
     layer : int
         Number of the layer.
-    pieces : list of Tensor [shape=(1, n, C)]
-        Input; an item may be replaced once its output was given.
-
-    Yields
-    ------
-    tuple of int and Tensor [shape=(1, n, 2 H)]
-        Number of the piece, and its output.
+    sequence : Tensor [shape=(K, C)]
+        Input, in float32 or float16; so is the output.
+    tick : callable
+        Called for every 1920 rows or fewer.
     """
-    ahead: list[Tensor] = []
-    state: State | None = None
-    for piece in pieces:
-        output, state = _direction(lstm, layer, "", piece, state)
-        ahead.append(output.to(piece.dtype))
-    state = None
-    for i in reversed(range(len(pieces))):
-        output, state = _direction(lstm, layer, "_reverse", pieces[i].flip(1), state)
-        yield i, torch.cat((ahead.pop().float(), output.flip(1)), dim=-1)
+    output = sequence.new_empty(len(sequence), 2 * lstm.hidden_size)
+    pieces = list(_pieces(len(sequence), 2 * PIECE_FRAMES))
+    for suffix, side in (
+        ("", slice(None, lstm.hidden_size)),
+        ("_reverse", slice(lstm.hidden_size, None)),
+    ):
+        state: State | None = None
+        for first, last in pieces if not suffix else reversed(pieces):
+            piece = sequence[first:last].float()
+            rows, state = _direction(lstm, layer, suffix, piece.flip(0) if suffix else piece, state)
+            output[first:last, side] = rows.flip(0) if suffix else rows
+            if suffix:
+                tick()
+    return output
 
 
 def _direction(
     lstm: nn.LSTM, layer: int, suffix: str, piece: Tensor, state: State | None
 ) -> tuple[Tensor, State]:
-    """One direction of one layer over a piece."""
+    """Output (n, H) of one direction of one layer over a piece (n, C), and its last state."""
     parts = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
     weights = [getattr(lstm, f"{part}_l{layer}{suffix}") for part in parts]
     if state is None:
         zeros = weights[0].new_zeros(1, 1, lstm.hidden_size)
         state = zeros, zeros
     output, hidden, cell = torch.lstm(
-        piece.float(), state, weights, True, 1, 0.0, False, False, True
+        piece.unsqueeze(0), state, weights, True, 1, 0.0, False, False, True
     )
-    return output, (hidden, cell)
+    return output[0], (hidden, cell)
 
 
-def _attended(frontend: "MelFrontend", memory: list[Tensor], centres: Tensor) -> Tensor:
-    """Rows (1, n, D) around some states of the memory."""
+def _attended(frontend: "MelFrontend", memory: Tensor, centres: Tensor) -> Tensor:
+    """Rows (n, D) around some states of the memory."""
     config, attention = frontend.config, frontend.attention
     window = config.window_frames // config.time_stack
     reach = window + attention.query_frames
-    length = sum(piece.shape[1] for piece in memory)
-    first, last = max(int(centres[0]) - reach, 0), min(int(centres[-1]) + reach + 1, length)
-    near = _between(memory, first, last)
+    first, last = max(int(centres[0]) - reach, 0), int(centres[-1]) + reach + 1
+    near = memory[first:last].float().unsqueeze(0)
     places = (centres - first).to(near.device)
-    return frontend.centred(attention.along(near, places, window), near[:, places])
-
-
-def _between(pieces: list[Tensor], first: int, last: int) -> Tensor:
-    """Rows `first` to `last - 1` of a sequence in pieces."""
-    parts, begin = [], 0
-    for piece in pieces:
-        end = begin + piece.shape[1]
-        if end > first and begin < last:
-            parts.append(piece[:, max(first - begin, 0) : last - begin])
-        begin = end
-    return torch.cat(parts, dim=1).float()
+    rows: Tensor = frontend.centred(attention.along(near, places, window), near[:, places])
+    return rows[0]
