@@ -109,7 +109,8 @@ def _spectral(
     before, after = min(2, first * stack), min(2, (length - last) * stack)
     begin, n_spectra = first * stack - before, (last - first) * stack + before + after
     mel = frontend.mel(waveform, n_spectra, begin, shift)[..., before : n_spectra - after]
-    return frontend.spectral(mel).reshape(last - first, -1)
+    spectral: Tensor = frontend.spectral(mel)
+    return spectral.reshape(last - first, -1)
 
 
 def layer_output(
@@ -130,15 +131,14 @@ def layer_output(
     """
     output = sequence.new_empty(len(sequence), 2 * lstm.hidden_size)
     pieces = list(_pieces(len(sequence), 2 * PIECE_FRAMES))
-    for suffix, side in (
-        ("", slice(None, lstm.hidden_size)),
-        ("_reverse", slice(lstm.hidden_size, None)),
-    ):
+    for suffix, offset in (("", 0), ("_reverse", lstm.hidden_size)):
         state: State | None = None
         for first, last in pieces if not suffix else reversed(pieces):
             piece = sequence[first:last].float()
             rows, state = _direction(lstm, layer, suffix, piece.flip(0) if suffix else piece, state)
-            output[first:last, side] = rows.flip(0) if suffix else rows
+            output[first:last, offset : offset + lstm.hidden_size] = (
+                rows.flip(0) if suffix else rows
+            )
             if suffix:
                 tick()
     return output
