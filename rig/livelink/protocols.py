@@ -1,22 +1,27 @@
 """Protocols of live curves, frames to datagrams: Live Link Face, JSON properties, VMC."""
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Protocol
 
+import numpy as np
+
 from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.controls.control import NEWER_ONLY
-from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
+from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, arkit_controls, udp_order
 from rig.errors import FormatError, quoted
 from rig.livelink import osc
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 """Our device id: 36 characters, the length that some receivers assume."""
+HEAD_METRES = 0.1
+"""Usual height of a head's joint above the neck's: VMC sends a bone's place with its turn."""
 MAX_JSON_BYTES = 60_000
 MAX_OSC_BYTES = 1_400
 """Below one Ethernet frame, so that nothing is cut into fragments."""
@@ -110,7 +115,11 @@ def facegood_names() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Vmc:
-    """VMC protocol over OSC: one value per curve, then Apply, with a time and an OK before."""
+    """VMC protocol over OSC: one value per curve, then Apply, with a time and an OK before.
+
+    In frames whose HeadYaw, HeadPitch or HeadRoll is not 0 the bone Head is sent too, in Unity's
+    axes (left-handed, x right, y up, z forward), turned by roll, pitch and yaw.
+    """
 
     names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
@@ -120,6 +129,7 @@ class Vmc:
         messages = [
             osc.message("/VMC/Ext/OK", 1),
             osc.message("/VMC/Ext/T", float(seconds)),
+            *self._head(values),
             *(
                 osc.message("/VMC/Ext/Blend/Val", name, float(value))
                 for name, value in zip(self.names, values, strict=True)
@@ -127,6 +137,23 @@ class Vmc:
             osc.message("/VMC/Ext/Blend/Apply"),
         ]
         return list(osc.bundles(messages, max_bytes=MAX_OSC_BYTES))
+
+    def _head(self, values: Float32) -> list[bytes]:
+        """The message of a turned head."""
+        found = [self.names.index(name) for name in HEAD if name in self.names]
+        if len(found) < len(HEAD) or not values[found].any():
+            return []
+        yaw, pitch, roll = (np.radians(values[found] * np.array(HEAD_DEGREES)) / 2).tolist()
+        (sy, sx, sz), (cy, cx, cz) = (
+            [turn(angle) for angle in (yaw, -pitch, -roll)] for turn in (math.sin, math.cos)
+        )
+        rotation = (
+            cy * sx * cz + sy * cx * sz,
+            sy * cx * cz - cy * sx * sz,
+            cy * cx * sz - sy * sx * cz,
+            cy * cx * cz + sy * sx * sz,
+        )
+        return [osc.message("/VMC/Ext/Bone/Pos", "Head", 0.0, HEAD_METRES, 0.0, *rotation)]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ ACCENTS: dict[str, tuple[float, ...]] = {
     "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.08, 0.03),
     "happy": (0.02, 0.08, 0.0, 0.0, 0.12, 0.20, 0.03),
     "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.08, 0.04),
-    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.06, -0.16),
+    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.11, -0.16),
 }
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
@@ -48,6 +48,8 @@ TAKEN_SHARE = (0.3, 0.6)
 """Share of the accents with a motion: of the weakest, and more of the strongest."""
 EVENT_SIDE = 0.06
 """Standard deviation of the difference of the sides in an event."""
+HELD_SIDE = 0.25
+"""Share of a character's difference of the sides in an expression that is held."""
 SWELL = 0.4
 """Part of an expression that comes and goes with the accents."""
 
@@ -131,7 +133,7 @@ def move_brows(
     for place, letter in enumerate("LR"):
         swells = events.accents[:, place]
         breath = 1 + amount * SWELL * (swells - 0.4)
-        breath *= 1 + min(amount, 1) * (side, -side)[place] / 2
+        breath *= 1 + min(amount, 1) * (side, -side)[place] * HELD_SIDE
         for k, stem in enumerate(STEMS):
             column = controls.index(f"CTRL_{letter}_{stem}.ty")
             held = neutral[:, column]

@@ -375,6 +375,30 @@ def test_vmc_frames_are_read_by_an_independent_library():
 
 
 @pytest.mark.parametrize(
+    ("turn", "axis", "after"),
+    [
+        ({"HeadYaw": -90 / 50}, [0, 0, 1], [1, 0, 0]),  # to the right, x in Unity
+        ({"HeadPitch": 90 / 50}, [0, 0, 1], [0, 1, 0]),  # up
+        ({"HeadRoll": 90 / 50}, [0, 1, 0], [1, 0, 0]),  # to the right shoulder
+    ],
+)
+def test_vmc_turns_the_bone_of_the_head_in_unitys_axes(turn, axis, after):
+    pytest.importorskip("pythonosc.osc_packet", reason="needs python-osc")
+    from pythonosc.osc_packet import OscPacket
+    from scipy.spatial.transform import Rotation
+
+    controls = arkit_controls()
+    values = np.zeros(len(controls), np.float32)
+    for name, value in turn.items():
+        values[controls.index(name)] = value
+    data = make_protocol("vmc", "", ()).datagrams(0, 0.0, 30, values)
+    messages = [m.message for part in data for m in OscPacket(part).messages]
+    (bone,) = [m.params for m in messages if m.address == "/VMC/Ext/Bone/Pos"]
+    assert bone[0] == "Head"
+    np.testing.assert_allclose(Rotation.from_quat(bone[4:]).apply(axis), after, atol=1e-6)
+
+
+@pytest.mark.parametrize(
     ("address", "arguments", "expected"),
     [
         (
