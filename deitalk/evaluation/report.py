@@ -103,7 +103,7 @@ def _styles(groups: dict[str, Any]) -> list[str]:
             "",
             f"Styles on {scores['recordings']} recordings of {name}: spread over recordings and "
             "distance of mean faces in control units; range: factors on the neutral range of the "
-            "mouth's opening.",
+            "opening of the embedded head's lips.",
             "",
             *table("", scores["styles"]),
         ]

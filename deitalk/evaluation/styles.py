@@ -9,14 +9,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import torch
 
 from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.emotions import EMOTIONS, IntensityCurve
-from deitalk.evaluation.opening import JAW, mouth_opening
+from deitalk.evaluation.opening import JAW
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from rig.arrays import Bool, Float32
+from rig.face import build_head
 
 FULL = IntensityCurve(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
 """Intensity 1 throughout."""
@@ -36,11 +39,13 @@ def styles_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
     -------
     dict
         ``recordings``; ``styles`` (emotion: scores of `style_distances`, and ``range``,
-        ``range_strong``, ``range_jaw``: median factors on the neutral range of the mouth's
-        opening at predicted intensity, at intensity 1 throughout, and of the jaw at intensity 1);
+        ``range_strong``, ``range_jaw``: median factors on the neutral range of the opening of the
+        embedded head's lips at predicted intensity, at intensity 1 throughout, and of the jaw
+        control at intensity 1);
         ``distances`` (pair: distance of the mean faces).
     """
     controls = model.controls
+    lips = HeadLips(build_head())
     faces: dict[str, list[Float32]] = {emotion: [] for emotion in EMOTIONS}
     ranges: dict[str, dict[str, list[float]]] = {
         name: {emotion: [] for emotion in EMOTIONS}
@@ -57,8 +62,8 @@ def styles_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
             ).curves.values
             faces[emotion].append(curves[speaking].mean(axis=0))
             for name, track in (
-                ("range", mouth_opening(curves, controls)),
-                ("range_strong", mouth_opening(full, controls)),
+                ("range", _lip_opening(lips, curves)),
+                ("range_strong", _lip_opening(lips, full)),
                 ("range_jaw", full[:, controls.index(JAW)]),
             ):
                 ranges[name][emotion].append(lip_range(track, speaking))
@@ -70,6 +75,13 @@ def styles_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
         for emotion in EMOTIONS:
             styles[emotion][name] = _factor(values[emotion], base)
     return {"recordings": len(faces["neutral"]), "styles": styles, "distances": distances}
+
+
+@torch.no_grad()
+def _lip_opening(lips: HeadLips, curves: Float32) -> Float32:
+    """Opening of the embedded head's lips [shape=(T,)]."""
+    opening: Float32 = lips(torch.tensor(curves))[:, MEASURES.index("opening")].numpy()
+    return opening
 
 
 def style_distances(
