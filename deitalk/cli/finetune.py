@@ -47,8 +47,8 @@ def finetune(
     given = {"model.control_set": rig, "tune.part": part, "tune.corpus": rehearse}
     changes = [f"{key}={value}" for key, value in given.items() if value is not None]
     with console().status("loading"):
-        from deitalk.training.finetuning import finetune as tune
-        from deitalk.training.finetuning import read_recipe
+        from deitalk.training.tuning.recipe import read_recipe
+        from deitalk.training.tuning.task import finetune as tune
 
         settings = read_recipe(recipe, [*changes, *(overrides or ())], base=base)
     with bar("tuning") as advance:

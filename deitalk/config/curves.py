@@ -41,6 +41,12 @@ class ModelConfig(Section):
         max_length=limits.WIDTH,
         description="actors whose styles are added to the emotional one; not in the paper",
     )
+    kept_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+        default=(),
+        max_length=limits.CONTROLS,
+        description="controls that a second decoder moves, the base's of a fine-tuned model; not "
+        "in the paper",
+    )
     motion_channels: tuple[Width, ...] = Field(
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )

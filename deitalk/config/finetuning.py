@@ -30,12 +30,22 @@ class TuneConfig(Section):
         description="weight of the base's curves as the target of controls that a clip does not "
         "know",
     )
+    keep: bool = Field(
+        default=True,
+        description="controls that no capture knows stay those of the base, by its own decoder; "
+        "not where the frontend learns",
+    )
     rehearsal: float = Field(
         default=0.25,
         ge=0,
         le=1,
         description="share of windows shown in an emotion that no capture has: the captured "
         "curves, changed as the base's",
+    )
+    contact_rules: Literal["auto", "base", "recipe"] = Field(
+        default="auto",
+        description="rules of lip contacts: the base's, or those of the section `rules`; auto is "
+        "the base's where no capture knows the lips-together controls",
     )
     corpus: str | None = Field(
         default=None, description="dataset folder whose speech the base's curves are learnt on"

@@ -1,6 +1,6 @@
 """DEITalk's network: the stages of §3, wired in the order of Fig. 2."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
@@ -114,6 +114,7 @@ class DEITalk(nn.Module):
             dropout=config.dropout,
             residual=config.decoder_residual,
             causal=self.is_causal,
+            kept=_mask(config.kept_controls, self.controls),
         )
 
     def forward(
@@ -311,6 +312,13 @@ class DEITalk(nn.Module):
             )
             rows[start:stop] = decoded[0, start - first : stop - first]
         return rows
+
+
+def _mask(names: Sequence[str], controls: ControlSet) -> Tensor | None:
+    """True at the places of some controls [shape=(C,)]; None without any."""
+    if not names:
+        return None
+    return torch.tensor([name in names for name in controls.names])
 
 
 def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:

@@ -31,7 +31,12 @@ class RigDecoder(nn.Module):
         Actors whose styles are added to the emotional one; they begin at 0 (not in the paper).
     causal : bool
         Deviation: a frame depends on earlier ones only, for a voice that has not ended.
+    kept : Tensor [shape=(C,)] or None
+        True where another decoder of the same shape gives the curves, that of the model before its
+        fine-tuning: what captures do not show stays exactly as it was (not in the paper).
     """
+
+    is_kept: Tensor | None
 
     def __init__(
         self,
@@ -48,9 +53,24 @@ class RigDecoder(nn.Module):
         residual: bool = False,
         n_actors: int = 0,
         causal: bool = False,
+        kept: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.residual = residual
+        self.register_buffer("is_kept", kept, persistent=False)
+        self.kept: RigDecoder | None = None
+        if kept is not None:
+            self.kept = RigDecoder(
+                in_size=in_size,
+                style_size=style_size,
+                guidance_size=guidance_size,
+                channels=channels,
+                dilations=dilations,
+                kernel_size=kernel_size,
+                n_emotions=n_emotions,
+                rest=rest,
+                residual=residual,
+            )
         self.margin = receptive_margin(dilations, kernel_size, causal=causal)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
         self.actors = nn.Linear(n_actors, style_size, bias=False) if n_actors else None
@@ -85,7 +105,9 @@ class RigDecoder(nn.Module):
         Tensor [shape=(B, T, C)]
         """
         curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
-        return curves
+        if self.kept is None or self.is_kept is None:
+            return curves
+        return torch.where(self.is_kept, self.kept(speech, emotion, guidance), curves)
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""

@@ -21,6 +21,8 @@ from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 
+DEAD = 1e-3
+"""Standard deviation over all captures below which a channel is dead."""
 STILL = 1e-5
 """Standard deviation below which predicted curves have no correlation."""
 
@@ -32,6 +34,8 @@ class MeanPose(NamedTuple):
     """Mean of every control over the clips that know it [shape=(C,)]; else its rest."""
     moving: Bool
     """Controls whose standard deviation is above 0.02 [shape=(C,)]."""
+    alive: Bool
+    """Known controls that move at all [shape=(C,)]: a dead channel shows nothing of an actor."""
 
 
 def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> MeanPose:
@@ -57,7 +61,7 @@ def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> Mean
     mean = np.where(known, total / np.maximum(count, 1), controls.rest)
     variance = square / np.maximum(count, 1) - np.square(mean)
     moving = known & learnt & (variance > MOVING**2)
-    return MeanPose(mean.astype(np.float32), moving)
+    return MeanPose(mean.astype(np.float32), moving, known & (variance > DEAD**2))
 
 
 @dataclass(frozen=True)

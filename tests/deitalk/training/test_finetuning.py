@@ -25,7 +25,8 @@ from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model
-from deitalk.training.finetuning import FinetuneTask, finetune, read_recipe
+from deitalk.training.tuning.recipe import read_recipe
+from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw, write_dataset
 
@@ -58,13 +59,26 @@ def base(tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
-    """Clips in all emotions but surprised, of which the jaw alone is known in the first two."""
+    """Clips in all emotions but surprised, of which the jaw alone is known in the first two.
+
+    Every control moves, for a dead channel counts as not captured.
+    """
     folder = write_dataset(tmp_path_factory.mktemp("data"))
+    for path in (folder / "curves").iterdir():
+        curves = read_curves(path)
+        wave = 0.02 * np.sin(np.arange(len(curves)) / 3)[:, None]
+        inward = np.where(CONTROLS.rest > CONTROLS.minimum, -1, 1)
+        values = curves.values + (wave + 0.02) * inward
+        write_curves(path, RigCurves(values.astype(np.float32), curves.names, fps=curves.fps))
     (folder / "known.txt").write_text(f"{JAW}\n")
     table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="", speaker="anna")
     table.loc[:1, "known"] = "known.txt"
     table.to_csv(folder / "clips.csv", index=False)
     return folder
+
+
+TUNED = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
+LIP = "CTRL_L_mouth_lipsTogetherU.ty"
 
 
 def recipe(base, *overrides):
@@ -121,15 +135,39 @@ def test_what_captures_do_not_know_stays_as_the_base_has_it(base, data, tmp_path
     shutil.copytree(data, folder)
     table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
     table.to_csv(folder / "clips.csv", index=False)
-    config = recipe(base, "train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
-    finetune(config, folder, tmp_path / "run")
+    finetune(recipe(base, *TUNED), folder, tmp_path / "run")
     example = load_example(read_clips(folder, "validation")[0], CONTROLS)
     before, after = (predict(load_model(f), example)[0] for f in (base, tmp_path / "run" / "last"))
     moved = np.abs(after - before).mean(axis=0)
     place = CONTROLS.index(JAW)
     error = [np.square(c[:, place] - example.curves[:, place]).mean() for c in (before, after)]
     assert error[1] < 0.6 * error[0], "the jaw is learnt"
-    assert np.delete(moved, place).mean() < 0.25 * moved[place]
+    assert np.delete(moved, place).max() == 0, "the rest is the base's, exactly"
+    assert load_model(tmp_path / "run" / "last").config.kept_controls == tuple(
+        name for name in CONTROLS.names if name != JAW
+    )
+    held = [*TUNED, "tune.keep=false", "tune.hold=1"]
+    finetune(recipe(base, *held), folder, tmp_path / "held")
+    after = predict(load_model(tmp_path / "held" / "last"), example)[0]
+    moved = np.abs(after - before).mean(axis=0)
+    assert 0 < np.delete(moved, place).mean() < 0.25 * moved[place]
+
+
+def test_tuning_a_tuned_model_keeps_the_first_base(base, data, tmp_path):
+    """The second captures know the jaw and a lip: both are learnt, all others are the first base's."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
+    table.to_csv(folder / "clips.csv", index=False)
+    finetune(recipe(base, *TUNED), folder, tmp_path / "one")
+    (folder / "known.txt").write_text(f"{JAW}\n{LIP}\n")
+    finetune(recipe(str(tmp_path / "one/last"), *TUNED), folder, tmp_path / "two")
+    example = load_example(read_clips(folder, "validation")[0], CONTROLS)
+    before, after = (predict(load_model(f), example)[0] for f in (base, tmp_path / "two" / "last"))
+    moved = np.abs(after - before).max(axis=0)
+    assert {CONTROLS.names[i] for i in np.flatnonzero(moved)} == {JAW, LIP}
+    with pytest.raises(ConfigError, match="tune that base"):
+        FinetuneTask(recipe(str(tmp_path / "one/last"), "tune.part=all"), folder)
 
 
 def test_targets_of_emotions_that_no_capture_has_change_as_the_base(base, data):
@@ -330,3 +368,33 @@ def test_blinks_are_learnt_only_where_no_rule_adds_them(base, data):
         FinetuneTask(recipe(base, *more), data).learnt for more in ((), ("rules.idle=null",))
     )
     assert not added[lid] and learnt.all() and added[CONTROLS.index(JAW)]
+
+
+def test_dead_channels_stay_as_the_base_has_them(base, tmp_path):
+    """The jaw and the left lip contacts move in the captures; all controls count as known there."""
+    folder = write_dataset(tmp_path / "data")
+    task = FinetuneTask(recipe(base), folder)
+    moving = {JAW, LIP, LIP.replace("U.ty", "D.ty")}
+    assert set(task.config.model.kept_controls) == set(CONTROLS.names) - moving
+    assert {CONTROLS.names[i] for i in np.flatnonzero(task.learnt)} == moving
+    off = FinetuneTask(recipe(base, "tune.keep=false"), folder)
+    assert not off.config.model.kept_controls and (off.learnt == task.learnt).all()
+
+
+def test_contacts_that_no_capture_holds_keep_the_rules_of_the_base(base, data, tmp_path):
+    """Numbers of the recipe stay; captures that know the contacts keep what the actor did."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    (folder / "known.txt").write_text("CTRL_C_jaw.ty\n")
+    table = pd.read_csv(folder / "clips.csv", dtype=str)
+    table.assign(known="known.txt").to_csv(folder / "clips.csv", index=False)
+    rules = load_model(base).rules
+    tuned = FinetuneTask(recipe(base, "rules.limit_contact_speed.step=0.7"), folder).config.rules
+    assert tuned.sharpen_contacts == rules.sharpen_contacts is not None
+    assert tuned.keep_contacts == rules.keep_contacts is not None
+    assert tuned.limit_contact_speed.step == 0.7
+    assert tuned.dead_zone is None and tuned.widen_speech is None
+    off = FinetuneTask(recipe(base, "tune.contact_rules=recipe"), folder).config.rules
+    assert off.sharpen_contacts is None
+    table.assign(known="").to_csv(folder / "clips.csv", index=False)
+    assert FinetuneTask(recipe(base), folder).config.rules.sharpen_contacts is None

@@ -6,18 +6,15 @@
 with the mean pose of the captures and so serves any rig.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import FinetuneConfig, load_config
-from deitalk.config.load import parse_config, read_tree
-from deitalk.data.clips import REHEARSED, Clip, read_clips
+from deitalk.config import FinetuneConfig
+from deitalk.data.clips import REHEARSED, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import Window, WindowBatches
@@ -29,16 +26,18 @@ from deitalk.evaluation.validation import load_example
 from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import RIG_FILE, model_folder
-from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.distillation import start_as
-from deitalk.training.low_rank import add_adapters, merged_weights
 from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
-from rig import ControlSet
-from rig.arrays import Bool
+from deitalk.training.tuning.low_rank import add_adapters, merged_weights
+from deitalk.training.tuning.recipe import (
+    is_same_rig,
+    learnt_controls,
+    with_actors,
+    with_base_parts,
+)
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
@@ -88,43 +87,6 @@ def finetune(
     )
 
 
-def read_recipe(
-    recipe: Path | None, overrides: Sequence[str] = (), *, base: str | None = None
-) -> FinetuneConfig:
-    """Settings of a recipe, with the network of the base model.
-
-    Where the frontend learns too, windows are augmented unless the recipe says otherwise.
-
-    Parameters
-    ----------
-    recipe : Path or None
-        YAML; None is the default recipe.
-    overrides : sequence of str
-        As for `load_config`.
-    base : str or None
-        Instead of the recipe's ``tune.base``.
-
-    Raises
-    ------
-    ConfigError
-        If the recipe is of another kind, or as for `load_config`.
-    CheckpointError
-        If there is no such base model.
-    """
-    tree = read_tree(recipe, overrides) | {"kind": "finetune"}
-    tune = tree.setdefault("tune", {})
-    if base is not None:
-        tune["base"] = base
-    folder = model_folder(str(tune.get("base", "default")))
-    network = load_config(folder / "config.yaml").model.model_dump(mode="json")
-    if network.get("control_set") == RIG_FILE:
-        network["control_set"] = str(folder / RIG_FILE)
-    tree["model"] = network | (tree.get("model") or {})
-    if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
-        tree["data"] = {"augment": True} | (tree.get("data") or {})
-    return cast("FinetuneConfig", parse_config(tree))
-
-
 class FinetuneTask(CurveTask):
     """A base model, captures, and what holds the base's abilities.
 
@@ -145,7 +107,7 @@ class FinetuneTask(CurveTask):
     config: FinetuneConfig
 
     def __init__(self, config: FinetuneConfig, data: Path) -> None:
-        super().__init__(_with_actors(config, read_clips(data, "train")), data)
+        super().__init__(with_actors(config, read_clips(data, "train")), data)
         config = self.config
         if not self.clips or not self.validation_clips:
             raise DataError(
@@ -153,8 +115,12 @@ class FinetuneTask(CurveTask):
                 "import the takes with `deitalk data import`"
             )
         self.test_clips = read_clips(data, "test") or self.validation_clips
-        self.learnt = _learnt(config, self.controls)
+        self.learnt = learnt_controls(config, self.controls)
         self.pose: MeanPose = mean_pose(self.clips, self.controls, self.learnt)
+        if is_same_rig(config):
+            captured = self.learnt & self.pose.alive
+            config = with_base_parts(config, self.controls, self.learnt, captured)
+            self.config, self.learnt = config, captured
         shown = {clip.emotion for clip in self.clips}
         self.unseen = [i for i, emotion in enumerate(EMOTIONS) if emotion not in shown]
         self.captures = [replace(clip, source="recording") for clip in self.clips]
@@ -175,6 +141,10 @@ class FinetuneTask(CurveTask):
             )
         self.model = self._network()
         start_as(self.model, base)
+        if self.model.decoder.kept is not None and base.decoder.kept is None:
+            own = self.model.decoder.kept.state_dict().keys()
+            weights = {k: v for k, v in base.decoder.state_dict().items() if k in own}
+            self.model.decoder.kept.load_state_dict(weights)
         if base.decoder.actors is not None and self.model.decoder.actors is not None:
             known = base.decoder.actors.weight
             with torch.no_grad():
@@ -202,6 +172,8 @@ class FinetuneTask(CurveTask):
             add_adapters([decoder.style, decoder.layers], self.config.tune.rank)
         elif part == "decoder":
             decoder.requires_grad_(True)
+            if decoder.kept is not None:
+                decoder.kept.requires_grad_(False)
         if decoder.actors is not None:
             decoder.actors.requires_grad_(True)
         if part == "head" or not self.is_same_rig:
@@ -303,20 +275,3 @@ class FinetuneTask(CurveTask):
         whole = self._network()
         whole.load_state_dict(merged_weights(model))
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
-
-
-def _with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
-    """The configuration with the speakers of captures as actors, if there are several."""
-    before = config.model.actors
-    speakers = sorted({clip.speaker for clip in clips} - {*before})
-    if len(speakers) + len(before) < 2:
-        return config
-    model = config.model.model_copy(update={"actors": (*before, *speakers)})
-    return config.model_copy(update={"model": model})
-
-
-def _learnt(config: FinetuneConfig, controls: ControlSet) -> Bool:
-    """Controls to train [shape=(C,)]: no blinks and gaze where a rule adds them."""
-    is_added = config.rules.idle is not None
-    names = controls.names
-    return np.array([not (is_added and any(p in n for p in ADDED_CONTROLS)) for n in names], bool)

@@ -1,0 +1,1 @@
+"""Fine-tuning of curve models on captures of a rig."""

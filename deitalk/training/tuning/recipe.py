@@ -1,0 +1,157 @@
+"""Settings of a fine-tuning, completed by what the base model and the captures are."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from deitalk.config import CausalMelConfig, Config, FinetuneConfig, load_config
+from deitalk.config.load import parse_config, read_tree
+from deitalk.data.clips import Clip
+from deitalk.errors import ConfigError
+from deitalk.evaluation.validation import knows_contact
+from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.postprocess.life.motion import ADDED_CONTROLS
+from rig import ControlSet
+from rig.arrays import Bool
+
+CONTACT_RULES = ("sharpen_contacts", "keep_contacts", "limit_contact_speed")
+"""Rules of a model that act on its lip contacts."""
+
+
+def read_recipe(
+    recipe: Path | None, overrides: Sequence[str] = (), *, base: str | None = None
+) -> FinetuneConfig:
+    """Settings of a recipe, with the network of the base model.
+
+    Where the frontend learns too, windows are augmented unless the recipe says otherwise.
+
+    Parameters
+    ----------
+    recipe : Path or None
+        YAML; None is the default recipe.
+    overrides : sequence of str
+        As for `load_config`.
+    base : str or None
+        Instead of the recipe's ``tune.base``.
+
+    Raises
+    ------
+    ConfigError
+        If the recipe is of another kind, or as for `load_config`.
+    CheckpointError
+        If there is no such base model.
+    """
+    tree = read_tree(recipe, overrides) | {"kind": "finetune"}
+    tune = tree.setdefault("tune", {})
+    if base is not None:
+        tune["base"] = base
+    folder = model_folder(str(tune.get("base", "default")))
+    network = load_config(folder / "config.yaml").model.model_dump(mode="json")
+    if network.get("control_set") == RIG_FILE:
+        network["control_set"] = str(folder / RIG_FILE)
+    tree["model"] = network | (tree.get("model") or {})
+    if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
+        tree["data"] = {"augment": True} | (tree.get("data") or {})
+    return cast("FinetuneConfig", parse_config(tree))
+
+
+def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
+    """The configuration with the speakers of captures as actors, if there are several."""
+    before = config.model.actors
+    speakers = sorted({clip.speaker for clip in clips} - {*before})
+    if len(speakers) + len(before) < 2:
+        return config
+    model = config.model.model_copy(update={"actors": (*before, *speakers)})
+    return config.model_copy(update={"model": model})
+
+
+def _base_config(config: FinetuneConfig) -> Config:
+    """Configuration of the base model."""
+    return cast("Config", load_config(model_folder(config.tune.base) / "config.yaml"))
+
+
+def is_same_rig(config: FinetuneConfig) -> bool:
+    """Whether the captures are of the base's controls."""
+    return _base_config(config).model.control_set == config.model.control_set
+
+
+def with_base_parts(
+    config: FinetuneConfig, controls: ControlSet, learnt: Bool, captured: Bool
+) -> FinetuneConfig:
+    """The configuration with what stays of the base: rules of contacts, and controls it moves.
+
+    Parameters
+    ----------
+    config : FinetuneConfig
+        A recipe with the network of the base.
+    controls : ControlSet
+        Of captures and base.
+    learnt : array [shape=(C,)]
+        From `learnt_controls`.
+    captured : array [shape=(C,)]
+        Those of them that a capture shows.
+
+    Raises
+    ------
+    ConfigError
+        If the base has controls of an earlier base and is to be tuned where these cannot stay.
+    """
+    return _with_kept_controls(
+        _with_contact_rules(config, controls, captured), controls, learnt, captured
+    )
+
+
+def _with_contact_rules(
+    config: FinetuneConfig, controls: ControlSet, captured: Bool
+) -> FinetuneConfig:
+    """`CONTACT_RULES` as the base has them, where the recipe has none.
+
+    Contacts that no capture shows are those of the base's network, which needs its rules: without
+    them one in ten of the found contacts is held, with them nine.
+    """
+    wanted = config.tune.contact_rules
+    if wanted == "recipe" or (wanted == "auto" and knows_contact(captured, controls)):
+        return config
+    base = _base_config(config).rules
+    rules = {name: getattr(config.rules, name) or getattr(base, name) for name in CONTACT_RULES}
+    return config.model_copy(update={"rules": config.rules.model_copy(update=rules)})
+
+
+def _with_kept_controls(
+    config: FinetuneConfig, controls: ControlSet, learnt: Bool, captured: Bool
+) -> FinetuneConfig:
+    """The controls that the base's own decoder is to move.
+
+    Of a base that was tuned so itself, its first decoder stays for those that are still not shown.
+    """
+    base = _base_config(config).model
+    if (
+        not config.tune.keep
+        or config.tune.part == "all"
+        or isinstance(base.frontend, CausalMelConfig)
+    ):
+        if base.kept_controls:
+            raise ConfigError(
+                f"tune.part={config.tune.part}, tune.keep={config.tune.keep}: {config.tune.base} "
+                "has controls of an earlier base, which need the same frontend; tune that base"
+            )
+        return config
+    if captured[learnt].all() and not base.kept_controls:
+        return config
+    kept = set(base.kept_controls or controls.names)
+    names = tuple(
+        name
+        for name, shown in zip(controls.names, captured, strict=True)
+        if name in kept and not shown
+    )
+    model = config.model.model_copy(update={"kept_controls": names})
+    return config.model_copy(update={"model": model})
+
+
+def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:
+    """Controls to train [shape=(C,)]: no blinks and gaze where a rule adds them."""
+    is_added = config.rules.idle is not None
+    names = controls.names
+    return np.array([not (is_added and any(p in n for p in ADDED_CONTROLS)) for n in names], bool)
