@@ -50,6 +50,10 @@ class Vector2D:
         self.x, self.y = x, y
 
 
+class EulerTransform:
+    """Kind of a control with a place and a rotation."""
+
+
 class RawCurveTrackTypes:
     RCT_FLOAT = "RCT_FLOAT"
 
@@ -278,12 +282,14 @@ class Channel:
 
 
 class ControlRigSection:
-    """Channels of the float and Vector2D controls, as objects with a number behind their name."""
+    """Channels of the float, Vector2D and transform controls, as objects with a number behind their name."""
 
     def __init__(self, controls):
         names = []
         for name, kind in controls.items():
-            names += {float: [name], Vector2D: [f"{name}.X", f"{name}.Y"]}.get(kind, [])
+            parts = [f"{name}.{part}.{axis}" for part in ("Location", "Rotation") for axis in "XYZ"]
+            kinds = {float: [name], Vector2D: [f"{name}.X", f"{name}.Y"], EulerTransform: parts}
+            names += kinds.get(kind, [])
         self.channels = {name: Channel(f"{name}_{i}") for i, name in enumerate(names)}
 
     def get_all_channels(self):

@@ -142,7 +142,7 @@ def control_rig(
     display = level_sequence.get_display_rate()
     fps = Fraction(display.numerator, display.denominator)
     last = start_frame + frame_count(data, fps) - 1
-    section, skipped, written = _channels(proxy), [], []
+    section, skipped, written = channels_of_rig(proxy), [], []
     title = "deitalk: keys on the face board"
     with unreal.ScopedEditorTransaction(title):
         with unreal.ScopedSlowTask(len(data["board"]), title) as task:
@@ -156,7 +156,7 @@ def control_rig(
                     skipped.append(control)
                 for axis, channel in channels.items():
                     values = resampled(data, axes[axis], fps)
-                    n_keys = _write_channel(channel, values, start_frame, last)
+                    n_keys = write_channel(channel, values, start_frame, last)
                     written.append((max(values) - min(values), n_keys, channel, values[-1]))
     unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
     if skipped:
@@ -236,7 +236,7 @@ def _rate_of(controller: Any) -> Fraction:
     return Fraction(rate.numerator, rate.denominator)
 
 
-def _channels(proxy: Any) -> dict[str, Any]:
+def channels_of_rig(proxy: Any) -> dict[str, Any]:
     """Return the channels of a rig's section by lower-case name, ``ctrl_c_jaw.x``.
 
     Names of the objects end in a number of their own, ``CTRL_C_jaw.X_41``.
@@ -259,7 +259,7 @@ def _channels_of(board: Any, section: dict[str, Any], control: str, axes: Any) -
     return {axis: section[full] for axis, full in names.items()} if name and has_all else {}
 
 
-def _write_channel(channel: Any, values: list[float], start: int, last: int) -> int:
+def write_channel(channel: Any, values: list[float], start: int, last: int) -> int:
     """Replace the keys from start to last; return how many there are now."""
     for key in channel.get_keys():
         if start <= key.get_time(display_rate()).frame_number.value <= last:

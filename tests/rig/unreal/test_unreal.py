@@ -41,6 +41,8 @@ def run_inside(module, monkeypatch):
     monkeypatch.syspath_prepend(str(SCRIPT.parent))
     spec = importlib.util.spec_from_file_location("deitalk_unreal", SCRIPT)
     script = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "deitalk_unreal", script)
+    monkeypatch.delitem(sys.modules, "deitalk_head", raising=False)
     spec.loader.exec_module(script)
     return script
 
@@ -189,6 +191,39 @@ def test_board_is_keyed_on_the_channels_of_its_section(take, monkeypatch, unit):
     assert rig.keys("CTRL_L_nose_wrinkleUpper") == ([100], [1.0])
     n_keys = sum(len(rig.keys(channel)[0]) for channel in rig.section.channels)
     assert any(f"wrote {n_keys} keys of 162 controls" in text for text in module.messages)
+
+
+def nod(tmp_path):
+    track = np.zeros((3, 6), np.float32)
+    track[:, :3] = [[0, 0, 0], [4, -6, 2], [8, -12, 4]]
+    write_curves(tmp_path / "nod.unreal.json", replace(speech(3), head=track))
+    return str(tmp_path / "nod.unreal.json")
+
+
+def test_head_is_keyed_on_the_control_of_a_body_rig(tmp_path, monkeypatch):
+    body = fake_unreal.ControlRig("MetaHuman_ControlRig", {"head_ctrl": fake_unreal.EulerTransform})
+    module = fake_unreal.make_unreal(level_sequence=fake_unreal.LevelSequence([body]))
+    run_inside(module, monkeypatch)
+    head = importlib.import_module("deitalk_head")
+    head.head_control(nod(tmp_path), start_frame=10, axes="x,-z,y")
+    assert body.keys("head_ctrl.Rotation.X") == ([10, 11, 12], pytest.approx([0, 4, 8]))
+    assert body.keys("head_ctrl.Rotation.Z")[1] == pytest.approx([0, 6, 12])
+    assert body.keys("head_ctrl.Rotation.Y")[1] == pytest.approx([0, 2, 4])
+    assert body.keys("head_ctrl.Location.X") == ([], [])
+    with pytest.raises(head.importer.DeitalkError, match="no channel skull"):
+        head.head_control(nod(tmp_path), control="skull")
+
+
+def test_head_control_rejects_axes_and_takes_without_a_head(take, tmp_path, monkeypatch, capsys):
+    run_inside(None, monkeypatch)
+    head = importlib.import_module("deitalk_head")
+    assert head.head_control(nod(tmp_path), dry_run=True) == []
+    assert "head_ctrl rotation z: HeadPitch, 3 keys, -12 to 0" in capsys.readouterr().out
+    with pytest.raises(head.importer.DeitalkError, match="no head track"):
+        head.head_control(take, dry_run=True)
+    for axes in ("x,y", "x,x,y", "x,y,w"):
+        with pytest.raises(head.importer.DeitalkError, match="three of x, y and z"):
+            head.head_control(nod(tmp_path), axes=axes, dry_run=True)
 
 
 def test_keys_are_left_out_only_where_the_straight_line_holds(monkeypatch):
@@ -364,12 +399,12 @@ def test_subject_is_the_one_of_unreals_importer(monkeypatch, name, subject):
 
 def test_script_depends_on_unreal_alone_and_parses_in_its_oldest_python():
     modules = set()
-    files = [SCRIPT, SCRIPT.with_name("deitalk_clip.py")]
+    files = [SCRIPT, *(SCRIPT.with_name(f"deitalk_{name}.py") for name in ("clip", "head"))]
     trees = [ast.parse(path.read_text(), feature_version=(3, 9)) for path in files]
     for node in (node for tree in trees for node in ast.walk(tree)):
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             modules.add(node.module)
-    standard = {"__future__", "argparse", "fractions", "json", "math", "os", "sys", "typing"}
-    assert modules <= standard | {"unreal", "deitalk_clip"}
+    standard = {"__future__", "argparse", "fractions", "json", "math", "os", "re", "sys", "typing"}
+    assert modules <= standard | {"unreal", "deitalk_clip", "deitalk_unreal"}
