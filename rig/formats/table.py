@@ -214,6 +214,7 @@ FORMATS: tuple[Format, ...] = (
         _read_usd,
         _write_usd,
         DEFAULT_ID,
+        ("head",),
     ),
 )
 

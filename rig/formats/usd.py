@@ -2,9 +2,11 @@
 
 Needs the package usd-core. The animation prim carries ``custom:mh_curveNames`` and
 ``custom:mh_curveValues``, which Omniverse's connector reads into an AnimSequence; `read` takes the
-curves from there. Unreal's own importer reads the blend shapes only.
+curves from there. Unreal's own importer reads the blend shapes only. A head track turns the root
+about the joint of skull and spine, and is kept as ``custom:deitalk_head``.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +15,15 @@ import numpy as np
 from rig.arrays import AnyFloat, Float32
 from rig.controls import ControlSet
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
-from rig.curves import RigCurves
+from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
+from rig.face.turn import matrices
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.retarget.morph_head import METRES_PER_CM, morph_head
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
+HEAD_TRACK = "custom:deitalk_head"
 STILL_CM = 1e-3
 
 
@@ -53,6 +57,8 @@ def write(path: Path, curves: RigCurves) -> None:
     types = pxr.Sdf.ValueTypeNames
     animation.GetPrim().CreateAttribute(NAMES, types.TokenArray).Set(list(raw.names))
     _samples(pxr, animation.GetPrim().CreateAttribute(VALUES, types.FloatArray), raw.values)
+    if curves.head is not None:
+        _add_head(pxr, root, animation.GetPrim(), curves.head)
     if not stage.GetRootLayer().Export(str(path)):
         raise OSError(f"usd-core could not write {path.name}")
 
@@ -72,7 +78,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         for prim in stage.Traverse():
             names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
             if names and values:
-                return _curves(path, stage, names, values, fps)
+                curves = _curves(path, stage, names, values, fps)
+                return replace(curves, head=_head(path, prim, len(curves), stage))
     except (pxr.Tf.ErrorException, TypeError, UnicodeError) as error:
         raise FormatError(f"{path} is no USD file: {_reason(error)}") from None
     raise FormatError(f"{path} has no prim with {NAMES} and {VALUES}")
@@ -102,6 +109,27 @@ def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) 
         raise FormatError(f"{path}: a frame has not one value for each of {len(found)} curves")
     curves = RigCurves(np.stack(rows), found, fps or rate, control_set=RAW_ID)
     return curves.reorder(raw_controls())
+
+
+def _add_head(pxr: Any, root: Any, prim: Any, head: Float32) -> None:
+    """Turn the root in every frame, and keep the track."""
+    _samples(pxr, prim.CreateAttribute(HEAD_TRACK, pxr.Sdf.ValueTypeNames.FloatArray), head)
+    operation = pxr.UsdGeom.Xformable(root).AddTransformOp()
+    for i, (turn, shift) in enumerate(zip(*matrices(head), strict=True)):
+        rows = np.eye(4)  # USD multiplies rows by the matrix
+        rows[:3, :3], rows[3, :3] = turn.T, shift
+        operation.Set(pxr.Gf.Matrix4d(rows.tolist()), i)
+
+
+def _head(path: Path, prim: Any, n_frames: int, stage: Any) -> Float32 | None:
+    """The head track of the animation, if it has one."""
+    attribute, start = prim.GetAttribute(HEAD_TRACK), stage.GetStartTimeCode()
+    if not attribute:
+        return None
+    rows = [np.asarray(attribute.Get(start + i) or (), np.float32) for i in range(n_frames)]
+    if any(row.shape != (len(HEAD),) for row in rows):
+        raise FormatError(f"{path}: {HEAD_TRACK} has not {len(HEAD)} values in every frame")
+    return np.stack(rows)
 
 
 def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:

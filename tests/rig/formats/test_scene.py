@@ -12,6 +12,7 @@ import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.errors import FormatError, RigError
+from rig.face.turn import matrices
 from rig.retarget.morph_head import morph_head, srgb_to_linear
 
 BOARD = default_controls()
@@ -168,6 +169,21 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     assert Gf
     error = np.linalg.norm(np.asarray(points) - posed(curves)[2], axis=-1)
     assert error.max() < 0.15  # cm
+
+
+def test_usd_turns_its_root_with_the_head_track_and_reads_it_back(tmp_path):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    from pxr import Gf, Usd, UsdGeom
+
+    track = np.array([[0, 0, 0, 0, 0, 0], [12, -8, 5, 0.5, -0.3, 1.0]], np.float32)
+    path = tmp_path / "head.usda"
+    write_curves(path, replace(rest_curves(2), head=track))
+    np.testing.assert_allclose(read_curves(path).head, track, atol=1e-6)
+    stage = Usd.Stage.Open(str(path))
+    matrix = UsdGeom.Xformable(stage.GetPrimAtPath("/head")).ComputeLocalToWorldTransform(1)
+    rotation, translation = matrices(track)
+    expected = rotation[1] @ [3, -2, 9] + translation[1]
+    np.testing.assert_allclose(matrix.Transform(Gf.Vec3d(3, -2, 9)), expected, atol=1e-6)
 
 
 def test_usd_extents_hold_every_point_of_every_frame_by_usd_core(usd_path, curves):
