@@ -24,7 +24,7 @@ LEAST_INTERVAL = 0.6
 """Seconds from blink to blink, but for double ones."""
 FIRST_SECONDS = (0.2, 3.0)
 """The first blink comes so long after the start of a take."""
-DRAWN_SECONDS, DRAWN_SHARE = 0.9, 0.75
+DRAWN_SECONDS, DRAWN_SHARE = 1.2, 0.85
 """A blink moves to an end of a phrase, a pause or a gaze shift that is as near, so often."""
 PHRASE_END_SECONDS = (-0.05, 0.25)
 """Place of a blink relative to the end of a phrase."""
