@@ -13,7 +13,7 @@ from deitalk.batch.processes import Make
 from deitalk.errors import DeitalkError, MissingError
 from rig.errors import UserError, one_line
 
-LINES_PER_BLOCK = 8
+LINES_PER_BLOCK = 16
 """Lines that one task animates; so many are animated again if its machine ends."""
 
 
@@ -119,5 +119,6 @@ class _Actor:
         """Map a column of orders to one of results."""
         if self._error is not None:
             return {"outcome": [pickle.dumps(self._error)] * len(batch["order"])}
-        outcomes = [self._perform(pickle.loads(order)) for order in batch["order"]]
+        orders = [pickle.loads(order) for order in batch["order"]]
+        outcomes = [outcome for found in self._perform(orders) for outcome in found]
         return {"outcome": [pickle.dumps(outcome) for outcome in outcomes]}

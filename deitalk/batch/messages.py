@@ -19,6 +19,8 @@ class Order:
     """Reference of the actor, where one was measured."""
     known: str = ""
     """SHA-256 of the recording that the outputs are of; empty: they are to be made."""
+    size: float = 0.0
+    """Bytes of the recording."""
     only_voice: bool = False
     """Measure the strength of the voice and write nothing."""
 

@@ -65,8 +65,8 @@ class Batch:
 
     def perform(self, run: Run, progress: Progress) -> None:
         """Animate what is to be done, the longest recordings first."""
-        sizes = {order.output: self.recordings.size(order.audio) for order in self._orders}
-        orders = sorted(self._orders, key=lambda order: -sizes[order.output])
+        orders = sorted(self._orders, key=lambda order: -order.size)
+        sizes = {order.output: order.size for order in orders}
         new = [self._entries[order.output][1] for order in orders if not order.known]
         self.outputs.announce(new)
         pace = Pace(len(orders), sum(sizes.values()))
@@ -111,7 +111,8 @@ class Batch:
         _, entry = self._entries[line.output]
         self.outputs.check_free(line.targets)
         voice = None if line.settings.voice else voices.get(line.settings.actor)
-        order = Order(line.output, line.audio, line.settings, voice, known=entry.sound)
+        size = self.recordings.size(line.audio)
+        order = Order(line.output, line.audio, line.settings, voice, entry.sound, size)
         self._orders.append(order)
         return Row(line.number, line.audio, line.output, FAILED, error="was not animated")
 

@@ -5,17 +5,28 @@ import hashlib
 import os
 import shutil
 import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import finalize
 
 from deitalk.batch.journal import File
 from deitalk.batch.lines import TAKE
 from deitalk.batch.messages import Order, Outcome, Target
 from deitalk.batch.storage import read_recording, upload
+from deitalk.models.network import Backend
 from rig.errors import UserError, one_line
 
+if TYPE_CHECKING:
+    from deitalk.models.network import Reading
+    from deitalk.pipeline.curves import Shot
+
+TOGETHER = 8
+"""Most recordings of one length that the network reads in one call."""
+T = TypeVar("T")
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
@@ -30,17 +41,19 @@ class Performer:
         Folder on the disk of the outputs; empty: a temporary one.
     url : str
         Where files are uploaded to; empty: they stay staged.
+    backend : str
+        ``torch`` or ``onnx``.
     """
 
-    def __init__(self, model: str, stage: str, url: str = "") -> None:
-        import torch
-
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
+    def __init__(self, model: str, stage: str, url: str = "", backend: Backend = "torch") -> None:
         from deitalk.models.folder import describe_model
+        from deitalk.models.network import is_onnx, load_network
 
-        torch.set_num_threads(1)
-        self.network = require_model(model, DEITalk)
+        if not is_onnx(model, backend):
+            import torch
+
+            torch.set_num_threads(1)
+        self.network: Any = load_network(model, backend=backend)
         self.about = describe_model(model)
         if not stage:
             stage = mkdtemp(prefix="deitalk-batch-")
@@ -48,10 +61,26 @@ class Performer:
         self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
         self.url, self.count = url, 0
 
-    def __call__(self, order: Order) -> Outcome:
-        """Animate a line; whatever is wrong with it is in the result."""
+    def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
+        """Animate lines, those of one length together; what is wrong with one is in its result."""
+        ready: dict[int, list[tuple[Order, str, Shot]]] = {}
+        for order in orders:
+            prepared = self._guarded(order, partial(self._prepared, order))
+            if isinstance(prepared, Outcome):
+                yield [prepared]
+                continue
+            sound, shot = prepared
+            group = ready.setdefault(len(shot.weights), [])
+            group.append((order, sound, shot))
+            if len(group) == TOGETHER or not self._may_wait(len(shot.weights)):
+                yield self._finished(ready.pop(len(shot.weights)))
+        for group in ready.values():
+            yield self._finished(group)
+
+    def _guarded(self, order: Order, work: Callable[[], T]) -> T | Outcome:
+        """The result of some work on a line, or of the line if it fails."""
         try:
-            return self._measure(order) if order.only_voice else self._perform(order)
+            return work()
         except UserError as error:
             return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
         except MemoryError:
@@ -64,26 +93,23 @@ class Performer:
             text = one_line(f"{type(error).__name__}: {error}")
             return Outcome(order.output, "failed", text)
 
-    def _measure(self, order: Order) -> Outcome:
+    def _prepared(self, order: Order) -> tuple[str, "Shot"] | Outcome:
+        """Hash of a line's recording, and the line ready for the network; or its result."""
         from deitalk.pipeline.actor import voice_strength
-
-        recording = decoded(order.audio, read_recording(order.audio)[0])
-        strength = voice_strength(recording)
-        return Outcome(order.output, "done", seconds=recording.duration, strength=strength)
-
-    def _perform(self, order: Order) -> Outcome:
-        from deitalk.batch.findings import findings
-        from deitalk.pipeline.curves import animate
+        from deitalk.pipeline.curves import prepare
 
         settings = order.settings
         data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
         recording = decoded(order.audio, data)
-        performance = animate(
+        if order.only_voice:
+            strength = voice_strength(recording)
+            return Outcome(order.output, "done", seconds=recording.duration, strength=strength)
+        return sound, prepare(
             recording,
             settings.emotion,
-            model=self.network,
+            lambda: self.network,
             actor=self._style(settings.actor),
             intensity=settings.intensity,
             intensity_curve=settings.intensity_curve or None,
@@ -92,6 +118,36 @@ class Performer:
             raw=settings.raw,
             seed=settings.seed,
         )
+
+    def _may_wait(self, n_frames: int) -> bool:
+        """Whether a recording is animated together with others of its length."""
+        together = getattr(self.network, "reads_together", None)
+        return together is not None and bool(together(n_frames))
+
+    def _finished(self, group: list[tuple[Order, str, "Shot"]]) -> list[Outcome]:
+        """Results of prepared lines of one length; each alone if they fail together."""
+        readings: Sequence[Reading | None] = [None] * len(group)
+        if len(group) > 1:
+            with suppress(Exception):
+                readings = self.network.read_together(
+                    [shot.speech.sound for _, _, shot in group],
+                    [shot.weights for _, _, shot in group],
+                    [shot.actor for _, _, shot in group],
+                )
+        return [
+            self._guarded(line[0], partial(self._performed, *line, reading))
+            for line, reading in zip(group, readings, strict=True)
+        ]
+
+    def _performed(
+        self, order: Order, sound: str, shot: "Shot", reading: "Reading | None"
+    ) -> Outcome:
+        from deitalk.batch.findings import findings
+        from deitalk.pipeline.curves import finish
+
+        if reading is None:
+            reading = self.network.read(shot.speech.sound, shot.weights, shot.actor)
+        performance = finish(shot, reading)
         folder, targets = self._write(order, performance)
         staged = _files(folder, targets)
         files = tuple(staged.values())
@@ -102,9 +158,9 @@ class Performer:
             order.output,
             "done",
             sound=sound,
-            seconds=recording.duration,
+            seconds=shot.recording.duration,
             frames=len(performance.curves),
-            warnings=(*recording.warnings, *findings(performance)),
+            warnings=(*shot.recording.warnings, *findings(performance)),
             stage=str(folder),
             targets=targets,
             files=files,
@@ -112,7 +168,7 @@ class Performer:
 
     def _style(self, actor: str) -> str | None:
         """The model's own style of an actor, if it has one."""
-        return actor if actor in self.network.config.actors else None
+        return actor if actor in self.network.actors else None
 
     def _write(self, order: Order, performance: Any) -> tuple[Path, tuple[Target, ...]]:
         from rig import write_curves

@@ -1,13 +1,16 @@
 """Worker processes of a batch, one model each; one that ends takes one line with it at most.
 
-A pool of the standard library loses all running tasks when a process ends. Here each process has
-its own pipe, so the line that ended it is known: it is tried a second time, then given up.
+Lines go to a process in chunks, so that those of one length are animated together. A pool of the
+standard library loses all running tasks when a process ends. Here each process has its own pipe:
+the lines of a chunk that ended it are given out alone, and the one that ends a process again is
+given up.
 """
 
 import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Protocol
@@ -16,8 +19,11 @@ from deitalk.batch.messages import Order, Outcome
 from deitalk.errors import DeitalkError
 from deitalk.workers import end_with_parent
 from rig.errors import UserError
+from rig.limits import MIB
 
-Make = Callable[[], Callable[[Order], Outcome]]
+Perform = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
+"""Animates lines; yields results as they come."""
+Make = Callable[[], Perform]
 
 
 class Pool(Protocol):
@@ -28,10 +34,16 @@ class Pool(Protocol):
         ...
 
 
+CHUNK = 32
+"""Most lines of a chunk; of neighbours by length, so many have mates of their own length."""
+CHUNKS_EACH = 4
+"""Fewest chunks for each process, so that all end at about the same time."""
+CHUNK_BYTES = 16 * MIB
+"""Most bytes of the recordings of a chunk."""
 AHEAD = 2
-"""Orders that a process holds, so that it has work while a result is stored."""
+"""Chunks that a process holds, so that it has work while a result is stored."""
 ATTEMPTS = 2
-READY = "ready"
+READY: list[Outcome] = []
 """First message of a process: its model is loaded."""
 ENDED = "the process ended while animating it, perhaps for lack of memory; use fewer workers"
 
@@ -71,21 +83,20 @@ class Workers:
         """
         while len(self._processes) < min(self._count, len(orders)):
             self._processes.append(_Process(self._make))
-        waiting, attempts = deque(orders), dict[str, int]()
-        while waiting or any(process.orders for process in self._processes):
+        waiting, attempts = deque(chunks(orders, self._count)), dict[str, int]()
+        while waiting or any(process.chunks for process in self._processes):
             for process in self._processes:
-                while waiting and len(process.orders) < AHEAD:
+                while waiting and len(process.chunks) < AHEAD:
                     process.give(waiting.popleft())
-            busy = {process.pipe: process for process in self._processes if process.orders}
-            results = []
+            busy = {process.pipe: process for process in self._processes if process.chunks}
+            results: list[Outcome] = []
             for pipe in wait(list(busy)):
                 process = busy[pipe]  # type: ignore[index]
                 answer = process.take()
                 if answer is None:
                     self._replace(process)
-                    answer = _given_up(process.orders, waiting, attempts)
-                if isinstance(answer, Outcome):
-                    results.append(answer)
+                    answer = _given_up(process.chunks, waiting, attempts)
+                results += answer
             if results:
                 yield results
 
@@ -97,22 +108,41 @@ class Workers:
         self._processes[self._processes.index(ended)] = _Process(self._make)
 
 
+def chunks(orders: Sequence[Order], processes: int) -> Iterator[list[Order]]:
+    """Divide orders, the largest recordings first, into chunks."""
+    most = max(min(CHUNK, len(orders) // (CHUNKS_EACH * processes)), 1)
+    chunk: list[Order] = []
+    size = 0.0
+    for order in orders:
+        if chunk and (len(chunk) >= most or size + order.size > CHUNK_BYTES):
+            yield chunk
+            chunk, size = [], 0.0
+        chunk.append(order)
+        size += order.size
+    if chunk:
+        yield chunk
+
+
 def _given_up(
-    orders: deque[Order], waiting: deque[Order], attempts: dict[str, int]
-) -> Outcome | None:
+    held: deque[dict[str, Order]], waiting: deque[list[Order]], attempts: dict[str, int]
+) -> list[Outcome]:
     """Return the orders of an ended process to the queue; the result of one given up."""
-    first, *others = orders
-    orders.clear()
+    first, *others = (list(chunk.values()) for chunk in held)
+    held.clear()
     waiting.extendleft(reversed(others))
-    attempts[first.output] = attempts.get(first.output, 0) + 1
-    if attempts[first.output] >= ATTEMPTS:
-        return Outcome(first.output, "failed", ENDED)
+    if len(first) > 1:
+        waiting.extend([order] for order in first)
+        return []
+    name = first[0].output
+    attempts[name] = attempts.get(name, 0) + 1
+    if attempts[name] >= ATTEMPTS:
+        return [Outcome(name, "failed", ENDED)]
     waiting.append(first)
-    return None
+    return []
 
 
 class _Process:
-    """One process and its pipe; its orders are answered in turn."""
+    """One process and its pipe; its chunks are answered in turn."""
 
     def __init__(self, make: Make) -> None:
         context = get_context("spawn")
@@ -120,18 +150,16 @@ class _Process:
         self.process = context.Process(target=_serve, args=(theirs, make), daemon=True)
         self.process.start()
         theirs.close()
-        self.orders: deque[Order] = deque()
+        self.chunks: deque[dict[str, Order]] = deque()
         self.is_ready = False
 
-    def give(self, order: Order) -> None:
-        self.orders.append(order)
-        try:
-            self.pipe.send(order)
-        except OSError:
-            pass  # it has ended; `take` finds out
+    def give(self, orders: list[Order]) -> None:
+        self.chunks.append({order.output: order for order in orders})
+        with suppress(OSError):  # it has ended; `take` finds out
+            self.pipe.send(orders)
 
-    def take(self) -> Outcome | str | None:
-        """The next result, or `READY`; None if the process has ended.
+    def take(self) -> list[Outcome] | None:
+        """The next results; None if the process has ended.
 
         Raises
         ------
@@ -145,10 +173,12 @@ class _Process:
         if isinstance(answer, Exception):
             raise answer
         self.is_ready = True
-        if isinstance(answer, Outcome):
-            self.orders.popleft()
-            return answer
-        return READY
+        outcomes: list[Outcome] = answer
+        for outcome in outcomes:
+            del self.chunks[0][outcome.output]
+            if not self.chunks[0]:
+                self.chunks.popleft()
+        return outcomes
 
     def end(self, *, at_once: bool) -> None:
         self.pipe.close()  # ends its loop
@@ -170,6 +200,7 @@ def _serve(pipe: Connection, make: Make) -> None:
     try:
         pipe.send(READY)
         while True:
-            pipe.send(perform(pipe.recv()))
+            for outcomes in perform(pipe.recv()):
+                pipe.send(outcomes)
     except (EOFError, OSError):
         return

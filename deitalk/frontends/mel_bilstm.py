@@ -265,6 +265,19 @@ class MelFrontend(nn.Module):
         )
 
     @torch.no_grad()
+    def encode_together(self, waveforms: Tensor, n_frames: int) -> Tensor:
+        """Map short clips (B, S) to (B, n_frames, D), as `encode` of each, to rounding.
+
+        All phases of all clips are one batch; for ``recurrence: segment``.
+        """
+        config = self.config
+        centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
+        n_spectra = (int(centres[-1]) + 1) * config.time_stack
+        mel = torch.cat([self.mel(waveforms, n_spectra, 0, shift) for shift in self.shifts])
+        rows = self._from_mel(mel, centres)
+        return rows.view(len(self.shifts), *waveforms.shape[:1], n_frames, -1).mean(dim=0)
+
+    @torch.no_grad()
     def attention_weights(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Attention of each frame over its window [shape=(T, W)]; 0 outside the recording.
 
@@ -310,11 +323,16 @@ class MelFrontend(nn.Module):
         begin = int(centres[0])
         n_spectra = (int(centres[-1]) - begin + 1) * config.time_stack
         mel = self.mel(waveform, n_spectra, begin * config.time_stack, shift)
+        return self._from_mel(mel, centres - begin)
+
+    def _from_mel(self, mel: Tensor, places: Tensor) -> Tensor:
+        """Features (B, T, D) of spectra (B, 3, F, L), at T of their states."""
+        config = self.config
         spectral = self.spectral(mel)
         batch = spectral.shape[0]
         memory, _ = self.recurrent(spectral.reshape(batch, -1, self.recurrent.input_size))
         window = config.window_frames // config.time_stack
-        places = (centres - begin).to(memory.device)
+        places = places.to(memory.device)
         attended = self.attention.along(memory, places, window)
         out: Tensor = self.rig(self.centred(attended, memory[:, places]))
         return out

@@ -1,7 +1,8 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,7 +15,7 @@ from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
 from deitalk.errors import AudioError
-from deitalk.models.network import CurveNetwork, chosen_actor, load_network
+from deitalk.models.network import CurveNetwork, Reading, chosen_actor, load_network
 from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
@@ -97,45 +98,111 @@ def animate(
     AudioError, EmotionError, CheckpointError
         One line each: the value, the rule and the way out.
     """
+    check_progress(progress)
+    load = partial(load_network, model, backend=backend)
+    shot = prepare(
+        audio, emotion, load, sample_rate=sample_rate, actor=actor, intensity=intensity,
+        intensity_curve=intensity_curve, voice=voice, idle=idle, life=life, look_at=look_at,
+        raw=raw, seed=seed, listen=listen,
+    )  # fmt: skip
+    reading = shot.network.read(shot.speech.sound, shot.weights, shot.actor, progress)
+    return finish(shot, reading, str(model) if isinstance(model, str | Path) else "")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A recording and how it is to be acted, ready for the network."""
+
+    network: CurveNetwork
+    recording: Recording
+    direction: Direction
+    speech: Speech
+    weights: Float32
+    """Emotion of each frame [shape=(T, 5)]."""
+    actor: str
+    rules: RulesConfig
+    idle: Idle | None
+    """Motion above the mouth; None: there is none."""
+    life: Life
+    seed: int
+    settings: Mapping[str, Any]
+    """Arguments of `animate`, as a take stores them."""
+    clock: "_Clock"
+
+
+def prepare(
+    audio: Audio,
+    emotion: Any,
+    load: Callable[[], CurveNetwork],
+    *,
+    sample_rate: float | None = None,
+    actor: str | None = None,
+    intensity: float = 1.0,
+    intensity_curve: Any = None,
+    voice: Any = None,
+    idle: bool = True,
+    life: Any = None,
+    look_at: Any = (0.0, 0.0),
+    raw: bool = False,
+    seed: int = 0,
+    listen: float = 0.0,
+) -> Shot:
+    """Read and check what `animate` is given, and measure the speech.
+
+    `load` returns the network, after the recording was read. Other arguments and errors are those
+    of `animate`.
+    """
     clock = _Clock()
     direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
     life = Life.of(life, look_at)
-    check_progress(progress)
     recording = _extended(_with_note_on(direction.curve, recording_of(audio, sample_rate)), listen)
     clock.lap("audio")
-    network = load_network(model, backend=backend)
+    network = load()
     clock.lap("model")
     rules = RulesConfig.none() if raw else network.rules
     speech = Speech.of(recording.waveform, rules.gates)
     weights = direction.emotion.at(speech.times)
     name = chosen_actor(network.actors, actor)
-    neutral, emotional, tracks = network.read(speech.sound, weights, name, progress)
-    intensities = measure_intensities(speech, tracks, direction, rules.voice_intensity)
+    moves = idle and (listen or speech.activity.any())
+    others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
+    settings = _settings(emotion, direction, intensity_curve, life, listen=listen, **others)
+    motion = rules.idle if moves else None
+    return Shot(
+        network, recording, direction, speech, weights, name, rules, motion, life, seed, settings,
+        clock,
+    )  # fmt: skip
+
+
+def finish(shot: Shot, reading: Reading, model: str = "") -> Performance:
+    """Apply the rules to what the network read; `model` is its name or folder, for a take."""
+    neutral, emotional, tracks = reading
+    speech, rules, controls, clock = shot.speech, shot.rules, shot.network.controls, shot.clock
+    intensities = measure_intensities(speech, tracks, shot.direction, rules.voice_intensity)
     clock.lap("network")
-    controls = network.controls
     expression = Expression(controls, rules)
-    values = _apply_rules(expression, neutral, emotional, weights, intensities, speech)
+    values = _apply_rules(expression, neutral, emotional, shot.weights, intensities, speech)
     head = None
-    if idle and rules.idle is not None and (listen or speech.activity.any()):
-        shown = weights * intensities.applied[:, None]
-        seeds = Seeds.of(speech.waveform, name, seed)
-        motion = _idle_motion(speech, shown, seeds, rules.idle, life, direction.voice)
+    if shot.idle is not None:
+        shown = shot.weights * intensities.applied[:, None]
+        seeds = Seeds.of(speech.waveform, shot.actor, shot.seed)
+        actor = shot.direction.voice
+        motion = _idle_motion(speech, shown, seeds, shot.idle, shot.life, actor)
         motion.move(values, neutral, controls)
         head = motion.head
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     clock.lap("expression")
-    others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
+    emotion, applied = shot.weights, intensities.applied
     return Performance(
-        _curves(controls, values, emotion=weights, intensity=intensities.applied, head=head),
+        _curves(controls, values, emotion=emotion, intensity=applied, head=head),
         _curves(controls, neutral),
         intensities.saliency,
         intensities.predicted,
-        recording,
+        shot.recording,
         clipped,
         clock.laps,
-        _settings(emotion, direction, intensity_curve, life, listen=listen, **others),
-        str(model) if isinstance(model, str | Path) else "",
+        shot.settings,
+        model,
     )
 
 

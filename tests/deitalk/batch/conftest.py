@@ -30,10 +30,9 @@ class InProcess:
         pass
 
     def run(self, orders):
-        for order in orders:
-            self.orders.append(order)
-            self._perform = self._perform or self._make()
-            yield [self._perform(order)]
+        self.orders.extend(orders)
+        self._perform = self._perform or self._make()
+        yield from self._perform(orders)
 
 
 @pytest.fixture

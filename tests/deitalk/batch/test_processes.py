@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deitalk.batch.performer import Order, Outcome
-from deitalk.batch.processes import ENDED, Workers
+from deitalk.batch.processes import CHUNK_BYTES, ENDED, Workers, chunks
 from deitalk.errors import CheckpointError, DeitalkError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -19,13 +19,14 @@ ROOT = Path(__file__).resolve().parents[3]
 class Echo:
     """Returns each order; ends the process at those that say so."""
 
-    def __call__(self, order):
-        if order.audio == "end":
-            os._exit(3)
-        if order.audio.startswith("once ") and not os.path.exists(order.audio[5:]):
-            open(order.audio[5:], "w").close()
-            os._exit(3)
-        return Outcome(order.output, "done", seconds=float(os.getpid()))
+    def __call__(self, orders):
+        for order in orders:
+            if order.audio == "end":
+                os._exit(3)
+            if order.audio.startswith("once ") and not os.path.exists(order.audio[5:]):
+                open(order.audio[5:], "w").close()
+                os._exit(3)
+            yield [Outcome(order.output, "done", seconds=float(os.getpid()))]
 
 
 def no_model():
@@ -48,6 +49,16 @@ def test_every_order_is_answered_and_the_line_that_ends_its_process_fails_alone(
     assert sorted(found, key=int) == [str(i) for i in range(40)]
     failed = [n for n, o in found.items() if o.status != "done"]
     assert failed == ["3"] and found["3"].error == ENDED
+
+
+def test_chunks_are_bounded_and_in_order():
+    orders = [Order(str(i), "a", size=1.0) for i in range(100)]
+    sizes = [len(chunk) for chunk in chunks(orders, 2)]
+    assert sizes == [12] * 8 + [4]
+    assert [o for chunk in chunks(orders, 2) for o in chunk] == orders
+    large = [Order(str(i), "a", size=0.6 * CHUNK_BYTES) for i in range(20)]
+    assert [len(chunk) for chunk in chunks(large, 1)] == [1] * 20
+    assert [len(chunk) for chunk in chunks(orders[:3], 2)] == [1] * 3
 
 
 @pytest.mark.parametrize(
