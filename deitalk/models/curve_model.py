@@ -193,9 +193,10 @@ class DEITalk(nn.Module):
 
     def reads_together(self, n_frames: int) -> bool:
         """Whether `read_together` takes recordings of so many frames."""
-        is_mel = isinstance(self.frontend, MelFrontend)
-        is_along = is_mel and self.frontend.config.recurrence == "segment"
-        return is_along and n_frames <= TOGETHER_FRAMES
+        frontend = self.frontend
+        if not isinstance(frontend, MelFrontend) or frontend.config.recurrence != "segment":
+            return False
+        return n_frames <= TOGETHER_FRAMES
 
     @torch.no_grad()
     def read_together(

@@ -48,6 +48,20 @@ def test_outputs_are_those_of_animate(run, lines, model, tmp_path):
     assert not (run.out / FAILED).exists() and report.out == str(run.out)
 
 
+def test_lines_of_one_length_are_those_of_animate(run, lines, model, rng, monkeypatch):
+    """Together, to rounding; and each alone where that fails."""
+    for number in range(10):
+        sound = speechlike(0.8) + 0.02 * rng.standard_normal(12_800)
+        soundfile.write(lines / f"same{number}.wav", sound, 16_000, subtype="FLOAT")
+    assert run(emotion="happy", formats="npz").counts["done"] == 13
+    for number in range(10):
+        alone = animate(lines / f"same{number}.wav", "happy", model=model).curves
+        found = read_curves(run.out / f"same{number}.npz")
+        np.testing.assert_allclose(found.values, alone.values, atol=1e-5)
+    monkeypatch.setattr("deitalk.models.curve_model.DEITalk.read_together", None)
+    assert run(emotion="sad").counts["done"] == 13
+
+
 def test_take_folders_are_those_of_animate(run, lines):
     run(formats="take", fps=60)
     take = run.out / "anna" / "a"

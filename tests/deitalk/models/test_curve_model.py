@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch.nn import functional as F
@@ -202,3 +203,29 @@ def test_new_model_predicts_the_face_at_rest():
     assert (curves - torch.tensor(model.controls.rest)).abs().max() < 0.3
     wrinkle = curves[:, model.controls.index("CTRL_L_nose_wrinkleUpper.ty")]
     assert (wrinkle - 1).abs().max() < 0.3
+
+
+def test_recordings_of_one_length_are_read_together_as_each_alone(rng):
+    """Lengths differ by less than a frame; emotions and actors by recording."""
+    frontend = MelConfig(**MEL, phases=2, rig_layers=1)
+    config = ModelConfig(
+        frontend=frontend, motion_channels=(8,), decoder_channels=16, actors=("anna", "bo")
+    )
+    model = DEITalk(config).eval()
+    with torch.no_grad():
+        model.decoder.output.weight.normal_(std=0.15)
+        model.decoder.actors.weight.normal_()
+        model.frontend.rig[0].project.weight.normal_(std=0.3)
+    sounds = [0.1 * rng.standard_normal(n).astype(np.float32) for n in (24_000, 23_700, 23_480)]
+    weights = np.zeros((3, 45, 5), np.float32)
+    weights[0, :, 0] = weights[1, :, 2] = weights[2, :20, 1] = weights[2, 20:, 0] = 1
+    names = ["anna", "", "bo"]
+    assert model.reads_together(45) and not model.reads_together(10_000)
+    together = model.read_together(sounds, list(weights), names)
+    for found, alone in zip(together, map(model.read, sounds, weights, names), strict=True):
+        np.testing.assert_allclose(found.neutral, alone.neutral, atol=1e-5)
+        np.testing.assert_allclose(found.emotional, alone.emotional, atol=1e-5)
+        np.testing.assert_allclose(found.tracks.saliency, alone.tracks.saliency, atol=1e-5)
+        np.testing.assert_allclose(found.tracks.strength, alone.tracks.strength, atol=1e-5)
+    assert together[0].emotional is together[0].neutral
+    assert abs(together[1].emotional - together[1].neutral).max() > 0.01
