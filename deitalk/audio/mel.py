@@ -72,12 +72,20 @@ class MelSpectrogram(nn.Module):
         window = torch.hann_window(self.length, device="cpu")
         self.register_buffer("window", window, persistent=False)
 
-    def forward(self, waveform: Tensor, n_spectra: int, first: int = 0, shift: int = 0) -> Tensor:
+    def forward(
+        self,
+        waveform: Tensor,
+        n_spectra: int,
+        first: int = 0,
+        shift: int = 0,
+        gain: float = 1.0,
+    ) -> Tensor:
         """Map (B, S) to (B, 3, F, n_spectra), beginning with spectrum `first` of the waveform.
 
-        Every spectrum is taken `shift` samples later. Outside the waveform there is silence.
+        Every spectrum is taken `shift` samples later, of samples times `gain`. Outside the waveform
+        there is silence.
         """
-        mel = self.scaled(self.power(self.windows(waveform, n_spectra, first, shift)))
+        mel = self.scaled(self.power(self.windows(waveform, n_spectra, first, shift) * gain))
         slope = derivative(mel)
         return torch.stack((mel, slope, derivative(slope)), dim=1)
 

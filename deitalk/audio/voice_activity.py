@@ -108,9 +108,15 @@ def normalise_level(
         A copy; unscaled if there is no speech.
     """
     samples = np.asarray(waveform, dtype=np.float32)
-    level = active_level_db(samples, activity)
-    gain = 10 ** ((target_db - level) / 20) if np.isfinite(level) else 1.0
-    return samples * np.float32(gain)
+    return samples * np.float32(level_gain(samples, target_db, activity))
+
+
+def level_gain(
+    waveform: npt.ArrayLike, target_db: float = -23.0, activity: npt.ArrayLike | None = None
+) -> float:
+    """Factor of `normalise_level`, whose parameters these are; 1 if there is no speech."""
+    level = active_level_db(np.asarray(waveform, dtype=np.float32), activity)
+    return float(10 ** ((target_db - level) / 20)) if np.isfinite(level) else 1.0
 
 
 def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:

@@ -146,7 +146,9 @@ class Performer:
         from deitalk.pipeline.curves import finish
 
         if reading is None:
-            reading = self.network.read(shot.speech.sound, shot.weights, shot.actor)
+            reading = self.network.read(
+                shot.speech.waveform, shot.weights, shot.actor, gain=shot.speech.gain
+            )
         performance = finish(shot, reading)
         folder, targets = self._write(order, performance)
         staged = _files(folder, targets)

@@ -252,13 +252,15 @@ class MelFrontend(nn.Module):
         n_frames: int,
         *,
         progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
     ) -> Tensor:
-        """Map a whole clip (S,) to (n_frames, D) in bounded memory; see `whole_clip`.
+        """Map a whole clip (S,) times `gain` to (n_frames, D) in bounded memory; see `whole_clip`.
 
         `progress` is called with the share done, 0 to 1.
         """
         if self.config.recurrence == "segment":
-            return encode_whole(self, waveform, n_frames, progress)
+            return encode_whole(self, waveform, n_frames, progress, gain)
+        waveform = waveform * gain
         rows = waveform.new_empty(n_frames, self.output_size)
         return encode_in_segments(
             self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress

@@ -11,7 +11,7 @@ Letters: K states of the Time-BiLSTM, n of a piece, H units per direction.
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -35,6 +35,7 @@ def encode_whole(
     waveform: Tensor,
     n_frames: int,
     progress: Callable[[float], None],
+    gain: float = 1.0,
 ) -> Tensor:
     """Features of a clip: the mean over the frontend's phases.
 
@@ -43,18 +44,22 @@ def encode_whole(
     frontend : MelFrontend
         With ``recurrence: segment``, in evaluation mode.
     waveform : Tensor [shape=(S,)]
-        16 kHz, level-normalised.
+        16 kHz.
     n_frames : int
         Rig frames T.
     progress : callable
         Called with the share done, 0 to 1.
+    gain : float
+        Factor that normalises the waveform's level.
 
     Returns
     -------
     Tensor [shape=(T, D)]
+        In float16 if the clip is longer than `EXACT_FRAMES`, else in float32.
     """
     device, phases = frontend.mel.window.device, len(frontend.shifts)
-    rows = torch.zeros(n_frames, frontend.output_size, device=device)
+    store = torch.float32 if n_frames <= EXACT_FRAMES else torch.float16
+    rows = torch.zeros(n_frames, frontend.output_size, dtype=store, device=device)
     stages = 2 + frontend.recurrent.num_layers + len(frontend.rig)
     done, calls = count(1), phases * stages * -(-n_frames // PIECE_FRAMES)
 
@@ -62,28 +67,36 @@ def encode_whole(
         progress(min(next(done) / calls, 1.0))
 
     for shift in frontend.shifts:
-        features = _features(frontend, waveform.unsqueeze(0), n_frames, shift, tick)
+        sound = _Sound(waveform.unsqueeze(0), gain, shift)
+        features = _features(frontend, sound, rows, tick)
         for start, stop in _pieces(n_frames, PIECE_FRAMES):
-            rows[start:stop] += features[start:stop].float() / phases
+            rows[start:stop] += features[start:stop] / phases
     return rows
 
 
+class _Sound(NamedTuple):
+    """A waveform (1, S), the factor on it, and the samples by which its spectra are late."""
+
+    waveform: Tensor
+    gain: float
+    shift: int
+
+
 def _features(
-    frontend: "MelFrontend", waveform: Tensor, n_frames: int, shift: int, tick: Callable[[], None]
+    frontend: "MelFrontend", sound: _Sound, like: Tensor, tick: Callable[[], None]
 ) -> Tensor:
-    """Features (T, D) of one phase; `tick` is called per piece and stage."""
-    device, size = frontend.mel.window.device, frontend.output_size
-    store = torch.float32 if n_frames <= EXACT_FRAMES else torch.float16
+    """Features (T, D) of one phase, as `like`; `tick` is called per piece and stage."""
+    n_frames = len(like)
     centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
     length = int(centres[-1]) + 1
     # One block of memory for a sequence: pieces of it would not go back to the system.
-    sequence = torch.empty(length, frontend.recurrent.input_size, dtype=store, device=device)
+    sequence = like.new_empty(length, frontend.recurrent.input_size)
     for first, last in _pieces(length, 2 * PIECE_FRAMES):
-        sequence[first:last] = _spectral(frontend, waveform, first, last, length, shift)
+        sequence[first:last] = _spectral(frontend, sound, first, last, length)
         tick()
     for layer in range(frontend.recurrent.num_layers):
         sequence = layer_output(frontend.recurrent, layer, sequence, tick)
-    rows = torch.empty(n_frames, size, dtype=store, device=device)
+    rows = torch.empty_like(like)
     for start, stop in _pieces(n_frames, PIECE_FRAMES):
         rows[start:stop] = _attended(frontend, sequence, centres[start:stop])
         tick()
@@ -100,15 +113,14 @@ def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + size, length)
 
 
-def _spectral(
-    frontend: "MelFrontend", waveform: Tensor, first: int, last: int, length: int, shift: int
-) -> Tensor:
+def _spectral(frontend: "MelFrontend", sound: _Sound, first: int, last: int, length: int) -> Tensor:
     """Input (n, C) of the Time-BiLSTM, states `first` to `last - 1` of `length`."""
     stack = frontend.config.time_stack
     # Derivatives reach two spectra further; at the ends of the clip they repeat.
     before, after = min(2, first * stack), min(2, (length - last) * stack)
     begin, n_spectra = first * stack - before, (last - first) * stack + before + after
-    mel = frontend.mel(waveform, n_spectra, begin, shift)[..., before : n_spectra - after]
+    mel = frontend.mel(sound.waveform, n_spectra, begin, sound.shift, sound.gain)
+    mel = mel[..., before : n_spectra - after]
     spectral: Tensor = frontend.spectral(mel)
     return spectral.reshape(last - first, -1)
 

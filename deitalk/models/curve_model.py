@@ -181,9 +181,10 @@ class DEITalk(nn.Module):
         weights: Float32,
         actor: str = "",
         progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
     ) -> Reading:
         """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
-        analysis = self.analyse(torch.from_numpy(sound), len(weights), progress)
+        analysis = self.analyse(torch.from_numpy(sound), len(weights), progress, gain)
 
         def decode(weights: Float32) -> Float32:
             styles = self.styles(torch.from_numpy(weights).to(self.device), actor)
@@ -275,6 +276,7 @@ class DEITalk(nn.Module):
         waveform: Tensor,
         n_frames: int,
         progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
     ) -> Analysis:
         """Analyse a whole clip in bounded memory.
 
@@ -286,21 +288,27 @@ class DEITalk(nn.Module):
             Rig frames T of the clip.
         progress : callable
             Called with the share of the frontend's work that is done, 0 to 1.
+        gain : float
+            Factor that normalises the waveform's level, if that is not done.
         """
-        speech = self.frontend.encode(waveform, n_frames, progress=progress)
+        if isinstance(self.frontend, MelFrontend):
+            speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
+        else:
+            speech = self.frontend.encode(waveform * gain, n_frames, progress=progress)
         if not self.config.intensity:
             return Analysis(speech, None, None, None)
         module = self.intensity
         embedding = None
         if module.saliency_frames is None:
             pieces = (
-                module.project(piece).amax(dim=0) for piece in torch.split(speech, DECODE_FRAMES)
+                module.project(piece.float()).amax(dim=0)
+                for piece in torch.split(speech, DECODE_FRAMES)
             )
             embedding = torch.stack(list(pieces)).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
         parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
-            output = module(speech[first:last].unsqueeze(0), embedding)
+            output = module(speech[first:last].float().unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
             rows = (output.guidance, output.saliency, output.strength)
             parts.append(tuple(row[0, inner] for row in rows))
@@ -358,10 +366,10 @@ class DEITalk(nn.Module):
         self, decode: Callable[..., Tensor], analysis: Analysis, emotion: Tensor, width: int
     ) -> Tensor:
         total = len(analysis.speech)
-        rows = analysis.speech.new_empty(total, width)
+        rows = analysis.speech.new_empty(total, width, dtype=torch.float32)
         for first, last, start, stop in _pieces(total, self.decoder.margin):
             frames = torch.arange(first, last, device=rows.device).unsqueeze(0)
-            speech = analysis.speech[first:last].unsqueeze(0)
+            speech = analysis.speech[first:last].float().unsqueeze(0)
             guidance = analysis.guidance
             decoded = decode(
                 self.place(speech, frames, frames.new_tensor([total])),

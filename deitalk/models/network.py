@@ -62,19 +62,22 @@ class CurveNetwork(Protocol):
         weights: Float32,
         actor: str = "",
         progress: Callable[[float], None] = ...,
+        gain: float = 1.0,
     ) -> Reading:
         """Predict curves of a whole recording.
 
         Parameters
         ----------
         sound : array [shape=(S,)]
-            16 kHz, level-normalised.
+            16 kHz.
         weights : array [shape=(T, 5)]
             Emotion of each frame.
         actor : str
             One of `actors`, or empty.
         progress : callable
             Called with the share of the work that is done, 0 to 1.
+        gain : float
+            Factor that brings the sound's speech to the level of the training.
         """
 
 

@@ -105,7 +105,9 @@ def animate(
         intensity_curve=intensity_curve, voice=voice, idle=idle, life=life, look_at=look_at,
         raw=raw, seed=seed, listen=listen,
     )  # fmt: skip
-    reading = shot.network.read(shot.speech.sound, shot.weights, shot.actor, progress)
+    reading = shot.network.read(
+        shot.speech.waveform, shot.weights, shot.actor, progress, shot.speech.gain
+    )
     return finish(shot, reading, str(model) if isinstance(model, str | Path) else "")
 
 
@@ -263,6 +265,7 @@ def _name(argument: Any) -> str | None:
 
 
 def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> RigCurves:
+    values.setflags(write=False)  # not copied: an hour is 80 MB
     return RigCurves(
         values, controls.names, fps=float(FRAME_RATE), control_set=controls.id, **tracks
     )

@@ -17,7 +17,7 @@ from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
-from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
 from deitalk.config import Gates, VoiceIntensity
 from deitalk.emotions import Direction
 from deitalk.models.network import Tracks
@@ -66,6 +66,11 @@ class Speech:
     def times(self) -> Float64:
         """Time of each frame [shape=(T,), seconds]."""
         return frame_times(self.n_frames)
+
+    @property
+    def gain(self) -> float:
+        """Factor that brings the speech to the level of the training."""
+        return level_gain(self.waveform, activity=self.activity)
 
     @property
     def sound(self) -> Float32:

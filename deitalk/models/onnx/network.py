@@ -67,6 +67,7 @@ class OnnxNetwork:
         weights: Float32,
         actor: str = "",
         progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
     ) -> Reading:
         """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
         total = len(weights)
@@ -81,6 +82,7 @@ class OnnxNetwork:
             first, last = max(start - CONTEXT_FRAMES, 0), min(stop + CONTEXT_FRAMES, total)
             begin, end = (frame * SAMPLE_RATE // FRAME_RATE for frame in (first, last))
             piece = sound[begin:] if last == total else sound[begin:end]
+            piece = piece * np.float32(gain)
             inputs = {"sound": piece, "emotion": styles[first:last], "place": place[first:last]}
             rows = self._session.run(None, inputs)
             parts.append([row[start - first : stop - first] for row in rows])
