@@ -35,7 +35,7 @@ ACCENTS: dict[str, tuple[float, ...]] = {
     "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.08, 0.03),
     "happy": (0.02, 0.08, 0.0, 0.0, 0.12, 0.20, 0.03),
     "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.08, 0.04),
-    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.11, -0.16),
+    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.15, -0.16),
 }
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
@@ -68,25 +68,26 @@ class BrowEvents(NamedTuple):
 def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEvents:
     """Draw the motion of a take; the emotion does not matter."""
     n_frames = voice.n_frames
-    left = np.zeros((n_frames, 2))
+    swells = np.zeros((n_frames, 2))
     for accent in voice.accents:
         is_taken = rng.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * accent.strength
         peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()
         times = (rng.uniform(*span) for span in (ATTACK_SECONDS, DECAY_SECONDS, HOLD_SECONDS))
-        shape = swell(n_frames, peak, *times)
+        span, shape = swell(n_frames, peak, *times)
         height = (0.25 + 0.75 * accent.strength) * rng.uniform(0.7, 1.2)
         uneven = traits.side + np.clip(EVENT_SIDE * rng.standard_normal(), -0.15, 0.15)
         if is_taken:
             sides = np.array([1 + uneven / 2, 1 - uneven / 2])
-            left += height * shape[:, None] * sides
+            swells[span] += height * shape[:, None] * sides
     question = np.zeros(n_frames)
     for phrase in voice.phrases:
         if phrase.is_question:
-            question += swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
+            span, shape = swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
+            question[span] += shape
     shown = presence(n_frames)
     drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
     return BrowEvents(
-        traits.brow_range * (1 - np.exp(-left)) * shown[:, None],
+        traits.brow_range * (1 - np.exp(-swells)) * shown[:, None],
         np.minimum(question, 1) * shown,
         np.asarray(DRIFT) * drift * shown[:, None],
     )

@@ -139,22 +139,26 @@ def _look_away(
 def _saccades(n_frames: int, times: list[float], targets: list[Float64]) -> Float64:
     """Move from target to target by saccades [shape=(T, 2)]."""
     frames = np.arange(n_frames) / FRAME_RATE
-    track = np.zeros((n_frames, 2))
-    for time, start, stop in zip(times[1:], targets, targets[1:], strict=False):
-        length = 0.021 + 0.0022 * float(np.linalg.norm(stop - start))
-        done = np.clip((frames - time) / length, 0, 1)
-        track += (done * done * (3 - 2 * done))[:, None] * (stop - start)
+    steps = np.diff(targets, axis=0, prepend=[targets[0]])
+    lengths = 0.021 + 0.0022 * np.linalg.norm(steps, axis=1)
+    now = np.searchsorted(times, frames, side="right") - 1
+    left = 1 - np.clip((frames - np.asarray(times)[now]) / lengths[now], 0, 1)
+    track: Float64 = np.asarray(targets)[now] - (left * left * (3 - 2 * left))[:, None] * steps[now]
     return track
 
 
 def _micro(n_frames: int, end: float, rng: np.random.Generator) -> Float64:
     """Micro-saccades about a fixation [shape=(T, 2)]."""
-    track, place, frame = np.zeros((n_frames, 2)), np.zeros(2), 10.0
+    starts, places, frame = [0], [np.zeros(2)], 10.0
     while frame < end * FRAME_RATE:
-        place = 0.4 * place + rng.normal(0, MICRO_DEGREES, 2)
-        track[int(frame) :] = place
+        starts.append(int(frame))
+        places.append(0.4 * places[-1] + rng.normal(0, MICRO_DEGREES, 2))
         frame += FRAME_RATE * max(rng.exponential(1 / MICRO_PER_SECOND), 0.15)
-    track[max(int(end * FRAME_RATE), 0) :] = 0
+    starts.append(max(int(end * FRAME_RATE), starts[-1]))
+    places.append(np.zeros(2))
+    track: Float64 = np.asarray(places)[
+        np.searchsorted(starts, np.arange(n_frames), side="right") - 1
+    ]
     return track
 
 

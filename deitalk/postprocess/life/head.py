@@ -115,17 +115,18 @@ def _nods(voice: Voice, rng: np.random.Generator) -> Float64:
     nods = np.zeros((voice.n_frames, 3))
     for accent in voice.accents:
         peak = accent.frame / FRAME_RATE + NOD_LAG + 0.03 * rng.standard_normal()
-        shape = swell(voice.n_frames, peak, *(rng.uniform(*span) for span in NOD_SECONDS))
+        times = (rng.uniform(*seconds) for seconds in NOD_SECONDS)
+        span, shape = swell(voice.n_frames, peak, *times)
         sign = -1.0 if rng.random() < DOWN_SHARE else 0.6
         height = (0.2 + 0.8 * accent.strength) * rng.uniform(0.6, 1.4)
         aside = rng.normal(0, 0.6, 2)
-        nods += height * shape[:, None] * np.array([aside[0], sign, aside[1]])
+        nods[span] += height * shape[:, None] * np.array([aside[0], sign, aside[1]])
     for start, stop in voice.pauses(LISTENING_SECONDS):
         time = start / FRAME_RATE + rng.exponential(LISTENING_SECONDS)
         while time < stop / FRAME_RATE - 1:
             for beat in range(int(rng.integers(1, 3))):
-                shape = swell(voice.n_frames, time + 0.45 * beat, 0.25, 0.35)
-                nods[:, 1] -= rng.uniform(0.5, 1.0) * shape
+                span, shape = swell(voice.n_frames, time + 0.45 * beat, 0.25, 0.35)
+                nods[span, 1] -= rng.uniform(0.5, 1.0) * shape
             time += LISTENING_SECONDS + rng.exponential(LISTENING_SECONDS)
     return np.asarray(NODS) * nods
 
@@ -138,8 +139,12 @@ def _phrases(voice: Voice) -> Float64:
         slope = min(0.7, seconds / 2)
         final = -0.5 * FINAL_DEGREES if phrase.is_question else FINAL_DEGREES
         end, start = phrase.stop / FRAME_RATE, phrase.start / FRAME_RATE
-        pitch += final * swell(voice.n_frames, end, slope, 0.8, 0.1)
-        pitch += INITIAL_DEGREES * swell(voice.n_frames, start + 0.1, 0.35, slope)
+        for degrees, swelling in (
+            (final, swell(voice.n_frames, end, slope, 0.8, 0.1)),
+            (INITIAL_DEGREES, swell(voice.n_frames, start + 0.1, 0.35, slope)),
+        ):
+            span, shape = swelling
+            pitch[span] += degrees * shape
     return pitch
 
 
@@ -150,10 +155,10 @@ def _breath(voice: Voice, rng: np.random.Generator) -> Float64:
     phase += 0.6 * slow_noise(voice.n_frames, 1.5, rng)
     quiet = np.sin(phase) * (1 - 0.7 * _smooth(voice.speaking[:, None])[:, 0])
     lift = np.outer(quiet, (BREATH_CM, BREATH_DEGREES))
-    for phrase in voice.phrases:
-        if any(stop == phrase.start for _, stop in voice.pauses()):
-            rise = swell(voice.n_frames, phrase.start / FRAME_RATE - 0.05, 0.35, 1.2)
-            lift += np.outer(rise, (INHALE_CM, INHALE_DEGREES))
+    for _, stop in voice.pauses():
+        if stop < voice.n_frames:
+            span, rise = swell(voice.n_frames, stop / FRAME_RATE - 0.05, 0.35, 1.2)
+            lift[span] += np.outer(rise, (INHALE_CM, INHALE_DEGREES))
     return lift
 
 

@@ -15,8 +15,10 @@ STILL_SECONDS = 0.5
 """Rest at the end, but for a take that is too short for it."""
 
 
-def swell(n_frames: int, peak: float, attack: float, decay: float, hold: float = 0.0) -> Float64:
-    """Rise to 1 at a time, hold, and fall, in raised cosines [shape=(T,), range 0 to 1].
+def swell(
+    n_frames: int, peak: float, attack: float, decay: float, hold: float = 0.0
+) -> tuple[slice, Float64]:
+    """Rise to 1 at a time, hold, and fall, in raised cosines.
 
     Parameters
     ----------
@@ -24,12 +26,21 @@ def swell(n_frames: int, peak: float, attack: float, decay: float, hold: float =
         T.
     peak, attack, decay, hold : float
         Seconds.
+
+    Returns
+    -------
+    slice
+        Frames of the take in which it is above 0.
+    array [shape=(frames,), range 0 to 1]
+        Its values there.
     """
-    time = np.arange(n_frames) / FRAME_RATE - peak
+    first = min(max(int((peak - attack) * FRAME_RATE), 0), n_frames)
+    last = min(max(int((peak + hold + decay) * FRAME_RATE) + 1, first), n_frames)
+    time = np.arange(first, last) / FRAME_RATE - peak
     rise = np.clip(1 + time / attack, 0, 1)
     fall = np.clip(1 - (time - hold) / decay, 0, 1)
     shape: Float64 = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
-    return shape
+    return slice(first, last), shape
 
 
 def slow_noise(n_frames: int, seconds: float, rng: np.random.Generator) -> Float64:
