@@ -300,11 +300,9 @@ class DEITalk(nn.Module):
         module = self.intensity
         embedding = None
         if module.saliency_frames is None:
-            pieces = (
-                module.project(piece.float()).amax(dim=0)
-                for piece in torch.split(speech, DECODE_FRAMES)
-            )
-            embedding = torch.stack(list(pieces)).amax(dim=0).unsqueeze(0)
+            pieces = torch.split(speech, DECODE_FRAMES)
+            largest = [module.project(piece.float()).amax(dim=0) for piece in pieces]
+            embedding = torch.stack(largest).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
         parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
