@@ -38,6 +38,11 @@ class GuardedProtocol(H11Protocol):
         super().on_response_complete()
         self._stop_clock_in_request()
 
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Stop the clock: the headers are whole, another protocol goes on with the connection."""
+        self._stop_clock()
+        super().handle_websocket_upgrade(event)
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop_clock()

@@ -12,6 +12,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from tests.api.conftest import KEYS, bearer, wav
 from tests.browser import needs_player
@@ -278,3 +279,17 @@ def test_page_is_given_without_a_key_and_its_requests_need_one(keyed_server):
     with keyed_server.client() as client:
         assert client.get("/").status_code == 200
         assert client.post("/v1/animations").status_code == 401
+
+
+def test_live_session_outlasts_the_time_for_headers(server):
+    with connect(f"{server.url.replace('http', 'ws')}/v1/live", proxy=None) as live:
+        live.send(json.dumps({"type": "start", "frames": "json"}))
+        live.recv()
+        for _ in range(12):  # 2.4 s; headers have 2 s here
+            live.send(bytes(6400))
+            time.sleep(0.2)
+        live.send(json.dumps({"type": "stop"}))
+        last = {}
+        while last.get("type") != "end":
+            last = json.loads(live.recv())
+    assert last["frames"] == 72

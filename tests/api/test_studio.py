@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from deitalk.audio.load import load_audio, write_wav
 from deitalk.cli import app
 from rig import default_controls, read_curves
 from tests.api.conftest import KEYS, wav
+from tests.api.server import ROOT
 from tests.browser import chromium, lateness, needs_player
 
 SECONDS = 2.0
@@ -17,8 +19,11 @@ UNTIL_SECONDS = 60
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with chromium() as running:
+def browser(tmp_path_factory):
+    """A browser whose microphone gives a sample of speech, again and again."""
+    spoken = tmp_path_factory.mktemp("microphone") / "speech.wav"
+    write_wav(spoken, load_audio(ROOT / "docs/samples/promise.flac").waveform)
+    with chromium(f"--use-file-for-fake-audio-capture={spoken}") as running:
         yield running
 
 
@@ -275,6 +280,24 @@ def test_microphone_is_recorded_and_spoken(browser, server):
         tab.click("#record")
         until(tab, "deitalk.page.take?.seconds > 0.8")
         assert tab.evaluate("deitalk.page.take.audioSeconds") > 0.8
+
+
+@pytest.mark.slow
+def test_live_microphone_moves_the_face(browser, server):
+    with studio(browser, server, permissions=["microphone"]) as tab:
+        rest = np.array(tab.evaluate("Array.from(deitalk.page.state().vertices)"))
+        tab.click("#live")
+        until(tab, "document.getElementById('recorded').textContent.endsWith('late')")
+        tab.get_by_role("button", name="surprised", exact=True).click()
+        seen = 0.0
+        for _ in range(40):
+            time.sleep(0.1)
+            shown = np.array(tab.evaluate("Array.from(deitalk.page.state().vertices)"))
+            seen = max(seen, np.abs(shown - rest).max())
+        assert seen > 0.05
+        tab.click("#live")
+        until(tab, "document.getElementById('live').textContent === 'Live'")
+        assert tab.complaints == []
 
 
 @pytest.mark.slow

@@ -36,6 +36,7 @@ export class Player {
   onTake: (take: TakeFiles) => void = () => {};
   private readonly faces?: Faces;
   private readonly sound: SoundView;
+  private live?: Float32Array;
   private gallery?: { takes: Take[]; captions: Caption[] };
 
   constructor(readonly head?: Packed) {
@@ -113,6 +114,15 @@ export class Player {
     this.show();
   }
 
+  /** Show controls that come from elsewhere, until none are given. */
+  showLive(values?: Float32Array): void {
+    const isSame = !this.live === !values;
+    this.live = values;
+    if (!isSame) this.showFaces();
+    if (values) this.faces?.show([values]);
+    else if (!isSame) this.transport.show(this.transport.shown);
+  }
+
   seek(seconds: number): void {
     this.transport.seek(seconds);
   }
@@ -134,12 +144,19 @@ export class Player {
   }
 
   private show(): void {
-    const { takes, gallery } = this, [first] = takes;
-    const own = takes.map(({ title }, k) => ({ title: title + (takes.length > 1 && !k ? " (timeline)" : "") }));
-    this.faces?.set(gallery?.captions ?? own);
+    const { takes } = this, [first] = takes;
+    this.showFaces();
     $("title").textContent = takes.map((take) => take.title).join(" | ");
     this.workbench?.show(first, takes.slice(1));
     this.layout();
+  }
+
+  private showFaces(): void {
+    const { takes, gallery } = this;
+    const own = takes.map(({ title }, k) => ({ title: title + (takes.length > 1 && !k ? " (timeline)" : "") }));
+    const shown = this.live || !takes.length ? [{ title: this.live ? "live" : "at rest" }] : gallery?.captions ?? own;
+    this.faces?.set(shown);
+    this.faces?.resize();
   }
 
   private apply(): void {
@@ -170,7 +187,8 @@ export class Player {
   private draw(seconds: number): void {
     const late = Number($<HTMLInputElement>("offset").value) / 1000;
     const takes = this.faceTakes;
-    if (this.take) this.faces?.show(takes.map((t) => t.at(seconds + late)), takes.map((t) => t.headAt(seconds + late)));
+    if (this.live) this.faces?.show([this.live]);
+    else if (this.take) this.faces?.show(takes.map((t) => t.at(seconds + late)), takes.map((t) => t.headAt(seconds + late)));
     else if (this.head) this.faces?.show([Float32Array.from(this.board.rest)]);
     this.opener.model?.show(seconds + late);
     this.sound.at(seconds);

@@ -109,12 +109,17 @@ async function resultOf(answer: Response): Promise<Result> {
 
 /** A request with the key of this tab; the user is asked for one where it is needed. */
 async function request(path: string, given: RequestInit): Promise<Response> {
-  const key = sessionStorage.getItem(KEY);
+  const key = keyOf();
   const answer = await fetch(path, { ...given, headers: key ? { Authorization: `Bearer ${key}` } : {} });
   if (answer.ok) return answer;
   if (answer.status === 401 && (await askKey())) return request(path, given);
   const problem = await answer.json().catch(() => undefined);
   throw new Error(problem?.message ?? `the service answers ${answer.status}`);
+}
+
+/** The key that was given in this tab. */
+export function keyOf(): string | null {
+  return sessionStorage.getItem(KEY);
 }
 
 async function askKey(): Promise<boolean> {

@@ -8,6 +8,7 @@ import { $, button, messageOf, notice, save } from "../dom";
 import type { Player } from "../player";
 import { COLORS } from "../timeline/emotion";
 import { wavOf } from "./wav";
+import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
 import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
@@ -33,6 +34,7 @@ export class Studio {
   private session?: Session;
   private readonly animating = new Work();
   private readonly exporting = new Work();
+  private readonly live: Live;
   private settling = 0;
   private saving = 0;
   /** The edit of the shown take. */
@@ -49,6 +51,7 @@ export class Studio {
     player.intake.recording = (file) => this.open(file);
     player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
+    this.live = new Live(player, () => this.emotion);
     bindMicrophone((file) => this.open(file));
     $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)));
     $("exports").append(
@@ -139,6 +142,7 @@ export class Studio {
   private emotionButton(name: string): HTMLButtonElement {
     const made = button(name, () => {
       this.leaveGallery();
+      if (this.live.isOn) this.live.setEmotion(name);
       this.player.workbench!.emotion.choose(name, this.player.transport.shown);
     });
     made.style.setProperty("--emotion", COLORS[name]);
@@ -287,9 +291,15 @@ export class Studio {
     this.keep();
   }
 
+  /** The emotion of the key in focus, or of the shown time. */
+  private get emotion(): string {
+    return this.player.workbench!.emotion.emotionAt(this.player.transport.shown);
+  }
+
   private showEmotion(): void {
-    const shown = this.player.workbench!.emotion.emotionAt(this.player.transport.shown);
-    for (const b of document.querySelectorAll("#emotions button")) b.setAttribute("aria-pressed", String(b.textContent === shown));
+    for (const b of document.querySelectorAll("#emotions button")) {
+      b.setAttribute("aria-pressed", String(b.textContent === this.emotion));
+    }
     $("drop-other").hidden = this.player.takes.length < 2;
   }
 }
