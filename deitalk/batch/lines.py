@@ -10,6 +10,8 @@ from pathlib import Path
 from deitalk.emotions import check_intensity, parse_emotion
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import DeitalkError
+from deitalk.pipeline.arguments import LONGEST_LISTENING
+from deitalk.postprocess.life.amounts import Life
 from rig import limits
 from rig.errors import quoted
 from rig.files.reading import read_bytes
@@ -37,8 +39,8 @@ class Settings:
         Suffixes of the files to write, and ``take``.
     fps : float, optional
         Rate of the written curves.
-    idle, raw, seed
-        As for `deitalk.animate`.
+    idle, raw, seed, life, look_at, listen
+        As for `deitalk.animate`; empty: its defaults.
     """
 
     emotion: str = "neutral"
@@ -51,6 +53,9 @@ class Settings:
     idle: bool = True
     raw: bool = False
     seed: int = 0
+    life: str = ""
+    look_at: str = ""
+    listen: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +130,9 @@ def check_settings(settings: Settings) -> None:
     from rig.curves import snap_fps
 
     check_intensity(settings.intensity)
+    _checked_life(settings.life, settings.look_at)
+    if not 0 <= settings.listen <= LONGEST_LISTENING:
+        raise DeitalkError(f"listen {settings.listen:g} must be 0 to {LONGEST_LISTENING:g} s")
     if not is_track(settings.emotion):
         _parsed(settings.emotion)
     if settings.fps is not None:
@@ -134,6 +142,11 @@ def check_settings(settings: Settings) -> None:
 @cache
 def _parsed(emotion: str) -> None:
     parse_emotion(emotion)
+
+
+@cache
+def _checked_life(life: str, look_at: str) -> None:
+    Life.of(life or None, look_at or (0.0, 0.0))
 
 
 def is_track(emotion: str) -> bool:

@@ -10,7 +10,8 @@
     intensity_curve   edited intensity.csv of a take
     actor             who speaks: lines of one actor share a reference
     voice             reference of the actor, instead of the one that is measured
-    fps, seed         numbers
+    fps, seed, listen numbers
+    life, look_at     as for `deitalk animate`
 
 Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 """
@@ -32,7 +33,7 @@ from rig.formats.table import writable_suffixes
 
 COLUMNS = (
     "audio", "output", "formats", "emotion", "intensity", "intensity_curve", "actor", "voice",
-    "fps", "seed",
+    "fps", "seed", "life", "look_at", "listen",
 )  # fmt: skip
 _SETTINGS = tuple(name for name in COLUMNS if name not in ("audio", "output", "formats"))
 _SEPARATORS = ",;\t"
@@ -141,11 +142,12 @@ def _settings(row: Row, base: str, defaults: Settings) -> Settings:
     for name in ("intensity_curve", "voice"):
         if path := row.get(name):
             found[name] = joined(base, path)
-    for name in ("intensity", "fps"):
+    for name in ("intensity", "fps", "listen"):
         if cell := row.get(name):
             found[name] = number(cell, name, "column")
-    if actor := row.get("actor"):
-        found["actor"] = actor
+    for name in ("actor", "life", "look_at"):
+        if text := row.get(name):
+            found[name] = text
     if seed := row.get("seed"):
         found["seed"] = whole_seed(int(seed) if seed.isdigit() else seed)
     settings = replace(defaults, **found)  # type: ignore[arg-type]

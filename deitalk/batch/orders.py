@@ -14,9 +14,10 @@ from deitalk.batch.report import Pace, Progress, Row
 from deitalk.batch.storage import Recordings
 from deitalk.config import Config, load_config
 from deitalk.emotions import ActorReference
-from deitalk.errors import AudioError, CheckpointError
-from deitalk.models.folder import RIG_FILE, model_folder, weights_hash
-from rig.errors import TargetError, UserError
+from deitalk.errors import AudioError, CheckpointError, DeitalkError
+from deitalk.models.folder import RIG_FILE, describe_model, model_folder, weights_hash
+from deitalk.models.network import BACKENDS, Backend
+from rig.errors import TargetError, UserError, quoted
 
 Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
 """Results of orders, as they come."""
@@ -153,20 +154,27 @@ def _finished(row: Row, entry: Entry, outcome: Outcome) -> Row:
     return Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
-def model_identity(model: str | Path) -> str:
+def model_identity(model: str | Path, backend: Backend = "torch") -> str:
     """Hash of everything of a curve model that outputs follow from, and of this version.
 
     Raises
     ------
     CheckpointError
         If there is no such model, or it makes a mesh.
+    DeitalkError
+        If the backend is unknown.
     """
+    if backend not in BACKENDS:
+        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
+    if str(model).endswith(".onnx"):
+        parts = [__version__, "onnx", str(describe_model(model)["sha256"])]
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = model_folder(model)
     if not isinstance(load_config(folder / "config.yaml"), Config):
         raise CheckpointError(
             f"{model}: a mesh model; a DEITalk model (curves) is needed, such as default"
         )
-    parts = [__version__, weights_hash(folder)]
+    parts = [__version__, backend, weights_hash(folder)]
     for name in ("config.yaml", RIG_FILE):
         if (folder / name).is_file():
             parts.append((folder / name).read_text(encoding="utf-8"))

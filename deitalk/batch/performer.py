@@ -117,6 +117,9 @@ class Performer:
             idle=settings.idle,
             raw=settings.raw,
             seed=settings.seed,
+            life=settings.life or None,
+            look_at=settings.look_at or (0.0, 0.0),
+            listen=settings.listen,
         )
 
     def _may_wait(self, n_frames: int) -> bool:

@@ -24,6 +24,7 @@ from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url
 from deitalk.errors import DeitalkError
+from deitalk.models.network import Backend
 from rig.errors import TargetError
 
 
@@ -39,7 +40,11 @@ def animate_batch(
     idle: bool = True,
     raw: bool = False,
     seed: int = 0,
+    life: str = "",
+    look_at: str = "",
+    listen: float = 0.0,
     model: str | Path = "default",
+    backend: Backend = "torch",
     workers: int | None = None,
     ray: str | None = None,
     force: bool = False,
@@ -58,11 +63,13 @@ def animate_batch(
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.
-    emotion, intensity, actor, formats, fps, idle, raw, seed
+    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen
         Of lines whose manifest does not give them; see `deitalk.batch.lines.Settings`. `formats`
         is a list such as ``"csv;take"``.
     model : str or Path
-        Name or folder of a curve model.
+        Name or folder of a curve model, or an ``.onnx`` file.
+    backend : str
+        ``torch``, or ``onnx`` for ONNX Runtime.
     workers : int, optional
         Processes; by default one for each processor of this machine, or of the cluster.
     ray : str, optional
@@ -87,15 +94,15 @@ def animate_batch(
     began = monotonic()
     defaults = Settings(
         emotion, intensity, actor=actor, formats=parse_formats(formats), fps=fps, idle=idle,
-        raw=raw, seed=seed,
+        raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
     )  # fmt: skip
     check_settings(defaults)
-    identity, count = model_identity(model), _processes(workers, ray)
+    identity, count = model_identity(model, backend), _processes(workers, ray)
     plan = read_source(source, out, defaults)
     with _opened(out, source, force=force) as outputs:
         outputs.begin()
         batch = Batch(plan.lines, outputs, identity)
-        make = partial(Performer, str(model), outputs.stage, outputs.url)
+        make = partial(Performer, str(model), outputs.stage, outputs.url, backend)
         with _pool(count, make, ray) as pool:
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)

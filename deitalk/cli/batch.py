@@ -6,7 +6,7 @@ import typer
 
 from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Emotion, Intensity, Json, Model
+from deitalk.cli.options import Backend, Emotion, Intensity, Json, Model
 
 if TYPE_CHECKING:
     from deitalk.batch.report import BatchReport
@@ -24,6 +24,7 @@ def batch(
         str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
     ] = "csv",
     model: Model = "default",
+    backend: Backend = "torch",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
@@ -32,6 +33,15 @@ def batch(
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
+    life: Annotated[
+        str, typer.Option(help="Factors 0 to 2, such as brows=.8,head=1.2,blinks=1,gaze=.5.")
+    ] = "",
+    look_at: Annotated[
+        str, typer.Option(help="Place of the listener: degrees to the left and up, such as 10,-5.")
+    ] = "",
+    listen: Annotated[
+        float, typer.Option(help="Seconds of listening after each recording, 0 to 600.")
+    ] = 0.0,
     workers: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
@@ -47,7 +57,8 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed (docs/batch.md).
+    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed, life, look_at, listen
+    (docs/batch.md).
 
     Examples
     --------
@@ -60,7 +71,8 @@ def batch(
     with bar("animating") as progress:
         report = animate_batch(
             source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
-            fps=fps, idle=idle, raw=raw, seed=seed, model=model, workers=workers, ray=ray,
+            fps=fps, idle=idle, raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
+            model=model, backend=backend, workers=workers, ray=ray,  # type: ignore[arg-type]
             force=force, progress=progress,
         )  # fmt: skip
     for note in report.notes:

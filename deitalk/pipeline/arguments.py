@@ -9,6 +9,7 @@ from deitalk.errors import DeitalkError
 from rig.errors import quoted
 
 MAX_SEED = 2**63
+LONGEST_LISTENING = 600.0  # seconds
 
 
 def emotion_text(emotion: Any) -> str:

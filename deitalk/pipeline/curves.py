@@ -16,7 +16,7 @@ from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.models.network import CurveNetwork, Reading, chosen_actor, load_network
-from deitalk.pipeline.arguments import check_progress, emotion_text, whole_seed
+from deitalk.pipeline.arguments import LONGEST_LISTENING, check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.postprocess.curve_rules import Expression
@@ -28,7 +28,6 @@ from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.errors import quoted
 
-LONGEST_LISTENING = 600.0  # seconds
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
 

@@ -117,6 +117,18 @@ def test_settings_and_model_are_part_of_the_key(run, lines, model, tmp_path):
     assert run(intensity=2.0, model=str(other)).counts["done"] == 3
 
 
+def test_onnx_gives_the_curves_of_torch(run, orders, tmp_path, monkeypatch):
+    pytest.importorskip("onnxruntime", reason="needs onnxruntime (extra onnx)")
+    pytest.importorskip("onnx", reason="needs onnx (extra onnx)")
+    monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "cache"))
+    run(formats="npz")
+    orders.clear()
+    assert run(out=tmp_path / "onnx", formats="npz", backend="onnx").counts["done"] == 3
+    for name in ("c.npz", "anna/a.npz"):
+        found, wanted = (read_curves(folder / name) for folder in (tmp_path / "onnx", run.out))
+        np.testing.assert_allclose(found.values, wanted.values, atol=1e-4)
+
+
 def test_content_of_a_track_is_part_of_the_key(run, lines):
     manifest, track = lines / "lines.csv", lines / "moods.csv"
     manifest.write_text("audio,emotion\nanna/a.wav,moods.csv\n")
@@ -279,6 +291,9 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         ({"workers": 0}, ValueError, "1 or more"),
         ({"formats": ""}, ValueError, "no format"),
         ({"emotion": "hapy"}, ValueError, "hapy"),
+        ({"backend": "jax"}, ValueError, "torch or onnx"),
+        ({"life": "nose=1"}, ValueError, "nose"),
+        ({"listen": 1e9}, ValueError, "0 to 600"),
     ],
 )
 def test_wrong_command_is_one_line_and_writes_nothing(run, options, error, words):
