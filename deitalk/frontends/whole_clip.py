@@ -95,7 +95,7 @@ def _features(
         sequence[first:last] = _spectral(frontend, sound, first, last, length)
         tick()
     for layer in range(frontend.recurrent.num_layers):
-        sequence = layer_output(frontend.recurrent, layer, sequence, tick)
+        sequence = layer_output(frontend.recurrent, layer, sequence, tick, replace=True)
     rows = torch.empty_like(like)
     for start, stop in _pieces(n_frames, PIECE_FRAMES):
         rows[start:stop] = _attended(frontend, sequence, centres[start:stop])
@@ -126,7 +126,12 @@ def _spectral(frontend: "MelFrontend", sound: _Sound, first: int, last: int, len
 
 
 def layer_output(
-    lstm: nn.LSTM, layer: int, sequence: Tensor, tick: Callable[[], None] = lambda: None
+    lstm: nn.LSTM,
+    layer: int,
+    sequence: Tensor,
+    tick: Callable[[], None] = lambda: None,
+    *,
+    replace: bool = False,
 ) -> Tensor:
     """Output (K, 2 H) of one bidirectional layer.
 
@@ -140,19 +145,23 @@ def layer_output(
         Input, in float32 or float16; so is the output.
     tick : callable
         Called for every 1920 rows or fewer.
+    replace : bool
+        Write the output over the input if it is as wide.
     """
-    output = sequence.new_empty(len(sequence), 2 * lstm.hidden_size)
+    size = lstm.hidden_size
+    is_new = not replace or sequence.shape[1] != 2 * size
+    output = sequence.new_empty(len(sequence), 2 * size) if is_new else sequence
+    ahead = output[:, :size] if is_new else sequence.new_empty(len(sequence), size)
     pieces = list(_pieces(len(sequence), 2 * PIECE_FRAMES))
-    for suffix, offset in (("", 0), ("_reverse", lstm.hidden_size)):
-        state: State | None = None
-        for first, last in pieces if not suffix else reversed(pieces):
-            piece = sequence[first:last].float()
-            rows, state = _direction(lstm, layer, suffix, piece.flip(0) if suffix else piece, state)
-            output[first:last, offset : offset + lstm.hidden_size] = (
-                rows.flip(0) if suffix else rows
-            )
-            if suffix:
-                tick()
+    state: State | None = None
+    for first, last in pieces:
+        ahead[first:last], state = _direction(lstm, layer, "", sequence[first:last].float(), state)
+    state = None
+    for first, last in reversed(pieces):
+        piece = sequence[first:last].float().flip(0)
+        rows, state = _direction(lstm, layer, "_reverse", piece, state)
+        output[first:last, :size], output[first:last, size:] = ahead[first:last], rows.flip(0)
+        tick()
     return output
 
 

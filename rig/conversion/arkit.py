@@ -38,6 +38,8 @@ animation turns by 50 times a value, the yaw negated, so that a value is nearly 
 GAZE_SIDE_DEGREES, GAZE_UP_DEGREES, GAZE_DOWN_DEGREES = 40.0, 30.0, 40.0
 """Turn of an eye for a raw look curve at 1 (mh4 rig)."""
 LIPS_TOGETHER = tuple(f"{PREFIX}mouthLipsTogether{half}" for half in ("UL", "UR", "DL", "DR"))
+FRAMES_AT_ONCE = 8192
+"""Frames fitted at once, so that an hour fits."""
 SMALLEST_JAW = 1e-4
 """JawOpen below which MouthClose / JawOpen is taken as 0, as Unreal's safe division does."""
 MAX_SWEEPS = 60
@@ -153,9 +155,9 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     if curves.control_set != RAW_ID:
         raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
     raw = curves.reorder(raw_controls())
-    moved = raw.values - raw_controls().rest
-    arkit = arkit_controls()
-    values = _fit(moved)
+    rest, arkit = raw_controls().rest, arkit_controls()
+    parts = [slice(first, first + FRAMES_AT_ONCE) for first in range(0, len(raw), FRAMES_AT_ONCE)]
+    values = np.concatenate([_fit(raw.values[part] - rest) for part in parts or [slice(0)]])
     jaw = values[:, arkit.index("JawOpen")]
     together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
@@ -163,10 +165,13 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     if raw.head is not None:
         values[:, arkit.indices(HEAD)] = raw.head[:, : len(HEAD)] / np.array(HEAD_DEGREES)
     fitted = replace(raw, values=values, names=arkit.names, control_set=ARKIT_ID)
-    missed = arkit_to_raw(fitted).values - raw.values
-    total = float(np.square(moved, dtype=np.float64).sum())
+    missed, total = np.zeros(len(raw), np.float32), 0.0
+    for part in parts:
+        found = arkit_to_raw(fitted.slice_frames(part.start, part.stop)).values
+        missed[part] = np.linalg.norm(found - raw.values[part], axis=1)
+        total += float(np.square(raw.values[part] - rest, dtype=np.float64).sum())
     lost = float(np.sqrt(np.square(missed, dtype=np.float64).sum() / total)) if total else 0.0
-    return ArkitFit(fitted, np.linalg.norm(missed, axis=1), min(lost, 1.0))
+    return ArkitFit(fitted, missed, min(lost, 1.0))
 
 
 def _fit(moved: Float32) -> Float32:

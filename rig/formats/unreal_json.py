@@ -39,13 +39,12 @@ def write(path: Path, curves: RigCurves) -> None:
         "n_frames": len(curves),
     }
     raw = board_to_raw(curves)
-    columns = np.ascontiguousarray(raw.values.T)
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])
         stream.write(b',\n"raw": {')
         for i, name in enumerate(raw.names):
             stream.write(_key(name, first=i == 0))
-            stream.writelines(_values(columns[i]))
+            stream.writelines(_values(np.ascontiguousarray(raw.values[:, i])))
         stream.write(b'\n},\n"board": {')
         for i, (control, channels) in enumerate(_by_control().items()):
             stream.write(_key(control, first=i == 0) + b"{")
