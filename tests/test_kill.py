@@ -35,6 +35,15 @@ def test_killed_command_leaves_complete_files_and_succeeds_again(command):
     kill(command, 3)
 
 
+@pytest.mark.slow
+def test_batch_killed_again_and_again_loses_and_repeats_no_line():
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.kill.batch", "--lines", "30", "--kills", "4"],
+        cwd=ROOT, capture_output=True, text=True, timeout=900, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+
+
 @pytest.mark.parametrize(
     ("name", "text"),
     [("a.csv", "a,b\n1,2\n3"), ("a.csv", "a,b\n1\n"), ("a.json", '{"a": 1'), ("a.html", "<html>")],

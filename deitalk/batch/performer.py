@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 TOGETHER = 8
 """Most recordings of one length that the network reads in one call."""
+TOGETHER_FRAMES = 1500
+"""Most of their frames: eight of 6 s, which take some 300 MB."""
 T = TypeVar("T")
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 
@@ -72,7 +74,7 @@ class Performer:
             sound, shot = prepared
             group = ready.setdefault(len(shot.weights), [])
             group.append((order, sound, shot))
-            if len(group) == TOGETHER or not self._may_wait(len(shot.weights)):
+            if len(group) >= self._most_together(len(shot.weights)):
                 yield self._finished(ready.pop(len(shot.weights)))
         for group in ready.values():
             yield self._finished(group)
@@ -122,10 +124,12 @@ class Performer:
             listen=settings.listen,
         )
 
-    def _may_wait(self, n_frames: int) -> bool:
-        """Whether a recording is animated together with others of its length."""
-        together = getattr(self.network, "reads_together", None)
-        return together is not None and bool(together(n_frames))
+    def _most_together(self, n_frames: int) -> int:
+        """Recordings of a length that are animated in one call."""
+        can = getattr(self.network, "reads_together", None)
+        if can is None or not can(n_frames):
+            return 1
+        return max(min(TOGETHER, TOGETHER_FRAMES // n_frames), 1)
 
     def _finished(self, group: list[tuple[Order, str, "Shot"]]) -> list[Outcome]:
         """Results of prepared lines of one length; each alone if they fail together."""
