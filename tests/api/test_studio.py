@@ -126,6 +126,7 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
             tab.get_by_role("button", name="Edits", exact=True).click()
         given.value.path()
         until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
+        assert "--gain mouth=0.5" in tab.inner_text("#notice")
         assert tab.complaints == []
         assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
     edits = (

@@ -1,7 +1,7 @@
 /** The studio: a recording and edits become takes and files through the service. */
 
 import type { TakeFiles } from "../data/curvefile";
-import { type Edit, NO_EDIT } from "../data/edit";
+import { type Edit, gainsOf, NO_EDIT } from "../data/edit";
 import { type Packed, unpackBytes } from "../data/packed";
 import { Take } from "../data/take";
 import { $, button, messageOf, notice, save } from "../dom";
@@ -249,7 +249,9 @@ export class Studio {
       words.push("--intensity-curve intensity.csv");
     }
     for (const [name, value] of Object.entries(optionsOf(session, session.edit))) words.push(optionOf(name, value));
-    notice(`${words.filter(Boolean).join(" ")} -o take/`);
+    const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => ` --gain ${region}=${gain}`).join("");
+    const scaled = gains && `, then deitalk convert take/ curves.csv${gains}`;
+    notice(`${words.filter(Boolean).join(" ")} -o take/${scaled}`);
   }
 
   /** Whether the intensity is not the predicted one. */
