@@ -4,8 +4,6 @@ Bilabials (p, b, m) come about once a second in speech, and each shuts the lips:
 LibriSpeech of 2 to 6 s, 2 % have no contact, of those of 5 s or more none.
 """
 
-import numpy as np
-
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.pipeline.performance import Performance
 
@@ -14,7 +12,6 @@ CONTACT = 0.5
 MOVING_JAW = 0.05
 MOVING_SECONDS = 5.0
 """Time of a moving jaw in which the lips meet; shorter lines may have no p, b or m."""
-CLIPPED_SHARE = 0.01
 JAW, LIPS = "CTRL_C_jaw.ty", "lipsTogether"
 
 
@@ -30,7 +27,4 @@ def findings(performance: Performance) -> tuple[str, ...]:
                 f"the lips never meet in {moving:.1f} s of speech: look at it; the recording "
                 "may be muffled, or no speech"
             )
-    share = performance.clipped / max(np.size(curves.values), 1)
-    if share > CLIPPED_SHARE:
-        found.append(f"{share:.1%} of the values reached beyond their range: lower the intensity")
     return tuple(found)

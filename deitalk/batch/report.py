@@ -9,6 +9,8 @@ from time import monotonic
 
 from rig.errors import as_line
 
+LEAST_SECONDS = 1.0
+"""Time after the first result from which a rate is shown."""
 Progress = Callable[[float, str], None]
 """Called with the share of the work that is done, 0 to 1, and a text on rate and time left."""
 
@@ -141,7 +143,7 @@ class Pace:
         if self._first is not None:
             began, done, weight, seconds = self._first
             took, advance = self._clock() - began, self._done_weight - weight
-            if took > 0 and advance > 0:
+            if took >= LEAST_SECONDS and advance > 0:
                 parts.append(f"{(self.done - done) / took:.1f} lines/s")
                 parts.append(f"{(self._seconds - seconds) / took:.0f} x real time")
                 parts.append(
