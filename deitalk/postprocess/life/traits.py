@@ -6,6 +6,7 @@ of the motion has its own numbers, so that one that is off changes no other.
 """
 
 import hashlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,8 +34,7 @@ class Seeds:
     @classmethod
     def of(cls, waveform: Float32, actor: str, seed: int) -> "Seeds":
         """Seeds of a recording [shape=(S,)] of an actor; equal arguments give equal ones."""
-        samples = np.clip(np.rint(waveform * 32767), -32768, 32767).astype("<i2")
-        return cls((_hash(samples.tobytes()), _hash(actor.encode()), seed))
+        return cls((_hash(_pcm(waveform)), _hash([actor.encode()]), seed))
 
     def generator(self, part: str) -> np.random.Generator:
         """Random numbers of a part of `PARTS`."""
@@ -43,7 +43,7 @@ class Seeds:
     def character(self) -> np.random.Generator:
         """Random numbers of the actor, whatever the recording; of the take if there is none."""
         sound, actor, seed = self.words
-        is_named = actor != _hash(b"")
+        is_named = actor != _hash([b""])
         return np.random.default_rng([0 if is_named else sound, actor, seed])
 
 
@@ -82,5 +82,15 @@ class Traits:
         )
 
 
-def _hash(data: bytes) -> int:
-    return int.from_bytes(hashlib.sha256(data).digest()[:8], "little")
+def _pcm(waveform: Float32) -> Iterator[bytes]:
+    """16-bit samples, piece by piece: an hour is 230 MB."""
+    for start in range(0, len(waveform), 1 << 20):
+        piece = np.rint(waveform[start : start + (1 << 20)] * 32767)
+        yield np.clip(piece, -32768, 32767).astype("<i2").tobytes()
+
+
+def _hash(parts: Iterable[bytes]) -> int:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return int.from_bytes(digest.digest()[:8], "little")

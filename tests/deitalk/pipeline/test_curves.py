@@ -350,10 +350,10 @@ def test_two_divisions_of_ten_minutes_agree_within_a_hundredth(default, voice, m
 
 
 @pytest.mark.slow
-def test_an_hour_takes_under_nine_hundred_megabytes(default):
+def test_an_hour_takes_under_thirteen_hundred_megabytes(default):
     from deitalk.evaluation.benchmark_curves import peak_memory
 
-    assert peak_memory("default", 3600)["megabytes"] < 900
+    assert peak_memory("default", 3600)["megabytes"] < 1300
 
 
 @pytest.mark.slow
