@@ -55,6 +55,8 @@ def live(
     if mic == (speech is not None):
         raise DeitalkError("give either a recording or --mic")
     port = checked_port(host, port, protocol, subject, None)
+    import numpy as np
+
     from deitalk.live.animator import LiveAnimator, require_causal
     from deitalk.live.sources import Microphone, PacedSound
 
@@ -67,6 +69,8 @@ def live(
     animator = LiveAnimator(
         network, emotion=emotion, intensity=intensity, sample_rate=source.sample_rate, idle=idle
     )
+    animator.feed(np.zeros(source.sample_rate, np.float32))  # the first call takes longer
+    animator.reset()
     sender = _sender(animator, protocol, host, port, subject)
     console().print(
         f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "

@@ -20,7 +20,7 @@ R rig frames of all clips, one after another; a folder for every pass.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -42,6 +42,8 @@ GAIN_DB = (-18.0, 14.0)
 LEAD_SHARE, LEAD_FRAMES = 0.2, 40
 """Share of the windows that begin with silence before a clip, as every stream does, and its most
 frames."""
+WARM_SHARE, WARM_FRAMES = 0.7, 40
+"""Share of the batches in which the LSTM runs before the decoder begins, and its most frames."""
 ARRAYS = ("inputs", "features", "curves", "strength", "emotion")
 
 
@@ -159,8 +161,9 @@ class TaughtBatches(SeededBatches[Window]):
 
     Every recording is as likely as another, but for `DataConfig.real_fraction` and
     `DataConfig.measured_fraction`; a window that is longer than what is left of its clip goes on
-    in the next one. Its ``waveform`` holds gathered spectra (T + look-ahead, P, C_spec), its
-    ``clean`` the teacher's features (T, D), its ``emotion`` one row a frame.
+    in the next one. Its ``waveform`` holds gathered spectra, of frames before the window too
+    (warm + T + look-ahead, P, C_spec), its ``clean`` the teacher's features (T, D), its
+    ``emotion`` one row a frame.
 
     Parameters
     ----------
@@ -201,29 +204,25 @@ class TaughtBatches(SeededBatches[Window]):
     def item(self, number: int) -> Window:
         """Cut the window of a number."""
         rng = self.rng(number)
+        frames, warm, lead = self.config.window_frames, self._warm(number), 0
         turn = int(rng.integers(len(self.arrays)))
         rows, first = self.arrays[turn], self.first[turn]
         clip = int(rng.choice(len(first) - 1, p=self.chances[turn]))
-        frames, lead = self.config.window_frames, 0
-        if rng.random() < LEAD_SHARE:
-            lead = min(int(rng.integers(1, LEAD_FRAMES + 1)), frames - 1)
-        last = max(int(first[-1]) - frames - self.ahead, 0)
         stop = max(int(first[clip + 1]) - frames, int(first[clip]) + 1)
-        start = min(int(rng.integers(first[clip], stop)), last)
-        if lead:
-            start = min(int(first[clip]), last)
-        end = start + frames - lead
+        start = int(rng.integers(first[clip], stop))
+        if rng.random() < LEAD_SHARE:
+            start, lead = int(first[clip]), int(rng.integers(1, LEAD_FRAMES + 1))
+        start = min(start, max(int(first[-1]) - warm - frames - self.ahead, 0))
+        end = start + max(warm + frames - lead, 1)
+        inputs = self._after(self.silence, lead, rows.inputs[start : end + self.ahead])
         curves, features, strength, chosen = (
-            np.concatenate((part[start : start + 1].repeat(lead, axis=0), part[start:end]))
+            self._after(part[start : start + 1], lead, part[start:end])[warm : warm + frames]
             for part in (rows.curves, rows.features, rows.strength, rows.emotion)
-        )
-        inputs = np.concatenate(
-            (self.silence.repeat(lead, 0), rows.inputs[start : end + self.ahead])
         )
         emotion = torch.from_numpy(chosen.astype(np.int64))
         styles = torch.nn.functional.one_hot(emotion, len(EMOTIONS)).float()
         return Window(
-            _tensor(inputs),
+            _tensor(inputs[: warm + frames + self.ahead]),
             _tensor(curves),
             styles,
             styles.mean(dim=0),
@@ -233,6 +232,16 @@ class TaughtBatches(SeededBatches[Window]):
             torch.ones(curves.shape[1]),
             _tensor(features),
         )
+
+    def _warm(self, number: int) -> int:
+        """Frames that the LSTM runs before the decoder begins; of a batch as a whole."""
+        rng = np.random.default_rng((self.seed, number // self.batch_size, 1))
+        return int(rng.integers(1, WARM_FRAMES + 1)) if rng.random() < WARM_SHARE else 0
+
+    @staticmethod
+    def _after(row: NDArray[Any], count: int, rows: NDArray[Any]) -> NDArray[Any]:
+        """Rows after some copies of one."""
+        return np.concatenate((row.repeat(count, axis=0), rows))
 
 
 def _tensor(rows: NDArray[np.generic]) -> Tensor:

@@ -91,13 +91,11 @@ class CausalMelFrontend(nn.Module):
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s.
 
-        Instead of samples, `gathered` spectra (B, n_frames + lookahead_frames, P, C_spec) that
-        were computed before are taken too.
+        Instead of samples, `gathered` spectra (B, G, P, C_spec) that were computed before are
+        taken too; they end `lookahead_frames` after the last frame.
         """
         if waveform.dim() == 4:
-            ahead = self.config.lookahead_frames
-            rows = self._run(waveform, self.first_state(len(waveform)))[0]
-            return rows[:, ahead : ahead + n_frames]
+            return self._run(waveform, self.first_state(len(waveform)))[0][:, -n_frames:]
         features = self._pieces(waveform, n_frames, lambda share: None)
         return features
 

@@ -14,7 +14,7 @@ from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import AudioError, CheckpointError
 from deitalk.live import rules
 from deitalk.live.idle import RunningIdle
-from deitalk.live.network import advance, causal_frontend, first_state, put, take
+from deitalk.live.network import advance, begin, causal_frontend, first_state, put, take
 from deitalk.live.stream import Change, Stream
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -206,9 +206,10 @@ class LiveAnimator:
 
     def _advance(self) -> None:
         """Read what has come, as many streams at once as have something new."""
+        self._begin()
         while True:
             counts = [stream.n_ready() for stream in self.streams]
-            ready = [k for k, count in enumerate(counts) if count > 0]
+            ready = [k for k, count in enumerate(counts) if count > 0 and self._has_begun(k)]
             if not ready:
                 return
             count = min(BLOCK_FRAMES, *(counts[k] for k in ready))
@@ -221,6 +222,21 @@ class LiveAnimator:
             put(self.state, ready, state)
             for place, k in enumerate(ready):
                 self.streams[k].accept(*(part[place].cpu().numpy() for part in rows))
+
+    def _begin(self) -> None:
+        """Read the first groups of streams whose first frame is known now."""
+        delay = causal_frontend(self.network).delay
+        new = [
+            k
+            for k, stream in enumerate(self.streams)
+            if not self._has_begun(k) and stream.n_ready() >= delay
+        ]
+        if new:
+            windows = torch.stack([self.streams[k].take(delay)[0] for k in new])
+            put(self.state, new, begin(self.network, windows, take(self.state, new)))
+
+    def _has_begun(self, number: int) -> bool:
+        return self.streams[number].groups > 0
 
 
 def require_causal(model: "str | Path | DEITalk") -> DEITalk:

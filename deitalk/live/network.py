@@ -54,6 +54,16 @@ def causal_frontend(network: DEITalk) -> CausalMelFrontend:
 
 
 @torch.no_grad()
+def begin(network: DEITalk, windows: Tensor, state: NetworkState) -> NetworkState:
+    """Read the first groups of streams, as many as the frontend's `delay`: they give no frame.
+
+    The decoder begins with the first frame, as on a whole clip. Parameters as for `advance`.
+    """
+    _, frontend = causal_frontend(network).advance(windows, state.frontend)
+    return state._replace(frontend=frontend)
+
+
+@torch.no_grad()
 def advance(
     network: DEITalk, windows: Tensor, styles: Tensor, state: NetworkState
 ) -> tuple[NetworkRows, NetworkState]:

@@ -53,7 +53,8 @@ class PacedSound:
         wait: Callable[[float], None] = sleep,
     ) -> None:
         self.waveform, self.now, self.wait = waveform, now, wait
-        self.start, self.at = now(), 0
+        self.start: float | None
+        self.start, self.at = None, 0
 
     @property
     def is_over(self) -> bool:
@@ -61,7 +62,9 @@ class PacedSound:
         return self.at >= len(self.waveform)
 
     def read(self, seconds: float) -> Float32 | None:
-        """The next block, once its last sample would have been spoken."""
+        """The next block, once its last sample would have been spoken since the first call."""
+        if self.start is None:
+            self.start = self.now()
         due = self.start + min(self.at + BLOCK, len(self.waveform)) / SAMPLE_RATE
         wait = due - self.now()
         if wait > seconds:
@@ -96,7 +99,7 @@ class Microphone:
         sounddevice = _sounddevice()
         self.name = "the microphone" if device is None else f"the input {quoted(str(device))}"
         self.blocks: queue.Queue[Float32] = queue.Queue()
-        self.heard = monotonic()
+        self.heard, self.is_open = monotonic(), False
         try:
             about = sounddevice.query_devices(device, "input")
             self.sample_rate = round(float(about["default_samplerate"]))
@@ -109,7 +112,6 @@ class Microphone:
                 latency="low",
                 callback=self._take,
             )
-            self.stream.start()
         except (sounddevice.PortAudioError, ValueError, OSError) as error:
             reason = shorten(" ".join(str(error).split()), 120)
             raise AudioError(
@@ -117,13 +119,16 @@ class Microphone:
             ) from None
 
     def read(self, seconds: float) -> Float32 | None:
-        """The next block; None if none came in time.
+        """The next block since the first call; None if none came in time.
 
         Raises
         ------
         AudioError
             If no block has come for 2 s.
         """
+        if not self.is_open:
+            self.stream.start()
+            self.is_open, self.heard = True, monotonic()
         try:
             block = self.blocks.get(timeout=max(seconds, 0.001))
         except queue.Empty:

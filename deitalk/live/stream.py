@@ -151,19 +151,14 @@ class Stream:
     def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
         """Take the network's rows for the groups taken last; frames that are known are appended."""
         stop = self.groups - self.frontend.delay
-        start = stop - len(neutral)
-        if stop <= 0:
-            return
-        first = max(-start, 0)  # earlier rows are of no frame
         self._measure(stop + MEASURED_AHEAD)
-        frames, network = np.arange(start + first, stop), strength[first:]
+        frames, network = np.arange(stop - len(neutral), stop), strength
         voice = self.intensity.feed(network, *self._measured(len(frames)))
         emotion, factor = self._directed(frames)
         scale, applied = factor, voice * factor
         if self.settings.voice_intensity is not None:
             scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
-        readings = neutral[first:], emotional[first:]
-        new = RawRows(*readings, network, voice, scale, emotion, applied)
+        new = RawRows(neutral, emotional, network, voice, scale, emotion, applied)
         self.rows = self.rows.joined(new)
         self._emit()
         self._forget()

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import AudioError, CheckpointError, EmotionError
 from deitalk.live.animator import LiveAnimator
 from tests.deitalk.live.conftest import RATE
@@ -135,3 +137,13 @@ def test_messages_name_the_value_and_the_way_out(tiny, voice):
         LiveAnimator(tiny, streams=0)
     with pytest.raises(CheckpointError, match="whole clip"):
         LiveAnimator("default")
+
+
+def test_network_alone_gives_the_curves_of_the_whole_clip(tiny, voice):
+    frames = whole(tiny, voice, emotion="happy", raw=True)
+    analysis = tiny.analyse(torch.from_numpy(voice), 93)
+    styles = torch.zeros(93, 5)
+    styles[:, EMOTIONS.index("happy")] = 1
+    curves = tiny.decode(analysis, styles).numpy()
+    low, high = tiny.controls.minimum, tiny.controls.maximum
+    assert np.abs(frames - np.clip(curves, low, high)).max() < CLOSE
