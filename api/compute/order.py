@@ -13,7 +13,7 @@ Names of files are fixed here: no text of a request becomes a path.
 
 from typing import Any, Literal, TypedDict
 
-Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "live"]
+Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "live", "voices"]
 RECORDING = "recording"
 OUT = "out"
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".npz")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from api.compute.order import OUT, RECORDING, Answer, Limits, Order, TooLarge
+from api.compute.voices import perform_voices
 from api.compute.warm import model_of
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
@@ -284,4 +285,5 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "conversion": _conversion,
     "validation": _validation,
     "live": _live,
+    "voices": perform_voices,
 }

@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+from collections.abc import Callable, Coroutine
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
@@ -14,6 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 from api.compute.order import RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
+from api.live.causal import CausalStream
 from api.live.messages import Change, Start, frames_message
 from api.live.stream import (
     BACKLOG_SECONDS,
@@ -25,7 +28,7 @@ from api.live.stream import (
 from api.messages.options import weights_of
 from api.service import Service
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.models.folder import model_folder, product_of, read_about
+from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
 
 START_SECONDS = 10.0
@@ -67,12 +70,35 @@ class Session:
             For a message that is refused.
         """
         self.start = _parsed(Start, await self._text(START_SECONDS))
-        self.stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
-        await self._send(self._header())
+        folder = self._model_folder()
+        if not is_causal(folder):
+            stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
+            await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
+            return
+        voice, lookahead = await self.service.voices.open(self.start.model)
+        try:
+            causal = CausalStream(self.start.sample_rate, self.start.encoding == "float32", voice)
+            await self._serve(
+                folder, causal, partial(self._pass_on, causal), 1 / FRAME_RATE, lookahead
+            )
+        finally:
+            voice.close()
+
+    async def _serve(
+        self,
+        folder: Path,
+        stream: LiveStream,
+        write: Callable[[], Coroutine[Any, Any, None]],
+        hop: float,
+        lookahead: float,
+    ) -> None:
+        """Read and write until one of the two ends; `hop` and `lookahead` are for the header."""
+        self.stream = stream
+        await self._send(_header(folder, hop, lookahead))
         self._change(self.start)
         self.end = monotonic() + self.service.settings.live_seconds
         reading = asyncio.create_task(self._read())
-        writing = asyncio.create_task(self._write())
+        writing = asyncio.create_task(write())
         try:
             await asyncio.wait({reading, writing}, return_when=asyncio.FIRST_EXCEPTION)
             for task in (reading, writing):
@@ -83,24 +109,23 @@ class Session:
                 task.cancel()
         await self._send({"type": "end", "frames": self.stream.next_frame})
 
-    def _header(self) -> dict[str, Any]:
+    def _model_folder(self) -> Path:
         models = self.service.settings.known_models
         if self.start.model not in models:
             raise Problem(404, f"no such model; known models: {', '.join(models)}", "model_unknown")
         folder = models[self.start.model]
         if product_of(folder) != "curves":
             raise Problem(422, "the model makes no curves; use default", "model_unfit")
-        about = read_about(model_folder(folder))
-        return {
-            "type": "header",
-            "names": about["controls"],
-            "control_set": about["control_set"],
-            "fps": FRAME_RATE,
-            "lookahead_seconds": LOOKAHEAD_SECONDS,
-            "hop_seconds": HOP_SECONDS,
-            "window_seconds": WINDOW_SECONDS,
-            "record": "uint32 index, float32 late, float64 time, float32 values; little-endian",
-        }
+        return model_folder(folder)
+
+    async def _pass_on(self, stream: CausalStream) -> None:
+        """Send the frames of a voice as they come."""
+        as_json = self.start.frames == "json"
+        while not stream.is_done:
+            frames = await stream.voice.next_frames()
+            begin, late = stream.come(frames)
+            self.room.set()
+            await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
 
     async def _read(self) -> None:
         """Take messages; none while too much sound waits."""
@@ -197,6 +222,20 @@ class Session:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
             raise Problem(400, "the client does not read its frames", "client_slow") from None
+
+
+def _header(folder: Path, hop: float, lookahead: float) -> dict[str, Any]:
+    about = read_about(folder)
+    return {
+        "type": "header",
+        "names": about["controls"],
+        "control_set": about["control_set"],
+        "fps": FRAME_RATE,
+        "lookahead_seconds": lookahead,
+        "hop_seconds": hop,
+        "window_seconds": WINDOW_SECONDS if lookahead == LOOKAHEAD_SECONDS else lookahead,
+        "record": "uint32 index, float32 late, float64 time, float32 values; little-endian",
+    }
 
 
 def _json(text: str) -> dict[str, Any]:

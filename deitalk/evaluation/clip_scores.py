@@ -1,15 +1,17 @@
 """Scores of one clip, collected over the clips of a group.
 
 A clip is scored twice: as `deitalk animate` returns it, and by the network alone. Which differences
-come from the network and which from the rules after it shows only where both are given.
+come from the network and which from the rules after it shows only where both are given. A causal
+model is scored by the frames that it gives while the recording is spoken.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import frame_centres
-from deitalk.audio.load import load_audio
+from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import level_db
 from deitalk.data.clips import Clip
 from deitalk.evaluation.curve_statistics import smoothness
@@ -41,6 +43,7 @@ from deitalk.evaluation.validation import (
     lips_together,
     load_example,
 )
+from deitalk.live.animator import live_frames
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
@@ -113,22 +116,25 @@ class Scores(NamedTuple):
     network: Tally
 
 
+def animated(recording: Recording, emotion: str, model: DEITalk, *, raw: bool) -> Performance:
+    """Animate one recording without blinks; with a causal model and rules, as it is spoken."""
+    performance = animate(recording, emotion, model=model, idle=False, raw=raw)
+    if raw or not model.is_causal:
+        return performance
+    values = live_frames(recording.waveform, model, emotion=emotion, idle=False)
+    return replace(performance, curves=replace(performance.curves, values=values))
+
+
 def score_clip(scores: Scores, model: DEITalk, clip: ClipToScore) -> None:
     """Animate one recording with and without rules and collect its scores."""
     recording = load_audio(clip.neutral.audio)
     example = load_example(clip.neutral, model.controls)
-    takes = [
-        animate(recording, clip.neutral.emotion, model=model, idle=False, raw=raw)
-        for raw in (False, True)
-    ]
+    takes = [animated(recording, clip.neutral.emotion, model, raw=raw) for raw in (False, True)]
     acted = takes
     target = example
     if clip.acted != clip.neutral:
         target = load_example(clip.acted, model.controls)
-        acted = [
-            animate(recording, clip.acted.emotion, model=model, idle=False, raw=raw)
-            for raw in (False, True)
-        ]
+        acted = [animated(recording, clip.acted.emotion, model, raw=raw) for raw in (False, True)]
     level = loudness(recording.waveform, len(example.curves))
     for tally, take, other in zip(scores, takes, acted, strict=True):
         row = _row(tally, take, example, model, level)

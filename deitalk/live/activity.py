@@ -56,8 +56,8 @@ class RunningActivity:
     def __init__(self, gates: Gates | None) -> None:
         self.gates = gates
         keep = LONGEST_DROWNED + AHEAD + 2
-        if gates is not None:
-            keep += max(gates.mouth_closes, gates.expression_holds + gates.expression_fades)
+        longest = gates or Gates()
+        keep += max(longest.mouth_closes, longest.expression_holds + longest.expression_fades)
         self.keep = keep
         self.ring = np.full((QUIET_ROWS, len(BAND_EDGES_HZ) - 1), SHORT_FLOOR_DB - OPEN_DB)
         """Band levels of the last frames, dB."""

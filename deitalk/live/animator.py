@@ -129,33 +129,51 @@ class LiveAnimator:
         rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
-        for k, row in enumerate(rows):
-            self._append(k, checked_samples(row), last=False)
-        return self._collected()
+        checked = [checked_samples(row) for row in rows]
+        for k, row in enumerate(checked):
+            self.take(row, stream=k)
+        return self._single(self.read())
 
     def finish(self) -> Any:
         """Take the end of all streams; return their last frames, as `feed`.
 
         A stream of S seconds then has given ceil(30 S) frames. `reset` begins again.
         """
-        for k, stream in enumerate(self.streams):
-            if stream.n_total is None:
-                self._append(k, np.zeros(0, np.float32), last=True)
-                stream.finish()
-        return self._collected()
+        for k in range(len(self.streams)):
+            self.end(k)
+        return self._single(self.read())
+
+    def take(self, samples: Samples, *, stream: int = 0) -> None:
+        """Take the next samples of one stream, for the next `read`; errors as `feed`."""
+        checked = checked_samples(samples)
+        if self.streams[stream].n_total is not None and len(checked):
+            raise AudioError("the stream has ended; reset it to begin again")
+        self._append(stream, checked, last=False)
+
+    def end(self, stream: int = 0) -> None:
+        """Take the end of one stream, for the next `read`."""
+        if self.streams[stream].n_total is None:
+            self._append(stream, np.zeros(0, np.float32), last=True)
+            self.streams[stream].finish()
+
+    def read(self) -> list[Float32]:
+        """Frames of every stream that are known now [shape=(n, C)], in one call of the network."""
+        self._advance()
+        return [stream.collect(len(self.names)) for stream in self.streams]
 
     def set(
         self,
         *,
         emotion: Emotion | None = None,
         intensity: float | None = None,
+        raw: bool | None = None,
         stream: int | None = None,
     ) -> None:
-        """Change emotion or intensity from the sound on that comes next, over 0.2 s.
+        """Change emotion or intensity from the sound on that comes next, over 0.2 s; rules at once.
 
         Parameters
         ----------
-        emotion, intensity
+        emotion, intensity, raw
             As for the constructor; None leaves it as it is.
         stream : int, optional
             Which stream; all by default.
@@ -168,6 +186,8 @@ class LiveAnimator:
                 None if emotion is None else direction.emotion,
                 None if intensity is None else direction.intensity,
             )
+            if raw is not None:
+                one.follow(RulesConfig.none() if raw else self.network.rules)
 
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
@@ -190,18 +210,12 @@ class LiveAnimator:
         return soxr.ResampleStream(self.sample_rate, SAMPLE_RATE, 1, dtype="float32")
 
     def _append(self, number: int, samples: Float32, *, last: bool) -> None:
-        stream, resampler = self.streams[number], self.resamplers[number]
-        if stream.n_total is not None:
-            if len(samples):
-                raise AudioError("the stream has ended; reset it to begin again")
-            return
+        resampler = self.resamplers[number]
         if resampler is not None:
             samples = resampler.resample_chunk(samples, last=last)
-        stream.sound.append(samples)
+        self.streams[number].sound.append(samples)
 
-    def _collected(self) -> Any:
-        self._advance()
-        frames = [stream.collect(len(self.names)) for stream in self.streams]
+    def _single(self, frames: list[Float32]) -> Any:
         return frames[0] if len(frames) == 1 else frames
 
     def _advance(self) -> None:
@@ -254,6 +268,21 @@ def require_causal(model: "str | Path | DEITalk") -> DEITalk:
             "trained from configs/live.yaml"
         )
     return network
+
+
+def live_frames(waveform: Float32, model: "str | Path | DEITalk", **options: Any) -> Float32:
+    """Frames of a whole recording, as they are given while it is spoken [shape=(T, C)].
+
+    Parameters
+    ----------
+    waveform : array [shape=(S,)]
+        As for `LiveAnimator.feed`.
+    model, options
+        As for `LiveAnimator`, of one stream.
+    """
+    animator = LiveAnimator(model, **options)
+    frames: Float32 = np.concatenate((animator.feed(waveform), animator.finish()))
+    return frames
 
 
 def checked_samples(samples: Samples) -> Float32:

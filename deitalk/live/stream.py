@@ -94,7 +94,7 @@ class Stream:
         change: Change,
         idle: RunningIdle | None,
     ) -> None:
-        self.frontend, self.settings, self.idle = frontend, rules, idle
+        self.frontend, self.controls, self.settings, self.idle = frontend, controls, rules, idle
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -109,11 +109,17 @@ class Stream:
         self.frames: list[Float32] = []
 
     def change(self, emotion: EmotionTrack | None, intensity: float | None) -> None:
-        """Change emotion or intensity from the sound on that comes next."""
+        """Change emotion or intensity from the sound on that comes next; at once before any."""
         last = self.changes[-1]
         new = last.emotion if emotion is None else emotion
         factor = last.intensity if intensity is None else intensity
-        self.changes.append(Change(self.sound.end / SAMPLE_RATE, new, factor))
+        change = Change(self.sound.end / SAMPLE_RATE, new, factor)
+        self.changes = [*self.changes, change] if self.sound.end else [change]
+
+    def follow(self, rules: RulesConfig) -> None:
+        """Apply other rules to the frames that come next."""
+        self.settings, self.rules = rules, RunningRules(Expression(self.controls, rules))
+        self.activity.gates, self.intensity.rule = rules.gates, rules.voice_intensity
 
     def finish(self) -> None:
         """Take the end of the sound: silence follows, until the last frame is known."""
@@ -201,8 +207,7 @@ class Stream:
         self.n_frames += count
         if self.idle is not None:
             self.idle.add_to(curves)
-        controls = self.rules.expression.controls
-        self.frames.append(np.clip(curves, controls.minimum, controls.maximum))
+        self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))
 
     def _forget(self) -> None:
         """Drop sound and changes that no frame needs any more."""

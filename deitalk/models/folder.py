@@ -52,6 +52,12 @@ def model_folder(name_or_path: str | Path) -> Path:
     return folder
 
 
+def is_causal(name_or_path: str | Path) -> bool:
+    """Whether a model is for voices that have not ended (`deitalk.live`)."""
+    config = load_config(model_folder(name_or_path) / "config.yaml")
+    return config.model.frontend.kind == "causal_mel"
+
+
 def read_about(folder: Path) -> dict[str, Any]:
     """Content of a folder's ``model.json``.
 

@@ -6,14 +6,20 @@ from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
+import torch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from api.errors import Problem
 from api.live.messages import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
-from deitalk import animate
+from deitalk import LiveAnimator, animate
+from deitalk.config import Config
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
+from tests.api.server import serving
+from tests.deitalk.live.conftest import TINY
 
 RATE = 16000
 
@@ -229,3 +235,61 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
     time.sleep(0.5)
     with live(server) as session:
         assert begin(session)["type"] == "header"
+
+
+@pytest.fixture(scope="module")
+def causal_server(tmp_path_factory):
+    """A server that knows a tiny causal model of random weights."""
+    torch.manual_seed(0)
+    config = Config.model_validate({"model": TINY})
+    network = DEITalk(config.model, rules=config.rules)
+    with torch.no_grad():
+        network.decoder.output.weight.normal_(0, 0.3)
+    folder = tmp_path_factory.mktemp("causal") / "tiny"
+    save_model(folder, network, config, {})
+    with serving(
+        tmp_path_factory.mktemp("data"), models=json.dumps({"tiny": str(folder)})
+    ) as server:
+        yield server, folder
+
+
+def frames_of(session):
+    found = []
+    while isinstance(message := session.recv(60), bytes):
+        found += records(message, 185)
+    return found, json.loads(message)
+
+
+def test_causal_model_gives_the_frames_of_live_animator(causal_server):
+    server, folder = causal_server
+    sound = pcm(3.0)
+    with live(server) as session, live(server) as other:
+        for one in (session, other):
+            header = begin(one, model="tiny", emotion="happy")
+            assert header["lookahead_seconds"] <= 0.2 and header["hop_seconds"] == 1 / 30
+        for start in range(0, len(sound), 3000):
+            session.send(sound[start : start + 3000])
+            other.send(sound[start : start + 1000])
+        session.send('{"type": "stop"}')
+        other.close()
+        found, end = frames_of(session)
+    assert end == {"type": "end", "frames": 90}
+    assert [index for index, *_ in found] == list(range(90))
+    animator = LiveAnimator(folder, emotion="happy", idle=False)
+    expected = np.concatenate((animator.feed(sound), animator.finish()))
+    assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
+
+
+def test_changes_reach_a_causal_model(causal_server):
+    server, _ = causal_server
+    sound = pcm(1.0)
+    with live(server) as session:
+        begin(session, model="tiny", frames="json")
+        session.send(sound)
+        session.send('{"type": "set", "emotion": "angry", "intensity": 2, "raw": true}')
+        session.send(sound)
+        session.send('{"type": "stop"}')
+        frames = []
+        while (message := json.loads(session.recv(60)))["type"] == "frames":
+            frames += message["frames"]
+    assert message == {"type": "end", "frames": 60} and len(frames) == 60

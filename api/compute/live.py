@@ -1,0 +1,167 @@
+"""The voices of all sessions with a causal model: one worker process, one order at a time.
+
+While the worker reads what has come, the next order gathers; so the more voices, the more of them
+are read in one call.
+"""
+
+import asyncio
+from typing import Any
+
+import numpy as np
+
+from api.compute.order import Limits, Order
+from api.compute.pool import Stage, checked, result_path
+from api.compute.voices import MOST, SAMPLES
+from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.errors import Problem
+from rig.arrays import Float32
+
+ORDER_SECONDS = 20.0
+"""Time after which the worker is stopped."""
+
+
+class Voice:
+    """One voice.
+
+    Parameters
+    ----------
+    voices : Voices
+    number : int
+    """
+
+    def __init__(self, voices: "Voices", number: int) -> None:
+        self.voices, self.number = voices, number
+        self.frames: asyncio.Queue[Float32 | Exception] = asyncio.Queue()
+        self.opened: asyncio.Future[float] = asyncio.get_running_loop().create_future()
+
+    def feed(self, samples: Float32) -> None:
+        """Take samples at 16 kHz."""
+        if len(samples):
+            self.voices.add({"voice": self.number, "do": "feed", "count": len(samples)}, samples)
+
+    def change(self, **options: Any) -> None:
+        """Change emotion, intensity or rules; as `LiveAnimator.set`."""
+        self.voices.add({"voice": self.number, "do": "set", "options": options})
+
+    def finish(self) -> None:
+        """Take the end of the sound."""
+        self.voices.add({"voice": self.number, "do": "finish"})
+
+    def close(self) -> None:
+        """Forget the voice."""
+        self.voices.known.pop(self.number, None)
+        self.voices.add({"voice": self.number, "do": "close"})
+
+    async def next_frames(self) -> Float32:
+        """Wait for frames [shape=(n, C)].
+
+        Raises
+        ------
+        Problem
+            If the worker cannot give them.
+        """
+        frames = await self.frames.get()
+        if isinstance(frames, Exception):
+            raise frames
+        return frames
+
+
+class Voices:
+    """All voices.
+
+    Parameters
+    ----------
+    limits : Limits
+        Of the worker process.
+    stage : Stage
+        Where its folder is made.
+    """
+
+    def __init__(self, limits: Limits, stage: Stage) -> None:
+        self.worker, self.stage = Worker(limits), stage
+        self.known: dict[int, Voice] = {}
+        self.actions: list[dict[str, Any]] = []
+        self.samples: list[Float32] = []
+        self.number = 0
+        self.news = asyncio.Event()
+        self.task: asyncio.Task[None] | None = None
+
+    async def open(self, model: str) -> tuple[Voice, float]:
+        """Begin a voice; return it and the look-ahead of its model, seconds.
+
+        Raises
+        ------
+        Problem
+            503 if there are too many voices, 413 if the worker ended.
+        """
+        if len(self.known) >= MOST:
+            raise Problem(503, "all live sessions are taken; try again later", "busy")
+        if self.task is None:
+            self.task = asyncio.create_task(self._run())
+        self.number += 1
+        voice = self.known[self.number] = Voice(self, self.number)
+        self.add({"voice": voice.number, "do": "open", "model": model})
+        try:
+            return voice, await voice.opened
+        except BaseException:
+            voice.close()
+            raise
+
+    def add(self, action: dict[str, Any], samples: Float32 | None = None) -> None:
+        """Add an action to the next order."""
+        self.actions.append(action)
+        if samples is not None:
+            self.samples.append(samples)
+        self.news.set()
+
+    def stop(self) -> None:
+        """End the worker process."""
+        if self.task is not None:
+            self.task.cancel()
+        self.worker.stop()
+
+    async def _run(self) -> None:
+        loop = asyncio.get_running_loop()
+        async with self.stage.folder() as folder:
+            while True:
+                await self.news.wait()
+                self.news.clear()
+                actions, samples = self.actions, self.samples
+                self.actions, self.samples = [], []
+                joined = np.concatenate([np.zeros(0, np.float32), *samples])
+                joined.astype("<f4").tofile(folder / SAMPLES)
+                order: Order = {
+                    "kind": "voices",
+                    "folder": str(folder),
+                    "options": {"actions": actions},
+                }
+                try:
+                    answer = checked(
+                        await loop.run_in_executor(None, self.worker.run, order, ORDER_SECONDS)
+                    )
+                    self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
+                except (OutOfTime, WorkerLost, Problem) as error:
+                    self._fail(error)
+
+    def _give(self, answer: Any, values: Float32) -> None:
+        for number, seconds in answer["facts"]["opened"]:
+            if (voice := self.known.get(number)) and not voice.opened.done():
+                voice.opened.set_result(seconds)
+        counts = answer["facts"]["frames"]
+        rows = values.reshape(sum(count for _, count in counts), -1) if counts else values
+        for number, count in counts:
+            frames, rows = rows[:count], rows[count:]
+            if voice := self.known.get(number):
+                voice.frames.put_nowait(frames.astype(np.float32))
+
+    def _fail(self, error: Exception) -> None:
+        """End all voices: their state is lost, or cannot be told apart from the failing one's."""
+        problem = error
+        if not isinstance(error, Problem):
+            problem = Problem(503, "the live worker ended; connect again", "busy")
+        self.worker.stop()
+        for voice in list(self.known.values()):
+            self.known.pop(voice.number)
+            if not voice.opened.done():
+                voice.opened.set_exception(problem)
+            voice.frames.put_nowait(problem)
