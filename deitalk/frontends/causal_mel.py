@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, derivative
@@ -30,6 +31,8 @@ from deitalk.frontends.mel_bilstm import SpectralGathering
 
 BLOCK_FRAMES = 256
 """Rig frames of a clip that are encoded at once."""
+FEW_GROUPS = 4
+"""Groups up to which the LSTM runs step by step."""
 SLOPE_REACH = 2
 """Spectra on either side of one that its second derivative depends on."""
 
@@ -164,11 +167,32 @@ class CausalMelFrontend(nn.Module):
 
     def _run(self, rows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
         batch, groups, spectra, size = rows.shape
+        if groups <= FEW_GROUPS and not torch.is_grad_enabled():
+            read, state = self._step(rows.reshape(batch, -1, size), state)
+            return self.project(read.view(batch, groups, spectra, -1)[:, :, -1]), state
         before = tuple(part.transpose(0, 1).contiguous() for part in (state.hidden, state.cell))
         memory, (hidden, cell) = self.recurrent(rows.reshape(batch, -1, size), before)
         read = memory.view(batch, groups, spectra, -1)[:, :, -1]
         state = state._replace(hidden=hidden.transpose(0, 1), cell=cell.transpose(0, 1))
         return self.project(read), state
+
+    def _step(self, rows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
+        """The LSTM on so few rows (B, L, C_spec) that its preparations cost more than its work."""
+        hiddens, cells = [], []
+        for k in range(self.config.time_layers):
+            given, own, *biases = self.recurrent.all_weights[k]
+            gates = F.linear(rows, given, biases[0] + biases[1])
+            hidden, cell, outs = state.hidden[:, k], state.cell[:, k], []
+            for row in gates.unbind(dim=1):
+                into, keep, new, out = (row + F.linear(hidden, own)).chunk(4, dim=1)
+                cell = keep.sigmoid() * cell + into.sigmoid() * new.tanh()
+                hidden = out.sigmoid() * cell.tanh()
+                outs.append(hidden)
+            rows = torch.stack(outs, dim=1)
+            hiddens.append(hidden)
+            cells.append(cell)
+        hidden, cell = torch.stack(hiddens, dim=1), torch.stack(cells, dim=1)
+        return rows, state._replace(hidden=hidden, cell=cell)
 
     def _pieces(self, waveform: Tensor, n_frames: int, progress: Callable[[float], None]) -> Tensor:
         """Features of a clip from its beginning (B, n_frames, D)."""

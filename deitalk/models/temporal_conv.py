@@ -7,6 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 
+FEW_FRAMES = 4
+"""Frames up to which a causal layer is one product of matrices."""
+
+
 class TemporalConv(nn.Module):
     """One layer: dilated convolution that keeps the length, ReLU, dropout.
 
@@ -39,6 +43,7 @@ class TemporalConv(nn.Module):
     ) -> None:
         super().__init__()
         self.causal, self.span = causal, dilation * (kernel_size - 1)
+        self._kept: tuple[tuple[int, int], Tensor] | None = None
         self.conv = nn.Conv1d(
             in_channels,
             out_channels,
@@ -60,8 +65,29 @@ class TemporalConv(nn.Module):
         """
         if self.causal:
             x = F.pad(x, (self.span, 0)) if past is None else torch.cat((past, x), dim=2)
+            if x.shape[2] - self.span <= FEW_FRAMES:
+                return self._few(x)
         out: Tensor = self.after(self.conv(x))
         return out
+
+    def _few(self, x: Tensor) -> Tensor:
+        """The same for so few frames that a convolution's preparations cost more than its work."""
+        dilation, frames = self.conv.dilation[0], x.shape[2] - self.span
+        starts = range(0, self.span + 1, dilation)
+        taps = [x[:, :, start : start + frames] for start in starts]
+        rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
+        out: Tensor = self.after(F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2))
+        return out
+
+    def _flat(self) -> Tensor:
+        """Weights as one matrix (out_channels, K in_channels), kept until they change."""
+        weight = self.conv.weight
+        if weight.requires_grad and torch.is_grad_enabled():
+            return weight.permute(0, 2, 1).flatten(1)
+        state = (weight.data_ptr(), weight._version)
+        if self._kept is None or self._kept[0] != state:
+            self._kept = (state, weight.detach().permute(0, 2, 1).flatten(1).contiguous())
+        return self._kept[1]
 
 
 def receptive_margin(dilations: Sequence[int], kernel_size: int, *, causal: bool = False) -> int:
