@@ -9,12 +9,15 @@ import numpy.typing as npt
 import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.prosody import measure_windows
+from deitalk.audio.voice_activity import window_levels
 from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import AudioError, CheckpointError
 from deitalk.live import rules
 from deitalk.live.idle import RunningIdle
 from deitalk.live.network import advance, begin, causal_frontend, first_state, put, take
+from deitalk.live.rules import DueRows
 from deitalk.live.stream import Change, Stream
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -234,8 +237,25 @@ class LiveAnimator:
             )
             rows, state = advance(self.network, windows, styles, take(self.state, ready))
             put(self.state, ready, state)
-            for place, k in enumerate(ready):
-                self.streams[k].accept(*(part[place].cpu().numpy() for part in rows))
+            self._accept([self.streams[k] for k in ready], [part.cpu().numpy() for part in rows])
+
+    def _accept(self, streams: list[Stream], rows: list[Float32]) -> None:
+        """Measure the sound of the frames that were read, and apply the rules, of all streams."""
+        windows = [stream.unmeasured() for stream in streams]
+        places = np.cumsum([len(part) for part in windows])[:-1]
+        joined = np.concatenate(windows)
+        levels = np.split(window_levels(joined), places)
+        prosody = np.split(measure_windows(joined.astype(np.float64)), places, axis=1)
+        due: dict[int, list[tuple[Stream, DueRows]]] = {}
+        for k, stream in enumerate(streams):
+            stream.measure(levels[k], prosody[k])
+            stream.accept(*(part[k] for part in rows))
+            if (one := stream.due()) is not None:
+                due.setdefault(id(stream.settings), []).append((stream, one))
+        for group in due.values():
+            curves = group[0][0].rules.apply([one for _, one in group])
+            for (stream, _), frames in zip(group, curves, strict=True):
+                stream.emit(frames)
 
     def _begin(self) -> None:
         """Read the first groups of streams whose first frame is known now."""

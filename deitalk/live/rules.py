@@ -7,6 +7,7 @@ those rows alone, however they came.
 Letters: n frames of a call, C controls, K contacts.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -55,6 +56,20 @@ def rows_before(expression: Expression) -> RawRows:
     return RawRows(rest, rest.copy(), ones, ones, ones, emotion, ones)
 
 
+class DueRows(NamedTuple):
+    """All that the curves of n frames depend on; of several streams side by side."""
+
+    own: RawRows
+    """Of the frames themselves."""
+    neutral: Float32
+    """Contacts of the neutral reading around each frame [shape=(8, n, K)]."""
+    emotional: Float32
+    """Contacts of the emotional reading around each frame [shape=(8, n, K)]."""
+    scale: Float32
+    """Factor around each frame [shape=(8, n, 1)]."""
+    gates: GateRows
+
+
 @dataclass(frozen=True)
 class RunningRules:
     """The rules of one control set.
@@ -67,8 +82,8 @@ class RunningRules:
 
     expression: Expression
 
-    def apply(self, rows: RawRows, gates: GateRows) -> Float32:
-        """Curves of n frames [shape=(n, C)].
+    def due(self, rows: RawRows, gates: GateRows) -> DueRows:
+        """Gather what the curves of n frames depend on.
 
         Parameters
         ----------
@@ -77,31 +92,43 @@ class RunningRules:
         gates : GateRows
             Of the n frames.
         """
-        rules, count = self.expression, len(gates.mouth)
-        inner = slice(BEHIND, BEHIND + count)
-        readings, contacts = [], []
-        for reading in (rows.neutral, rows.emotional):
-            sharp = rules.sharpened(_around(reading[:, rules.seals], count))
-            own = reading[inner].copy()
-            own[:, rules.seals] = sharp[BEHIND]
-            rules.scale_opening(own, rows.voice[inner], rows.network[inner])
-            readings.append(own)
+        count, seals = len(gates.mouth), self.expression.seals
+        own = RawRows(*(part[BEHIND : BEHIND + count] for part in rows))
+        readings = (rows.neutral[:, seals], rows.emotional[:, seals], rows.scale[:, None])
+        return DueRows(own, *(_around(reading, count) for reading in readings), gates)
+
+    def apply(self, due: Sequence[DueRows]) -> list[Float32]:
+        """Curves of the frames of several streams [shape=(n, C)] each, in one go."""
+        rules, rows = self.expression, _side_by_side(due)
+        own, readings, contacts = rows.own, [], []
+        for reading, around in ((own.neutral, rows.neutral), (own.emotional, rows.emotional)):
+            sharp, curves = rules.sharpened(around), reading.copy()
+            curves[:, rules.seals] = sharp[BEHIND]
+            rules.scale_opening(curves, own.voice, own.network)
+            readings.append(curves)
             contacts.append(sharp)
-        curves = rules.blend(readings[0], readings[1], rows.scale[inner])
-        applied = rows.applied[inner] * gates.expression
-        rules.widen_speech(curves, readings[0], rows.emotion[inner], applied)
-        scale = _around(rows.scale[:, None], count)
-        blended = (contacts[1] - contacts[0]) * scale
+        curves = rules.blend(readings[0], readings[1], own.scale)
+        applied = own.applied * rows.gates.expression
+        rules.widen_speech(curves, readings[0], own.emotion, applied)
+        blended = (contacts[1] - contacts[0]) * rows.scale
         if rules.settings.keep_contacts is not None:
             blended = np.maximum(blended, 0)
         curves[:, rules.seals] = rules.limited(contacts[0] + blended)[BEHIND]
         rules.apply_dead_zone(curves)
-        rules.rest_in_silence(curves, gates.mouth, gates.expression)
-        return curves
+        rules.rest_in_silence(curves, rows.gates.mouth, rows.gates.expression)
+        return np.split(curves, np.cumsum([len(one.gates.mouth) for one in due])[:-1])
+
+
+def _side_by_side(due: Sequence[DueRows]) -> DueRows:
+    own = RawRows(*(np.concatenate(parts) for parts in zip(*(d.own for d in due), strict=True)))
+    around = (
+        np.concatenate(parts, axis=1)
+        for parts in zip(*((d.neutral, d.emotional, d.scale) for d in due), strict=True)
+    )
+    gates = (np.concatenate(parts) for parts in zip(*(d.gates for d in due), strict=True))
+    return DueRows(own, *around, GateRows(*gates))
 
 
 def _around(rows: Float32, count: int) -> Float32:
     """Rows (m, K) around each of `count` frames [shape=(BEHIND + 1 + AHEAD, count, K)]."""
-    windows = np.lib.stride_tricks.sliding_window_view(rows, BEHIND + 1 + AHEAD, axis=0)[:count]
-    around: Float32 = np.moveaxis(windows, 2, 0)
-    return around
+    return np.stack([rows[k : k + count] for k in range(BEHIND + 1 + AHEAD)])

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.prosody import measure_windows
-from deitalk.audio.voice_activity import WINDOW, window_levels
+from deitalk.audio.voice_activity import WINDOW
 from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.frontends.causal_mel import CausalMelFrontend
@@ -19,7 +18,7 @@ from deitalk.live import rules as running
 from deitalk.live.activity import AHEAD, RunningActivity
 from deitalk.live.idle import RunningIdle
 from deitalk.live.intensity import Measures, RunningIntensity
-from deitalk.live.rules import BEHIND, RawRows, RunningRules, rows_before
+from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
@@ -154,11 +153,22 @@ class Stream:
         self.groups += count
         return torch.from_numpy(windows), self._directed(frames)[0]
 
+    def unmeasured(self) -> Float32:
+        """Windows (m, `WINDOW`) of the frames to be measured before the network's next rows."""
+        stop = self.groups - self.frontend.delay + MEASURED_AHEAD
+        frames = np.arange(self.n_measured, stop)
+        self.n_measured = stop
+        return self.sound.windows(frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2, WINDOW)
+
+    def measure(self, levels: Float32, prosody: Float64) -> None:
+        """Take the levels (m, K) and the prosody (31, m) of the windows."""
+        self.speaking = np.concatenate((self.speaking, self.activity.feed(levels)))
+        self.prosody = np.concatenate((self.prosody, prosody), axis=1)
+
     def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
-        """Take the network's rows for the groups taken last; frames that are known are appended."""
-        stop = self.groups - self.frontend.delay
-        self._measure(stop + MEASURED_AHEAD)
-        frames, network = np.arange(stop - len(neutral), stop), strength
+        """Take the network's rows for the groups taken last."""
+        stop, network = self.groups - self.frontend.delay, strength
+        frames = np.arange(stop - len(neutral), stop)
         voice = self.intensity.feed(network, *self._measured(len(frames)))
         emotion, factor = self._directed(frames)
         scale, applied = factor, voice * factor
@@ -166,26 +176,30 @@ class Stream:
             scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
         new = RawRows(neutral, emotional, network, voice, scale, emotion, applied)
         self.rows = self.rows.joined(new)
-        self._emit()
         self._forget()
+
+    def due(self) -> DueRows | None:
+        """What the frames that are known now depend on; None if there are none."""
+        count = len(self.rows.scale) - BEHIND - running.AHEAD
+        if self.n_total is not None:
+            count = min(count, self.n_total - self.n_frames)
+        if count <= 0:
+            return None
+        due = self.rules.due(self.rows, self.activity.gate(count))
+        self.rows = self.rows.since(count)
+        self.n_frames += count
+        return due
+
+    def emit(self, curves: Float32) -> None:
+        """Take the curves of the frames that were due."""
+        if self.idle is not None:
+            self.idle.add_to(curves)
+        self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))
 
     def collect(self, n_controls: int) -> Float32:
         """Frames since the last call [shape=(n, C)]."""
         frames, self.frames = self.frames, []
         return np.concatenate(frames) if frames else np.zeros((0, n_controls), np.float32)
-
-    def _measure(self, stop: int) -> None:
-        """Measure activity and prosody of the frames before `stop`."""
-        frames = np.arange(self.n_measured, stop)
-        if not len(frames):
-            return
-        starts = frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-        windows = self.sound.windows(starts, WINDOW)
-        speaking = self.activity.feed(window_levels(windows))
-        self.speaking = np.concatenate((self.speaking, speaking))
-        measured = measure_windows(np.asarray(windows, np.float64))
-        self.prosody = np.concatenate((self.prosody, measured), axis=1)
-        self.n_measured = stop
 
     def _measured(self, count: int) -> tuple[Measures, Bool]:
         """Prosody of the next frames, and which of them are speech: a lone one is a click."""
@@ -194,20 +208,6 @@ class Stream:
         now, before, after = on[1 : count + 1], on[:count], on[2 : count + 2]
         measured, self.prosody = np.split(self.prosody, [count], axis=1)
         return Measures.of(measured), now & (before | after)
-
-    def _emit(self) -> None:
-        count = len(self.rows.scale) - BEHIND - running.AHEAD
-        if self.n_total is not None:
-            count = min(count, self.n_total - self.n_frames)
-        if count <= 0:
-            return
-        gates = self.activity.gate(count)
-        curves = self.rules.apply(self.rows, gates)
-        self.rows = self.rows.since(count)
-        self.n_frames += count
-        if self.idle is not None:
-            self.idle.add_to(curves)
-        self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))
 
     def _forget(self) -> None:
         """Drop sound and changes that no frame needs any more."""

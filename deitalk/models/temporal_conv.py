@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-
 FEW_FRAMES = 4
 """Frames up to which a causal layer is one product of matrices."""
 
