@@ -3,7 +3,7 @@
 ::
 
     client   {"type": "start", "sample_rate": 48000, "encoding": "pcm16", "frames": "binary", …}
-    server   {"type": "header", "names": […], "fps": 30, "lookahead_seconds": 1.0, …}
+    server   {"type": "header", "names": […], "fps": 30, "lookahead_seconds": 0.2, …}
     client   samples as bytes, any number a message       {"type": "set", "emotion": "sad"}
     server   frames as bytes or {"type": "frames", …}
     client   {"type": "stop"}
@@ -38,7 +38,7 @@ class Start(Change):
     sample_rate: int = Field(default=16_000, ge=8_000, le=192_000)
     encoding: Literal["pcm16", "float32"] = "pcm16"
     frames: Literal["binary", "json"] = "binary"
-    model: str = Field(default="default", max_length=64)
+    model: str = Field(default="live", max_length=64)
 
 
 def frames_message(

@@ -94,8 +94,9 @@ class RunningRules:
         """
         count, seals = len(gates.mouth), self.expression.seals
         own = RawRows(*(part[BEHIND : BEHIND + count] for part in rows))
-        readings = (rows.neutral[:, seals], rows.emotional[:, seals], rows.scale[:, None])
-        return DueRows(own, *(_around(reading, count) for reading in readings), gates)
+        neutral = _around(rows.neutral[:, seals], count)
+        emotional = _around(rows.emotional[:, seals], count)
+        return DueRows(own, neutral, emotional, _around(rows.scale[:, None], count), gates)
 
     def apply(self, due: Sequence[DueRows]) -> list[Float32]:
         """Curves of the frames of several streams [shape=(n, C)] each, in one go."""
@@ -121,12 +122,14 @@ class RunningRules:
 
 def _side_by_side(due: Sequence[DueRows]) -> DueRows:
     own = RawRows(*(np.concatenate(parts) for parts in zip(*(d.own for d in due), strict=True)))
-    around = (
-        np.concatenate(parts, axis=1)
-        for parts in zip(*((d.neutral, d.emotional, d.scale) for d in due), strict=True)
-    )
     gates = (np.concatenate(parts) for parts in zip(*(d.gates for d in due), strict=True))
-    return DueRows(own, *around, GateRows(*gates))
+    return DueRows(
+        own,
+        np.concatenate([d.neutral for d in due], axis=1),
+        np.concatenate([d.emotional for d in due], axis=1),
+        np.concatenate([d.scale for d in due], axis=1),
+        GateRows(*gates),
+    )
 
 
 def _around(rows: Float32, count: int) -> Float32:

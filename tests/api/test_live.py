@@ -118,7 +118,7 @@ def records(message: bytes, n_values: int):
 def test_stream_gives_the_curves_of_the_recording(server):
     sound = pcm(3.0)
     with live(server) as session:
-        header = begin(session, emotion="happy")
+        header = begin(session, emotion="happy", model="default")
         assert header["type"] == "header" and len(header["names"]) == 185
         assert header["lookahead_seconds"] == LOOKAHEAD_SECONDS
         for start in range(0, len(sound), 3200):
