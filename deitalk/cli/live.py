@@ -42,7 +42,7 @@ def live(
 ) -> None:
     """Animate a voice while it is spoken, 0.2 s behind it, and send the face.
 
-    Ctrl-C ends it; the face rests at the end. A microphone needs `pip install 'deitalk[mic]'`.
+    Ctrl-C ends it; the face rests at the end. A microphone needs the extra mic of the package.
 
     Examples
     --------
