@@ -19,6 +19,7 @@ __all__ = [
     "MeshPerformance",
     "Performance",
     "Recording",
+    "Suggestion",
     "__version__",
     "animate",
     "animate_batch",
@@ -26,6 +27,7 @@ __all__ = [
     "load_audio",
     "load_model",
     "recording_from_array",
+    "suggest_emotion",
 ]
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from deitalk.pipeline.curves import animate
     from deitalk.pipeline.mesh import animate_mesh
     from deitalk.pipeline.performance import MeshPerformance, Performance
+    from deitalk.pipeline.suggest import Suggestion, suggest_emotion
 
 _HOMES = {
     "audio.load": ("Recording", "load_audio"),
@@ -52,6 +55,7 @@ _HOMES = {
     "pipeline.mesh": ("animate_mesh",),
     "pipeline.performance": ("MeshPerformance", "Performance"),
     "pipeline.curves": ("animate",),
+    "pipeline.suggest": ("Suggestion", "suggest_emotion"),
     "audio.arrays": ("recording_from_array",),
 }
 

@@ -34,6 +34,7 @@ from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import key, openapi, serve, studio
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.study import app as study_app
+from deitalk.cli.suggest import suggest
 from deitalk.cli.train import train
 from deitalk.cli.validate import validate
 from rig.errors import UserError, one_line
@@ -49,6 +50,7 @@ app.command()(animate)
 app.command()(batch)
 app.command()(live)
 app.command()(controls)
+app.command()(suggest)
 app.command()(plot)
 app.command()(attention)
 app.command()(preview)

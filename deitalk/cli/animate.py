@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from deitalk.pipeline.performance import Performance
     from deitalk.pipeline.take import Extra
 
+AUTO = "auto"
+"""Emotion that stands for the suggested one."""
+
 
 def animate(
     speech: Annotated[str, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …) or - .")],
@@ -116,7 +119,7 @@ def animate(
         return
     console().print(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
-        f"{_acted(performance, emotion)}"
+        f"{_acted(performance, options['emotion'])}"
     )
 
 
@@ -201,7 +204,10 @@ def _perform(
 
 
 def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
-    """Read the inputs before the network is loaded, so that errors are reported early."""
+    """Read the inputs before the network is loaded, so that errors are reported early.
+
+    An emotion `AUTO` becomes the suggested one, in `options` too.
+    """
     from deitalk.audio.load import load_audio
     from deitalk.emotions import (
         check_intensity,
@@ -213,12 +219,26 @@ def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, A
 
     check_intensity(options["intensity"])
     Life.of(options["life"], options["look_at"])
-    given = options | {"emotion": parse_emotion(options["emotion"])}
+    is_given = options["emotion"] != AUTO
+    given = options | ({"emotion": parse_emotion(options["emotion"])} if is_given else {})
     if options["intensity_curve"] is not None:
         given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])
     if options["voice"] is not None:
         given["voice"] = read_actor(options["voice"])
-    return load_audio(sys.stdin.buffer.read() if speech == "-" else speech), given
+    recording = load_audio(sys.stdin.buffer.read() if speech == "-" else speech)
+    if not is_given:
+        given["emotion"] = options["emotion"] = _suggested(recording)
+    return recording, given
+
+
+def _suggested(recording: "Recording") -> str:
+    """The emotion that the voice suggests, with a note."""
+    with console().status("measuring the voice"):
+        from deitalk.pipeline.suggest import suggest_emotion
+
+        found = suggest_emotion(recording)
+    console().note(f"suggested from the voice: {found.label} ({found.probability:.2f})")
+    return found.label
 
 
 def _write_take(

@@ -13,7 +13,7 @@ Emotion = Annotated[
         "--emotion",
         "-e",
         help="neutral, angry, happy, sad, surprised; weights such as happy=0.7,surprised=0.3; "
-        "or a keyframed track (.csv .json .yaml).",
+        "a keyframed track (.csv .json .yaml); animate also: auto, suggested from the voice.",
     ),
 ]
 Intensity = Annotated[

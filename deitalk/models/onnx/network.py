@@ -51,9 +51,7 @@ class OnnxNetwork:
         self._session = _session(path, threads)
         self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
         if self.metadata.get("schema") != SCHEMA:
-            raise CheckpointError(
-                f"{path}: no model of `deitalk model export --onnx` ({SCHEMA}); export it again"
-            )
+            raise CheckpointError(f"{path}: no exported deitalk model ({SCHEMA}); export it again")
         try:
             self.rules = RulesConfig.model_validate(json.loads(self.metadata["rules"]))
             self.actors: tuple[str, ...] = tuple(json.loads(self.metadata["actors"]))

@@ -1,0 +1,166 @@
+"""Emotion suggested from a voice: neutral, angry, happy or sad, with its probability.
+
+A linear map of the speech features of `default`, mean and spread over the speech, at any gain;
+fitted to what raters of acted speech named from the voice alone, and to readers as neutral
+(`deitalk.training.suggestion`). It suggests and never imposes: where no emotion is probable enough,
+the suggestion is neutral. Surprise was not among the raters' answers and is never suggested. Not in
+the paper, where the emotion is given. Letters: T frames, D features, K windows.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import torch
+
+from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.emotions import EMOTIONS, EmotionTrack
+from deitalk.errors import AudioError
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.speech import Speech
+from rig.arrays import Bool, Float32, Float64
+
+MODEL = "default"
+"""Whose features the map was fitted to."""
+WEIGHTS = "suggestion.safetensors"
+NAMED = ("neutral", "angry", "happy", "sad")
+SURE = 0.75
+"""Least probability of an emotion other than neutral that is suggested."""
+WINDOW_SECONDS, HOP_SECONDS = 3.0, 1.0
+"""Of the track; a window has at least `FEWEST_FRAMES` of speech."""
+FEWEST_FRAMES = 15
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """What a voice suggests.
+
+    Attributes
+    ----------
+    label : str
+        The most probable emotion, or ``neutral`` where none is probable enough.
+    probabilities : mapping of str to float
+        Of each of `NAMED`, for the whole recording; they sum to 1.
+    track : EmotionTrack
+        The same by windows: neutral, or an emotion with its probability as weight.
+    """
+
+    label: str
+    probabilities: Mapping[str, float]
+    track: EmotionTrack
+
+    @property
+    def probability(self) -> float:
+        """Probability of the label."""
+        return self.probabilities[self.label]
+
+
+class EmotionMap:
+    """Mean and spread of speech features to probabilities: multinomial logistic regression.
+
+    Parameters
+    ----------
+    weights : mapping of str to array
+        ``mean``, ``spread`` [shape=(2 D,)], ``weight`` [shape=(4, 2 D)], ``bias`` [shape=(4,)].
+    """
+
+    def __init__(self, weights: Mapping[str, Float32]) -> None:
+        self.weights = weights
+
+    def probabilities(self, features: Float32) -> Float64:
+        """Probability of each of `NAMED` [shape=(4,)].
+
+        Parameters
+        ----------
+        features : array [shape=(2 D,)]
+            From `pooled`.
+        """
+        w = self.weights
+        score = w["weight"] @ ((features - w["mean"]) / w["spread"]) + w["bias"]
+        odds = np.exp(np.asarray(score, np.float64) - score.max())
+        return np.asarray(odds / odds.sum(), np.float64)
+
+
+def pooled(features: Float32, speaking: Bool) -> Float32:
+    """Mean and standard deviation over the frames with speech [shape=(2 D,)]."""
+    rows = features[speaking]
+    return np.concatenate((rows.mean(axis=0), rows.std(axis=0)))
+
+
+def speech_features(network: DEITalk, speech: Speech) -> tuple[Float32, Bool]:
+    """Features of a recording [shape=(T, D)] and the frames with speech [shape=(T,)]."""
+    analysis = network.analyse(torch.tensor(speech.sound), speech.n_frames)
+    return analysis.speech.cpu().numpy(), speech.activity > 0
+
+
+def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Suggestion:
+    """Suggest an emotion for `deitalk.animate`.
+
+    Parameters
+    ----------
+    audio, sample_rate
+        As for `deitalk.animate`.
+
+    Returns
+    -------
+    Suggestion
+
+    Raises
+    ------
+    AudioError
+        If the recording cannot be read, or has less than half a second of speech.
+    """
+    recording = recording_of(audio, sample_rate)
+    speech = Speech.of(recording.waveform)
+    if int((speech.activity > 0).sum()) < FEWEST_FRAMES:
+        raise AudioError(
+            "the recording has less than half a second of speech; no emotion can be suggested"
+        )
+    features, speaking = speech_features(require_model(MODEL, DEITalk), speech)
+    found = emotion_map()
+    whole = found.probabilities(pooled(features, speaking))
+    return Suggestion(
+        NAMED[_chosen(whole)],
+        {name: float(p) for name, p in zip(NAMED, whole, strict=True)},
+        _track(found, features, speaking),
+    )
+
+
+def _chosen(probabilities: Float64) -> int:
+    """Place of the suggested emotion in `NAMED`."""
+    best = int(probabilities.argmax())
+    return best if probabilities[best] >= SURE else 0
+
+
+def _track(found: EmotionMap, features: Float32, speaking: Bool) -> EmotionTrack:
+    """Keys at the centres of windows; windows without speech have none."""
+    length, hop = (round(s * FRAME_RATE) for s in (WINDOW_SECONDS, HOP_SECONDS))
+    times, rows = [], []
+    for start in range(0, max(len(features) - length, 0) + hop, hop):
+        window = slice(start, start + length)
+        if speaking[window].sum() < FEWEST_FRAMES:
+            continue
+        probabilities = found.probabilities(pooled(features[window], speaking[window]))
+        row = np.zeros(len(EMOTIONS))
+        best = _chosen(probabilities)
+        row[EMOTIONS.index(NAMED[best])] = probabilities[best] if best else 1.0
+        row[EMOTIONS.index("neutral")] += 1 - row.sum()
+        times.append((start + min(start + length, len(features))) / 2 / FRAME_RATE)
+        rows.append(row)
+    if not times:
+        times, rows = [0.0], [np.eye(len(EMOTIONS))[EMOTIONS.index("neutral")]]
+    return EmotionTrack(np.array(times), np.array(rows))
+
+
+@lru_cache(maxsize=1)
+def emotion_map() -> EmotionMap:
+    """The embedded map."""
+    from safetensors.numpy import load
+
+    data: Any = resources.files("deitalk.pipeline").joinpath(WEIGHTS).read_bytes()
+    return EmotionMap(load(data))
