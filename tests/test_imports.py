@@ -153,7 +153,7 @@ def test_animate_loads_no_slow_package_but_torch(tmp_path, out):
 
 
 def test_worker_of_the_service_starts_without_packages_of_analysis():
-    slow = SLOW - {"pandas", "fastapi"}
+    slow = SLOW - {"pandas", "fastapi", "scipy"}
     code = (
         "import sys, api.compute.warm; "
         f"print(sorted({{name.split('.')[0] for name in sys.modules}} & {slow!r}))"

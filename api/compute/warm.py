@@ -1,11 +1,13 @@
 """Packages and models that every worker needs, read once before workers are forked.
 
 The fork server of `multiprocessing` imports this module; what it holds is shared by the workers.
+scipy's linear algebra is among them: its start below a limit of memory does not end.
 """
 
 import numpy as np
 import pandas
 import torch
+from scipy import linalg
 
 from api.compute.order import Limits
 from deitalk.errors import CheckpointError
@@ -13,7 +15,7 @@ from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 
-__all__ = ["model_of", "pandas", "prepare"]
+__all__ = ["linalg", "model_of", "pandas", "prepare"]
 
 _models: dict[str, Model] = {}
 

@@ -98,7 +98,7 @@ def test_model_that_gives_the_target_has_perfect_scores(tmp_path, monkeypatch):
         return Performance(curves, curves, zeros, zeros, recording, 0)
 
     monkeypatch.setattr("deitalk.evaluation.clip_scores.animate", perfect)
-    model = SimpleNamespace(controls=controls)
+    model = SimpleNamespace(controls=controls, is_causal=False)
     report = evaluate(model, folder, split="validation", probes=0)
     scores, still = report["groups"]["test"], report["network"]["test"]
     assert scores["lpe"] == 0
