@@ -11,6 +11,7 @@ import typer
 from deitalk.cli.arguments import MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
+    AnyModel,
     Backend,
     Device,
     Emotion,
@@ -18,7 +19,6 @@ from deitalk.cli.options import (
     Intensity,
     IntensityCurve,
     Json,
-    Model,
     Threads,
     Voice,
 )
@@ -48,7 +48,7 @@ def animate(
     intensity: Intensity = 1.0,
     intensity_curve: IntensityCurve = None,
     voice: Voice = None,
-    model: Model = "default",
+    model: AnyModel = "default",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,

@@ -6,7 +6,7 @@ import typer
 
 from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Backend, Emotion, Intensity, Json, Model
+from deitalk.cli.options import AnyModel, Backend, Emotion, Intensity, Json
 
 if TYPE_CHECKING:
     from deitalk.batch.report import BatchReport
@@ -23,7 +23,7 @@ def batch(
     formats: Annotated[
         str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
     ] = "csv",
-    model: Model = "default",
+    model: AnyModel = "default",
     backend: Backend = "torch",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
