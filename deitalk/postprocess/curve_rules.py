@@ -109,7 +109,8 @@ class Expression:
         if rule is None:
             return
         gains = [getattr(rule, emotion, 0.0) for emotion in EMOTIONS]
-        wider = (weights @ np.array(gains, np.float32)) * applied * (1 - self.contact(neutral))
+        wider = (weights * np.array(gains, np.float32)).sum(axis=1)
+        wider *= applied * (1 - self.contact(neutral))
         curves[:, self.lively] *= 1 + wider[:, None]
 
     def sharpen_contacts(self, curves: Float32) -> None:
