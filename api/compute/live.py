@@ -48,7 +48,7 @@ class Voice:
         self.voices.add({"voice": self.number, "do": "finish"})
 
     def close(self) -> None:
-        """Forget the voice."""
+        """End the voice."""
         self.voices.known.pop(self.number, None)
         self.voices.add({"voice": self.number, "do": "close"})
 
@@ -155,7 +155,7 @@ class Voices:
                 voice.frames.put_nowait(frames.astype(np.float32))
 
     def _fail(self, error: Exception) -> None:
-        """End all voices: their state is lost, or cannot be told apart from the failing one's."""
+        """End all voices: their state is lost, or may be that of the failing one."""
         problem = error
         if not isinstance(error, Problem):
             problem = Problem(503, "the live worker ended; connect again", "busy")

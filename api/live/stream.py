@@ -133,7 +133,7 @@ class LiveStream:
         first = max(0, self.end - round(WINDOW_SECONDS * SAMPLE_RATE))
         first = min(first, max(0, self.next_frame * SAMPLE_RATE // FRAME_RATE - 3 * SAMPLE_RATE))
         first -= first % GRID_SAMPLES
-        self._forget(first)
+        self._drop(first)
         self._used = self.end
         start = first / SAMPLE_RATE
         shown = self.next_frame / FRAME_RATE
@@ -188,7 +188,7 @@ class LiveStream:
         sample = (frame + 1) * SAMPLE_RATE // FRAME_RATE
         return next((at for end, at in self._arrivals if end >= sample), self._arrivals[-1][1])
 
-    def _forget(self, first: int) -> None:
+    def _drop(self, first: int) -> None:
         """Drop sound before a sample, and arrivals before the next frame."""
         if first > self.begin:
             self.samples = self.samples[first - self.begin :].copy()

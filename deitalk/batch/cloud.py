@@ -183,19 +183,19 @@ def _fetch(url: str, path: Path) -> None:
         if not system.exists(f"{root}/{_STAMP}"):
             if system.isdir(root) and system.find(root):
                 raise TargetError(f"{url} holds files that deitalk did not write; name another")
-            _forget(path)
+            _remove_journal(path)
             return
         stamp = system.cat_file(f"{root}/{_STAMP}").decode()
     if path.is_file():
         with closing(Journal(path, url)) as journal:
             if journal.about("stamp") == stamp:
                 return
-    _forget(path)
+    _remove_journal(path)
     with cloud_errors(url):
         system.get_file(f"{root}/{_JOURNAL}", str(path))
 
 
-def _forget(path: Path) -> None:
+def _remove_journal(path: Path) -> None:
     for suffix in ("", "-wal", "-shm"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 

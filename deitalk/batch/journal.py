@@ -176,7 +176,7 @@ class Journal:
             self._run("INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?)", *row)
 
     def settle(self, output: str) -> None:
-        """Make the announced files of an output its result; forget those before."""
+        """Make the announced files of an output its result, in place of those before."""
         self._run("DELETE FROM files WHERE output = ? AND is_new = 0", output)
         self._run("UPDATE files SET is_new = 0 WHERE output = ?", output)
 

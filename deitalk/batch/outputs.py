@@ -45,7 +45,7 @@ class AnyOutputs(Protocol):
         ...
 
     def begin(self) -> None:
-        """Finish or forget what a killed process left."""
+        """Finish what a killed process placed, or leave it to be made again."""
         ...
 
     def state(self, output: str) -> str:
@@ -98,7 +98,7 @@ class Outputs:
         self._made: set[Path] = set()
 
     def begin(self) -> None:
-        """Finish or forget what a killed process left."""
+        """Finish what a killed process placed, or leave it to be made again."""
         shutil.rmtree(self.stage, ignore_errors=True)
         os.makedirs(self.stage)
         for entry in self.journal.entries(PLACING):
@@ -200,6 +200,7 @@ class Outputs:
     def _move(self, stage: Path, outcome: Outcome) -> None:
         for target in outcome.targets:
             source, path = stage / target.name, self.folder / target.path
+            self.check_free([target.path])
             if path.parent not in self._made:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._made.add(path.parent)

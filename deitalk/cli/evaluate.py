@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.arguments import MAX_COUNT
-from deitalk.cli.console import bar, console, emit
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Json, Most
-from deitalk.cli.paths import reserve_file, reserve_picture
+from deitalk.cli.reports import reserve_report, write_report
 from deitalk.errors import DataError
 
 if TYPE_CHECKING:
@@ -75,12 +75,7 @@ def evaluate(
 
     deitalk evaluate default --acted crema/clips.csv --split test
     """
-    if out is not None:
-        if out.suffix not in (".md", ".json"):
-            raise DataError(f"{out}: a report is .md or .json")
-        reserve_file(out, force=force)
-    if picture is not None:
-        reserve_picture(picture, force=force)
+    reserve_report(out, picture, force=force)
     from deitalk.models.folder import product_of
 
     if product_of(model) == "mesh":
@@ -100,7 +95,7 @@ def evaluate(
         report, markdown = _score_curves(
             model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
         )
-    _write(report, markdown, out, as_json=as_json)
+    write_report(report, markdown, out, as_json=as_json)
     if picture is not None:
         from deitalk.figures.evaluation import draw
 
@@ -164,14 +159,3 @@ def _refuse(reason: str, **options: object) -> None:
     for name, value in options.items():
         if value is not None:
             raise DataError(f"--{name}: {reason}; leave it out")
-
-
-def _write(report: dict[str, Any], markdown: str, out: Path | None, *, as_json: bool) -> None:
-    from deitalk.evaluation.report import as_json as to_json
-    from rig.files import atomic_write
-
-    emit(to_json(report) if as_json else markdown)
-    if out is not None:
-        with atomic_write(out) as beside:
-            written = to_json(report) if out.suffix == ".json" else markdown
-            beside.write_text(written, encoding="utf-8")

@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
-from deitalk.cli.console import bar, console, emit
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity, Json
-from deitalk.cli.paths import identity_of, reserve_file, reserve_folder, reserve_picture
+from deitalk.cli.paths import identity_of, reserve_folder
+from deitalk.cli.reports import reserve_report, write_report
 from deitalk.errors import DataError
 
 app = CheckedCommands(
@@ -99,24 +100,13 @@ def report(
 
     deitalk study report answers/ --key study/key.json -o report.md --picture report.png
     """
-    if out is not None:
-        if out.suffix not in (".md", ".json"):
-            raise DataError(f"{out}: a report is .md or .json")
-        reserve_file(out, force=force)
-    if picture is not None:
-        reserve_picture(picture, force=force)
-    from deitalk.evaluation.report import as_json as to_json
+    reserve_report(out, picture, force=force)
     from deitalk.preview.study.answers import read_answers, read_key
     from deitalk.preview.study.report import as_markdown, report_study
-    from rig.files import atomic_write
 
     known = read_key(key)
     found = report_study(known, read_answers(answers, known, failed_checks=failed_checks))
-    emit(to_json(found) if as_json else as_markdown(found))
-    if out is not None:
-        with atomic_write(out) as beside:
-            written = to_json(found) if out.suffix == ".json" else as_markdown(found)
-            beside.write_text(written, encoding="utf-8")
+    write_report(found, as_markdown(found), out, as_json=as_json)
     if picture is not None:
         from deitalk.figures.study import draw
 

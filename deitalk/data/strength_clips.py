@@ -1,4 +1,4 @@
-"""Recordings with known strength: readers at a fixed gain, and actors asked for three strengths.
+"""Recordings with known strength: readers at a fixed gain, and actors at three strengths.
 
 Two tables, whose paths are relative to their folder:
 

@@ -61,7 +61,7 @@ class Sound:
         rows = np.lib.stride_tricks.sliding_window_view(piece, size)
         return np.asarray(rows[starts - first])
 
-    def forget(self, before: int) -> None:
+    def drop(self, before: int) -> None:
         """Drop samples before a place."""
         if before - self.begin > SAMPLE_RATE:
             self.samples = self.samples[before - self.begin :].copy()
@@ -176,7 +176,7 @@ class Stream:
             scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
         new = RawRows(neutral, emotional, network, voice, scale, emotion, applied)
         self.rows = self.rows.joined(new)
-        self._forget()
+        self._drop()
 
     def due(self) -> DueRows | None:
         """What the frames that are known now depend on; None if there are none."""
@@ -209,11 +209,11 @@ class Stream:
         measured, self.prosody = np.split(self.prosody, [count], axis=1)
         return Measures.of(measured), now & (before | after)
 
-    def _forget(self) -> None:
+    def _drop(self) -> None:
         """Drop sound and changes that no frame needs any more."""
         spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.frontend.mel.length
         activity = self.n_measured * SAMPLE_RATE // FRAME_RATE - WINDOW
-        self.sound.forget(min(spectrum, activity))
+        self.sound.drop(min(spectrum, activity))
         seconds = (self.groups - self.frontend.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)

@@ -89,8 +89,9 @@ def read_answers(folder: Path, key: Mapping[str, Any], *, failed_checks: int = 0
     seen: set[str] = set()
     raters = 0
     for path in paths:
-        rows = _rows(path, key)
-        reason = _reason(rows, key, failed_checks) or _repeated(path, seen)
+        tree = _read(path, key)
+        rows = tree["answers"]
+        reason = _reason(rows, key, failed_checks) or _repeated(tree, seen)
         if reason:
             excluded[path.name] = reason
             continue
@@ -99,7 +100,8 @@ def read_answers(folder: Path, key: Mapping[str, Any], *, failed_checks: int = 0
     return Answers(tuple(choices), raters, excluded)
 
 
-def _rows(path: Path, key: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _read(path: Path, key: Mapping[str, Any]) -> dict[str, Any]:
+    """A file of answers whose rows are as the page writes them."""
     tree = read_json(path, ANSWER_BYTES, error=DataError)
     if not isinstance(tree, dict) or tree.get("schema") != SCHEMA:
         raise DataError(f"{path} holds no answers of a study page; take it out of the folder")
@@ -108,7 +110,7 @@ def _rows(path: Path, key: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = tree.get("answers")
     if not isinstance(rows, list) or not all(_is_row(row, key["clips"]) for row in rows):
         raise DataError(f"{path}: answers are not as the page writes them")
-    return rows
+    return tree
 
 
 def _is_row(row: Any, clips: Mapping[str, Any]) -> bool:
@@ -142,9 +144,8 @@ def _reason(
     return None
 
 
-def _repeated(path: Path, seen: set[str]) -> str | None:
+def _repeated(tree: Mapping[str, Any], seen: set[str]) -> str | None:
     """Whether a rater or a code was counted before; both are noted as seen."""
-    tree = read_json(path, ANSWER_BYTES, error=DataError)
     marks = {f"id {tree.get('id')}"} | ({f"code {tree['code']}"} if tree.get("code") else set())
     if marks & seen:
         return "second file of one rater"

@@ -17,6 +17,7 @@ from deitalk.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.errors import TargetError
 from rig.files import changed_files
+from tests.deitalk.batch.conftest import InProcess
 from tests.interrupt import count_writes, kill_at_write
 
 
@@ -190,6 +191,24 @@ def test_file_of_the_user_is_never_replaced(run):
     assert (run.out / "c.csv").read_text() == "mine"
     assert (run.out / "anna/b/take.json").read_text() == "mine"
     assert (run.out / "c.npz").is_file() and not (run.out / "anna" / "a.npz").exists()
+
+
+@pytest.mark.parametrize("formats", ["csv", "take"])
+def test_file_put_at_an_output_meanwhile_stays(run, orders, monkeypatch, tmp_path, formats):
+    """Between the check before the first line and the end of its own."""
+    out = tmp_path / "meanwhile"
+    mine = out / ("c.csv" if formats == "csv" else "c/take.json")
+    perform = InProcess.run
+
+    def put_first(self, orders):
+        mine.parent.mkdir(parents=True, exist_ok=True)
+        mine.write_text("mine")
+        yield from perform(self, orders)
+
+    monkeypatch.setattr(InProcess, "run", put_first)
+    report = run(out=out, formats=formats)
+    assert status(report) == {"anna/a": "done", "anna/b": "done", "c": "failed"}
+    assert mine.read_text() == "mine"
 
 
 def test_bad_lines_are_reported_and_the_others_done(run, lines):
