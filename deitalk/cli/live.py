@@ -1,5 +1,6 @@
 """`deitalk live`: the face of a voice that has not ended, over UDP."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,6 +56,7 @@ def live(
     if mic == (speech is not None):
         raise DeitalkError("give either a recording or --mic")
     port = checked_port(host, port, protocol, subject, None)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     import numpy as np
 
     from deitalk.live.animator import LiveAnimator, require_causal

@@ -10,6 +10,7 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.prosody import measure_windows
+from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import window_levels
 from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack
@@ -205,17 +206,13 @@ class LiveAnimator:
         frontend = causal_frontend(network)
         return Stream(frontend, network.controls, self.settings, self._first, idle)
 
-    def _resampler(self) -> Any:
-        if self.sample_rate == SAMPLE_RATE:
-            return None
-        import soxr
-
-        return soxr.ResampleStream(self.sample_rate, SAMPLE_RATE, 1, dtype="float32")
+    def _resampler(self) -> RunningResampler | None:
+        return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
 
     def _append(self, number: int, samples: Float32, *, last: bool) -> None:
         resampler = self.resamplers[number]
         if resampler is not None:
-            samples = resampler.resample_chunk(samples, last=last)
+            samples = resampler.feed(samples, last=last)
         self.streams[number].sound.append(samples)
 
     def _single(self, frames: list[Float32]) -> Any:

@@ -30,7 +30,7 @@ class Source(Protocol):
         """Whether all of it was read."""
 
     def read(self, seconds: float) -> Float32 | None:
-        """Samples of the next block; None if none came in time."""
+        """Samples of the next block, or of several that are late; None if none came in time."""
 
 
 class PacedSound:
@@ -62,7 +62,10 @@ class PacedSound:
         return self.at >= len(self.waveform)
 
     def read(self, seconds: float) -> Float32 | None:
-        """The next block, once its last sample would have been spoken since the first call."""
+        """The next block, once its last sample would have been spoken since the first call.
+
+        After a stall the blocks that were missed come with it.
+        """
         if self.start is None:
             self.start = self.now()
         due = self.start + min(self.at + BLOCK, len(self.waveform)) / SAMPLE_RATE
@@ -72,7 +75,8 @@ class PacedSound:
             return None
         if wait > 0:
             self.wait(wait)
-        block = self.waveform[self.at : self.at + BLOCK]
+        missed = max(int(-wait * SAMPLE_RATE) // BLOCK, 0)
+        block = self.waveform[self.at : self.at + (1 + missed) * BLOCK]
         self.at += len(block)
         return block
 
@@ -119,7 +123,7 @@ class Microphone:
             ) from None
 
     def read(self, seconds: float) -> Float32 | None:
-        """The next block since the first call; None if none came in time.
+        """What has come since the call before, at least a block; None if none came in time.
 
         Raises
         ------
@@ -130,7 +134,7 @@ class Microphone:
             self.stream.start()
             self.is_open, self.heard = True, monotonic()
         try:
-            block = self.blocks.get(timeout=max(seconds, 0.001))
+            blocks = [self.blocks.get(timeout=max(seconds, 0.001))]
         except queue.Empty:
             if monotonic() - self.heard > SILENT_SECONDS:
                 raise AudioError(
@@ -139,7 +143,9 @@ class Microphone:
                 ) from None
             return None
         self.heard = monotonic()
-        return block
+        while not self.blocks.empty():  # after a stall: one call for all is cheaper
+            blocks.append(self.blocks.get())
+        return np.concatenate(blocks)
 
     def close(self) -> None:
         """Let the device go."""

@@ -40,6 +40,21 @@ def test_recording_comes_at_its_own_pace(voice):
     assert np.array_equal(np.concatenate(blocks), voice) and len(blocks[0]) == BLOCK
 
 
+def test_missed_blocks_come_at_once_after_a_stall(voice, monkeypatch):
+    time = Time()
+    source = PacedSound(voice, time.now, time.sleep)
+    source.read(1.0)
+    time.sleep(0.1)
+    late = source.read(1.0)
+    assert np.array_equal(late, voice[BLOCK : 11 * BLOCK])
+    device = Device()
+    monkeypatch.setitem(sys.modules, "sounddevice", device)
+    microphone = Microphone()
+    for value in range(3):
+        device.made["callback"](np.full((441, 1), value), 441, None, None)
+    assert np.array_equal(microphone.read(0.1), np.repeat(np.arange(3, dtype=np.float32), 441))
+
+
 def test_recording_becomes_datagrams_behind_its_look_ahead(tiny, voice):
     time, times, frames = Time(), [], []
     source = PacedSound(voice, time.now, time.sleep)

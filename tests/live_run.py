@@ -1,0 +1,172 @@
+"""`deitalk live --mic` as a whole, for hours: ``python -m tests.live_run --minutes 120``.
+
+The command runs in a process of its own with a stand-in for the microphone, whose clock differs
+from the computer's, and sends to a socket here. A line of every period has the time from a frame's
+sound to its datagram, and the memory and processor time of the command; the last line has the
+drift. Frame k is k / 30 s after the microphone's first sample.
+"""
+
+import argparse
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
+RATE, BLOCK_SECONDS, FPS = 48_000, 0.01, 30
+LOOK_AHEAD_MS = 199.0
+
+
+class StandIn:
+    """The part of sounddevice that the command needs; one input that repeats a sample."""
+
+    PortAudioError = OSError
+
+    def __init__(self, slower: float) -> None:
+        import soxr
+
+        from deitalk import load_audio
+
+        self.period = BLOCK_SECONDS * (1 + slower)
+        self.sound = soxr.resample(load_audio(SAMPLE).waveform, 16_000, RATE)
+
+    def query_devices(self, device: Any, kind: str) -> dict[str, float]:
+        """The input's rate."""
+        return {"default_samplerate": float(RATE)}
+
+    def InputStream(self, *, callback: Callable[..., None], blocksize: int, **options: Any) -> Any:
+        """A stream whose blocks come in a thread, each when its last sample is due."""
+        self.callback, self.size = callback, blocksize
+        return self
+
+    def start(self) -> None:
+        """Begin, and print when."""
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def close(self, *, ignore_errors: bool) -> None:
+        """Nothing is to be let go."""
+
+    def _run(self) -> None:
+        start, count = time.monotonic(), 0
+        sys.stdout.write(f"{start}\n")
+        sys.stdout.flush()
+        while True:
+            at = np.arange(count * self.size, (count + 1) * self.size) % len(self.sound)
+            count += 1
+            time.sleep(max(start + count * self.period - time.monotonic(), 0))
+            self.callback(self.sound[at][:, None], self.size, None, None)
+
+
+class Run:
+    """The command, its datagrams, and what it uses.
+
+    Parameters
+    ----------
+    slower : float
+        How much longer a second of the microphone is than one of this computer, a share.
+    """
+
+    def __init__(self, slower: float) -> None:
+        self.slower, self.first, self.delays = slower, None, []
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(30)
+        port = str(self.socket.getsockname()[1])
+        command = [sys.executable, "-m", "tests.live_run", "--command", str(slower), port]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.start = float(self.process.stdout.readline())
+
+    def receive(self, seconds: float) -> np.ndarray:
+        """Delays of the frames that come in the next seconds, ms, one row of (number, delay)."""
+        from rig.livelink import decode
+
+        rows, end = [], time.monotonic() + seconds
+        while (now := time.monotonic()) < end:
+            frame = decode(self.socket.recv(2048)).frame
+            now = time.monotonic()
+            self.first = frame if self.first is None else self.first
+            number = frame - self.first
+            spoken = self.start + number / FPS * (1 + self.slower)
+            rows.append((number, 1e3 * (now - spoken)))
+        return np.array(rows)
+
+    def memory(self) -> float:
+        """Resident memory, MB."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        found = re.search(r"VmRSS:\s+(\d+)", status)
+        return int(found[1]) / 1024 if found else 0.0
+
+    def processor_seconds(self) -> float:
+        """Processor time so far."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def close(self) -> None:
+        """End the command."""
+        self.process.terminate()
+        self.process.wait()
+        self.socket.close()
+
+
+def measure(minutes: float, period: float, slower: float) -> None:
+    """Run, and print a line every `period` minutes."""
+    write = sys.stdout.write
+    run, levels, medians, spent = Run(slower), [], [], 0.0
+    try:
+        for k in range(max(round(minutes / period), 1)):
+            rows, used = run.receive(60 * period), run.processor_seconds()
+            delays, expected = rows[:, 1], rows[-1, 0] - rows[0, 0] + 1
+            levels.append(run.memory())
+            medians.append(np.median(delays))
+            write(
+                f"{(k + 1) * period:5.1f} min: sound to datagram median {medians[-1]:.1f}, p99 "
+                f"{np.percentile(delays, 99):.1f}, most {delays.max():.1f} ms; "
+                f"{expected - len(rows):.0f} of {expected:.0f} frames skipped; "
+                f"{levels[-1]:.0f} MB; {(used - spent) / (60 * period):.3f} of a core\n"
+            )
+            sys.stdout.flush()
+            spent = used
+    finally:
+        run.close()
+    seconds = 60 * period * max(len(medians) - 1, 1)
+    drift = (medians[-1] - medians[0]) / 1e3 * FPS / seconds * 1800
+    write(
+        f"beyond the look-ahead: {np.median(medians) - LOOK_AHEAD_MS:.1f} ms; drift {drift:+.3f} "
+        f"frames in 30 minutes; memory {levels[-1] - levels[0]:+.1f} MB\n"
+    )
+
+
+def command(slower: float, port: str) -> None:
+    """`deitalk live` with the stand-in."""
+    sys.modules["sounddevice"] = StandIn(slower)  # type: ignore[assignment]
+    sys.argv = ["deitalk", "live", "--mic", "--port", port, "--emotion", "happy"]
+    from deitalk.cli import main
+
+    main()
+
+
+def main() -> None:
+    """Measure, or be the measured command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=120)
+    parser.add_argument("--period", type=float, default=5, help="minutes")
+    parser.add_argument("--ppm", type=float, default=100, help="difference of the clocks")
+    parser.add_argument("--command", nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.command:
+        command(float(given.command[0]), given.command[1])
+    else:
+        measure(given.minutes, given.period, 1e-6 * given.ppm)
+
+
+if __name__ == "__main__":
+    main()
