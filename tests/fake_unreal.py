@@ -12,6 +12,7 @@ Sequencer has the sequence open; an object of a channel is called as the channel
 own behind.
 """
 
+import wave
 from bisect import bisect_right
 from fractions import Fraction
 from types import ModuleType
@@ -121,9 +122,18 @@ class Controller:
 
 
 class AnimSequence:
+    path = ""
+
     def __init__(self):
         self.controller = Controller()
         self.curves = {}
+
+    def get_play_length(self):
+        rate = self.controller.rate
+        return self.controller.n_frames * rate.denominator / rate.numerator
+
+    def get_path_name(self):
+        return self.path
 
 
 class AnimationLibrary:
@@ -180,6 +190,7 @@ class LiveLinkFaceImporterFactory:
 class AssetImportTask:
     def __init__(self):
         self.filename = self.destination_path = self.factory = None
+        self.destination_name = ""
         self.automated = self.save = False
         self.imported_object_paths = []
 
@@ -189,13 +200,28 @@ class AssetTools:
         self.module = module
 
     def create_asset(self, asset_name, package_path, asset_class, factory):
-        assert asset_class is AnimSequence and factory.properties["target_skeleton"] is not None
         assert package_path.startswith("/Game/")
-        self.module.assets[f"{package_path}/{asset_name}"] = asset = AnimSequence()
+        path = f"{package_path}/{asset_name}"
+        assert path not in self.module.assets, "the editor asks whether to replace it"
+        if issubclass(asset_class, LevelSequence):
+            assert type(factory).__name__ == "LevelSequenceFactoryNew"
+            asset = asset_class([], name=asset_name)
+        else:
+            assert asset_class is AnimSequence
+            assert factory.properties["target_skeleton"] is not None
+            asset = AnimSequence()
+            asset.path = f"{path}.{asset_name}"
+        self.module.assets[path] = asset
         return asset
 
     def import_asset_tasks(self, import_tasks):
         for task in import_tasks:
+            if task.factory is None and task.filename.endswith(".wav"):
+                path = f"{task.destination_path}/{task.destination_name}"
+                self.module.assets[path] = sound = SoundWave(task.destination_name, task.filename)
+                with wave.open(task.filename) as stream:
+                    sound.duration = stream.getnframes() / stream.getframerate()
+                continue
             assert type(task.factory) is LiveLinkFaceImporterFactory and task.automated
             try:
                 imported = import_csv(task.filename)
@@ -338,41 +364,93 @@ class AssetImportData:
 
 
 class SoundWave:
-    def __init__(self, name, path=None):
-        self.name, self.path = name, path
+    def __init__(self, name, path=None, duration=1.0):
+        self.name, self.path, self.duration = name, path, duration
 
     def get_name(self):
         return self.name
 
     def get_editor_property(self, name):
+        if name == "duration":
+            return self.duration
         assert name == "asset_import_data"
         return None if self.path is None else AssetImportData(self.path)
 
 
-class MovieSceneAudioSection:
-    def __init__(self, sound, start):
+class Section:
+    """A section with a range in frames of the display rate, its end exclusive."""
+
+    start = stop = None
+
+    def set_range(self, start_frame, end_frame):
+        check(start_frame, int, "start_frame")
+        check(end_frame, int, "end_frame")
+        assert start_frame < end_frame
+        self.start, self.stop = start_frame, end_frame
+
+    def get_start_frame(self):
+        return self.start
+
+    def get_end_frame(self):
+        return self.stop
+
+
+class MovieSceneAudioSection(Section):
+    def __init__(self, sound=None, start=None):
         self.sound, self.start = sound, start
 
     def get_editor_property(self, name):
         assert name == "sound"
         return self.sound
 
-    def get_start_frame(self):
-        return self.start
+    def set_sound(self, sound):
+        check(sound, SoundWave, "sound")
+        self.sound = sound
 
 
-class MovieSceneAudioTrack:
-    def __init__(self, sections):
-        self.sections = sections
+class Track:
+    kind = Section
+
+    def __init__(self, sections=()):
+        self.sections = list(sections)
 
     def get_sections(self):
-        return self.sections
+        return list(self.sections)
+
+    def add_section(self):
+        self.sections.append(self.kind())
+        return self.sections[-1]
+
+    def remove_section(self, section):
+        self.sections.remove(section)
+
+
+class MovieSceneAudioTrack(Track):
+    kind = MovieSceneAudioSection
 
 
 class LevelSequence:
     def __init__(self, rigs, rate=(30, 1), *, name="LS_take", audio=(), playback=(0, 0)):
         self.rigs, self.rate, self.name = rigs, FrameRate(*rate), name
         self.audio, self.playback = list(audio), playback
+        self.bindings = []
+
+    def add_track(self, track_type):
+        assert track_type is MovieSceneAudioTrack
+        self.audio.append(MovieSceneAudioTrack())
+        return self.audio[-1]
+
+    def set_display_rate(self, display_rate):
+        check(display_rate, FrameRate, "display_rate")
+        self.rate = display_rate
+
+    def set_playback_start(self, start_frame):
+        check(start_frame, int, "start_frame")
+        self.playback = (start_frame, self.playback[1])
+
+    def set_playback_end(self, end_frame):
+        check(end_frame, int, "end_frame")
+        self.playback = (self.playback[0], end_frame)
 
     def get_display_rate(self):
         return self.rate
@@ -484,7 +562,7 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
 
         @classmethod
         def get_control_rigs(cls, level_sequence):
-            check(level_sequence, LevelSequence, "level_sequence")
+            assert isinstance(level_sequence, LevelSequence)
             return [Proxy(rig) for rig in level_sequence.rigs]
 
     class EditorAssetLibrary(AssetListing):
@@ -513,7 +591,7 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
 
         @classmethod
         def open_level_sequence(cls, level_sequence):
-            check(level_sequence, LevelSequence, "level_sequence")
+            assert isinstance(level_sequence, LevelSequence)
             module.opened = level_sequence
             return True
 
@@ -546,6 +624,7 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
         LiveLinkFaceImporterFactory,
         MovieSceneAudioTrack,
         MovieSceneKeyInterpolation,
+        SoundWave,
         RawCurveTrackTypes,
         RigControlType,
         RigElementKey,

@@ -36,6 +36,7 @@ from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, unin
 from deitalk.cli.study import app as study_app
 from deitalk.cli.suggest import suggest
 from deitalk.cli.train import train
+from deitalk.cli.unreal import unreal
 from deitalk.cli.validate import validate
 from rig.errors import UserError, one_line
 
@@ -57,6 +58,7 @@ app.command()(preview)
 app.command()(convert)
 app.command()(validate)
 app.command()(retarget)
+app.command()(unreal)
 app.command()(mesh)
 app.command()(train)
 app.command()(finetune)

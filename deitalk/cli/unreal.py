@@ -1,0 +1,91 @@
+"""`deitalk unreal`: the menu *deitalk* in an Unreal project."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+import typer
+
+from deitalk.cli.console import console
+from deitalk.cli.options import Force
+from deitalk.cli.paths import reserve_folder
+from deitalk.errors import DeitalkError, MissingError
+
+KIND = "unreal-plugin"
+PLUGINS = ("PythonScriptPlugin", "EditorScriptingUtilities", "SequencerScripting", "ControlRig")
+"""Plugins of the engine that the scripts need; Unreal enables them with ours."""
+
+
+def unreal(
+    project: Annotated[
+        Path, typer.Argument(help="Folder of an Unreal project, or its .uproject file.")
+    ],
+    service: Annotated[
+        str, typer.Option(help="Address of `deitalk serve`; else this deitalk is started.")
+    ] = "",
+    key: Annotated[str, typer.Option(help="API key of that service.")] = "",
+    force: Force = False,
+) -> None:
+    """Add a menu to an Unreal project: Animate audio…, with the result placed in Sequencer.
+
+    Writes the plugin Plugins/deitalk; the editor shows the menu after its next start.
+
+    Examples
+    --------
+    deitalk unreal C:/Projects/MyGame
+
+    deitalk unreal MyGame.uproject --service http://192.168.0.20:8000 --force
+    """
+    from rig.files import output_folder
+
+    folder = _project_folder(project) / "Plugins" / "deitalk"
+    if service and urlsplit(service).scheme not in ("http", "https"):
+        raise DeitalkError(f"--service {service!r} must begin with http:// or https://")
+    reserve_folder(folder, kind=KIND, force=force)
+    settings = {"command": [sys.executable, "-m", "deitalk"], "service": service, "key": key}
+    with output_folder(folder, kind=KIND, force=force) as stage:
+        _write_json(stage / "deitalk.uplugin", _description())
+        scripts = stage / "Content" / "Python"
+        scripts.mkdir(parents=True)
+        for source in _scripts():
+            (scripts / source.name).write_bytes(source.read_bytes())
+        _write_json(scripts / "deitalk_settings.json", settings)
+    console().print(f"{folder}: start the editor again, then: menu deitalk > Animate audio…")
+
+
+def _project_folder(project: Path) -> Path:
+    folder = project.parent if project.suffix.lower() == ".uproject" else project
+    if not folder.is_dir():
+        raise MissingError(f"{project} does not exist")
+    if not list(folder.glob("*.uproject")):
+        raise DeitalkError(f"{folder} has no .uproject file; name the folder of an Unreal project")
+    return folder
+
+
+def _scripts() -> list[Path]:
+    import rig.unreal
+
+    folder = Path(rig.unreal.__file__).parent
+    return sorted(path for path in folder.glob("*.py") if path.name != "__init__.py")
+
+
+def _description() -> dict[str, Any]:
+    from deitalk import __version__
+
+    return {
+        "FileVersion": 3,
+        "Version": 1,
+        "VersionName": __version__,
+        "FriendlyName": "deitalk",
+        "Description": "Facial animation from speech and an emotion",
+        "Category": "Animation",
+        "CanContainContent": True,
+        "EnabledByDefault": True,
+        "Plugins": [{"Name": name, "Enabled": True} for name in PLUGINS],
+    }
+
+
+def _write_json(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

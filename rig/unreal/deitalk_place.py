@@ -1,0 +1,275 @@
+"""Place an animation and its sound on a MetaHuman in a Level Sequence, run inside the editor.
+
+Used by ``deitalk_menu.py``; alone in the editor's Python console::
+
+    import deitalk_place as p
+    p.place(p.unreal.load_asset("/Game/deitalk/speech"), p.import_sound(r"C:/take/speech.wav"))
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import deitalk_unreal as importer  # type: ignore[import-not-found]
+
+unreal = importer.unreal
+DeitalkError = importer.DeitalkError
+FACE = "Face"
+"""Name of the component of a MetaHuman's face; 5.6's assembled characters have it too."""
+
+
+def faces() -> dict[str, Any]:
+    """Return the face components of the level by the label of their actor, the selected first.
+
+    With MetaHumans selected, only they are returned.
+    """
+    importer.need_unreal()
+    actors = unreal.get_editor_subsystem(unreal.EditorActorSubsystem)
+    for chosen in (actors.get_selected_level_actors(), actors.get_all_level_actors()):
+        found = {str(actor.get_actor_label()): face_of(actor) for actor in chosen}
+        found = {label: face for label, face in found.items() if face is not None}
+        if found:
+            return found
+    return {}
+
+
+def face_of(actor: Any) -> Any:
+    """Return the face component of an actor, or None."""
+    for component in actor.get_components_by_class(unreal.SkeletalMeshComponent):
+        if str(component.get_name()) == FACE:
+            return component
+    return None
+
+
+def find_face(actor: str = "") -> Any:
+    """Return the face of the actor with a label; by default of the selected or the only MetaHuman.
+
+    Raises
+    ------
+    DeitalkError
+        If there is none, or more than one to choose from.
+    """
+    found = faces()
+    if actor:
+        everything = unreal.get_editor_subsystem(unreal.EditorActorSubsystem).get_all_level_actors()
+        named = [a for a in everything if str(a.get_actor_label()) == actor]
+        found = {actor: face_of(named[0])} if named and face_of(named[0]) else {}
+    if not found:
+        raise DeitalkError(
+            f"no actor {actor + ' ' if actor else ''}with a component {FACE}: drag a MetaHuman "
+            "into the level and select it"
+        )
+    if len(found) > 1:
+        raise DeitalkError(f"select one MetaHuman: {', '.join(sorted(found))}")
+    return next(iter(found.values()))
+
+
+def skeleton_of(face: Any) -> str:
+    """Return the asset path of the skeleton of a face component; empty if it has no mesh."""
+    get_mesh = getattr(face, "get_skeletal_mesh_asset", None)  # 5.1 and later
+    mesh = get_mesh() if get_mesh else face.get_editor_property("skeletal_mesh")
+    skeleton = mesh.get_editor_property("skeleton") if mesh is not None else None
+    return str(skeleton.get_path_name()).split(".")[0] if skeleton is not None else ""
+
+
+def import_sound(path: str, folder: str = importer.FOLDER) -> Any:
+    """Import a sound file as a SoundWave; one that is there already under its name is taken.
+
+    Raises
+    ------
+    DeitalkError
+        If Unreal does not import the file.
+    """
+    importer.need_unreal()
+    name = f"{importer.asset_name(path)}_sound"
+    there = unreal.load_asset(f"{folder}/{name}")
+    if isinstance(there, unreal.SoundWave):
+        return there
+    task = unreal.AssetImportTask()
+    task.filename = path
+    task.destination_path = folder
+    task.destination_name = name
+    task.automated = True
+    task.save = True
+    unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
+    sound = unreal.load_asset(f"{folder}/{name}")
+    if not isinstance(sound, unreal.SoundWave):
+        raise DeitalkError(f"Unreal does not import {path}; it takes wav, ogg, flac and aiff")
+    return sound
+
+
+def export_sound(sound: Any, folder: str) -> str:
+    """Return the file of a SoundWave: the one it was imported from, or a WAV written to a folder.
+
+    Raises
+    ------
+    DeitalkError
+        If there is no such file and Unreal does not write one.
+    """
+    source = sound.get_editor_property("asset_import_data")
+    path = str(source.get_first_filename()) if source is not None else ""
+    if path and os.path.isfile(path):
+        return path
+    os.makedirs(folder, exist_ok=True)
+    path = os.path.join(folder, f"{sound.get_name()}.wav")
+    task = unreal.AssetExportTask()
+    task.object = sound
+    task.exporter = unreal.SoundExporterWAV()
+    task.filename = path
+    task.automated = True
+    task.prompt = False
+    task.replace_identical = True
+    if not unreal.Exporter.run_asset_export_task(task) or not os.path.isfile(path):
+        raise DeitalkError(f"Unreal does not write {sound.get_name()} as WAV; choose its file")
+    return path
+
+
+def open_sequence(name: str, rate: Any, folder: str = importer.FOLDER) -> Any:
+    """Return the Level Sequence open in Sequencer, or a new one of a rate, opened."""
+    library = unreal.LevelSequenceEditorBlueprintLibrary
+    current = library.get_current_level_sequence()
+    if current is not None:
+        return current
+    tools = unreal.AssetToolsHelpers.get_asset_tools()
+    factory = unreal.LevelSequenceFactoryNew()
+    name = free_name(f"LS_{name}", folder)
+    sequence = tools.create_asset(name, folder, unreal.LevelSequence, factory)
+    if sequence is None:
+        raise DeitalkError(f"Unreal did not create {folder}/{name}; is the folder writable?")
+    sequence.set_display_rate(rate)
+    sequence.set_playback_start(0)
+    sequence.set_playback_end(1)
+    library.open_level_sequence(sequence)
+    return sequence
+
+
+def free_name(name: str, folder: str) -> str:
+    """Return a name that no asset of a folder has: ``speech``, then ``speech_2``."""
+    number, free = 1, name
+    while unreal.EditorAssetLibrary.does_asset_exist(f"{folder}/{free}"):
+        number += 1
+        free = f"{name}_{number}"
+    return free
+
+
+def place(
+    animation: Any,
+    sound: Any,
+    face: Any = None,
+    sequence: Any = None,
+    start_frame: int | None = None,
+    folder: str = importer.FOLDER,
+) -> tuple[int, int]:
+    """Put an AnimSequence on the Face track of a MetaHuman, and its sound beside it.
+
+    Parameters
+    ----------
+    animation : unreal.AnimSequence or None
+        None places the sound only.
+    sound : unreal.SoundWave or None
+        None places the animation only.
+    face : unreal.SkeletalMeshComponent, optional
+        By default that of the selected or the only MetaHuman.
+    sequence : unreal.LevelSequence, optional
+        By default the one open in Sequencer, or a new one.
+    start_frame : int, optional
+        In the display rate; by default the start of playback.
+    folder : str
+        Animations of this folder that lie where the new one goes are taken off the track.
+
+    Returns
+    -------
+    (int, int)
+        First frame, and the one after the last.
+
+    Raises
+    ------
+    DeitalkError
+        If another animation lies there: two on one track are blended, at half strength.
+    """
+    importer.need_unreal()
+    sequence = sequence or open_sequence("deitalk", unreal.FrameRate(30, 1), folder)
+    start = int(sequence.get_playback_start()) if start_frame is None else start_frame
+    display = sequence.get_display_rate()
+    seconds = animation.get_play_length() if animation is not None else _duration(sound)
+    stop = start + max(1, round(seconds * display.numerator / display.denominator))
+    with unreal.ScopedEditorTransaction("deitalk: animation and sound"):
+        if animation is not None:
+            _add_animation(sequence, face or find_face(), animation, (start, stop), folder)
+        if sound is not None:
+            _add_sound(sequence, sound, start)
+        if sequence.get_playback_end() < stop:
+            sequence.set_playback_end(stop)
+    unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
+    return start, stop
+
+
+def _add_animation(
+    sequence: Any, face: Any, animation: Any, span: tuple[int, int], folder: str
+) -> None:
+    binding = bind(sequence, face)
+    tracks = binding.find_tracks_by_type(unreal.MovieSceneSkeletalAnimationTrack)
+    track = tracks[0] if tracks else binding.add_track(unreal.MovieSceneSkeletalAnimationTrack)
+    for section in track.get_sections():
+        first, end = int(section.get_start_frame()), int(section.get_end_frame())
+        if first >= span[1] or end <= span[0]:
+            continue
+        there = section.get_editor_property("params").get_editor_property("animation")
+        path = str(there.get_path_name()) if there is not None else ""
+        if not path.startswith(f"{folder}/"):
+            raise DeitalkError(
+                f"the Face track has {path or 'a section'} from frame {first} to {end}: move it, "
+                f"or start elsewhere; the new animation is {animation.get_path_name()}"
+            )
+        track.remove_section(section)
+    section = track.add_section()
+    parameters = unreal.MovieSceneSkeletalAnimationParams()
+    parameters.set_editor_property("animation", animation)
+    section.set_editor_property("params", parameters)
+    section.set_range(*span)
+
+
+def bind(sequence: Any, face: Any) -> Any:
+    """Return the binding of a face component in a sequence, made if it has none."""
+    actor = face.get_owner()
+    label = str(actor.get_actor_label())
+    for binding in sequence.get_bindings():
+        for child in binding.get_child_possessables():
+            if str(child.get_display_name()) == FACE and _is_of(sequence, binding, actor, label):
+                return child
+    parents = [b for b in sequence.get_bindings() if _is_of(sequence, b, actor, label)]
+    parent = parents[0] if parents else sequence.add_possessable(actor)
+    child = sequence.add_possessable(face)
+    if hasattr(child, "set_parent"):
+        child.set_parent(parent)
+    return child
+
+
+def _is_of(sequence: Any, binding: Any, actor: Any, label: str) -> bool:
+    """Return whether a binding is that of an actor: by the bound objects, else by its name."""
+    locate = getattr(sequence, "locate_bound_objects", None)
+    world = actor.get_world()
+    if locate is not None:
+        return any(found == actor for found in locate(binding, world))
+    return str(binding.get_display_name()) == label
+
+
+def _add_sound(sequence: Any, sound: Any, start: int) -> None:
+    """Add a sound to a track of its own, unless it is there from that frame already."""
+    find = getattr(sequence, "find_tracks_by_type", None) or sequence.find_master_tracks_by_type
+    for track in find(unreal.MovieSceneAudioTrack):
+        for section in track.get_sections():
+            is_same = section.get_editor_property("sound") == sound
+            if is_same and int(section.get_start_frame()) == start:
+                return
+    add = getattr(sequence, "add_track", None) or sequence.add_master_track  # before 5.2
+    section = add(unreal.MovieSceneAudioTrack).add_section()
+    section.set_sound(sound)
+    display = sequence.get_display_rate()
+    n_frames = round(_duration(sound) * display.numerator / display.denominator)
+    section.set_range(start, start + max(1, n_frames))
+
+
+def _duration(sound: Any) -> float:
+    return float(sound.get_editor_property("duration"))
