@@ -123,7 +123,7 @@ class Head:
         arches = {}
         for name, width, depth, back, edge, up in (
             ("upper", 2.06, 4.2, teeth.UPPER_BACK, teeth.UPPER_EDGE, 1),
-            ("lower", 1.94, 4.1, teeth.LOWER_BACK, teeth.LOWER_EDGE, -1),
+            ("lower", 1.94, 4.1, teeth.LIP_BACK, teeth.LIP_EDGE, -1),
         ):
             center_z = self._lip_z - back - depth
             arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)

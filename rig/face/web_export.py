@@ -14,7 +14,7 @@ from rig.controls import default_controls
 from rig.face.geometry import teeth
 from rig.face.geometry.topology import EYE_L, EYE_R
 from rig.face.head import CONVERGENCE_DEGREES, GAZE_DEGREES, Head
-from rig.face.motion import jaw, lids
+from rig.face.motion import jaw, lids, tongue
 from rig.face.motion.bindings import bindings
 
 Arrays = dict[str, NDArray[Any]]
@@ -174,6 +174,7 @@ def _facts(head: Head) -> dict[str, Any]:
         "slide": [jaw._SLIDE_OPEN, jaw._SIDE, jaw._FORWARD],
         "lidLeast": float(head._lids._least),
         "lidMeet": lids._MEET,
+        "tongueSink": tongue.SINK_CM,
         "gaze": [GAZE_DEGREES["side"], GAZE_DEGREES["up"], GAZE_DEGREES["down"]],
         "convergence": CONVERGENCE_DEGREES,
         "teeth": {

@@ -41,6 +41,13 @@ BAG = np.array(
 LID_LIFT = np.array([0.055, 0.13, 0.17, 0.17, 0.13, 0.08, 0.0])
 LID_BLEND = np.array([1.0, 1.0, 0.94, 0.75, 0.46, 0.20, 0.05])
 """Lid thickness over the eyeball, and how much of each loop lies on the eyeball's sphere."""
+LID_SHARE = np.array([1.0, 0.98, 0.86, 0.60, 0.32, 0.12, 0.0])
+"""How far each loop of the eye turns about the eyeball with the rim."""
+LID_MIDDLE_DEGREES, LID_UPPER_DEGREES = -2.5, 20.0
+"""Middle of the open lids seen from the eyeball's centre, and the most of the upper rim: lids at
+rest cover 1 to 2 mm of the iris above and touch its rim below (Farkas 1994)."""
+CHIN_FOLD_CM = 0.26
+"""Depth of the fold between lower lip and chin."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,7 @@ def build_skin(identity: Identity) -> Skin:
         vertices, topology.faces, topology.kind, topology.ring, topology.slot,
         topology.mirror, anatomy(identity),
     )  # fmt: skip
-    for step in (_with_lips, _with_mouth_bag, _with_lids, _with_nostrils):
+    for step in (_with_chin_fold, _with_lips, _with_mouth_bag, _with_lids, _with_nostrils):
         skin = step(skin, identity)
     return _finished(skin)
 
@@ -101,6 +108,17 @@ def _smoothed(vertices: Float64, topology: Topology) -> Float64:
             mean = (graph @ vertices) / degree
             vertices = vertices + 2 * factor * share[:, None] * (mean - vertices)
     return vertices
+
+
+def _with_chin_fold(skin: Skin, identity: Identity) -> Skin:
+    """Sink the fold between the lower lip and the chin, which gives the chin its profile."""
+    vertices = skin.vertices.copy()
+    x, y, z = vertices.T
+    middle = skin.anatomy.mouth_y - 1.62 + 0.10 * x**2
+    deep = np.exp(-(((y - middle) / 0.55) ** 2) - (x / 1.5) ** 2)
+    is_lip = (skin.kind == MOUTH) & (skin.ring <= 3)
+    vertices[:, 2] -= CHIN_FOLD_CM * deep * ((z > 4) & ~is_lip)
+    return replace(skin, vertices=vertices)
 
 
 def _with_lips(skin: Skin, identity: Identity) -> Skin:
@@ -186,9 +204,28 @@ def _with_lids(skin: Skin, identity: Identity) -> Skin:
             vertices[row] += LID_BLEND[j] * (lid - vertices[row])
             if j in (3, 4):  # the fold above the upper lid
                 vertices[row, 2] -= (0.10 if j == 3 else 0.04) * np.clip(s, 0, 1)
-        skin = replace(skin, vertices=vertices)
+        skin = _with_lids_at_rest(replace(skin, vertices=vertices), kind, side)
         skin = _with_lid_back(skin, kind, side)
     return skin
+
+
+def _with_lids_at_rest(skin: Skin, kind: int, side: int) -> Skin:
+    """Turn the lids down about the eyeball, so that the upper one covers the iris's rim."""
+    center = skin.anatomy.eye * [side, 1, 1]
+    t = loops.angles(loops.EYE_COUNT)
+    rim = skin.vertices[skin.loop(kind, 0)] - center
+    angle = np.degrees(np.arctan2(rim[:, 1], rim[:, 2]))
+    upper, lower = angle[loops.EYE_COUNT // 4], angle[3 * loops.EYE_COUNT // 4]
+    down = 0.5 * (upper + lower) - LID_MIDDLE_DEGREES
+    close = np.maximum(upper - down - LID_UPPER_DEGREES, 0)
+    turn = np.radians(down + close * np.sign(np.sin(t))) * np.abs(np.sin(t)) ** 0.6
+    vertices = skin.vertices.copy()
+    for ring, share in enumerate(LID_SHARE):
+        row = skin.loop(kind, ring)
+        x, y, z = (vertices[row] - center).T
+        cos, sin = np.cos(share * turn), np.sin(share * turn)
+        vertices[row] = center + np.stack([x, cos * y - sin * z, cos * z + sin * y], -1)
+    return replace(skin, vertices=vertices)
 
 
 def _with_lid_back(skin: Skin, kind: int, side: int) -> Skin:

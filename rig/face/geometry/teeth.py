@@ -11,10 +11,14 @@ UPPER_WIDTHS = np.array([0.76, 0.60, 0.66, 0.60, 0.58, 0.74])
 LOWER_WIDTHS = np.array([0.50, 0.54, 0.60, 0.60, 0.62, 0.76])
 UPPER_HEIGHTS = np.array([0.50, 0.44, 0.49, 0.40, 0.38, 0.34])
 LOWER_HEIGHTS = np.array([0.42, 0.42, 0.43, 0.42, 0.41, 0.40])
-UPPER_BACK, LOWER_BACK = 0.58, 0.80
+UPPER_BACK, LOWER_BACK = 0.58, 0.95
 """How far the middle of the front teeth lies behind the lips' rim, cm."""
-UPPER_EDGE, LOWER_EDGE = -0.22, -0.36
-"""Height of the incisors' biting edges below the line where the lips meet, cm."""
+UPPER_EDGE, LOWER_EDGE = -0.22, -0.13
+"""Height of the incisors' biting edges below the line where the lips meet, cm.
+
+At rest the upper incisors overlap the lower ones by 0.9 mm (a normal overbite is 1 to 3 mm)."""
+LIP_BACK, LIP_EDGE = 0.80, -0.36
+"""The surface in front of the lower teeth that the lower lip rests on, stated likewise."""
 
 
 def arch_point(s: Float64, lip_z: float, *, is_upper: bool) -> tuple[Float64, Float64]:
@@ -85,7 +89,7 @@ def _darkened(colors: Float64, vertices: Float64) -> Float64:
 
 
 TONGUE_ROWS, TONGUE_COLUMNS = 26, 22
-TONGUE_BACK, TONGUE_LENGTH = 1.12, 5.4
+TONGUE_BACK, TONGUE_LENGTH = 1.30, 5.2
 
 
 def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
@@ -95,7 +99,7 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
     tip = np.sqrt(np.clip(1 - (1 - np.clip(s * 3.0, 0, 1)) ** 2, 0, 1))
     half_width = 0.002 + 1.48 * tip * (0.72 + 0.28 * np.clip(s * 2.2, 0, 1))
     half_height = 0.002 + 0.30 * tip + 0.34 * s
-    height = mouth_y - 0.86 + 0.42 * np.sin(np.pi * np.clip(s * 1.05, 0, 1)) - 0.5 * s**2
+    height = mouth_y - 1.00 + 0.42 * np.sin(np.pi * np.clip(s * 1.05, 0, 1)) - 0.5 * s**2
     groove = -0.10 * np.exp(-((np.cos(turn) / 0.22) ** 2)) * (np.sin(turn) > 0)
     y = (
         height[:, None]

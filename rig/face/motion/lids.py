@@ -6,10 +6,9 @@ import numpy as np
 
 from rig.arrays import Float64, Int64
 from rig.face.geometry import loops
-from rig.face.geometry.skin import Skin
+from rig.face.geometry.skin import LID_SHARE, Skin
 from rig.face.geometry.topology import EYE_L, EYE_R
 
-_RING_SHARE = np.array([1.0, 0.98, 0.86, 0.60, 0.32, 0.12, 0.0])
 _MEET = 0.16
 """Where closed lids meet, as a share of the way from the lower to the upper rim."""
 Inputs = dict[str, Float64]
@@ -37,7 +36,7 @@ class Lids:
         for name, kind, side in (("L", EYE_L, 1), ("R", EYE_R, -1)):
             ids = np.flatnonzero(skin.kind == kind)
             ring = skin.ring[ids]
-            share = np.where(ring < 0, 1.0, _RING_SHARE[np.maximum(ring, 0)])
+            share = np.where(ring < 0, 1.0, LID_SHARE[np.maximum(ring, 0)])
             self._eyes[name] = _Eye(
                 ids, skin.slot[ids], share, skin.anatomy.eye * [side, 1, 1], skin.loop(kind, 0),
                 (np.sin(t) > 1e-6).astype(float), np.abs(np.sin(t)),
@@ -100,7 +99,7 @@ def _lid_angles(inputs: Inputs, name: str) -> tuple[Float64, Float64, Float64]:
     get = {k: np.clip(inputs[f"lid.{k}_{name}"], 0, 1)
            for k in ("widen", "upperUp", "lowerDown", "lookUp", "lookDown", "close")}  # fmt: skip
     open_ = 1 - get["close"]
-    widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.10 * get["lookUp"]) * open_
+    widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.24 * get["lookUp"]) * open_
     dip = 0.06 * get["widen"] + 0.16 * get["lowerDown"]
     ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
     return np.minimum(widen, 0.36), np.minimum(dip, 0.26), ride

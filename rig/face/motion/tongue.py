@@ -7,6 +7,8 @@ from rig.face.geometry import teeth
 from rig.face.geometry.mesh import smoothstep
 
 Inputs = dict[str, Float64]
+SINK_CM = 0.50
+"""How far the tongue lowers in the open jaw, so that the lower teeth stay in sight."""
 
 
 class Tongue:
@@ -31,7 +33,8 @@ class Tongue:
         self._upper_edge = mouth_y + teeth.UPPER_EDGE
         self._lower_edge = mouth_y + teeth.LOWER_EDGE
         self._teeth_z = lip_z - teeth.UPPER_BACK
-        self.jaw_share = 0.55 + 0.42 * (1 - place)
+        self._behind_z = lip_z - teeth.LOWER_BACK - 0.29
+        self.jaw_share = 0.70 + 0.27 * (1 - place)
 
     def shape(self, inputs: Inputs) -> Float64:
         """The tongue bent by its own controls (T, n, 3), before the jaw takes it along."""
@@ -49,8 +52,12 @@ class Tongue:
         y = offset[:, 1] * thick
         dx, dy = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
         x = self._axis[:, 0] + dx + 0.85 * get["left"] * front**0.8 + 0.75 * get["tipLeft"] * tip
-        lift = 0.95 * get["up"] * body + 0.80 * get["press"] * body + 1.15 * get["tipUp"] * tip
-        lift = lift + 0.75 * get["bend"] * (tip - 0.35 * body) + 0.75 * get["out"] * front**0.6
+        lift = 0.95 * get["up"] * body + 0.80 * get["press"] * body + 1.35 * get["tipUp"] * tip
+        lift = lift + 0.75 * get["bend"] * (tip - 0.35 * body) + 0.60 * get["out"] * front**0.6
+        sunk = np.clip(inputs["jaw.open"], 0, 1)[:, None] * np.clip(
+            1 - get["out"] - get["tipUp"], 0, 1
+        )
+        lift = lift - SINK_CM * sunk * front**0.5
         y = self._axis[:, 1] + dy + lift + 0.42 * get["roll"] * self._across**2 * front
         reach = 2.5 * get["out"] * front**0.9 - 1.3 * get["in"] * front
         reach = reach - 0.22 * get["tipUp"] * tip - 0.30 * get["bend"] * tip
@@ -69,13 +76,12 @@ class Tongue:
         points = points.copy()
         edge_y = lower_edge[:, :1]
         shut = self._upper_edge - edge_y < 0.16
-        stop = self._teeth_z - 0.34
-        points[..., 2] = np.where(shut, np.minimum(points[..., 2], stop), points[..., 2])
+        points[..., 2] = np.where(shut, np.minimum(points[..., 2], self._behind_z), points[..., 2])
         z, x = points[..., 2], points[..., 0]
         behind = np.maximum(self._teeth_z - 0.30 - z, 0)
         vault = np.interp(behind, [0, 0.12, 0.5, 1.6, 3.5, 5.5], [0, 0.32, 0.85, 1.35, 1.4, 1.1])
         ceiling = self._upper_edge - 0.02 + vault * np.clip(1 - 0.18 * x**2, 0.3, 1)
-        past = smoothstep((z - self._teeth_z + 0.34) / 0.2)
+        past = smoothstep((z - self._behind_z) / 0.2)
         floor = edge_y + 0.02 - 3.0 * (1 - past)
         outside = smoothstep((z - (lip_low[:, 1:] - 0.75)) / 0.5)
         floor = floor + np.maximum(lip_low[:, :1] + 0.02 - floor, 0) * outside

@@ -141,6 +141,26 @@ def test_blink_closes_both_lids_exactly_and_half_blink_half(head):
     assert 0.3 < gap(0.5).max() / gap(0.0).max() < 0.7
 
 
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_lids_at_rest_cover_the_rim_of_the_iris_above_and_touch_it_below(number):
+    """1 to 3 mm above (Farkas 1994); below, the sclera shows by less than 1 mm."""
+    place, skin = build_head(number).features.anatomy, build_head(number).features
+    rim = skin.vertices[skin.loop(EYE_L, 0)] - place.eye
+    angle = np.degrees(np.arctan2(rim[:, 1], rim[:, 2]))
+    mm = 10 * place.eye_radius * np.pi / 180  # on the eyeball, a degree
+    assert 1 < mm * (IRIS_DEGREES - angle[len(angle) // 4]) < 3
+    assert mm * (-IRIS_DEGREES - angle[3 * len(angle) // 4]) < 1
+
+
+def test_profile_has_a_fold_between_the_lower_lip_and_the_chin(head):
+    x, y, z = head.skin.vertices.T
+    line = (np.abs(x) < 1e-6) & (z > 7) & (y < head.features.anatomy.mouth_y - 0.2)
+    y, z = y[line], z[line]
+    fold = np.argmin(np.where((y > -9.2) & (y < -8.2), z, np.inf))
+    assert z[y > y[fold]].max() > z[fold] + 0.4  # 4 mm behind the lip
+    assert z[y < y[fold]].max() > z[fold] + 0.3
+
+
 @pytest.mark.parametrize("look", [-1.0, -0.5, 0.5, 1.0])
 def test_lids_follow_the_gaze(head, look):
     """The iris stays in sight, and the upper lid near its upper edge, wherever the eye looks."""
@@ -256,6 +276,17 @@ def test_tongue_goes_between_the_teeth_for_th(head):
     assert outside[:, 1].max() <= upper[incisors, 1].min() + 0.03
     front = lower[(np.abs(lower[:, 0]) < 0.4) & (lower[:, 2] > 7)]
     assert outside[:, 1].min() >= front[:, 1].max() - 0.1
+
+
+@pytest.mark.parametrize("open_", [0.5, 1.0])
+def test_open_jaw_shows_the_lower_incisors_before_a_lower_tongue(head, open_):
+    pose = head.pose(pose_values({"CTRL_C_jaw.ty": open_}))
+    lower, tongue = pose[head.slices["teeth_lower"]], pose[head.slices["tongue"]]
+    edge = lower[(np.abs(lower[:, 0]) < 0.4) & (lower[:, 2] > lower[:, 2].max() - 0.6), 1].max()
+    lip = pose[head._rim_middle[1], 1]
+    assert edge > lip  # in sight over the lip
+    front = tongue[tongue[:, 2] > tongue[:, 2].max() - 0.6]
+    assert front[:, 1].max() < edge  # the tip lies behind the teeth and below their edge
 
 
 def test_closed_jaw_keeps_the_tongue_behind_the_teeth(head):

@@ -208,7 +208,7 @@ export class Rig {
     const closeAll = blink + open * (0.85 * unit("upper") + 0.6 * unit("lookDown"));
     const raise = open * unit("lower") * 0.8 + blink * meet;
     const widen = Math.min(
-      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.1 * unit("lookUp")) * open,
+      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.24 * unit("lookUp")) * open,
       0.36,
     );
     const dip = Math.min(0.06 * unit("widen") + 0.16 * unit("lowerDown"), 0.26);
@@ -298,14 +298,16 @@ export class Rig {
     const dx = x0 * Math.cos(turn) - y0 * Math.sin(turn);
     const dy = x0 * Math.sin(turn) + y0 * Math.cos(turn);
     const lift =
-      0.95 * get("up") * body + 0.8 * get("press") * body + 1.15 * get("tipUp") * tip +
-      0.75 * get("bend") * (tip - 0.35 * body) + 0.75 * get("out") * front ** 0.6;
+      0.95 * get("up") * body + 0.8 * get("press") * body + 1.35 * get("tipUp") * tip +
+      0.75 * get("bend") * (tip - 0.35 * body) + 0.6 * get("out") * front ** 0.6;
+    const sunk = clamp(inputs["jaw.open"]) * clamp(1 - get("out") - get("tipUp"));
+    const sink = this.f.tongueSink * sunk * front ** 0.5;
     const reach =
       2.5 * get("out") * front ** 0.9 - 1.3 * get("in") * front -
       0.22 * get("tipUp") * tip - 0.3 * get("bend") * tip;
     return [
       axis[0] + dx + 0.85 * get("left") * front ** 0.8 + 0.75 * get("tipLeft") * tip,
-      axis[1] + dy + lift + 0.42 * get("roll") * a["tongue.across"][k] ** 2 * front,
+      axis[1] + dy + lift - sink + 0.42 * get("roll") * a["tongue.across"][k] ** 2 * front,
       axis[2] + offset[2] + reach,
     ];
   }
@@ -320,15 +322,16 @@ export class Rig {
     );
     const high = this.get(f.rimMiddle[0]), low = this.get(f.rimMiddle[1]);
     const upperEdge = f.mouthY + f.teeth.upperEdge, teethZ = f.lipZ - f.teeth.upperBack;
+    const behindZ = f.lipZ - f.teeth.lowerBack - 0.29;
     const shut = upperEdge - edge[1] < 0.16;
     const start = f.slices.tongue[0];
     for (let k = 0; k < a["tongue.place"].length; k++) {
       const p = this.ride(this.bentTongue(inputs, k), angle, slide, a["tongue.jaw"][k]);
-      if (shut) p[2] = Math.min(p[2], teethZ - 0.34);
+      if (shut) p[2] = Math.min(p[2], behindZ);
       const behind = Math.max(teethZ - 0.3 - p[2], 0);
       const vault = interpolate(behind, [0, 0.12, 0.5, 1.6, 3.5, 5.5], [0, 0.32, 0.85, 1.35, 1.4, 1.1]);
       let ceiling = upperEdge - 0.02 + vault * clamp(1 - 0.18 * p[0] ** 2, 0.3, 1);
-      const past = smoothstep((p[2] - teethZ + 0.34) / 0.2);
+      const past = smoothstep((p[2] - behindZ) / 0.2);
       let floor = edge[1] + 0.02 - 3 * (1 - past);
       floor += Math.max(low[1] + 0.02 - floor, 0) * smoothstep((p[2] - (low[2] - 0.75)) / 0.5);
       ceiling -= Math.max(ceiling - high[1] + 0.02, 0) * smoothstep((p[2] - (high[2] - 0.6)) / 0.4);
