@@ -14,6 +14,7 @@ from deitalk.cli.options import (
     AnyModel,
     Backend,
     Device,
+    Digits,
     Emotion,
     Force,
     Intensity,
@@ -52,6 +53,7 @@ def animate(
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
+    digits: Digits = None,
     idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
     life: Annotated[
         str | None,
@@ -90,7 +92,7 @@ def animate(
     is_folder = _is_folder(out)
     target = Path(out)
     inputs = (speech, emotion, intensity_curve, voice)
-    _check(target, is_folder, inputs, fps=fps, preview=preview, force=force)
+    _check(target, is_folder, inputs, fps=fps, digits=digits, preview=preview, force=force)
     options: dict[str, Any] = {
         "emotion": emotion,
         "actor": actor,
@@ -109,9 +111,10 @@ def animate(
         "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
     }  # fmt: skip
     if is_folder:
-        _write_take(target, performance, settings, model, fps, preview=preview, force=force)
+        form = {"fps": fps, "digits": digits}
+        _write_take(target, performance, settings, model, form, preview=preview, force=force)
     else:
-        _write_file(target, performance, fps)
+        _write_file(target, performance, fps, digits)
     for warning in performance.recording.warnings:
         console().note(warning)
     if as_json:
@@ -146,6 +149,7 @@ def _check(
     inputs: tuple[str, *tuple[str | Path | None, ...]],
     *,
     fps: float | None,
+    digits: int | None,
     preview: bool,
     force: bool,
 ) -> None:
@@ -153,9 +157,12 @@ def _check(
     from deitalk.errors import DeitalkError
     from deitalk.pipeline.take import KIND, check_take
     from rig.curves import snap_fps
+    from rig.formats import checked_digits, find_format
 
     if fps is not None:
         snap_fps(fps)
+    if digits is not None:
+        checked_digits(digits, None if is_folder else find_format(out, writable=True))
     if is_folder:
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
         check_take(out, source=inputs[0], force=force, inputs=inputs)
@@ -246,7 +253,7 @@ def _write_take(
     performance: "Performance",
     settings: dict[str, Any],
     model: str,
-    fps: float | None,
+    form: dict[str, Any],
     *,
     preview: bool,
     force: bool,
@@ -256,9 +263,7 @@ def _write_take(
 
     about = describe_model(model)
     extras = _extras(preview)
-    write_take(
-        out, performance, settings=settings, model=about, fps=fps, force=force, extras=extras
-    )
+    write_take(out, performance, settings=settings, model=about, force=force, extras=extras, **form)
 
 
 def _extras(preview: bool) -> "tuple[Extra, ...]":
@@ -269,10 +274,12 @@ def _extras(preview: bool) -> "tuple[Extra, ...]":
     return (add_preview,)
 
 
-def _write_file(out: Path, performance: "Performance", fps: float | None) -> None:
+def _write_file(
+    out: Path, performance: "Performance", fps: float | None, digits: int | None
+) -> None:
     from rig import write_curves
 
-    report = write_curves(out, performance.curves, fps=fps)
+    report = write_curves(out, performance.curves, fps=fps, digits=digits)
     if report.note:
         console().note(report.note)
     for track in report.dropped:

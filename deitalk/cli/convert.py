@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import Force, Json
+from deitalk.cli.options import Digits, Force, Json
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
 
@@ -29,6 +29,7 @@ def convert(
     source_fps: Annotated[
         float | None, typer.Option(help="Rate of the source, Hz, if the file does not contain it.")
     ] = None,
+    digits: Digits = None,
     start: Annotated[float, typer.Option(help="First second to take.")] = 0.0,
     end: Annotated[float | None, typer.Option(help="Second to stop before.")] = None,
     gain: Annotated[
@@ -83,7 +84,7 @@ def convert(
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
     if wanted is not None:
         curves = to_set(curves, wanted)
-    _report(write_curves(target, curves, format=to, fps=fps), as_json)
+    _report(write_curves(target, curves, format=to, fps=fps, digits=digits), as_json)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:

@@ -34,6 +34,10 @@ Backend = Annotated[
     str, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.")
 ]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
+Digits = Annotated[
+    int | None,
+    typer.Option(help="Digits after the point of csv, json and unreal.json, 2 to 6; 6 by default."),
+]
 Threads = Annotated[
     int,
     typer.Option(

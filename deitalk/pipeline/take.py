@@ -57,6 +57,7 @@ def write_take(
     settings: dict[str, Any],
     model: dict[str, Any],
     fps: float | None = None,
+    digits: int | None = None,
     force: bool = False,
     extras: tuple[Extra, ...] = (),
 ) -> Path:
@@ -74,6 +75,8 @@ def write_take(
         From `deitalk.models.folder.describe_model`.
     fps : float, optional
         Rate of the curves; 30 by default.
+    digits : int, range 2 to 6, optional
+        Digits after the point of the curves as text; see `rig.write_curves`.
     force : bool
         Replace the files of an existing take; other files in its folder stay.
     extras : tuple of callables
@@ -94,7 +97,7 @@ def write_take(
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, settings, model, fps, extras)
+            _fill(stage, performance, settings, model, fps, digits, extras)
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -134,12 +137,13 @@ def _fill(
     settings: dict[str, Any],
     model: dict[str, Any],
     fps: float | None,
+    digits: int | None,
     extras: tuple[Extra, ...],
 ) -> None:
     curves = performance.curves if fps is None else performance.curves.resample(fps)
     neutral = performance.neutral if fps is None else performance.neutral.resample(fps)
-    write_curves(folder / "curves.csv", curves)
-    write_curves(folder / "curves.json", curves)
+    write_curves(folder / "curves.csv", curves, digits=digits)
+    write_curves(folder / "curves.json", curves, digits=digits)
     write_curves(folder / "neutral.npz", neutral)
     times = frame_times(len(performance.curves))
     write_intensity_csv(
@@ -154,7 +158,7 @@ def _fill(
     slate = Path(performance.recording.source).stem
     files = dict(FILES)
     if curves.control_set == DEFAULT_ID:
-        files |= write_exchange_files(folder, curves, slate=slate)
+        files |= write_exchange_files(folder, curves, slate=slate, digits=digits)
     for extra in extras:
         files |= extra(folder, performance)
     about = {

@@ -107,6 +107,11 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
     return replace(raw, values=values, names=board.names, control_set=DEFAULT_ID)
 
 
+def raw_knots() -> dict[str, tuple[str, tuple[list[float], list[float]]]]:
+    """Return, by raw curve, its board channel and its knots: places there, and values."""
+    return {PREFIX + row["name"]: (row["driver"], _knots(row["knots"])) for row in _table()}
+
+
 def board_of_raw_curves(names: Iterable[str]) -> set[str]:
     """Return the board channels that move at least one of some raw curves."""
     raw, wanted = raw_controls(), set(names)

@@ -15,7 +15,7 @@ from rig.conversion.convert import convert, known_controls
 from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.curves.edit import ClampReport, clamp
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted
 from rig.files import atomic_write
 from rig.files.reading import open_file
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
@@ -101,7 +101,12 @@ def read_curves(
 
 
 def write_curves(
-    path: Path | str, curves: RigCurves, *, format: str | None = None, fps: float | None = None
+    path: Path | str,
+    curves: RigCurves,
+    *,
+    format: str | None = None,
+    fps: float | None = None,
+    digits: int | None = None,
 ) -> WriteReport:
     """Write curves to a file, whole or not at all; values outside their ranges are clamped.
 
@@ -115,6 +120,9 @@ def write_curves(
         Name of a format; by default that of the suffix.
     fps : float, optional
         Rate to resample to.
+    digits : int, range 2 to 6, optional
+        Digits after the point, of csv, json, raw-csv and unreal, which have 6 by default; a value
+        read again differs by at most half of the last one.
 
     Returns
     -------
@@ -124,11 +132,13 @@ def write_curves(
     Raises
     ------
     FormatError
-        If the format is unknown, there are no frames, or the file cannot be written.
+        If the format is unknown, there are no frames, the digits are out of range or the format
+        has none, or the file cannot be written.
     """
     path = Path(path)
     chosen = find_format(path, format, writable=True)
     assert chosen.write is not None
+    options = () if digits is None else (checked_digits(digits, chosen),)
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
@@ -136,12 +146,31 @@ def write_curves(
     curves, clipped, note = _prepared(curves, chosen)
     try:
         with atomic_write(path) as beside:
-            chosen.write(beside, curves)
+            chosen.write(beside, curves, *options)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FormatError(f"cannot write {path}: {reason}") from error
     lost = tuple(name for name in curves.tracks if name not in chosen.tracks)
     return WriteReport(path, chosen.name, len(curves), curves.fps, clipped, lost, note)
+
+
+def checked_digits(digits: int, chosen: Format | None = None) -> int:
+    """Digits after the point that can be written.
+
+    Raises
+    ------
+    FormatError
+        If there are fewer than 2 or more than 6, or the format has none.
+    """
+    if type(digits) is not int or not 2 <= digits <= 6:
+        raise FormatError(f"digits is {quoted(digits)}; must be 2 to 6", parameter="digits")
+    if chosen is not None and not chosen.has_digits:
+        taking = ", ".join(format.name for format in FORMATS if format.has_digits)
+        raise FormatError(
+            f"digits={digits} does not apply to {chosen.name}; it does to {taking}",
+            parameter="digits",
+        )
+    return digits
 
 
 def _recognised(path: Path, chosen: Format) -> Format:
@@ -201,6 +230,7 @@ __all__ = [
     "Format",
     "WriteReport",
     "check_range",
+    "checked_digits",
     "find_format",
     "read_curves",
     "write_curves",

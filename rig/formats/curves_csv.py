@@ -24,13 +24,13 @@ TIME_DECIMALS = 9
 INDEX_COLUMNS = ("frame", "time")
 
 
-def write(path: Path, curves: RigCurves) -> None:
-    """Write all controls, six decimals, trailing zeros left out."""
+def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
+    """Write all controls, so many digits after the point, trailing zeros left out."""
     frame = np.arange(len(curves)).reshape(-1, 1)
     blocks = [
         Block(frame, 0),
         Block(curves.times.reshape(-1, 1), TIME_DECIMALS),
-        Block(curves.values, DECIMALS),
+        Block(curves.values, digits),
     ]
     with path.open("wb") as stream:
         stream.write(",".join((*INDEX_COLUMNS, *curves.names)).encode() + b"\n")

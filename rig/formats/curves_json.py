@@ -22,8 +22,8 @@ COLUMNS = {"emotion": EMOTIONS, "head": HEAD}
 """Tracks of several columns."""
 
 
-def write(path: Path, curves: RigCurves) -> None:
-    """Write one line per frame."""
+def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
+    """Write one line per frame; `digits` after the point of the values, six of the tracks."""
     head = {
         "schema": SCHEMA,
         "control_set": curves.control_set,
@@ -38,18 +38,20 @@ def write(path: Path, curves: RigCurves) -> None:
         for key, columns in COLUMNS.items():
             if key in curves.tracks:
                 stream.write(f',\n "{key}_names": {json.dumps(columns)}'.encode())
-        _write_array(stream, "values", curves.values)
+        _write_array(stream, "values", curves.values, digits)
         stream.write(b"\n}\n")
 
 
-def _write_array(stream: Any, key: str, values: np.ndarray[Any, Any]) -> None:
+def _write_array(
+    stream: Any, key: str, values: np.ndarray[Any, Any], digits: int = DECIMALS
+) -> None:
     stream.write(f',\n "{key}": [\n'.encode())
     if len(values):
         is_flat = values.ndim == 1
         before, after = (b"  ", b",\n") if is_flat else (b"  [", b"],\n")
         last = b""
         for text in rows(
-            [Block(values.reshape(len(values), -1), DECIMALS)], before=before, after=after
+            [Block(values.reshape(len(values), -1), digits)], before=before, after=after
         ):
             stream.write(last + text[:-2])
             last = text[-2:]

@@ -19,7 +19,13 @@ def exchange_names(slate: str, *, take: int = 1, subject: str = SUBJECT) -> tupl
 
 
 def write_exchange_files(
-    folder: Path, curves: RigCurves, *, slate: str, take: int = 1, subject: str = SUBJECT
+    folder: Path,
+    curves: RigCurves,
+    *,
+    slate: str,
+    take: int = 1,
+    subject: str = SUBJECT,
+    digits: int | None = None,
 ) -> dict[str, str]:
     """Write a Live Link Face CSV and the file for the script inside Unreal.
 
@@ -35,6 +41,8 @@ def write_exchange_files(
         Number of the take.
     subject : str
         Live Link subject that Unreal's importer makes of the CSV.
+    digits : int, optional
+        Of the file for Unreal; see `rig.write_curves`.
 
     Returns
     -------
@@ -43,7 +51,7 @@ def write_exchange_files(
     """
     live_link, unreal = exchange_names(slate, take=take, subject=subject)
     report = write_curves(folder / live_link, curves, format="livelink")
-    write_curves(folder / unreal, curves, format="unreal")
+    write_curves(folder / unreal, curves, format="unreal", digits=digits)
     return {
         live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
         unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",

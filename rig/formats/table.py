@@ -23,7 +23,7 @@ from rig.formats import (
 )
 
 Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
-Writer = Callable[[Path, RigCurves], None]
+Writer = Callable[..., None]
 Header = tuple[str, ...]
 ALL_TRACKS = ("emotion", "intensity", "head")
 
@@ -50,6 +50,8 @@ class Format:
         First cells (lower case) of a CSV of this format, by which it is recognised.
     note : callable, optional
         A line on what the writer adds to curves, or an empty one.
+    has_digits : bool
+        Whether the writer takes the number of digits after the point as its third argument.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Format:
     tracks: tuple[str, ...] = ()
     begins: tuple[str, ...] = ()
     note: Callable[[RigCurves], str] | None = None
+    has_digits: bool = False
 
 
 def _write_glb(path: Path, curves: RigCurves) -> None:
@@ -88,6 +91,7 @@ FORMATS: tuple[Format, ...] = (
         "frame, time and one column per control",
         curves_csv.read,
         curves_csv.write,
+        has_digits=True,
     ),
     Format(
         "json",
@@ -96,6 +100,7 @@ FORMATS: tuple[Format, ...] = (
         curves_json.read,
         curves_json.write,
         tracks=ALL_TRACKS,
+        has_digits=True,
     ),
     Format(
         "npz",
@@ -112,6 +117,7 @@ FORMATS: tuple[Format, ...] = (
         curves_csv.read,
         curves_csv.write,
         RAW_ID,
+        has_digits=True,
     ),
     Format(
         "rigmapper",
@@ -167,6 +173,7 @@ FORMATS: tuple[Format, ...] = (
         unreal_json.write,
         DEFAULT_ID,
         ("head",),
+        has_digits=True,
     ),
     Format(
         "visemes",

@@ -1,10 +1,12 @@
-"""JSON for the script that runs inside Unreal, schema ``deitalk.unreal/1``.
+"""JSON for the script that runs inside Unreal, schema ``deitalk.unreal/2``.
 
-The script has neither numpy nor rig, so the file holds both raw curves for an AnimSequence and
-board controls, float or Vector2D, for a Level Sequence. A curve that never moves is one number.
+Board controls, float or Vector2D, are for a Level Sequence; raw curves, for an AnimSequence, are
+functions of them, and the script, which has neither numpy nor rig, is given their knots. A curve
+that never moves is one number.
 
-The script's exports hold what the asset has: raw curves of an AnimSequence or board controls of a
-Level Sequence, and the name of its sound as ``audio``.
+The script's exports hold what the asset has: raw curves of an AnimSequence as numbers, or board
+controls of a Level Sequence, and the name of its sound as ``audio``. Schema ``deitalk.unreal/1``,
+whose raw curves are always numbers, is read too.
 """
 
 import json
@@ -18,18 +20,19 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
-from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
+from rig.conversion.raw import BOTH_EYES, RAW_ID, raw_controls, raw_knots
 from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json
+from rig.formats.curves_csv import DECIMALS
 from rig.formats.decimal_text import Block, rows
 from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
 
-SCHEMA = "deitalk.unreal/1"
-DECIMALS = 6
+SCHEMA = "deitalk.unreal/2"
+SCHEMAS = (SCHEMA, "deitalk.unreal/1")
 
 
-def write(path: Path, curves: RigCurves) -> None:
+def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
     """Write ``frame_rate``, ``n_frames``, ``raw``, ``board``, and ``head`` if it is known."""
     rate = Fraction(curves.fps).limit_denominator(1001)
     head = {
@@ -38,26 +41,25 @@ def write(path: Path, curves: RigCurves) -> None:
         "frame_rate": [rate.numerator, rate.denominator],
         "n_frames": len(curves),
     }
-    raw = board_to_raw(curves)
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])
         stream.write(b',\n"raw": {')
-        for i, name in enumerate(raw.names):
-            stream.write(_key(name, first=i == 0))
-            stream.writelines(_values(np.ascontiguousarray(raw.values[:, i])))
+        for i, (name, function) in enumerate(_functions().items()):
+            text = json.dumps(function, separators=(",", ":"))
+            stream.write(_key(name, first=i == 0) + text.encode())
         stream.write(b'\n},\n"board": {')
         for i, (control, channels) in enumerate(_by_control().items()):
             stream.write(_key(control, first=i == 0) + b"{")
             for j, (axis, name) in enumerate(channels.items()):
                 stream.write((b", " if j else b"") + f'"{axis}": '.encode())
-                stream.writelines(_values(curves[name]))
+                stream.writelines(_values(curves[name], digits))
             stream.write(b"}")
         stream.write(b"\n}")
         if curves.head is not None:
             stream.write(b',\n"head": {')
             for i, (name, values) in enumerate(zip(HEAD, curves.head.T, strict=True)):
                 stream.write(_key(name, first=i == 0))
-                stream.writelines(_values(np.ascontiguousarray(values)))
+                stream.writelines(_values(np.ascontiguousarray(values), DECIMALS))
             stream.write(b"\n}")
         stream.write(b"}\n")
 
@@ -81,7 +83,7 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
         If it is of another schema, has no curves, or a curve is unknown or of another length.
     """
     data = read_json(path, JSON_CURVES_BYTES)
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+    if not isinstance(data, dict) or data.get("schema") not in SCHEMAS:
         raise FormatError(f"{path} is not of schema {SCHEMA}")
     board, raw = (data.get(key) or {} for key in ("board", "raw"))
     if not isinstance(board, dict) or not isinstance(raw, dict) or not (board or raw):
@@ -162,6 +164,25 @@ def _length_and_rate(path: Path, data: dict[str, Any], n_curves: int) -> tuple[i
     return n_frames, rate[0] / rate[1]
 
 
+def _functions() -> dict[str, dict[str, Any]]:
+    """Raw curves as functions of channels of the board.
+
+    ``of`` are the channels, as ``control.axis``; their sum, within -1 to 1, is put into the
+    piecewise linear function with the ``knots``, which is constant beyond them.
+    """
+    place = {
+        name: f"{control}.{axis}"
+        for control, channels in _by_control().items()
+        for axis, name in channels.items()
+    }
+    functions: dict[str, dict[str, Any]] = {}
+    for name, (driver, (inputs, outputs)) in raw_knots().items():
+        drivers = [driver, *([BOTH_EYES[driver]] if driver in BOTH_EYES else [])]
+        knots = [[x, y] for x, y in zip(inputs, outputs, strict=True)]
+        functions[name] = {"of": [place[channel] for channel in drivers], "knots": knots}
+    return functions
+
+
 def _by_control() -> dict[str, dict[str, str]]:
     """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``.
 
@@ -180,8 +201,8 @@ def _key(name: str, *, first: bool) -> bytes:
     return (b"\n " if first else b",\n ") + json.dumps(name).encode() + b": "
 
 
-def _values(values: Float32) -> Iterator[bytes]:
-    if np.ptp(values) < 0.5 * 10.0**-DECIMALS:
-        yield f"{round(float(values[0]), DECIMALS):g}".encode()
+def _values(values: Float32, digits: int) -> Iterator[bytes]:
+    if np.ptp(values) < 0.5 * 10.0**-digits:
+        yield f"{round(float(values[0]), digits):g}".encode()
         return
-    yield from rows([Block(values.reshape(1, -1), DECIMALS)], before=b"[", after=b"]")
+    yield from rows([Block(values.reshape(1, -1), digits)], before=b"[", after=b"]")

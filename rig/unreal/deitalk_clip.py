@@ -8,7 +8,8 @@ from fractions import Fraction
 from math import gcd, lcm
 from typing import Any
 
-SCHEMA = "deitalk.unreal/1"
+SCHEMA = "deitalk.unreal/2"
+SCHEMAS = (SCHEMA, "deitalk.unreal/1")
 RATES = [Fraction(fps) for fps in (24, 25, 30, 48, 50, 60, 120)]
 RATES += [Fraction(fps, 1001) for fps in (24000, 30000, 60000)]
 """Frames per second that clips of an odd rate, such as a phone's 10000/167, are put on."""
@@ -31,13 +32,16 @@ right and up."""
 
 
 def load(path: str) -> dict[str, Any]:
-    """Read and check a ``*.unreal.json``; a head track becomes raw curves (see `HEAD`)."""
+    """Read and check a ``*.unreal.json``.
+
+    Raw curves become numbers, and a head track becomes raw curves (see `HEAD`).
+    """
     try:
         with open(path, encoding="utf-8") as stream:
             data = json.load(stream)
     except (OSError, ValueError) as error:
         raise DeitalkError(f"cannot read {path}: {error}") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+    if not isinstance(data, dict) or data.get("schema") not in SCHEMAS:
         raise DeitalkError(f"{path} is not of schema {SCHEMA}; write it with deitalk convert")
     n_frames, rate = data.get("n_frames"), data.get("frame_rate")
     if type(n_frames) is not int or n_frames < 1:
@@ -45,18 +49,48 @@ def load(path: str) -> dict[str, Any]:
     if not isinstance(rate, list) or [type(n) for n in rate] != [int, int] or min(rate) < 1:
         raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
     try:
-        data["raw"] = {**data["raw"], **_head_curves(data.get("head"))}
+        raw = {name: _raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
+        data["raw"] = {**raw, **_head_curves(data.get("head"))}
         channels = [*data["raw"].values()]
         channels += [values for axes in data["board"].values() for values in axes.values()]
         lists = [values if isinstance(values, list) else [values] for values in channels]
         finite = all(-1e9 < value < 1e9 for values in lists for value in values)
-    except (KeyError, AttributeError, TypeError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, IndexError) as error:
         raise DeitalkError(f"{path}: raw or board is damaged; write it again") from error
     lengths = {len(values) for values in channels if isinstance(values, list)} - {n_frames}
     if lengths or not finite:
         what = f"{min(lengths)} values, not {n_frames}" if lengths else "NaN or a huge number"
         raise DeitalkError(f"{path}: a curve has {what}; write it again")
     return data
+
+
+def _raw_values(curve: Any, board: dict[str, Any]) -> Any:
+    """Numbers of a raw curve: its own, or a function of channels of the board.
+
+    ``of`` are the channels, as ``control.axis``; their sum, within -1 to 1, is put into the
+    piecewise linear function with the ``knots``, which is constant beyond them.
+    """
+    if not isinstance(curve, dict):
+        return curve
+    channels = [board[control][axis] for control, axis in (o.split(".") for o in curve["of"])]
+    lists = [values for values in channels if isinstance(values, list)]
+    if not lists:
+        return _on_knots(sum(channels), curve["knots"])
+    size, knots = len(lists[0]), curve["knots"]
+    columns = [values if isinstance(values, list) else [values] * size for values in channels]
+    return [_on_knots(sum(values[i] for values in columns), knots) for i in range(size)]
+
+
+def _on_knots(place: float, knots: list[list[float]]) -> float:
+    """Value of a piecewise linear function at a place within -1 to 1."""
+    place = min(max(place, -1.0), 1.0)
+    if place <= knots[0][0]:
+        return knots[0][1]
+    for i in range(len(knots) - 1):
+        (left, low), (right, high) = knots[i], knots[i + 1]
+        if place <= right:
+            return low + (place - left) / (right - left) * (high - low)
+    return knots[-1][1]
 
 
 def _head_curves(head: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.conversion.raw import raw_controls
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted
 from rig.formats.curves_json import read_object
 
 Note = str
@@ -21,9 +21,11 @@ def check_unreal_json(path: Path) -> Note:
     FormatError
         If the script inside Unreal would refuse it, or would show a wrong face.
     """
-    from rig.formats.unreal_json import SCHEMA
+    from rig.formats.unreal_json import SCHEMA, SCHEMAS
 
-    data = read_object(path, SCHEMA)
+    data = read_object(path)
+    if data.get("schema") not in SCHEMAS:
+        raise FormatError(f"{path}: schema is {quoted(data.get('schema'))}; this reads {SCHEMA!r}")
     n_frames, rate = data.get("n_frames"), data.get("frame_rate")
     if not (isinstance(n_frames, int) and n_frames > 0):
         raise FormatError(f"{path}: 'n_frames' is {n_frames!r}; it must be 1 or more")
@@ -35,13 +37,8 @@ def check_unreal_json(path: Path) -> Note:
     missing = [name for name in raw_controls().names if name not in raw]
     if missing:
         raise FormatError(f"{path} lacks {missing[0]} and {len(missing) - 1} more raw curves")
-    for name, values in raw.items():
-        _check_values(path, name, values, n_frames, 0.0, 1.0)
-    for control, channels in board.items():
-        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
-            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
-        for axis, values in channels.items():
-            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
+    _check_board(path, board, n_frames)
+    _check_raw(path, raw, board, n_frames)
     seconds = n_frames * rate[1] / rate[0]
     return f"{n_frames} frames at {rate[0]}/{rate[1]} fps, {seconds:.2f} s; for the Unreal script"
 
@@ -119,6 +116,37 @@ def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]
                 raise FormatError(f"{path}: {got} weights; {times} keys need {wanted}")
             n_frames = max(n_frames, times)
     return n_frames
+
+
+def _check_board(path: Path, board: dict[str, Any], n_frames: int) -> None:
+    for control, channels in board.items():
+        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
+            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
+        for axis, values in channels.items():
+            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
+
+
+def _check_raw(path: Path, raw: dict[str, Any], board: dict[str, Any], n_frames: int) -> None:
+    for name, values in raw.items():
+        if isinstance(values, dict):
+            _check_function(path, name, values, board)
+        else:
+            _check_values(path, name, values, n_frames, 0.0, 1.0)
+
+
+def _check_function(path: Path, name: str, function: dict[str, Any], board: dict[str, Any]) -> None:
+    """Check a raw curve that is a function of channels of the board."""
+    channels, knots = function.get("of"), function.get("knots")
+    names = [f"{control}.{axis}" for control, axes in board.items() for axis in axes]
+    if not isinstance(channels, list) or not channels or any(c not in names for c in channels):
+        raise FormatError(f"{path}: {name} is of channels that the board has not")
+    try:
+        array = np.array(knots, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[1] != 2 or not (np.diff(array[:, 0]) > 0).all():
+        raise FormatError(f"{path}: {name} needs knots: rising places, each with a value")
+    _check_values(path, name, array[:, 1].tolist(), len(array), 0.0, 1.0)
 
 
 def _check_values(

@@ -109,7 +109,7 @@ def kind_of(path: Path) -> str | None:
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
             head = stream.read(4096)
-        if unreal_json.SCHEMA.encode() in head:
+        if any(schema.encode() in head for schema in unreal_json.SCHEMAS):
             return "unreal"
         if OWN_SCHEMA in head:
             return "curves"

@@ -10,6 +10,7 @@ from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import ControlError, FormatError
 from rig.formats.emoface_txt import columns
+from rig.validation.curves import validate
 
 BOARD = default_controls()
 
@@ -149,16 +150,48 @@ def test_unreal_json_has_keys_for_both_routes(tmp_path):
     values[:, BOARD.index("CTRL_C_jaw.ty")] = [0, 0.5, 1]
     write_curves(tmp_path / "c.unreal.json", RigCurves(values, BOARD.names, 29.97))
     data = json.loads((tmp_path / "c.unreal.json").read_text())
-    assert data["schema"] == "deitalk.unreal/1"
+    assert data["schema"] == "deitalk.unreal/2"
     assert data["frame_rate"] == [30000, 1001] and data["n_frames"] == 3
     assert len(data["raw"]) == 251 and len(data["board"]) == 162
-    assert data["raw"]["CTRL_expressions_jawOpen"] == [0, 0.5, 1]
-    assert data["raw"]["CTRL_expressions_noseWrinkleUpperL"] == 1
+    assert data["raw"]["CTRL_expressions_jawOpen"] == {
+        "of": ["CTRL_C_jaw.y"],
+        "knots": [[0, 0], [1, 1]],
+    }
     assert data["board"]["CTRL_C_jaw"] == {"x": 0, "y": [0, 0.5, 1]}
     assert data["board"]["CTRL_L_brow_down"] == {"value": 0}
     assert "CTRL_neckCorrectivesMultiplyerU" not in data["board"]
     with pytest.raises(FormatError, match="no format has the suffix"):
         read_curves(tmp_path / "c.unreal.jsonx")
+
+
+def test_unreal_json_of_moving_faces_is_no_larger_than_curves_json(tmp_path, rng):
+    curves = RigCurves(rng.uniform(0, 1, (600, len(BOARD))).astype(np.float32), BOARD.names, 30)
+    for name in ("c.unreal.json", "c.json"):
+        write_curves(tmp_path / name, curves)
+    sizes = [(tmp_path / name).stat().st_size for name in ("c.unreal.json", "c.json")]
+    assert sizes[0] <= sizes[1]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".unreal.json", ".raw.csv"])
+@pytest.mark.parametrize("digits", [2, 4])
+def test_fewer_digits_are_read_again_within_half_of_the_last(tmp_path, rng, suffix, digits):
+    curves = RigCurves(rng.uniform(0, 1, (300, len(BOARD))).astype(np.float32), BOARD.names, 30)
+    write_curves(tmp_path / f"a{suffix}", curves)
+    write_curves(tmp_path / f"b{suffix}", curves, digits=digits)
+    whole, compact = (read_curves(tmp_path / f"{n}{suffix}", control_set=None) for n in "ab")
+    assert np.abs(whole.values - compact.values).max() <= 0.5 * 10.0**-digits + 1e-6
+    sizes = [(tmp_path / f"{name}{suffix}").stat().st_size for name in "ab"]
+    assert sizes[1] < sizes[0] * (digits + 4) / 9
+    assert validate(tmp_path / f"b{suffix}").ok
+
+
+def test_digits_are_bounded_and_of_text_formats(tmp_path):
+    for digits in (1, 7, 3.0):
+        with pytest.raises(FormatError, match="must be 2 to 6"):
+            write_curves(tmp_path / "a.csv", rest_curves(2), digits=digits)
+    with pytest.raises(FormatError, match="digits=3 does not apply to npz; it does to csv, json"):
+        write_curves(tmp_path / "a.npz", rest_curves(2), digits=3)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("last", "fits"), [(33_419, True), (33_420, False)])

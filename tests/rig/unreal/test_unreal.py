@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.conversion.raw import board_to_raw
+from rig.validation.curves import validate
 from tests import fake_unreal
 
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
@@ -88,6 +90,46 @@ def test_anim_sequence_gets_every_raw_curve_in_one_bracket(take, monkeypatch):
     assert values == pytest.approx([0, 0.25, 0.5, 0.75])
     # a missing curve would mean 0, which is wrong for these two
     assert sequence.curves["CTRL_expressions_noseWrinkleUpperL"] == ([0.0, 0.1], [1.0, 1.0])
+
+
+def test_script_has_the_raw_curves_of_the_board(tmp_path, monkeypatch, rng):
+    board = default_controls()
+    values = rng.uniform(board.minimum, board.maximum, (20, len(board))).astype(np.float32)
+    curves = RigCurves(values, board.names, 30.0)
+    path = tmp_path / "a.unreal.json"
+    write_curves(path, curves)
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    found = run_inside(module, monkeypatch).anim_sequence(str(path)).curves
+    expected = board_to_raw(curves)
+    for name in expected.names:
+        np.testing.assert_allclose(found[name][1], expected[name], atol=3e-6)  # knots up to 5 steep
+
+
+def test_numbers_of_the_first_schema_are_read(tmp_path, monkeypatch):
+    path = tmp_path / "old.unreal.json"
+    data = {"schema": "deitalk.unreal/1", "frame_rate": [30, 1], "n_frames": 3, "board": {}}
+    path.write_text(json.dumps(data | {"raw": {"CTRL_expressions_jawOpen": [0, 0.5, 1]}}))
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    found = run_inside(module, monkeypatch).anim_sequence(str(path)).curves
+    assert found["CTRL_expressions_jawOpen"][1] == [0, 0.5, 1]
+    jaw = read_curves(path)["CTRL_C_jaw.ty"]
+    np.testing.assert_allclose(jaw, [0, 0.5, 1])
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [{"of": ["CTRL_C_jaw.z"], "knots": [[0, 0]]}, {"of": [], "knots": []}, {"of": ["a"]}, {}],
+)
+def test_script_rejects_damaged_raw_curves(tmp_path, monkeypatch, curve):
+    path = tmp_path / "a.unreal.json"
+    write_curves(path, speech(3))
+    data = json.loads(path.read_text())
+    data["raw"]["CTRL_expressions_jawOpen"] = curve
+    path.write_text(json.dumps(data))
+    script = run_inside(fake_unreal.make_unreal(skeletons=[SKELETON]), monkeypatch)
+    with pytest.raises(script.DeitalkError, match="raw or board is damaged"):
+        script.anim_sequence(str(path))
+    assert not validate(path).ok
 
 
 def test_head_track_becomes_curves_in_unreals_axes(tmp_path, monkeypatch):
@@ -324,7 +366,7 @@ def test_script_rejects_what_the_user_can_correct(take, tmp_path, monkeypatch):
     with pytest.raises(script.DeitalkError, match="cannot read"):
         script.anim_sequence(str(tmp_path / "absent.json"))
     (tmp_path / "x.json").write_text("{}")
-    with pytest.raises(script.DeitalkError, match=r"not of schema deitalk\.unreal/1"):
+    with pytest.raises(script.DeitalkError, match=r"not of schema deitalk\.unreal/2"):
         script.anim_sequence(str(tmp_path / "x.json"))
     empty = fake_unreal.LevelSequence([fake_unreal.ControlRig("Body", {})])
     script = run_inside(fake_unreal.make_unreal(level_sequence=empty), monkeypatch)
