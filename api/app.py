@@ -9,11 +9,10 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
-from api import docs_page
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
 from api.guard.middleware import Guard
 from api.messages.schemas import ProblemView
-from api.routes import animations, catalogue, health, jobs, live, studio
+from api.routes import animations, catalogue, docs_page, health, jobs, live, studio
 from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk import __version__

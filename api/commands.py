@@ -23,16 +23,23 @@ from rig.files import atomic_write
 LONGEST_START_SECONDS = 60
 
 
-def serve(file: Path | None, **given: Any) -> None:
-    """Serve with the settings of a file, the environment and some given.
+def serve(file: Path | None, *, ray: bool = False, **given: Any) -> None:
+    """Serve with the settings of a file, the environment and some given; by Ray if `ray`.
 
     Raises
     ------
     ConfigError
         If a setting is wrong or the port is taken.
+    MissingError
+        If Ray is needed and not installed.
     """
     settings = load_settings(file, **given)
     settings.check()
+    if ray:
+        from api import cluster
+
+        cluster.run(settings)
+        return
     start_early()
     from api.serving import run
 

@@ -28,10 +28,9 @@ def run(settings: Settings) -> None:
         If a setting is wrong or the port is taken.
     """
     app = create_app(settings)
-    lines = "".join(f"  {line}\n" for line in settings.lines())
-    sys.stderr.write(f"deitalk {__version__}\n{lines}")
-    _log_to_stderr()
-    _check_port(settings)
+    print_settings(settings)
+    log_to_stderr()
+    check_port(settings)
     server = uvicorn.Server(server_config(app, settings))
     server.run()
     if not server.started:
@@ -58,7 +57,13 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
     )
 
 
-def _check_port(settings: Settings) -> None:
+def print_settings(settings: Settings) -> None:
+    """Print the version and one line for each setting."""
+    lines = "".join(f"  {line}\n" for line in settings.lines())
+    sys.stderr.write(f"deitalk {__version__}\n{lines}")
+
+
+def check_port(settings: Settings) -> None:
     """Refuse a port that is taken, before the workers start."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     with socket.socket(family) as probe:
@@ -72,7 +77,8 @@ def _check_port(settings: Settings) -> None:
             ) from None  # fmt: skip
 
 
-def _log_to_stderr() -> None:
+def log_to_stderr() -> None:
+    """Send the service's lines and uvicorn's warnings to stderr."""
     logging.config.dictConfig({
         "version": 1,
         "disable_existing_loggers": False,

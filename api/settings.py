@@ -83,6 +83,14 @@ class Settings(BaseSettings):
     keep_days: float = Field(default=7, gt=0, le=3650)
     keep_mb: int = Field(default=10_240, ge=1, le=100_000_000)
 
+    ray_address: str = ""
+    replicas: int = Field(default=1, ge=1, le=1000)
+    most_replicas: int = Field(default=4, ge=1, le=1000)
+    replica_cpus: float = Field(default=1, ge=0, le=1024)
+    replica_gpus: float = Field(default=0, ge=0, le=64)
+    scale_up_seconds: float = Field(default=10, ge=0, le=3600)
+    scale_down_seconds: float = Field(default=300, ge=0, le=86_400)
+
     @field_validator("models")
     @classmethod
     def _named(cls, models: dict[str, Path]) -> dict[str, Path]:

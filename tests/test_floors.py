@@ -36,9 +36,10 @@ FLOORS = {
     """,
     "api": """
         commands
+        cluster
         serving
         app
-        routes docs_page
+        routes
         live
         messages
         service

@@ -31,7 +31,8 @@ class Store:
     """
 
     def __init__(self, url: str) -> None:
-        self.files, self.root = fsspec.core.url_to_fs(url)
+        # Listings are not kept: other servers add and remove files.
+        self.files, self.root = fsspec.core.url_to_fs(url, use_listings_cache=False)
         self.files.makedirs(self.root, exist_ok=True)
 
     def put_folder(self, folder: Path, job_id: str) -> None:

@@ -22,6 +22,9 @@ def serve(
     settings: Annotated[
         Path | None, typer.Option(help="YAML file of settings; see docs/service.md.")
     ] = None,
+    ray: Annotated[
+        bool, typer.Option("--ray", help="Serve on the machines of a Ray cluster (extra ray).")
+    ] = False,
 ) -> None:
     """Serve animations over HTTP and WebSocket.
 
@@ -32,8 +35,10 @@ def serve(
     deitalk serve
 
     deitalk serve --port 9000 --settings service.yaml
+
+    deitalk serve --ray --settings cluster.yaml
     """
-    _commands().serve(settings, host=host, port=port)
+    _commands().serve(settings, ray=ray, host=host, port=port)
 
 
 def studio(

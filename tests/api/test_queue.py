@@ -110,3 +110,20 @@ def test_service_keeps_its_jobs_in_postgresql(postgres, tmp_path):
         assert job["status"] == "done"
         assert len(client.get(job["result"]).text.splitlines()) == 31
     assert not (tmp_path / "a" / "jobs.sqlite").exists()
+
+
+@pytest.mark.slow
+def test_two_servers_share_jobs_by_postgresql_and_a_bucket(postgres, bucket, tmp_path):
+    """One server accepts and answers, the other carries out."""
+    shared = {"database": postgres, "storage": f"{bucket}/service"}
+    with (
+        serving(tmp_path / "a", job_workers=0, **shared) as front,
+        serving(tmp_path / "b", **shared),
+        front.client() as client,
+    ):
+        for seconds in (1, 2):  # the second job is beside files that the first server has listed
+            job = wait(client, submit(client, recording=wav(seconds), format="csv").json()["id"])
+            assert job["status"] == "done", job
+            assert len(client.get(job["result"]).text.splitlines()) == 30 * seconds + 1
+        assert client.delete(f"/v1/jobs/{job['id']}").status_code == 204
+        assert client.get(job["result"]).status_code == 404

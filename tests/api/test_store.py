@@ -19,10 +19,12 @@ CALLER = Caller("farm", SCOPES, 3, 600)
 WORK = {"order": {"kind": "animation"}, "format": "json"}
 
 
-@pytest.fixture(params=["folder", "memory"])
+@pytest.fixture(params=["folder", "memory", "s3"])
 def store(request, tmp_path):
     if request.param == "folder":
         return Store(str(tmp_path / "files"))
+    if request.param == "s3":
+        return Store(f"{request.getfixturevalue('bucket')}/{uuid.uuid4().hex}")
     return Store(f"memory://{uuid.uuid4().hex}")
 
 
