@@ -5,7 +5,6 @@ The working folder is the order's: all paths are relative and fixed (`api.comput
 
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +59,6 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     is_video = options["format"] == "mp4"
     share = NETWORK_SHARE if is_video else 1.0
     performance = _performed(order, limits, lambda done: progress(share * done))
-    performance = _scaled(performance, options.get("gain"))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = list(performance.recording.warnings)
     if is_video or options["format"] in ("page", "packed"):
@@ -86,17 +84,8 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
 
 def _drawing(options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `animate` on rules and idle motion."""
-    names = ("idle", "life", "listen", "look_at", "raw", "seed")
+    names = ("gain", "idle", "life", "listen", "look_at", "raw", "seed")
     return {name: options[name] for name in names if name in options}
-
-
-def _scaled(performance: Performance, gains: dict[str, float] | None) -> Performance:
-    """The performance with factors on controls or regions, within their ranges."""
-    if not gains:
-        return performance
-    readings = (performance.curves, performance.neutral)
-    curves, neutral = (clamp(gain(reading, gains))[0] for reading in readings)
-    return replace(performance, curves=curves, neutral=neutral)
 
 
 def _direction(options: dict[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import EmotionError
-from rig.errors import CurveError, quoted
+from rig.curves.edit import parse_gains
+from rig.errors import quoted
 from rig.files.reading import load_json
 from rig.limits import SEED
 
@@ -154,7 +155,7 @@ class ConversionOptions(BaseModel):
     def order_options(self) -> dict[str, Any]:
         """Return the options of an order."""
         given = self.model_dump(exclude={"format"}, exclude_none=True)
-        return given | ({"gain": gains_of(self.gain)} if self.gain is not None else {})
+        return given | ({"gain": parse_gains(self.gain)} if self.gain is not None else {})
 
 
 def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict[str, Any]:
@@ -184,31 +185,11 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
     elif options.intensity_curve is not None:
         given["intensity_curve"] = _keys(options.intensity_curve, folder, "intensity")
     if "gain" in given:
-        given["gain"] = gains_of(given["gain"])
+        given["gain"] = parse_gains(given["gain"])
     speaker = given.get("speaker", "")
     if speaker.isascii() and speaker.isdigit():
         given["speaker"] = int(speaker)
     return given
-
-
-def gains_of(text: str) -> dict[str, float]:
-    """Return the factors of ``brow=0.5,mouth=1.2``.
-
-    Raises
-    ------
-    CurveError
-        If the text is something else.
-    """
-    gains = {}
-    for part in text.split(","):
-        name, _, factor = part.partition("=")
-        try:
-            gains[name.strip()] = float(factor)
-        except ValueError:
-            raise CurveError(
-                f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
-            ) from None
-    return gains
 
 
 def weights_of(text: str) -> dict[str, float]:

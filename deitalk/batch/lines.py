@@ -39,7 +39,7 @@ class Settings:
         Suffixes of the files to write, and ``take``.
     fps : float, optional
         Rate of the written curves.
-    idle, raw, seed, life, look_at, listen
+    idle, raw, seed, life, look_at, listen, gain
         As for `deitalk.animate`; empty: its defaults.
     """
 
@@ -56,6 +56,7 @@ class Settings:
     life: str = ""
     look_at: str = ""
     listen: float = 0.0
+    gain: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +129,13 @@ def check_settings(settings: Settings) -> None:
         If a number is out of its range or an emotion is unknown.
     """
     from rig.curves import snap_fps
+    from rig.curves.edit import parse_gains
 
     check_intensity(settings.intensity)
     _checked_life(settings.life, settings.look_at)
     if not 0 <= settings.listen <= LONGEST_LISTENING:
         raise DeitalkError(f"listen {settings.listen:g} must be 0 to {LONGEST_LISTENING:g} s")
+    parse_gains(settings.gain or None)
     if not is_track(settings.emotion):
         _parsed(settings.emotion)
     if settings.fps is not None:

@@ -11,7 +11,7 @@
     actor             who speaks: lines of one actor share a reference
     voice             reference of the actor, instead of the one that is measured
     fps, seed, listen numbers
-    life, look_at     as for `deitalk animate`
+    life, look_at, gain   as for `deitalk animate`
 
 Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 """
@@ -33,7 +33,7 @@ from rig.formats.table import writable_suffixes
 
 COLUMNS = (
     "audio", "output", "formats", "emotion", "intensity", "intensity_curve", "actor", "voice",
-    "fps", "seed", "life", "look_at", "listen",
+    "fps", "seed", "life", "look_at", "listen", "gain",
 )  # fmt: skip
 _SETTINGS = tuple(name for name in COLUMNS if name not in ("audio", "output", "formats"))
 _SEPARATORS = ",;\t"
@@ -145,7 +145,7 @@ def _settings(row: Row, base: str, defaults: Settings) -> Settings:
     for name in ("intensity", "fps", "listen"):
         if cell := row.get(name):
             found[name] = number(cell, name, "column")
-    for name in ("actor", "life", "look_at"):
+    for name in ("actor", "life", "look_at", "gain"):
         if text := row.get(name):
             found[name] = text
     if seed := row.get("seed"):

@@ -122,6 +122,7 @@ class Performer:
             life=settings.life or None,
             look_at=settings.look_at or (0.0, 0.0),
             listen=settings.listen,
+            gain=settings.gain or None,
         )
 
     def _most_together(self, n_frames: int) -> int:

@@ -43,6 +43,7 @@ def animate_batch(
     life: str = "",
     look_at: str = "",
     listen: float = 0.0,
+    gain: str = "",
     model: str | Path = "default",
     backend: Backend = "torch",
     workers: int | None = None,
@@ -63,7 +64,7 @@ def animate_batch(
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.
-    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen
+    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen, gain
         Of lines whose manifest does not give them; see `deitalk.batch.lines.Settings`. `formats`
         is a list such as ``"csv;take"``.
     model : str or Path
@@ -94,7 +95,7 @@ def animate_batch(
     began = monotonic()
     defaults = Settings(
         emotion, intensity, actor=actor, formats=parse_formats(formats), fps=fps, idle=idle,
-        raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
+        raw=raw, seed=seed, life=life, look_at=look_at, listen=listen, gain=gain,
     )  # fmt: skip
     check_settings(defaults)
     identity, count = model_identity(model, backend), _processes(workers, ray)

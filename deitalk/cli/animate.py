@@ -65,6 +65,9 @@ def animate(
     listen: Annotated[
         float, typer.Option(help="Seconds of living silence after the speech.")
     ] = 0.0,
+    gain: Annotated[
+        str | None, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
+    ] = None,
     raw: Annotated[
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
@@ -103,6 +106,7 @@ def animate(
         "life": life,
         "look_at": look_at,
         "listen": listen,
+        "gain": gain,
         "raw": raw,
         "seed": seed,
     }
@@ -223,9 +227,11 @@ def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, A
         read_intensity_curve,
     )
     from deitalk.postprocess.life.amounts import Life
+    from rig.curves.edit import parse_gains
 
     check_intensity(options["intensity"])
     Life.of(options["life"], options["look_at"])
+    parse_gains(options["gain"])
     is_given = options["emotion"] != AUTO
     given = options | ({"emotion": parse_emotion(options["emotion"])} if is_given else {})
     if options["intensity_curve"] is not None:

@@ -42,6 +42,9 @@ def batch(
     listen: Annotated[
         float, typer.Option(help="Seconds of listening after each recording, 0 to 600.")
     ] = 0.0,
+    gain: Annotated[
+        str, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
+    ] = "",
     workers: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
@@ -57,8 +60,8 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed, life, look_at, listen
-    (docs/batch.md).
+    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed, life, look_at, listen,
+    gain (docs/batch.md).
 
     Examples
     --------
@@ -72,6 +75,7 @@ def batch(
         report = animate_batch(
             source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
             fps=fps, idle=idle, raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
+            gain=gain,
             model=model, backend=backend, workers=workers, ray=ray,  # type: ignore[arg-type]
             force=force, progress=progress,
         )  # fmt: skip

@@ -26,6 +26,7 @@ from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.edit import gain_factors, parse_gains
 from rig.errors import quoted
 
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
@@ -48,6 +49,7 @@ def animate(
     raw: bool = False,
     seed: int = 0,
     listen: float = 0.0,
+    gain: str | Mapping[str, float] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Performance:
     """Animate a face from speech.
@@ -85,6 +87,9 @@ def animate(
         Another drawing of the idle motion; each recording and each actor has its own already.
     listen : float, range 0 to 600
         Seconds of silence after the recording in which the face listens: its eyes and head live on.
+    gain : str or mapping, optional
+        Factors on how far controls or sets of controls go from rest: ``"jaw=1.2,brow=0.8"``; values
+        stay within their ranges.
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
 
@@ -94,7 +99,7 @@ def animate(
 
     Raises
     ------
-    AudioError, EmotionError, CheckpointError
+    AudioError, EmotionError, CheckpointError, CurveError, ControlError
         One line each: the value, the rule and the way out.
     """
     check_progress(progress)
@@ -102,7 +107,7 @@ def animate(
     shot = prepare(
         audio, emotion, load, sample_rate=sample_rate, actor=actor, intensity=intensity,
         intensity_curve=intensity_curve, voice=voice, idle=idle, life=life, look_at=look_at,
-        raw=raw, seed=seed, listen=listen,
+        raw=raw, seed=seed, listen=listen, gain=gain,
     )  # fmt: skip
     reading = shot.network.read(
         shot.speech.waveform, shot.weights, shot.actor, progress, shot.speech.gain
@@ -126,6 +131,8 @@ class Shot:
     """Motion above the mouth; None: there is none."""
     life: Life
     seed: int
+    gain: Float32
+    """Factor of each control [shape=(C,)]."""
     settings: Mapping[str, Any]
     """Arguments of `animate`, as a take stores them."""
     clock: "_Clock"
@@ -147,6 +154,7 @@ def prepare(
     raw: bool = False,
     seed: int = 0,
     listen: float = 0.0,
+    gain: Any = None,
 ) -> Shot:
     """Read and check what `animate` is given, and measure the speech.
 
@@ -155,22 +163,25 @@ def prepare(
     """
     clock = _Clock()
     direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
-    life = Life.of(life, look_at)
+    life, gains = Life.of(life, look_at), parse_gains(gain)
     recording = _extended(_with_note_on(direction.curve, recording_of(audio, sample_rate)), listen)
     clock.lap("audio")
     network = load()
     clock.lap("model")
+    factors = gain_factors(network.controls, gains)
     rules = RulesConfig.none() if raw else network.rules
     speech = Speech.of(recording.waveform, rules.gates)
     weights = direction.emotion.at(speech.times)
     name = chosen_actor(network.actors, actor)
     moves = idle and (listen or speech.activity.any())
     others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
-    settings = _settings(emotion, direction, intensity_curve, life, listen=listen, **others)
+    settings = _settings(
+        emotion, direction, intensity_curve, life, listen=listen, gain=gains, **others
+    )
     motion = rules.idle if moves else None
     return Shot(
-        network, recording, direction, speech, weights, name, rules, motion, life, seed, settings,
-        clock,
+        network, recording, direction, speech, weights, name, rules, motion, life, seed, factors,
+        settings, clock,
     )  # fmt: skip
 
 
@@ -190,8 +201,8 @@ def finish(shot: Shot, reading: Reading, model: str = "") -> Performance:
         motion = _idle_motion(speech, shown, seeds, shot.idle, shot.life, actor)
         motion.move(values, neutral, controls)
         head = motion.head
-    clipped = _clamp(values, controls)
-    _clamp(neutral, controls)
+    clipped = _clamp(_scaled(values, shot.gain, controls), controls)
+    _clamp(_scaled(neutral, shot.gain, controls), controls)
     clock.lap("expression")
     emotion, applied = shot.weights, intensities.applied
     return Performance(
@@ -292,6 +303,15 @@ def _extended(recording: Recording, seconds: Any) -> Recording:
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
+
+
+def _scaled(values: Float32, gain: Float32, controls: ControlSet) -> Float32:
+    """Scale the distance of every control from rest in place."""
+    places = np.flatnonzero(gain != 1)
+    if len(places):
+        rest = controls.rest[places]
+        values[:, places] = rest + (values[:, places] - rest) * gain[places]
+    return values
 
 
 def _clamp(values: Float32, controls: ControlSet) -> int:

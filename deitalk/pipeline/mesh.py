@@ -88,7 +88,8 @@ def animate_mesh(
     progress : callable
         Called with the share of the work that is done, 0 to 1.
     **options
-        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, listen, seed.
+        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, listen, gain,
+        seed.
 
     Returns
     -------

@@ -40,7 +40,7 @@ class Performance:
         Seconds spent per stage.
     settings : mapping
         Arguments: emotion, intensity, intensity_curve, voice, idle, life, look_at, seed, raw,
-        actor.
+        actor, listen, gain.
     model : str
         Name or folder of the model; empty for a loaded model.
     """

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from rig.arrays import Bool, Float32
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
-from rig.errors import CurveError
+from rig.errors import CurveError, quoted
 
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",
@@ -100,6 +101,32 @@ def clamp(
     return replace(curves, values=clamped), ClampReport(tuple(clipped))
 
 
+def parse_gains(gains: str | Mapping[str, float] | None) -> dict[str, float]:
+    """Factors by control or set, of a mapping or of a text: ``jaw=1.2,brow=0.5``.
+
+    Raises
+    ------
+    CurveError
+        If a part of the text is something else, or a factor is not finite or beyond ±1e6.
+    """
+    if gains is None or isinstance(gains, Mapping):
+        found = dict(gains or {})
+    else:
+        parts = [part.partition("=") for part in str(gains).split(",")]
+        found = {name.strip(): _factor(name, factor) for name, _, factor in parts}
+    return {name: _finite(factor, f"gain of {name}") for name, factor in found.items()}
+
+
+def _factor(name: str, factor: str) -> float:
+    try:
+        return float(factor)
+    except ValueError:
+        part = f"{name}={factor}" if factor else name
+        raise CurveError(
+            f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
+        ) from None
+
+
 def gain(
     curves: RigCurves,
     gains: Mapping[str, float] | None = None,
@@ -128,15 +155,21 @@ def gain(
         If a key is neither a set nor a control.
     """
     controls = controls or default_controls()
-    scale = np.ones(len(controls), np.float32)
+    scale = gain_factors(controls, gains or {})
     shift = np.zeros(len(controls), np.float32)
-    for key, number in (gains or {}).items():
-        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
     for key, number in (offsets or {}).items():
         shift[_members(controls, key)] += _finite(number, f"offset of {key}")
     places = controls.indices(curves.names)
     rest = controls.rest[places]
     return replace(curves, values=rest + (curves.values - rest) * scale[places] + shift[places])
+
+
+def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
+    """Factor of every control [shape=(C,)]; arguments and errors are those of `gain`."""
+    scale = np.ones(len(controls), np.float32)
+    for key, number in gains.items():
+        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
+    return scale
 
 
 def smooth(
@@ -244,6 +277,8 @@ def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
 
 
 def _finite(number: float, what: str) -> float:
+    if isinstance(number, bool) or not isinstance(number, Real):
+        raise CurveError(f"{what} is {quoted(number)}; it must be a number")
     if not (math.isfinite(number) and abs(number) <= MAX_FACTOR):
         raise CurveError(f"{what} is {number:g}; it must be finite and within ±{MAX_FACTOR:g}")
     return number

@@ -18,7 +18,7 @@ from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.middleware import Guard
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
-from api.messages.options import gains_of, weights_of
+from api.messages.options import weights_of
 from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
@@ -189,12 +189,6 @@ def test_container_files_name_settings_and_paths_that_exist():
     for line in re.findall(r"^COPY (.+) \S+$", text, re.MULTILINE):
         for name in line.split():
             assert (folder.parents[1] / name).exists(), name
-
-
-def test_gains_are_read_as_those_of_convert():
-    assert gains_of("brow=0.5, mouth=1.2") == {"brow": 0.5, "mouth": 1.2}
-    with pytest.raises(CurveError, match="NAME=FACTOR"):
-        gains_of("brow")
 
 
 class Ready(BaseHTTPRequestHandler):

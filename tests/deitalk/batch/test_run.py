@@ -84,6 +84,14 @@ def test_second_run_does_nothing(run, orders):
     }
 
 
+def test_gain_of_a_row_is_that_of_animate(run, lines, model):
+    manifest = lines / "lines.csv"
+    manifest.write_text('audio,gain,formats\nc.flac,"jaw=0,brow=2",npz\n')
+    assert status(run(manifest)) == {"c": "done"}
+    wanted = animate(lines / "c.flac", model=model, gain="jaw=0,brow=2").curves.values
+    np.testing.assert_allclose(read_curves(run.out / "c.npz").values, wanted, atol=1e-6)
+
+
 def test_changed_row_is_the_only_one_done_again(run, orders, lines):
     manifest = lines / "lines.csv"
     manifest.write_text("audio,emotion\nanna/a.wav,happy\nanna/b.wav,happy\n")

@@ -15,6 +15,7 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.speech import Speech
+from rig.errors import ControlError
 
 SMALL = ModelConfig(
     frontend=MelConfig(
@@ -255,6 +256,23 @@ def test_curves_stay_within_their_ranges_at_four_times_the_intensity(network):
     assert (acted >= network.controls.minimum).all()
     assert (acted <= network.controls.maximum).all()
     assert np.isfinite(acted).all()
+
+
+def test_gain_scales_both_readings_around_rest(network):
+    """A region by its factor, the others as before, values within their ranges."""
+    plain = animate(recording(), "happy", model=network, idle=False)
+    scaled = animate(recording(), "happy", model=network, idle=False, gain="jaw=1.5,brow=0.5")
+    controls = network.controls
+    factors = np.ones(len(controls))
+    factors[controls.subset("jaw")], factors[controls.subset("brow")] = 1.5, 0.5
+    for before, after in ((plain.curves, scaled.curves), (plain.neutral, scaled.neutral)):
+        wanted = controls.rest + factors * (before.values - controls.rest)
+        inside = (before.values > controls.minimum) & (before.values < controls.maximum)
+        wanted = np.clip(wanted, controls.minimum, controls.maximum)
+        np.testing.assert_allclose(after.values[inside], wanted[inside], atol=1e-6)
+    assert scaled.settings["gain"] == {"jaw": 1.5, "brow": 0.5}
+    with pytest.raises(ControlError, match="unknown control 'jar'"):
+        animate(recording(), model=network, gain={"jar": 2})
 
 
 @pytest.mark.parametrize(

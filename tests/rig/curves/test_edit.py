@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, clamp, default_controls, gain, rest_curves, smooth
+from rig.curves.edit import parse_gains
 from rig.errors import ControlError, CurveError
 
 JAW = "CTRL_C_jaw.ty"
@@ -59,6 +60,27 @@ def test_gain_of_a_region_leaves_the_others():
         if a != b
     }
     assert moved == {default_controls().names[i] for i in default_controls().subset("brow")}
+
+
+def test_gains_are_read_from_a_text():
+    assert parse_gains("brow=0.5, mouth=1.2") == {"brow": 0.5, "mouth": 1.2}
+    assert parse_gains({"jaw": 2}) == {"jaw": 2} and parse_gains(None) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("brow", "NAME=FACTOR"),
+        ("", "NAME=FACTOR"),
+        ("jaw=x", "NAME=FACTOR"),
+        ("jaw=inf", "gain of jaw is inf"),
+        ({"jaw": "2"}, "it must be a number"),
+    ],
+)
+def test_gains_that_are_none_are_one_line(text, message):
+    with pytest.raises(CurveError, match=message) as caught:
+        parse_gains(text)
+    assert "\n" not in str(caught.value)
 
 
 def test_gain_rejects_invalid_numbers_and_names():
