@@ -193,7 +193,8 @@ class Performer:
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
-                write_curves(folder / name, performance.curves, fps=order.settings.fps)
+                curves, fps = performance.curves, order.settings.fps
+                write_curves(folder / name, curves, fps=fps, sound=performance.sound_file)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 

@@ -285,7 +285,8 @@ def _write_file(
 ) -> None:
     from rig import write_curves
 
-    report = write_curves(out, performance.curves, fps=fps, digits=digits)
+    sound = performance.sound_file
+    report = write_curves(out, performance.curves, fps=fps, digits=digits, sound=sound)
     if report.note:
         console().note(report.note)
     for track in report.dropped:

@@ -45,7 +45,7 @@ def convert(
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
     rig: Annotated[
         str,
-        typer.Option(help="Control set of csv, json and npz: board, raw, arkit, as-is."),
+        typer.Option(help="Controls of csv, json, npz: board, raw, arkit, as-is; of glb: arkit."),
     ] = "board",
     list_formats: Annotated[
         bool, typer.Option("--list-formats", help="Print the formats and exit.")
@@ -64,6 +64,8 @@ def convert(
     deitalk convert MySlate_1_iPhone.csv curves.csv --gain brow=1.5 --smooth 0.03
 
     deitalk convert MySlate_1_iPhone.csv shapes.csv --rig arkit
+
+    deitalk convert take/ face.glb --rig arkit
     """
     from rig import read_curves, write_curves
     from rig.controls import DEFAULT_ID
@@ -84,7 +86,9 @@ def convert(
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
     if wanted is not None:
         curves = to_set(curves, wanted)
-    _report(write_curves(target, curves, format=to, fps=fps, digits=digits), as_json)
+    sound = source / "audio.wav" if (source / "audio.wav").is_file() else ""
+    report = write_curves(target, curves, format=to, fps=fps, digits=digits, sound=sound)
+    _report(report, as_json)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:
@@ -98,12 +102,12 @@ def _control_set(rig: str, target: Path, to: str | None) -> str | None:
     if rig not in sets:
         raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
     chosen = find_format(target, to, writable=True)
-    if chosen.control_set is None:
+    if chosen.control_set is None or sets[rig] in chosen.also:
         return sets[rig]
     if rig in ("raw", "arkit") and chosen.control_set != sets[rig]:
         raise DeitalkError(
             f"--rig {rig} does not apply to {chosen.name}, whose curves are {chosen.control_set}; "
-            "leave it out, or write csv, json or npz"
+            "leave it out, or write csv, json, npz, or for arkit glb"
         )
     return None
 

@@ -1,5 +1,6 @@
 """Results of `deitalk.animate` and `deitalk.animate_mesh`, and how they are saved."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,6 +63,11 @@ class Performance:
         return emotion is not None and bool((emotion[:, 0] < 1).any())
 
     @property
+    def sound_file(self) -> str:
+        """Path of the recording; empty if it was no file."""
+        return self.recording.source if os.path.isfile(self.recording.source) else ""
+
+    @property
     def head(self) -> Float32 | None:
         """Turn and shift of the head [shape=(T, 6)], see `rig.curves.HEAD`; None if it is off."""
         return self.curves.head
@@ -111,7 +117,7 @@ class Performance:
         from rig.formats import write_curves
 
         check_file(target, force=force, inputs=(self.recording.source,))
-        write_curves(target, self.curves, fps=fps)
+        write_curves(target, self.curves, fps=fps, sound=self.sound_file)
         return Path(target)
 
     def _save_take(self, folder: Path, fps: float | None, force: bool) -> Path:

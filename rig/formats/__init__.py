@@ -4,6 +4,7 @@
 sizes, ranges, NaN, missing and doubled controls, and a file that is written whole or not at all.
 """
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -107,6 +108,7 @@ def write_curves(
     format: str | None = None,
     fps: float | None = None,
     digits: int | None = None,
+    sound: Path | str = "",
 ) -> WriteReport:
     """Write curves to a file, whole or not at all; values outside their ranges are clamped.
 
@@ -123,6 +125,8 @@ def write_curves(
     digits : int, range 2 to 6, optional
         Digits after the point, of csv, json, raw-csv and unreal, which have 6 by default; a value
         read again differs by at most half of the last one.
+    sound : Path or str
+        File of the speech, for formats that name it (Rhubarb's JSON and XML).
 
     Returns
     -------
@@ -138,12 +142,14 @@ def write_curves(
     path = Path(path)
     chosen = find_format(path, format, writable=True)
     assert chosen.write is not None
-    options = () if digits is None else (checked_digits(digits, chosen),)
+    options: tuple[object, ...] = () if digits is None else (checked_digits(digits, chosen),)
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
         curves = curves.resample(fps)
-    curves, clipped, note = _prepared(curves, chosen)
+    curves, clipped, note = _prepared(path, curves, chosen)
+    if chosen.names_sound:
+        options = (os.path.abspath(sound) if sound else "",)
     try:
         with atomic_write(path) as beside:
             chosen.write(beside, curves, *options)
@@ -184,7 +190,7 @@ def _recognised(path: Path, chosen: Format) -> Format:
     return find_format(path, name or chosen.name)
 
 
-def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
+def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
     """Return curves clamped and in the control set that a format takes, and what that lost."""
     known = known_controls(curves.control_set)
     clipped, note = ClampReport(), ""
@@ -194,9 +200,9 @@ def _prepared(curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport
     if wanted == ARKIT_ID and curves.control_set != ARKIT_ID:
         fit = raw_to_arkit(convert(curves, RAW_ID))
         curves, note = fit.curves, str(fit)
-    elif wanted is not None:
+    elif wanted is not None and curves.control_set not in chosen.also:
         curves = convert(curves, wanted)
-    more = chosen.note(curves) if chosen.note else ""
+    more = chosen.note(path, curves) if chosen.note else ""
     return curves, clipped, "; ".join(line for line in (note, more) if line)
 
 

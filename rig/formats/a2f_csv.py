@@ -1,6 +1,8 @@
 """``animation_frames.csv`` as NVIDIA Audio2Face-3D samples write it.
 
-An index without a name, ``timeCode`` in seconds, and ``blendShapes.<Name>`` for 52 ARKit shapes.
+An index without a name, ``timeCode`` in seconds, and ``blendShapes.<Name>`` for 52 ARKit shapes in
+the order of NVIDIA's models, which is that of ARKit's enum: JawLeft before JawRight, MouthLeft
+before MouthRight. Live Link Face has the right ones first.
 """
 
 from pathlib import Path
@@ -8,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.curves_csv import fps_of
@@ -22,12 +24,13 @@ N_SHAPES = 52
 
 def write(path: Path, curves: RigCurves) -> None:
     """Write the 52 shapes, without rotations."""
-    names = curves.names[:N_SHAPES]
+    order = udp_order()[:N_SHAPES]
+    names = [curves.names[i] for i in order]
     frame = np.arange(len(curves)).reshape(-1, 1)
     blocks = [
         Block(frame, 0),
         Block(curves.times.reshape(-1, 1), 9),
-        Block(curves.values[:, :N_SHAPES], DECIMALS),
+        Block(curves.values[:, order], DECIMALS),
     ]
     with path.open("wb") as stream:
         header = ("", "timeCode", *(PREFIX + name for name in names))

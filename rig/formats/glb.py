@@ -1,11 +1,13 @@
 """GLB (glTF 2.0 binary): our head with morph targets and their animation.
 
+Curves of the board move shapes of its controls, ARKit's curves the 52 shapes of `arkit_head`.
 Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, see
 ``deitalk retarget``.
 """
 
 from pathlib import Path
 
+from rig.conversion.arkit import ARKIT_ID
 from rig.curves import RigCurves
 from rig.face.turn import matrices, quaternions
 from rig.mesh.glb import RigidMotion, WeightAnimation, write_glb
@@ -15,8 +17,15 @@ from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head
 def write(path: Path, curves: RigCurves) -> None:
     """Write one mesh in metres, y up, facing +z, and one animation of its weights and its node.
 
+    ARKit's curves become weights of shapes with Apple's names, and of four correctives.
+
     The head track turns and shifts the whole mesh about the joint of skull and spine.
     """
+    if curves.control_set == ARKIT_ID:
+        from rig.retarget.arkit_head import write_animation
+
+        write_animation(path, curves, motion=_motion(curves))
+        return
     rig, colours = morph_head()
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
     write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours)

@@ -35,6 +35,8 @@ DECIMALS = 10
 TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,2})(?:\.(\d{1,3}))?")
 ENDINGS = ("_cal", "_raw", "_neutral")
 """Ends of file names that the importer leaves out of the subject."""
+SUFFIXES = ("livelink", "livelink-raw")
+"""Before ``.csv`` they name our format; Unreal keeps them."""
 COUNT = "BlendshapeCount"
 """Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
@@ -177,7 +179,23 @@ def padding(ticks: Int64) -> Int64:
     return np.asarray(more[: int(np.argmax(over)) + 1], np.int64)
 
 
-def padding_note(curves: RigCurves) -> str:
+def notes(path: Path, curves: RigCurves) -> str:
+    """Return what is to know about a file: its padding, and a subject that its suffix changes."""
+    return "; ".join(note for note in (_padding_note(curves), suffix_note(path)) if note)
+
+
+def suffix_note(path: Path) -> str:
+    """Return a line on a name with a second suffix, which becomes part of Unreal's subject."""
+    stem, point, suffix = path.stem.rpartition(".")
+    if not point or suffix.lower() not in SUFFIXES:
+        return ""
+    return (
+        f"Unreal makes the subject {subject_of(path)!r} of this name: call the file "
+        f"{stem}_cal.csv for {subject_of(Path(stem + '_cal.csv'))!r}"
+    )
+
+
+def _padding_note(curves: RigCurves) -> str:
     """Return a line on the padding of a clip; empty if there is none."""
     n_held = len(padding(frame_ticks(len(curves), curves.fps)))
     if not n_held:

@@ -4,9 +4,11 @@ Times are seconds with two decimals, as Rhubarb writes them.
 """
 
 import itertools
+import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 from rig.controls import ControlSet, default_controls
 from rig.conversion.visemes import Cue, cues, cues_to_curves
@@ -37,14 +39,14 @@ def read_tsv(path: Path, controls: ControlSet | None = None, fps: float | None =
     return _posed(path, [Cue(a, b, s) for (a, b), s in zip(pairs, shapes, strict=True)], fps)
 
 
-def write_json(path: Path, curves: RigCurves) -> None:
-    """Write ``metadata`` and ``mouthCues``."""
+def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
+    """Write ``metadata`` with the path of the sound, and ``mouthCues``."""
     rows = [
         f'    {{ "start": {cue.start:.2f}, "end": {cue.end:.2f}, "value": "{cue.shape}" }}'
         for cue in cues(curves)
     ]
     text = (
-        '{\n  "metadata": {\n    "soundFile": "",\n'
+        f'{{\n  "metadata": {{\n    "soundFile": {json.dumps(sound)},\n'
         f'    "duration": {curves.duration:.2f}\n  }},\n  "mouthCues": [\n'
         + ",\n".join(rows)
         + "\n  ]\n}\n"
@@ -69,15 +71,16 @@ def read_json_cues(
     return _posed(path, given, fps)
 
 
-def write_xml(path: Path, curves: RigCurves) -> None:
-    """Write ``rhubarbResult``."""
+def write_xml(path: Path, curves: RigCurves, sound: str = "") -> None:
+    """Write ``rhubarbResult`` with the path of the sound."""
     lines = [
         f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
         for cue in cues(curves)
     ]
     text = (
         '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
-        f"    <soundFile></soundFile>\n    <duration>{curves.duration:.2f}</duration>\n"
+        f"    <soundFile>{escape(sound)}</soundFile>\n"
+        f"    <duration>{curves.duration:.2f}</duration>\n"
         "  </metadata>\n  <mouthCues>\n" + "".join(lines) + "  </mouthCues>\n</rhubarbResult>\n"
     )
     path.write_text(text, encoding="utf-8", newline="\n")

@@ -44,14 +44,18 @@ class Format:
         None if the format is only written or only read.
     control_set : str, optional
         Control set of the file; curves are converted to it. None: any.
+    also : tuple of str
+        Further control sets that the file can have; curves of these are not converted.
     tracks : tuple of str
         Names of the tracks that are kept: emotion, intensity, head.
     begins : tuple of str
         First cells (lower case) of a CSV of this format, by which it is recognised.
     note : callable, optional
-        A line on what the writer adds to curves, or an empty one.
+        A line on path and curves: what the writer adds, or an empty one.
     has_digits : bool
         Whether the writer takes the number of digits after the point as its third argument.
+    names_sound : bool
+        Whether the file names the sound that it belongs to; the writer takes its path then.
     """
 
     name: str
@@ -60,10 +64,12 @@ class Format:
     read: Reader | None = None
     write: Writer | None = None
     control_set: str | None = None
+    also: tuple[str, ...] = ()
     tracks: tuple[str, ...] = ()
     begins: tuple[str, ...] = ()
-    note: Callable[[RigCurves], str] | None = None
+    note: Callable[[Path, RigCurves], str] | None = None
     has_digits: bool = False
+    names_sound: bool = False
 
 
 def _write_glb(path: Path, curves: RigCurves) -> None:
@@ -130,14 +136,14 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(
         "livelink",
-        (".livelink.csv",),
+        (".livelink.csv", "_cal.csv"),
         "Live Link Face CSV, 61 ARKit columns (lossy)",
         livelink_csv.read,
         livelink_csv.write,
         ARKIT_ID,
-        ("head",),
+        tracks=("head",),
         begins=("timecode", "blendshapecount"),
-        note=livelink_csv.padding_note,
+        note=livelink_csv.notes,
     ),
     Format(
         "livelink-raw",
@@ -146,7 +152,7 @@ FORMATS: tuple[Format, ...] = (
         livelink_csv.read,
         livelink_csv.write,
         RAW_ID,
-        note=livelink_csv.padding_note,
+        note=livelink_csv.notes,
     ),
     Format(
         "a2f",
@@ -172,7 +178,7 @@ FORMATS: tuple[Format, ...] = (
         unreal_json.read,
         unreal_json.write,
         DEFAULT_ID,
-        ("head",),
+        tracks=("head",),
         has_digits=True,
     ),
     Format(
@@ -189,6 +195,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_json_cues,
         rhubarb.write_json,
         DEFAULT_ID,
+        names_sound=True,
     ),
     Format(
         "rhubarb-tsv",
@@ -205,13 +212,15 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_xml,
         rhubarb.write_xml,
         DEFAULT_ID,
+        names_sound=True,
     ),
     Format(
         "glb",
         (".glb",),
-        "our head with morph targets and their animation",
+        "our head with morph targets and their animation; --rig arkit: ARKit's 52 names",
         write=_write_glb,
         control_set=DEFAULT_ID,
+        also=(ARKIT_ID,),
         tracks=("head",),
     ),
     Format(
@@ -221,7 +230,7 @@ FORMATS: tuple[Format, ...] = (
         _read_usd,
         _write_usd,
         DEFAULT_ID,
-        ("head",),
+        tracks=("head",),
     ),
 )
 

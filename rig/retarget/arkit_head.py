@@ -6,8 +6,10 @@ turn, lips seal) comes as correctives, whose drivers stand in ``mesh.extras.corr
 take, with shapes of all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,13 @@ from rig.conversion.arkit import arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.face.head import Head
-from rig.mesh.glb import read_container, write_container, write_glb
+from rig.mesh.glb import (
+    RigidMotion,
+    WeightAnimation,
+    read_container,
+    write_container,
+    write_glb,
+)
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 
@@ -32,6 +40,10 @@ CORRECTIVES: dict[str, dict[str, float]] = {
     "mouthClose_half": {"jawOpen": 0.5, "mouthClose": 0.5},
 }
 """Pose in which each is fully on; `corrective_weights` fades them in and out."""
+
+
+Weight = Any
+"""A number, or numbers of each frame."""
 
 
 @dataclass(frozen=True)
@@ -78,19 +90,56 @@ def arkit_pose(head: Head, pose: dict[str, float]) -> Float64:
     return np.asarray(head.pose(board.values[0]), np.float64)
 
 
-def corrective_weights(weights: dict[str, float]) -> dict[str, float]:
-    """Weights of the correctives for weights of ARKit's shapes.
+def corrective_weights(weights: Mapping[str, Weight]) -> dict[str, Weight]:
+    """Weights of the correctives for weights of ARKit's shapes, numbers or one of each frame.
 
     A half is on at 0.5 and off at 0 and 1; ``mouthClose_half`` takes the weight of mouthClose.
     """
     get = {name: weights.get(name, 0.0) for name in ("jawOpen", "mouthClose")}
     halves = {name.removesuffix("_half"): weights.get(name.removesuffix("_half"), 0.0)
               for name in CORRECTIVES}  # fmt: skip
-    halves["mouthClose"] = min(get["jawOpen"], get["mouthClose"])
-    return {f"{name}_half": max(1 - abs(2 * weight - 1), 0.0) for name, weight in halves.items()}
+    halves["mouthClose"] = np.minimum(get["jawOpen"], get["mouthClose"])
+    return {
+        f"{name}_half": np.maximum(1 - abs(2 * weight - 1), 0) for name, weight in halves.items()
+    }
 
 
-def write_head(path: Path | str, head: Head) -> Morphs:
+def arkit_weights(curves: RigCurves) -> Float32:
+    """Weights [shape=(T, 56)] of ARKit's 52 shapes, from 0 to 1, and of the correctives.
+
+    Raises
+    ------
+    ControlError
+        If the curves are not ARKit's.
+    """
+    values = curves.reorder(arkit_controls()).values[:, : len(SHAPES)].clip(0, 1)
+    moving = {name for pose in CORRECTIVES.values() for name in pose}
+    added = corrective_weights({name: values[:, SHAPES.index(name)] for name in moving})
+    columns = [added[name] for name in CORRECTIVES]
+    return np.column_stack([values, *columns]).astype(np.float32)
+
+
+def write_animation(
+    path: Path | str, curves: RigCurves, *, motion: RigidMotion | None = None
+) -> None:
+    """Write the first embedded head with an animation of its ARKit shapes.
+
+    Parameters
+    ----------
+    path : Path or str
+        The ``.glb``.
+    curves : RigCurves
+        Of ARKit.
+    motion : RigidMotion, optional
+        Of the head as a whole, in metres.
+    """
+    from rig.face import build_head
+
+    animation = WeightAnimation(arkit_weights(curves), curves.fps, motion=motion)
+    write_head(path, build_head(0), animation=animation)
+
+
+def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | None = None) -> Morphs:
     """Write the head, y up, facing +z, in metres, its shapes as sparse morph targets.
 
     Parameters
@@ -99,6 +148,8 @@ def write_head(path: Path | str, head: Head) -> Morphs:
         The ``.glb``.
     head : Head
         Whose.
+    animation : WeightAnimation, optional
+        Of `arkit_weights`.
 
     Returns
     -------
@@ -109,7 +160,8 @@ def write_head(path: Path | str, head: Head) -> Morphs:
 
     morphs = arkit_morphs(head)
     shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
-    write_glb(path, in_metres(shapes), colours=srgb_to_linear(head.mesh.colors))
+    colours = srgb_to_linear(head.mesh.colors)
+    write_glb(path, in_metres(shapes), animation=animation, colours=colours)
     _name_correctives(path, head.identity.name)
     return morphs
 

@@ -9,7 +9,7 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.raw import PREFIX
 from rig.errors import FormatError
 from rig.files.reading import decode_text, open_file
-from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, subject_of
+from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, subject_of, suffix_note
 from rig.formats.wide_csv import count_rows
 from rig.limits import CURVES_BYTES, HEADER_BYTES
 from rig.validation.findings import Finding
@@ -109,6 +109,8 @@ def _subject(path: Path) -> str:
     if parts and subject == path.stem:
         better = f"{parts['slate']}_take_{parts['take']}_{parts['subject']}.csv"
         text += f", the whole name; {better} gives {parts['subject']!r}"
+    if suffix_note(path):
+        text = suffix_note(path)
     return text
 
 

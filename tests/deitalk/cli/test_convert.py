@@ -185,7 +185,7 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("name", ["a.glb", "a.unreal.json", "a.txt"])
+@pytest.mark.parametrize("name", ["a.usda", "a.unreal.json", "a.txt"])
 def test_rig_that_a_format_cannot_hold_is_refused(curves_file, tmp_path, name):
     result = run("convert", curves_file, tmp_path / name, "--rig", "arkit")
     assert result.exit_code == 1

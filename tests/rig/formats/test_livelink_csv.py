@@ -16,6 +16,7 @@ from rig.formats.livelink_csv import (
     timecode_text,
     write_take,
 )
+from rig.validation.curves import validate
 from tests import unreal_live_link
 from tests.rig.unreal.test_unreal import SUBJECTS
 
@@ -235,3 +236,16 @@ def test_take_rejects_hours_without_frames(tmp_path):
     path.write_text("\n".join([header, *rows]).replace("00:19", "03:19"))
     with pytest.raises(FormatError, match="a take of 3 frames lasts 358201; at most 36030"):
         read_take(path).to_curves(30)
+
+
+@pytest.mark.parametrize("stem", ["anna", "scene_take_2_anna"])
+def test_name_with_the_apps_ending_keeps_the_subject_and_another_suffix_is_noted(tmp_path, stem):
+    """Unreal leaves ``_cal`` out of the subject, and keeps what stands before ``.csv``."""
+    report = write_curves(tmp_path / f"{stem}_cal.csv", rest_curves(40))
+    assert report.format == "livelink" and "subject" not in report.note
+    assert unreal_live_link.import_csv(report.path).subject == "anna"
+    report = write_curves(tmp_path / f"{stem}.livelink.csv", rest_curves(40))
+    there = unreal_live_link.import_csv(report.path).subject
+    assert there == "anna.livelink"
+    assert f"subject {there!r}" in report.note and f"{stem}_cal.csv for 'anna'" in report.note
+    assert report.note.split("; ")[-1] in [f.text for f in validate(report.path).findings]

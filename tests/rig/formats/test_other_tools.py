@@ -1,11 +1,12 @@
 import json
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import ControlError, FormatError
@@ -13,6 +14,19 @@ from rig.formats.emoface_txt import columns
 from rig.validation.curves import validate
 
 BOARD = default_controls()
+NVIDIA = [
+    "EyeBlinkLeft", "EyeLookDownLeft", "EyeLookInLeft", "EyeLookOutLeft", "EyeLookUpLeft",
+    "EyeSquintLeft", "EyeWideLeft", "EyeBlinkRight", "EyeLookDownRight", "EyeLookInRight",
+    "EyeLookOutRight", "EyeLookUpRight", "EyeSquintRight", "EyeWideRight", "JawForward", "JawLeft",
+    "JawRight", "JawOpen", "MouthClose", "MouthFunnel", "MouthPucker", "MouthLeft", "MouthRight",
+    "MouthSmileLeft", "MouthSmileRight", "MouthFrownLeft", "MouthFrownRight", "MouthDimpleLeft",
+    "MouthDimpleRight", "MouthStretchLeft", "MouthStretchRight", "MouthRollLower", "MouthRollUpper",
+    "MouthShrugLower", "MouthShrugUpper", "MouthPressLeft", "MouthPressRight", "MouthLowerDownLeft",
+    "MouthLowerDownRight", "MouthUpperUpLeft", "MouthUpperUpRight", "BrowDownLeft", "BrowDownRight",
+    "BrowInnerUp", "BrowOuterUpLeft", "BrowOuterUpRight", "CheekPuff", "CheekSquintLeft",
+    "CheekSquintRight", "NoseSneerLeft", "NoseSneerRight", "TongueOut",
+]  # fmt: skip
+"""Poses of Audio2Face-3D in the order of its answers, as its clients print them."""
 
 
 @pytest.fixture
@@ -86,7 +100,11 @@ def test_audio2face_frames_are_a_pandas_table(tmp_path, curves):
     table = pd.read_csv(tmp_path / "animation_frames.csv", index_col=0)
     assert table.index.tolist() == [0, 1, 2, 3, 4]
     assert table["timeCode"].tolist() == pytest.approx(np.arange(5) / 25)
-    assert list(table.columns[1:]) == [f"blendShapes.{n}" for n in arkit_controls().names[:52]]
+    names = [name.removeprefix("blendShapes.") for name in table.columns[1:]]
+    assert names == NVIDIA and all("blendShapes." in name for name in table.columns[1:])
+    assert table["blendShapes.JawLeft"].tolist() == pytest.approx(
+        convert(curves, ARKIT_ID)["JawLeft"], abs=6e-7
+    )
     back = read_curves(tmp_path / "animation_frames.csv", control_set=None)
     assert back.values[:, :52] == pytest.approx(convert(curves, ARKIT_ID).values[:, :52], abs=6e-7)
 
@@ -205,3 +223,16 @@ def test_few_keys_far_apart_are_bounded(tmp_path, last, fits):
     else:
         with pytest.raises(FormatError, match="94 bytes expands to"):
             read_curves(path)
+
+
+def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
+    """Rhubarb writes the absolute path of its input to ``soundFile``."""
+    sound = tmp_path / "Tom & <Anna>.wav"
+    for suffix in (".xml", ".rhubarb.json"):
+        write_curves(tmp_path / f"c{suffix}", curves, sound=sound)
+    root = ElementTree.parse(tmp_path / "c.xml").getroot()
+    assert root.findtext("metadata/soundFile") == str(sound)
+    data = json.loads((tmp_path / "c.rhubarb.json").read_text())
+    assert data["metadata"]["soundFile"] == str(sound)
+    write_curves(tmp_path / "none.xml", curves)
+    assert ElementTree.parse(tmp_path / "none.xml").getroot().findtext("metadata/soundFile") == ""

@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError, RigError
+from rig.face import build_head
 from rig.face.turn import matrices
+from rig.retarget.arkit_head import arkit_pose
 from rig.retarget.morph_head import morph_head, srgb_to_linear
+from tests.rig.formats.test_other_tools import NVIDIA
 
 BOARD = default_controls()
+APPLE = {name[0].lower() + name[1:] for name in NVIDIA}
 
 
 def curves_of(**moves):
@@ -109,6 +114,44 @@ def test_glb_turns_its_node_with_the_head_track(tmp_path):
     joint = np.array([0, -0.04, -0.015])
     expected = turn.apply(point - joint) + joint + [0.005, -0.003, 0.01]
     np.testing.assert_allclose(shown, [point, expected], atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def arkit_path(tmp_path_factory):
+    """Three frames: rest, an open jaw with smiles, and JawOpen 1 with MouthClose 1."""
+    controls = arkit_controls()
+    values = np.zeros((3, 61), np.float32)
+    values[1, controls.indices(["JawOpen", "MouthSmileLeft", "MouthSmileRight"])] = 0.5, 0.8, 0.4
+    values[2, controls.indices(["JawOpen", "MouthClose"])] = 1
+    path = tmp_path_factory.mktemp("arkit") / "face.glb"
+    write_curves(path, RigCurves(values, controls.names, 25, control_set=controls.id))
+    return path
+
+
+def test_glb_of_arkit_curves_has_apples_names_and_their_weights(arkit_path):
+    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib")
+    glb = pygltflib.GLTF2().load(str(arkit_path))
+    blob = glb.binary_blob()
+    names = glb.meshes[0].extras["targetNames"]
+    assert set(names[:52]) == APPLE and len(set(names)) == len(names)
+    sampler = glb.animations[0].samplers[0]
+    assert accessor(glb, blob, sampler.input)[:, 0] == pytest.approx([0, 0.04, 0.08])
+    weights = accessor(glb, blob, sampler.output).reshape(3, len(names))
+    frames = [dict(zip(names, map(float, row), strict=True)) for row in weights]
+    assert [{n: w for n, w in f.items() if w and n in APPLE} for f in frames] == [
+        {},
+        pytest.approx({"jawOpen": 0.5, "mouthSmileLeft": 0.8, "mouthSmileRight": 0.4}),
+        {"jawOpen": 1, "mouthClose": 1},
+    ]
+    primitive = glb.meshes[0].primitives[0]
+    base = accessor(glb, blob, primitive.attributes.POSITION).astype(np.float64)
+    shown = base + sum(
+        weights[2, k] * accessor(glb, blob, target["POSITION"])
+        for k, target in enumerate(primitive.targets)
+        if weights[2, k]
+    )
+    closed = arkit_pose(build_head(0), {"jawOpen": 1.0, "mouthClose": 1.0}) / 100
+    assert np.linalg.norm(shown - closed, axis=1).max() < 2e-4
 
 
 def test_glb_obeys_the_container_rules(glb_path):
