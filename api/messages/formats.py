@@ -16,6 +16,7 @@ MEDIA_TYPES = {
     ".txt": "text/plain; charset=utf-8",
     ".tsv": "text/tab-separated-values; charset=utf-8",
     ".xml": "application/xml",
+    ".py": "text/x-python; charset=utf-8",
     ".glb": "model/gltf-binary",
     ".usd": "model/vnd.usd",
     ".zip": "application/zip",

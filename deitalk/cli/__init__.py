@@ -15,6 +15,7 @@ from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.attention import attention
 from deitalk.cli.batch import batch
 from deitalk.cli.benchmark import benchmark
+from deitalk.cli.blender import blender
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
@@ -59,6 +60,7 @@ app.command()(convert)
 app.command()(validate)
 app.command()(retarget)
 app.command()(unreal)
+app.command()(blender)
 app.command()(mesh)
 app.command()(train)
 app.command()(finetune)

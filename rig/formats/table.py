@@ -16,6 +16,7 @@ from rig.formats import (
     curves_npz,
     emoface_txt,
     livelink_csv,
+    maya_script,
     rhubarb,
     rigmapper_csv,
     unreal_json,
@@ -180,6 +181,13 @@ FORMATS: tuple[Format, ...] = (
         DEFAULT_ID,
         tracks=("head",),
         has_digits=True,
+    ),
+    Format(
+        "maya",
+        (".maya.py",),
+        "script that keys the MetaHuman face board in Maya: drag it into the viewport",
+        write=maya_script.write,
+        control_set=DEFAULT_ID,
     ),
     Format(
         "visemes",

@@ -1,0 +1,327 @@
+"""Blender add-on (3.3 to 5): curves of deitalk on the shape keys of a face.
+
+One file that needs nothing else; ``deitalk blender deitalk_blender.py`` writes it. In Blender: Edit
+> Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and choose
+File > Import > deitalk curves: any file of a take folder, or
+
+- ``*.unreal.json``: shape keys named after MetaHuman's raw curves (``jawOpen``,
+  ``CTRL_expressions_jawOpen``, ``head_lod0_mesh__jaw_open``);
+- a Live Link Face CSV: shape keys named after ARKit (``mouthSmileLeft``, ``mouthSmile_L``);
+- ``curves.json`` or ``.csv`` of any set whose names are those of shape keys;
+- ``.glb`` of deitalk: its animation, by the names of its shapes.
+
+In a take folder the file whose names fit the face best is taken. All selected meshes with such
+shape keys are keyed: face, teeth, lashes.
+"""
+
+import csv
+import json
+import math
+import os
+import re
+from typing import Any
+
+import bpy  # type: ignore[import-not-found]
+import numpy as np
+from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
+
+bl_info = {
+    "name": "deitalk curves",
+    "author": "deitalk",
+    "version": (1, 0, 0),
+    "blender": (3, 3, 0),
+    "location": "File > Import > deitalk curves",
+    "description": "Curves of a deitalk take on ARKit or MetaHuman shape keys",
+    "category": "Import-Export",
+}
+PREFIXES = ("ctrlexpressions",)
+SOUNDS = (".wav", ".flac", ".ogg", ".mp3", ".m4a")
+
+
+class Curves:
+    """Curves of one file.
+
+    Parameters
+    ----------
+    times : array [shape=(T,)], seconds
+    values : dict of str to array [shape=(T,)]
+        By name.
+    path : str
+    """
+
+    def __init__(self, times: Any, values: dict[str, Any], path: str) -> None:
+        self.times, self.values, self.path = times, values, path
+
+
+def same_name(name: str) -> str:
+    """Return a name without case, separators, prefixes, and with L and R for left and right."""
+    name = re.sub(r"[^a-z0-9]", "", name.rsplit("__", 1)[-1].lower())
+    for prefix in PREFIXES:
+        name = name[len(prefix) :] if name.startswith(prefix) else name
+    return re.sub("left$", "l", re.sub("right$", "r", name))
+
+
+def read(path: str) -> Curves:
+    """Return the curves of a file; ValueError with one line if it is none of the known ones."""
+    try:
+        if path.lower().endswith(".json"):
+            return _read_json(path)
+        return _read_csv(path)
+    except (KeyError, TypeError, IndexError, StopIteration, UnicodeDecodeError) as error:
+        raise ValueError(f"{os.path.basename(path)} is damaged or of another kind") from error
+
+
+def _read_json(path: str) -> Curves:
+    with open(path, encoding="utf-8") as stream:
+        data = json.load(stream)
+    schema = str(data.get("schema", ""))
+    if schema.startswith("deitalk.unreal/"):
+        n_frames, (over, under) = data["n_frames"], data["frame_rate"]
+        raw = {name: _raw(curve, data["board"], n_frames) for name, curve in data["raw"].items()}
+        return Curves(np.arange(n_frames) * under / over, raw, path)
+    if not schema.startswith("deitalk.curves/"):
+        raise ValueError(f"{os.path.basename(path)} has no curves of deitalk")
+    rows = np.array(data["values"], float)
+    values = {name: rows[:, i] for i, name in enumerate(data["names"])}
+    return Curves(np.arange(len(rows)) / data["fps"], values, path)
+
+
+def _raw(curve: Any, board: dict[str, Any], n_frames: int) -> Any:
+    """Return a raw curve: numbers, or a function with knots of a sum of channels of the board."""
+    if not isinstance(curve, dict):
+        return np.zeros(n_frames) + curve
+    channels = [board[control][axis] for control, axis in (of.split(".") for of in curve["of"])]
+    place = np.clip(sum(np.zeros(n_frames) + np.array(values) for values in channels), -1, 1)
+    places, levels = np.array(curve["knots"], float).T
+    return np.interp(place, places, levels)
+
+
+def _read_csv(path: str) -> Curves:
+    with open(path, newline="", encoding="utf-8-sig") as stream:
+        rows = csv.reader(stream)
+        header = next(rows)
+        cells = [row for row in rows if row]
+    first = [name.strip().lower() for name in header[:2]]
+    if first == ["timecode", "blendshapecount"]:
+        times = _timecodes([row[0] for row in cells])
+    elif first == ["frame", "time"]:
+        times = np.array([float(row[1]) for row in cells])
+    else:
+        raise ValueError(f"{os.path.basename(path)} is no CSV of Live Link Face or deitalk")
+    numbers = np.array([row[2 : len(header)] for row in cells], float)
+    return Curves(times, {name: numbers[:, i] for i, name in enumerate(header[2:])}, path)
+
+
+def _timecodes(texts: list[str]) -> Any:
+    """Return seconds from the first; FF counts sixtieths, or thirtieths if none exceeds 30."""
+    fields = np.array([[float(part) for part in text.split(":")] for text in texts])
+    rate = 60 if fields[:, 3].max() > 30 else 30
+    seconds = fields[:, :3] @ [3600, 60, 1] + fields[:, 3] / rate
+    return seconds - seconds[0]
+
+
+def files_of_take(path: str) -> list[str]:
+    """Return the file and the other files of curves of its take folder."""
+    folder = os.path.dirname(os.path.abspath(path))
+    if not os.path.isfile(os.path.join(folder, "take.json")):
+        return [path]
+    known = (".unreal.json", ".csv", "curves.json")
+    others = [
+        os.path.join(folder, name)
+        for name in sorted(os.listdir(folder))
+        if name.endswith(known) and name != "intensity.csv"
+    ]
+    return [path, *(other for other in others if not os.path.samefile(other, path))]
+
+
+def keys_of(mesh: Any) -> dict[str, Any]:
+    """Return the shape keys of a mesh object by `same_name`, without the basis."""
+    blocks = mesh.data.shape_keys.key_blocks if mesh.data.shape_keys else []
+    return {same_name(block.name): block for block in blocks[1:]}
+
+
+def best_fit(path: str, meshes: list[Any]) -> Curves:
+    """Return the curves, of the file or of its take, whose names fit most shape keys.
+
+    Raises
+    ------
+    ValueError
+        If none fits any.
+    """
+    wanted = {name for mesh in meshes for name in keys_of(mesh)}
+    best: Curves | None = None
+    most, reason = 0, ""
+    for candidate in files_of_take(path):
+        try:
+            curves = read(candidate)
+        except ValueError as error:
+            reason = reason or str(error)
+            continue
+        count = len(wanted & {same_name(name) for name in curves.values})
+        if count > most:
+            best, most = curves, count
+    if best is None:
+        raise ValueError(
+            reason
+            or f"none of {len(wanted)} shape keys has a name of {os.path.basename(path)}: select "
+            "the face; ARKit's names need the Live Link CSV, MetaHuman's the .unreal.json"
+        )
+    return best
+
+
+def apply(curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0) -> tuple[int, float]:
+    """Key the shape keys of meshes; return how many, and the last frame.
+
+    Times are in seconds and are put into the frame rate of the scene; keys are linear. An action
+    that is there is replaced.
+    """
+    rate = scene.render.fps / scene.render.fps_base
+    frames = start + curves.times * rate
+    by_name = {same_name(name): values for name, values in curves.values.items()}
+    count = 0
+    for mesh in meshes:
+        found = {name: block for name, block in keys_of(mesh).items() if name in by_name}
+        if not found:
+            continue
+        shape_keys = mesh.data.shape_keys
+        lists = _new_action(shape_keys, os.path.basename(curves.path))
+        for name, block in found.items():
+            values = by_name[name]
+            block.slider_min = min(block.slider_min, math.floor(values.min()))
+            block.slider_max = max(block.slider_max, math.ceil(values.max()))
+            _fill(lists.new(f'key_blocks["{_escaped(block.name)}"].value'), frames, values)
+            count += 1
+    return count, float(frames[-1])
+
+
+def _fill(curve: Any, frames: Any, values: Any) -> None:
+    points = curve.keyframe_points
+    points.add(len(frames))
+    points.foreach_set("co", np.column_stack([frames, values]).ravel())
+    points.foreach_set("interpolation", np.full(len(frames), LINEAR))
+    curve.update()
+
+
+LINEAR = 1
+"""Number of the interpolation LINEAR of Keyframe."""
+
+
+def _escaped(name: str) -> str:
+    return name.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _new_action(shape_keys: Any, name: str) -> Any:
+    """Return the list of curves of a new action of shape keys; 5.0 has it in a channel bag."""
+    data = shape_keys.animation_data or shape_keys.animation_data_create()
+    action = data.action = bpy.data.actions.new(name)
+    if hasattr(action, "fcurves"):
+        return action.fcurves
+    from bpy_extras import anim_utils  # type: ignore[import-not-found]
+
+    data.action_slot = action.slots.new(id_type="KEY", name=shape_keys.name)
+    return anim_utils.action_ensure_channelbag_for_slot(action, data.action_slot).fcurves
+
+
+def take_from_glb(path: str, meshes: list[Any]) -> Curves:
+    """Return the curves of the animated shapes of a GLB, by Blender's own importer."""
+    before, scene = set(bpy.data.objects), bpy.context.scene
+    actions = set(bpy.data.actions)
+    bpy.ops.import_scene.gltf(filepath=path)
+    added = [found for found in bpy.data.objects if found not in before]
+    try:
+        for mesh in (found for found in added if found.type == "MESH"):
+            keys = mesh.data.shape_keys
+            if keys and keys.animation_data and keys.animation_data.action:
+                return _sampled(keys, scene, path)
+        raise ValueError(f"{os.path.basename(path)} has no animated shapes")
+    finally:
+        for found in added:
+            bpy.data.objects.remove(found, do_unlink=True)
+        for action in [found for found in bpy.data.actions if found not in actions]:
+            bpy.data.actions.remove(action)
+        for mesh in meshes:
+            mesh.select_set(True)
+
+
+def _sampled(keys: Any, scene: Any, path: str) -> Curves:
+    """Return the values of animated shape keys at each frame of the scene's rate."""
+    first, last = (round(number) for number in keys.animation_data.action.frame_range)
+    rate, was = scene.render.fps / scene.render.fps_base, scene.frame_current
+    blocks, rows = keys.key_blocks[1:], []
+    for frame in range(first, last + 1):
+        scene.frame_set(frame)
+        rows.append([block.value for block in blocks])
+    scene.frame_set(was)
+    values = {block.name: np.array(row) for block, row in zip(blocks, zip(*rows))}  # noqa: B905
+    return Curves(np.arange(len(rows)) / rate, values, path)
+
+
+def sound_of(path: str) -> str:
+    """Return the sound beside a file: ``audio.wav`` of a take, else of the same name; or none."""
+    folder, name = os.path.split(os.path.abspath(path))
+    stem = name.split(".")[0]
+    for candidate in ("audio_48k.wav", "audio.wav", *(stem + suffix for suffix in SOUNDS)):
+        if os.path.isfile(os.path.join(folder, candidate)):
+            return os.path.join(folder, candidate)
+    return ""
+
+
+def add_sound(path: str, scene: Any, start: float) -> None:
+    """Add a sound to the sequencer of the scene, and scrub with it."""
+    editor = scene.sequence_editor or scene.sequence_editor_create()
+    strips = getattr(editor, "strips", None) or editor.sequences
+    strips.new_sound(os.path.basename(path), path, 1, int(start))
+    scene.use_audio_scrub = True
+    scene.sync_mode = "AUDIO_SYNC"
+
+
+class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
+    """Key the shape keys of the selected faces with curves of deitalk."""
+
+    bl_idname = "import_anim.deitalk"
+    bl_label = "Import deitalk curves"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.glb", options={"HIDDEN"})  # type: ignore[valid-type]
+    start: bpy.props.FloatProperty(name="First frame", default=1.0)  # type: ignore[valid-type]
+    with_sound: bpy.props.BoolProperty(name="Add the sound", default=True)  # type: ignore[valid-type]
+
+    def execute(self, context: Any) -> set[str]:
+        """Run the import; a mistake is one line."""
+        meshes = [found for found in context.selected_objects if found.type == "MESH"]
+        try:
+            if self.filepath.lower().endswith(".glb"):
+                curves = take_from_glb(self.filepath, meshes)
+            else:
+                curves = best_fit(self.filepath, meshes)
+            count, last = apply(curves, meshes, context.scene, self.start)
+            if not count:
+                raise ValueError(f"no shape key has a name of {os.path.basename(self.filepath)}")
+        except (OSError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        context.scene.frame_end = max(context.scene.frame_end, math.ceil(last))
+        sound = sound_of(self.filepath) if self.with_sound else ""
+        if sound:
+            add_sound(sound, context.scene, self.start)
+        self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}")
+        return {"FINISHED"}
+
+
+def _entry(menu: Any, _context: Any) -> None:
+    menu.layout.operator(DEITALK_OT_import.bl_idname, text="deitalk curves (.json, .csv, .glb)")
+
+
+def register() -> None:
+    """Add the operator and its menu entry."""
+    bpy.utils.register_class(DEITALK_OT_import)
+    bpy.types.TOPBAR_MT_file_import.append(_entry)
+
+
+def unregister() -> None:
+    """Remove them."""
+    bpy.types.TOPBAR_MT_file_import.remove(_entry)
+    bpy.utils.unregister_class(DEITALK_OT_import)
+
+
+if __name__ == "__main__":
+    register()

@@ -1,0 +1,181 @@
+"""The script for Maya against a substitute with the documented commands."""
+
+import re
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from rig import RigCurves, default_controls, write_curves
+
+BOARD = default_controls()
+KEYED = [c for c in BOARD.controls if c.role in ("driver", "master")]
+OLDER = {
+    "CTRL_C_tongue_move": "CTRL_C_tongue",
+    "CTRL_C_tongue_wideNarrow": "CTRL_C_tongue_narrowWide",
+    "CTRL_C_tongue_tipMove": "CTRL_C_tongue_tip",
+    "CTRL_C_tongue_bendTwist": "CTRL_C_tongue_roll",
+}
+NEWER = {f"CTRL_{s}_mouth_thicknessInward{h}" for s in "LR" for h in "UD"}
+NEWER |= {"CTRL_C_tongue_roll", "CTRL_C_tongue_thickThin"}
+"""Controls that boards before 2024 lack; their CTRL_C_tongue_roll is today's bendTwist."""
+
+
+class Maya:
+    """maya.cmds of a scene: nodes with attributes; keys are linear.
+
+    Rules of the documentation: ``ls`` takes patterns whose star matches no colon; a locked attribute is
+    not settable; ``setKeyframe`` replaces a key at its time; times are in the scene's unit.
+    """
+
+    def __init__(self, nodes, fps=24.0, selection=(), locked=()):
+        self.nodes, self.fps, self.selection, self.locked = set(nodes), fps, selection, locked
+        self.keys, self.chunks, self.range = {}, 0, [1.0, 120.0]
+
+    def ls(self, *patterns, type=None, selection=False):
+        if selection:
+            return list(self.selection)
+        regexes = ["[^:]*".join(map(re.escape, p.split("*"))) for p in patterns]
+        return [
+            f"|root|{n}" for n in sorted(self.nodes) if any(re.fullmatch(r, n) for r in regexes)
+        ]
+
+    def objExists(self, name):
+        node, _, attribute = name.partition(".")
+        return node in self.nodes and attribute in ("", "translateX", "translateY")
+
+    def getAttr(self, plug, settable):
+        assert settable and self.objExists(plug)
+        return plug not in self.locked
+
+    def playbackOptions(self, query=False, edit=False, minTime=None, maxTime=None):
+        if query:
+            return self.range[0 if minTime else 1]
+        self.range[1] = maxTime
+
+    def undoInfo(self, openChunk=False, closeChunk=False, chunkName=""):
+        self.chunks += openChunk - closeChunk
+
+    def cutKey(self, node, attribute, time, clear):
+        keys = self.keys.get(f"{node}.{attribute}", {})
+        for at in [at for at in keys if time[0] <= at <= time[1]]:
+            del keys[at]
+
+    def setKeyframe(self, node, attribute, time, value, inTangentType, outTangentType):
+        assert inTangentType == outTangentType == "linear"
+        assert f"{node}.{attribute}" not in self.locked
+        self.keys.setdefault(f"{node}.{attribute}", {})[time] = value
+
+    def at(self, plug, times):
+        keys = sorted(self.keys[plug].items())
+        return np.interp(times, *zip(*keys, strict=True))
+
+
+def run(path, maya, monkeypatch, **options):
+    """Run the file as Maya's Script Editor would."""
+    package, api, om = (ModuleType(n) for n in ("maya", "maya.api", "maya.api.OpenMaya"))
+    package.cmds, package.api, api.OpenMaya = maya, api, om
+
+    class MTime:
+        kSeconds = "s"
+
+        def __init__(self, value, unit):
+            assert unit == "s"
+            self.value = value
+
+        @staticmethod
+        def uiUnit():
+            return "ui"
+
+        def asUnits(self, unit):
+            assert unit == "ui"
+            return self.value * maya.fps
+
+    om.MTime = MTime
+    for name, module in (("maya", package), ("maya.api", api), ("maya.api.OpenMaya", om)):
+        monkeypatch.setitem(sys.modules, name, module)
+    scope = {"__name__": "dropped"}
+    exec(compile(path.read_text(), str(path), "exec"), scope)
+    return scope["key_board"](**options) if options else scope["onMayaDroppedPythonFile"]("x")
+
+
+def board(namespace="", older=False):
+    names = {c.ue_control for c in KEYED}
+    if older:
+        names -= NEWER
+        names = {OLDER.get(name, name) for name in names}
+    return {namespace + name for name in names}
+
+
+@pytest.fixture
+def curves(rng):
+    values = rng.uniform(BOARD.minimum, BOARD.maximum, (20, 185)).astype(np.float32)
+    values[:, BOARD.index("CTRL_L_ear_up.ty")] = 0.25
+    values[5:9, BOARD.index("CTRL_C_jaw.ty")] = 0.5
+    return RigCurves(values, BOARD.names, 30)
+
+
+@pytest.fixture
+def script(tmp_path, curves):
+    report = write_curves(tmp_path / "speech.maya.py", curves)
+    assert report.format == "maya"
+    return tmp_path / "speech.maya.py"
+
+
+@pytest.mark.parametrize("fps", [24.0, 30.0, 60.0])
+def test_board_moves_as_the_curves_in_true_time(script, curves, monkeypatch, fps):
+    maya = Maya(board(), fps)
+    run(script, maya, monkeypatch)
+    times = 1 + np.arange(20) / 30 * fps
+    for control in KEYED:
+        attribute = {"x": "translateX", "y": "translateY"}[control.name[-1]]
+        found = maya.at(f"{control.ue_control}.{attribute}", times)
+        np.testing.assert_allclose(found, curves[control.name], atol=5.1e-5)
+    assert len(maya.keys) == len(KEYED) == 176 and maya.chunks == 0
+    assert len(maya.keys["CTRL_L_ear_up.translateY"]) == 1
+    assert len(maya.keys["CTRL_C_jaw.translateY"]) == 18  # two within a run of one value
+
+
+def test_second_run_replaces_the_keys_and_keeps_others(script, monkeypatch):
+    maya = Maya(board())
+    maya.keys["CTRL_C_jaw.translateY"] = {3.0: 9.0, 500.0: 0.125}
+    run(script, maya, monkeypatch, start=1.0)
+    first = dict(maya.keys["CTRL_C_jaw.translateY"])
+    run(script, maya, monkeypatch, start=1.0)
+    assert maya.keys["CTRL_C_jaw.translateY"] == first and first[500.0] == 0.125
+    assert 9.0 not in first.values()
+
+
+def test_board_of_a_namespace_is_found_or_chosen(script, monkeypatch):
+    maya = Maya(board("Anna:"))
+    run(script, maya, monkeypatch)
+    assert all(name.startswith("Anna:") for name in maya.keys)
+    both = board("Anna:") | board("film:Ben:")
+    with pytest.raises(RuntimeError, match="select a control of one board: Anna:, film:Ben:"):
+        run(script, Maya(both), monkeypatch)
+    maya = Maya(both, selection=["film:Ben:CTRL_L_eye"])
+    run(script, maya, monkeypatch)
+    assert all(name.startswith("film:Ben:") for name in maya.keys)
+    with pytest.raises(RuntimeError, match="no CTRL_C_jaw; import the facial board"):
+        run(script, Maya(["pCube1"]), monkeypatch)
+
+
+def test_older_board_gets_its_own_names(script, curves, monkeypatch):
+    maya = Maya(board(older=True))
+    skipped = run(script, maya, monkeypatch, start=0.0)
+    assert set(skipped) == {f"{name}.translateY" for name in NEWER}
+    times = np.arange(20) / 30 * 24
+    found = maya.at("CTRL_C_tongue_roll.translateY", times)
+    np.testing.assert_allclose(found, curves["CTRL_C_tongue_bendTwist.ty"], atol=5.1e-5)
+
+
+def test_locked_channels_are_left_out(script, monkeypatch):
+    maya = Maya(board(), locked=["CTRL_C_jaw.translateX"])
+    assert run(script, maya, monkeypatch, start=0.0) == ["CTRL_C_jaw.translateX"]
+    assert maya.range == [1.0, 120.0]
+
+
+def test_script_has_no_syntax_of_python_3_alone(script):
+    text = script.read_text()
+    assert text.isascii() and not re.search(r'\bf"|->|:=|nonlocal|print [^(]', text)
