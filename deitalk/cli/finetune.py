@@ -61,3 +61,28 @@ def finetune(
         )
         emit(f"{name}\t{text}")
     console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
+    _write_page(out)
+
+
+def _write_page(out: Path) -> None:
+    """Play a held-out clip: captured, before and after, side by side."""
+    from deitalk.errors import MissingError
+    from deitalk.evaluation.captures.comparison import COMPARED
+    from deitalk.preview.page import render_page
+    from deitalk.preview.source import load_source
+    from rig import read_curves
+    from rig.controls import DEFAULT_ID
+
+    folder, page = out / COMPARED, out / f"{COMPARED}.html"
+    if read_curves(folder / "capture.npz").control_set != DEFAULT_ID:
+        return  # the page's head has the board's controls
+    names = ("capture", "before", "after")
+    paths = [folder / f"{name}.npz" for name in names if (folder / f"{name}.npz").is_file()]
+    try:
+        sounds = (folder / "audio.wav", None, None)
+        takes = [load_source(*each) for each in zip(paths, sounds, strict=False)]
+        render_page(takes, page, force=True)
+    except MissingError as error:
+        console().note(str(error))
+    else:
+        console().print(f"{page}: capture, before and after, side by side")

@@ -29,7 +29,8 @@ def preview(
     ] = "mouth",
     backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
     versus: Annotated[
-        Path | None, typer.Option(help="A second take, beside the first in the page.")
+        list[Path] | None,
+        typer.Option(help="Another take beside the first in the page; repeatable."),
     ] = None,
     force: Force = False,
 ) -> None:
@@ -49,14 +50,14 @@ def preview(
     from deitalk.preview.video import render_video
     from deitalk.preview.warnings import find_warnings
 
+    others = versus or []
     targets = [out] if out else _beside(source)
     for note in check_needs(targets, backend):  # type: ignore[arg-type]
         console().note(note)
     for target in targets:
-        reserve_file(target, force=force, inputs=(source, audio, phones, versus))
+        reserve_file(target, force=force, inputs=(source, audio, phones, *others))
     shown = [load_source(source, audio, phones)]
-    if versus is not None:
-        shown.append(load_source(versus))
+    shown += [load_source(other) for other in others]
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
     who = identity_of(identity)

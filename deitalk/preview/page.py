@@ -29,7 +29,7 @@ from rig.files import atomic_write, check_file
 BUNDLE = Path(__file__).parent / "app" / "index.html"
 _SLOT = "<!--deitalk-data-->"
 _QUICK = 1
-MAX_TAKES = 2
+MAX_TAKES = 6
 
 
 def render_page(
@@ -40,12 +40,12 @@ def render_page(
     identity: int | str | Identity = 0,
     force: bool = False,
 ) -> Path:
-    """Write a page that opens offline and plays a take, or two side by side.
+    """Write a page that opens offline and plays a take, or several side by side.
 
     Parameters
     ----------
     sources : Path, str, PreviewSource or list of PreviewSource
-        Take folder, file of curves, or one or two loaded takes.
+        Take folder, file of curves, or one to six loaded takes.
     out : Path or str
         The ``.html`` to write.
     audio : Path or str, optional
@@ -73,7 +73,7 @@ def render_page(
         is_loaded = isinstance(sources, PreviewSource)
         sources = [sources if is_loaded else load_source(sources, audio)]  # type: ignore[list-item, arg-type]
     if not 1 <= len(sources) <= MAX_TAKES:
-        raise PreviewError(f"{len(sources)} takes; a page shows one or two")
+        raise PreviewError(f"{len(sources)} takes; a page shows 1 to {MAX_TAKES}")
     blocks = [_block("head", _packed_head(identity))]
     blocks += [_block(f"take-{k}", _packed_take(take)) for k, take in enumerate(sources)]
     blocks += [_block(f"audio-{k}", _audio(take)) for k, take in enumerate(sources)]

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import soundfile
 
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.clip_scores import loudness
@@ -29,11 +31,14 @@ from deitalk.figures.before_after import Shown, draw_before_after
 from deitalk.figures.canvas import can_draw
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
+from rig import RigCurves, write_curves
 from rig.arrays import Float32
 from rig.files import atomic_write
 
 Predict = Callable[[Example], Float32]
 """A system: an example to its curves [shape=(T, C)]."""
+COMPARED = "compare"
+"""Folder of the clip whose captured curves are played beside those before and after."""
 N_SHOWN = 2
 """Clips in the picture."""
 
@@ -48,6 +53,9 @@ def write_comparison(
     are_unseen: bool,
 ) -> dict[str, Any]:
     """Write ``report.md``, ``report.json`` and, if it can be drawn, ``report.png``.
+
+    The folder ``compare`` gets the recording of the first held-out clip and its curves: those
+    captured, before and after, for a page that plays them side by side.
 
     Parameters
     ----------
@@ -85,9 +93,23 @@ def write_comparison(
         beside.write_text(as_json(report))
     with atomic_write(folder / "report.md") as beside:
         beside.write_text(_markdown(report))
+    _write_clip(folder / COMPARED, captures, {name: rows[0] for name, rows in curves.items()})
     if can_draw():
         draw_before_after(folder / "report.png", _shown(captures, curves))
     return scores
+
+
+def _write_clip(folder: Path, captures: CaptureSet, curves: dict[str, Float32]) -> None:
+    """Write the first held-out clip: sound, captured curves, before and after."""
+    example, controls = captures.examples[0], captures.controls
+    folder.mkdir(exist_ok=True)
+    shown = {"capture": example.curves, **{name: curves.get(name) for name in ("before", "after")}}
+    for name, values in shown.items():
+        if values is not None:
+            clip = RigCurves(values, controls.names, fps=FRAME_RATE, control_set=controls.id)
+            write_curves(folder / f"{name}.npz", clip)
+    with atomic_write(folder / "audio.wav") as beside:
+        soundfile.write(beside, example.waveform, SAMPLE_RATE, format="WAV", subtype="PCM_16")
 
 
 def _systems(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import soundfile
 import torch
 from typer.testing import CliRunner
 
@@ -360,6 +361,37 @@ def test_report_compares_before_after_and_baselines(base, data, tmp_path):
     assert {"jaw_r", "lips_together_r", "bilabial_window_auc", "lpe"} <= scores["after"].keys()
     assert json.loads((tmp_path / "run" / "report.json").read_text())["clips"] == 2
     assert "| error_of_mean_pose |" in (tmp_path / "run" / "report.md").read_text()
+
+
+def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_path, monkeypatch):
+    """And the command makes a page of them."""
+    player = tmp_path / "player.html"
+    player.write_text("<html><!--deitalk-data--></html>")
+    monkeypatch.setattr("deitalk.preview.page.BUNDLE", player)
+    short = (
+        "train.steps=2",
+        "train.evaluate_every=2",
+        "train.batch_size=2",
+        "data.window_frames=32",
+    )
+    sets = [part for override in short for part in ("--set", override)]
+    done = CliRunner().invoke(
+        app, ["finetune", str(data), "--from", base, "-o", f"{tmp_path}/run", *sets]
+    )
+    assert done.exit_code == 0, done.output
+    folder, clip = tmp_path / "run" / "compare", read_clips(data, "validation")[0]
+    example = load_example(clip, CONTROLS)
+    np.testing.assert_allclose(
+        read_curves(folder / "capture.npz").values, example.curves, atol=1e-6
+    )
+    for name, model in (("before", base), ("after", tmp_path / "run" / "best")):
+        curves = read_curves(folder / f"{name}.npz").values
+        wanted = np.clip(predict(load_model(model), example)[0], CONTROLS.minimum, CONTROLS.maximum)
+        np.testing.assert_allclose(curves, wanted, atol=1e-5)
+    sound, rate = soundfile.read(folder / "audio.wav")
+    assert rate == 16_000 and len(sound) == len(example.waveform)
+    page = (tmp_path / "run" / "compare.html").read_text()
+    assert all(f'id="take-{k}"' in page for k in range(3)) and 'id="take-3"' not in page
 
 
 def test_blinks_are_learnt_only_where_no_rule_adds_them(base, data):

@@ -13,7 +13,7 @@ const text = (id: string) => $(id)?.textContent ?? "";
 /** The takes that `deitalk.preview.page` put into the file. */
 async function loadTakes(player: Player, head: Packed): Promise<void> {
   const packed = [await unpack(text("take-0"))];
-  if ($("take-1")) packed.push(await unpack(text("take-1")));
+  while (text(`take-${packed.length}`)) packed.push(await unpack(text(`take-${packed.length}`)));
   const [take, ...others] = packed.map((each) => new Take(each, head.facts as Take["board"]));
   player.load(take, text("audio-0") ? base64Bytes(text("audio-0")) : null, others);
 }
