@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from api.compute.order import Limits, Order
+from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import Stage, checked, result_path
-from api.compute.voices import MOST, SAMPLES
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem
 from rig.arrays import Float32
@@ -94,7 +93,7 @@ class Voices:
         Problem
             503 if there are too many voices, 413 if the worker ended.
         """
-        if len(self.known) >= MOST:
+        if len(self.known) >= MOST_VOICES:
             raise Problem(503, "all live sessions are taken; try again later", "busy")
         if self.task is None:
             self.task = asyncio.create_task(self._run())

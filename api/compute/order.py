@@ -16,6 +16,10 @@ from typing import Any, Literal, TypedDict
 Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "live", "voices"]
 RECORDING = "recording"
 OUT = "out"
+SAMPLES = "samples"
+"""File of an order ``voices``: float32, those of each feed after those of the one before."""
+MOST_VOICES = 64
+"""Voices of one model."""
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".npz")
 CURVE_SUFFIXES = (
     ".raw.csv", ".rigmapper.csv", ".livelink.csv", ".livelink-raw.csv", ".a2f.csv",

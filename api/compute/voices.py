@@ -9,17 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from api.compute.order import OUT, Answer, Limits, Order
+from api.compute.order import MOST_VOICES, OUT, SAMPLES, Answer, Limits, Order
 from api.compute.warm import model_of
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
-
-SAMPLES = "samples"
-"""File of the order: float32, those of each feed after those of the one before."""
-MOST = 64
-"""Voices of one model."""
 
 
 class Voices:
@@ -56,9 +51,9 @@ class Voices:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
             network = require_model(model_of(model, limits), DEITalk)
-            self.animators[model] = LiveAnimator(network, streams=MOST, idle=False)
+            self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, idle=False)
         taken = {place for name, place in self.places.values() if name == model}
-        place = min(set(range(MOST)) - taken)
+        place = min(set(range(MOST_VOICES)) - taken)
         self.animators[model].reset(place)
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds

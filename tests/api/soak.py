@@ -44,11 +44,11 @@ def say(text: str) -> None:
 
 
 def resident_mb(server: Server) -> float:
-    """Memory of the server and its processes; shared pages count in part."""
+    """Memory of the server and its processes that is no file's; shared pages count in part."""
     total = 0
     for pid in (server.process.pid, *descendants(server.process.pid)):
         for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
+            if line.startswith("Pss_Anon:"):
                 total += int(line.split()[1])
     return total / 1024
 
