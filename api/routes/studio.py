@@ -9,8 +9,6 @@ import anyio
 from fastapi import APIRouter
 from starlette.responses import HTMLResponse
 
-from deitalk.preview.page import render_studio
-
 router = APIRouter()
 _SCRIPT = re.compile(r"<script type=\"module\"[^>]*>(.*?)</script>", re.DOTALL)
 
@@ -25,6 +23,8 @@ async def studio() -> HTMLResponse:
 @lru_cache(maxsize=1)
 def _page() -> tuple[str, str]:
     """The page and its policy: its own script, nothing from elsewhere, in no frame."""
+    from deitalk.preview.page import render_studio  # takes as long to import as all else here
+
     page = render_studio()
     digests = [hashlib.sha256(script.encode()).digest() for script in _SCRIPT.findall(page)]
     hashes = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
