@@ -45,7 +45,7 @@ def server(tmp_path_factory):
     with serving(
         tmp_path_factory.mktemp("service"),
         max_seconds=4,
-        max_job_seconds=30,
+        max_job_seconds=70,
         max_bytes=4_000_000,
         requests_per_minute=60_000,
         max_pixels=30 * 960 * 720,

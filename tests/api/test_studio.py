@@ -302,12 +302,27 @@ def test_live_microphone_moves_the_face(browser, server):
 
 
 @pytest.mark.slow
-def test_longer_recording_becomes_a_job_and_is_spoken(browser, server, tmp_path):
-    (tmp_path / "long.wav").write_bytes(wav(6.0))  # this server answers 4 s at once
+def test_longer_recordings_and_their_edits_are_jobs_whose_results_are_shown(
+    browser, server, tmp_path
+):
+    (tmp_path / "long.wav").write_bytes(wav(62.0))
     with studio(browser, server) as tab:
         drop(tab, tmp_path / "long.wav")
-        until(tab, "deitalk.page.take?.seconds >= 6")
+        until(tab, "!document.querySelector('#works .work').hidden")
+        assert tab.get_by_role("button", name="Cancel").is_visible()
+        until(tab, "deitalk.page.take?.seconds >= 62")
         assert any("/v1/jobs/" in url for url in tab.asked)
+        tab.get_by_role("button", name="angry", exact=True).click()
+        seek(tab, 10)
+        tab.keyboard.press("p")
+        for _ in range(9):
+            tab.keyboard.press("ArrowUp")
+        time.sleep(0.5)
+        is_quiet(tab)
+        shown = shown_values(tab)
+        exported = read_curves(download(tab, "CSV", tmp_path))
+        assert np.abs(shown - exported.values[40]).max() < 1e-3  # packed in 16 bits
+        assert tab.complaints == []
 
 
 @pytest.mark.slow

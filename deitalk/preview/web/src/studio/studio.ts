@@ -22,10 +22,10 @@ const EXPORTS: [string, string, boolean][] = [
 ];
 /** Arguments of a dropped take that its edits keep. */
 const OPTIONS = ["model", "seed", "idle", "raw", "life", "look_at"];
-const SETTLE_MS = 350;
+/** Pause after the last edit until the take is animated again; of a recording that is a job of the service. */
+const SETTLE_MS = 350, JOB_SETTLE_MS = 1500;
 const SAVE_MS = 200;
-/** Longer recordings are not animated again after every edit; exports are exact all the same. */
-const LIVE_SECONDS = 60;
+const JOB_SECONDS = 60;
 
 /** Whether two edits need the same curves of the network. */
 const isSameReading = (a: Edit, b?: Edit) => a.keys === b?.keys && a.life === b?.life;
@@ -157,7 +157,8 @@ export class Studio {
     session.edit = player.history.edit;
     this.keep();
     clearTimeout(this.settling);
-    this.settling = window.setTimeout(() => void this.settle(), SETTLE_MS);
+    const isJob = (player.take?.seconds ?? 0) > JOB_SECONDS;
+    this.settling = window.setTimeout(() => void this.settle(), isJob ? JOB_SETTLE_MS : SETTLE_MS);
   }
 
   private async settle(): Promise<void> {
@@ -165,8 +166,7 @@ export class Studio {
     if (!session || !player.take) return;
     const { edit } = session;
     if (!isSameReading(edit, this.animated)) await this.animateAgain(session, edit);
-    const isLong = player.take.seconds > LIVE_SECONDS;
-    if (!isLong && edit === session.edit && player.take.isBlend) await this.animatePoints(session, edit);
+    if (edit === session.edit && player.take.isBlend) await this.animatePoints(session, edit);
   }
 
   /** Another reading, for other keys of emotion or motion. */
@@ -194,10 +194,11 @@ export class Studio {
     const takes = await this.animating.run("Animating five emotions", async (progress, signal) => {
       const found: Take[] = [];
       for (const emotion of EMOTIONS) {
-        progress(found.length / EMOTIONS.length);
+        const count = (share = 0) => progress((found.length + share) / EMOTIONS.length);
+        count();
         const edit = { ...session.edit, keys: [{ time: 0, emotion, strength: 1 }] };
         const intensityCsv = session.hasOwnIntensity ? this.readingCsv() : undefined;
-        const { content } = await order({ ...session, edit, intensityCsv, format: "packed" }, progress, signal);
+        const { content } = await order({ ...session, edit, intensityCsv, format: "packed" }, count, signal);
         found.push((await this.unpacked(content)).take);
       }
       return found;
