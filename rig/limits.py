@@ -18,6 +18,8 @@ TRACK_BYTES = 32 * MIB
 """Emotion or intensity as CSV: three hours of a take's intensity.csv are 25 MB."""
 TRACK_JSON_BYTES = 8 * MIB
 """Emotion or intensity as JSON: parsed objects take thirty times the memory of their text."""
+TRANSCRIPT_BYTES = 16 * MIB
+"""Words or phones with times: three hours of phones as a TextGrid are 12 MB."""
 YAML_BYTES = 256 * KIB
 """YAML file or override: parsed at about 1 MB/s; configurations are 2 kB."""
 MESH_BYTES = 512 * MIB
@@ -74,6 +76,8 @@ CONTROLS = 4096
 """Controls of one set; MetaHuman's has 251 raw curves."""
 KEYS = 1_296_000
 """Keys of an emotion or intensity track: one for each frame of the longest clip."""
+TRANSCRIPT_WORDS = 150_000
+"""Words, or phones with times, of a transcript: three hours of fast speech have 120,000 phones."""
 TRACK_COLUMNS = 256
 """Columns of an emotion or intensity table; a take's has 10."""
 

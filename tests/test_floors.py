@@ -15,7 +15,8 @@ FLOORS = {
         evaluation
         data
         live
-        pipeline corpus
+        pipeline
+        corpus
         models
         frontends figures postprocess
         audio emotions

@@ -20,8 +20,11 @@ from deitalk.cli.options import (
     Intensity,
     IntensityCurve,
     Json,
+    Language,
+    PhonesGiven,
     Threads,
     Voice,
+    Words,
 )
 from deitalk.cli.paths import reserve_file, reserve_folder
 
@@ -68,6 +71,9 @@ def animate(
     gain: Annotated[
         str | None, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
     ] = None,
+    transcript: Words = None,
+    phones: PhonesGiven = None,
+    language: Language = "en-us",
     raw: Annotated[
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
     ] = False,
@@ -91,10 +97,12 @@ def animate(
     deitalk animate speech.wav --emotion happy -o take/
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
+
+    deitalk animate speech.wav --transcript "My promise is big." -o take/
     """
     is_folder = _is_folder(out)
     target = Path(out)
-    inputs = (speech, emotion, intensity_curve, voice)
+    inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     _check(target, is_folder, inputs, fps=fps, digits=digits, preview=preview, force=force)
     options: dict[str, Any] = {
         "emotion": emotion,
@@ -107,6 +115,9 @@ def animate(
         "look_at": look_at,
         "listen": listen,
         "gain": gain,
+        "transcript": transcript,
+        "phones": phones,
+        "language": language,
         "raw": raw,
         "seed": seed,
     }
@@ -121,6 +132,8 @@ def animate(
         _write_file(target, performance, fps, digits)
     for warning in performance.recording.warnings:
         console().note(warning)
+    if performance.words is not None and performance.words.fits:
+        console().note(performance.words.line)
     if as_json:
         emit_json(_summary(target, performance, settings))
         return
@@ -226,6 +239,7 @@ def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, A
         read_actor,
         read_intensity_curve,
     )
+    from deitalk.pipeline.words.transcript import Transcript
     from deitalk.postprocess.life.amounts import Life
     from rig.curves.edit import parse_gains
 
@@ -234,6 +248,8 @@ def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, A
     parse_gains(options["gain"])
     is_given = options["emotion"] != AUTO
     given = options | ({"emotion": parse_emotion(options["emotion"])} if is_given else {})
+    names = ("transcript", "phones", "language")
+    given["transcript"] = Transcript.given(*(given.pop(name) for name in names))
     if options["intensity_curve"] is not None:
         given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])
     if options["voice"] is not None:

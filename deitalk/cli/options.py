@@ -47,6 +47,23 @@ Threads = Annotated[
         "network.",
     ),
 ]
+Words = Annotated[
+    str | None,
+    typer.Option(
+        "--transcript",
+        help="What is said: text, .txt, .csv (start, end, word) or .TextGrid; its closures are met "
+        "where the sound agrees.",
+    ),
+]
+PhonesGiven = Annotated[
+    str | None,
+    typer.Option(
+        "--phones", help="The same as phones (ARPABET or IPA), without espeak-ng for their sounds."
+    ),
+]
+Language = Annotated[
+    str, typer.Option(help="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …")
+]
 Most = Annotated[
     int | None,
     typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),

@@ -5,6 +5,7 @@ with the nearest lips and jaw, then the nearest tongue: the front rounded vowels
 ones, a tapped r becomes DX (whose lips are free) and not R (whose lips protrude).
 """
 
+import re
 import unicodedata
 from functools import lru_cache
 
@@ -93,6 +94,41 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
         found += table[left[:size]].split() if size else []
         left = left[size or 1 :]
     return tuple(found)
+
+
+def spoken_words(ipa: str, language: str = "en") -> list[tuple[str, ...]]:
+    """Phones of each word of a pronunciation by espeak-ng; words without phones are left out.
+
+    Parameters
+    ----------
+    ipa : str
+        Words with spaces between them; marks of a change of the language, such as ``(en)``, and
+        the tones of Mandarin have no phones.
+    language : str
+        Voice of espeak-ng, whose first part is the language code.
+    """
+    code = language.split("-")[0]
+    plain = re.sub(r"\([a-z-]+\)", "", ipa)
+    if code in ("cmn", "zh"):
+        found = [_syllable(word) for word in plain.split()]
+    else:
+        found = [ipa_to_phones(word, code) for word in plain.split()]
+    return [phones for phones in found if phones]
+
+
+def _syllable(name: str) -> tuple[str, ...]:
+    """Phones of a Mandarin syllable in espeak-ng's names, such as ``tsɑu2`` or ``thˈiɛ5n``."""
+    left = re.sub(rf"[{_STRESS}0-9ɜ]", "", name)  # ɜ is a tone here
+    phones: list[str] = []
+    while left:
+        size = next((n for n in (4, 3, 2, 1) if left[:n] in MANDARIN), 0)
+        known = MANDARIN[left[:size]].split() if size else None
+        if known is None:
+            size = next((n for n in (2, 1) if left[:n] in _table(False)), 1)
+            known = list(ipa_to_phones(left[:size], "cmn"))
+        phones += known[1:] if phones[-1:] == known[:1] else known
+        left = left[size:]
+    return tuple(phones)
 
 
 def festival_to_phone(name: str) -> str:

@@ -1,11 +1,11 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.config import Idle, RulesConfig
 from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError
+from deitalk.errors import AudioError, DeitalkError
 from deitalk.models.network import CurveNetwork, Reading, chosen_actor, load_network
 from deitalk.pipeline.arguments import LONGEST_LISTENING, check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
+from deitalk.pipeline.words.transcript import LANGUAGE, Transcript
 from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.known_phones import KnownPhone, meet_phones
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import TakeMotion, plan_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
@@ -28,6 +30,9 @@ from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors, parse_gains
 from rig.errors import quoted
+
+if TYPE_CHECKING:
+    from deitalk.pipeline.words.align import WordFit
 
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
@@ -50,6 +55,9 @@ def animate(
     seed: int = 0,
     listen: float = 0.0,
     gain: str | Mapping[str, float] | None = None,
+    transcript: str | Path | Transcript | None = None,
+    phones: str | Path | Transcript | None = None,
+    language: str = LANGUAGE,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Performance:
     """Animate a face from speech.
@@ -90,6 +98,14 @@ def animate(
     gain : str or mapping, optional
         Factors on how far controls or sets of controls go from rest: ``"jaw=1.2,brow=0.8"``; values
         stay within their ranges.
+    transcript : str or Path, optional
+        What is said, so that its closures, bites and rounding are met: text, a ``.txt``, a table
+        ``.csv`` (start, end, word) or a ``.TextGrid``. Words that the sound contradicts are
+        reported in ``performance.words`` and not used.
+    phones : str or Path, optional
+        The same as phones, ARPABET or IPA, which needs no espeak-ng.
+    language : str
+        Voice of espeak-ng that pronounces the words: ``en-us``, ``de``, ``cmn`` …
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
 
@@ -99,7 +115,7 @@ def animate(
 
     Raises
     ------
-    AudioError, EmotionError, CheckpointError, CurveError, ControlError
+    AudioError, EmotionError, CheckpointError, DataError, MissingError, CurveError, ControlError
         One line each: the value, the rule and the way out.
     """
     check_progress(progress)
@@ -107,7 +123,8 @@ def animate(
     shot = prepare(
         audio, emotion, load, sample_rate=sample_rate, actor=actor, intensity=intensity,
         intensity_curve=intensity_curve, voice=voice, idle=idle, life=life, look_at=look_at,
-        raw=raw, seed=seed, listen=listen, gain=gain,
+        raw=raw, seed=seed, listen=listen, gain=gain, transcript=transcript, phones=phones,
+        language=language,
     )  # fmt: skip
     reading = shot.network.read(
         shot.speech.waveform, shot.weights, shot.actor, progress, shot.speech.gain
@@ -133,6 +150,7 @@ class Shot:
     seed: int
     gain: Float32
     """Factor of each control [shape=(C,)]."""
+    words: Transcript | None
     settings: Mapping[str, Any]
     """Arguments of `animate`, as a take stores them."""
     clock: "_Clock"
@@ -155,6 +173,9 @@ def prepare(
     seed: int = 0,
     listen: float = 0.0,
     gain: Any = None,
+    transcript: Any = None,
+    phones: Any = None,
+    language: str = LANGUAGE,
 ) -> Shot:
     """Read and check what `animate` is given, and measure the speech.
 
@@ -164,6 +185,9 @@ def prepare(
     clock = _Clock()
     direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
     life, gains = Life.of(life, look_at), parse_gains(gain)
+    words = Transcript.given(transcript, phones, language)
+    if raw and words is not None:
+        raise DeitalkError("words belong to the rules, which raw leaves out; give one of the two")
     recording = _extended(_with_note_on(direction.curve, recording_of(audio, sample_rate)), listen)
     clock.lap("audio")
     network = load()
@@ -174,14 +198,15 @@ def prepare(
     weights = direction.emotion.at(speech.times)
     name = chosen_actor(network.actors, actor)
     moves = idle and (listen or speech.activity.any())
-    others = {"voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor}
-    settings = _settings(
-        emotion, direction, intensity_curve, life, listen=listen, gain=gains, **others
-    )
+    others: dict[str, Any] = {
+        "voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor,
+        "listen": listen, "words": words and words.source, "language": language,
+    }  # fmt: skip
+    settings = _settings(emotion, direction, intensity_curve, life, gain=gains, **others)
     motion = rules.idle if moves else None
     return Shot(
         network, recording, direction, speech, weights, name, rules, motion, life, seed, factors,
-        settings, clock,
+        words, settings, clock,
     )  # fmt: skip
 
 
@@ -192,7 +217,9 @@ def finish(shot: Shot, reading: Reading, model: str = "") -> Performance:
     intensities = measure_intensities(speech, tracks, shot.direction, rules.voice_intensity)
     clock.lap("network")
     expression = Expression(controls, rules)
-    values = _apply_rules(expression, neutral, emotional, shot.weights, intensities, speech)
+    words = None if shot.words is None else _aligned(speech, shot.words)
+    known = () if words is None else words.known
+    values = _apply_rules(expression, neutral, emotional, shot.weights, intensities, speech, known)
     head = None
     if shot.idle is not None:
         shown = shot.weights * intensities.applied[:, None]
@@ -210,11 +237,12 @@ def finish(shot: Shot, reading: Reading, model: str = "") -> Performance:
         _curves(controls, neutral),
         intensities.saliency,
         intensities.predicted,
-        shot.recording,
+        _with_note_of(words, shot.recording),
         clipped,
         clock.laps,
         shot.settings,
         model,
+        words,
     )
 
 
@@ -225,10 +253,12 @@ def _apply_rules(
     weights: Float32,
     intensities: Intensities,
     speech: Speech,
+    known: Sequence[KnownPhone] = (),
 ) -> Float32:
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.sharpen_contacts(reading)
+        meet_phones(reading, rules, known)
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
     values = rules.blend(neutral, emotional, intensities.scale)
     rules.widen_speech(values, neutral, weights, intensities.applied)
@@ -237,6 +267,13 @@ def _apply_rules(
         rules.apply_dead_zone(reading)
         rules.rest_in_silence(reading, speech.mouth, speech.shown)
     return values
+
+
+def _aligned(speech: Speech, words: Transcript) -> "WordFit":
+    """Times of the words in the sound."""
+    from deitalk.pipeline.words.align import align_words  # needs torch
+
+    return align_words(speech, words)
 
 
 def _idle_motion(
@@ -290,6 +327,13 @@ def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recordi
         f"{recording.duration:.1f} s: what comes after is not used"
     )
     return replace(recording, warnings=(*recording.warnings, note))
+
+
+def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
+    """The recording, with a note if the sound contradicts words."""
+    if words is None or words.fits:
+        return recording
+    return replace(recording, warnings=(*recording.warnings, words.line))
 
 
 def _extended(recording: Recording, seconds: Any) -> Recording:

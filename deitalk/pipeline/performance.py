@@ -11,6 +11,7 @@ from rig import RigCurves
 from rig.arrays import Float32, Float64
 
 if TYPE_CHECKING:
+    from deitalk.pipeline.words.align import WordFit
     from rig.mesh import TriMesh
 
 GLB_TOLERANCE_MM = 0.02
@@ -41,9 +42,11 @@ class Performance:
         Seconds spent per stage.
     settings : mapping
         Arguments: emotion, intensity, intensity_curve, voice, idle, life, look_at, seed, raw,
-        actor, listen, gain.
+        actor, listen, gain, words, language.
     model : str
         Name or folder of the model; empty for a loaded model.
+    words : WordFit or None
+        Times of the words and phones that were given, and how well the sound fits them.
     """
 
     curves: RigCurves
@@ -55,6 +58,7 @@ class Performance:
     timings: dict[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     model: str = ""
+    words: "WordFit | None" = None
 
     @property
     def has_emotion(self) -> bool:

@@ -1,0 +1,91 @@
+"""Evidence for phones in a recording: how probable each is at each moment.
+
+A linear map of the speech features of `default`, fitted to phone times of the training corpus
+(`deitalk.training.phone_evidence`). Features are computed twice, the second time half a frame
+later, so that there are 60 rows per second: a phone may last 30 ms. The phones are classes of
+articulation (`deitalk.corpus.phone_alphabets`), which all languages share.
+
+Letters: T frames at 30 per second, D features, P phones.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import torch
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.speech import Speech
+from rig.arrays import Float32
+
+MODEL = "default"
+"""Whose features the map was fitted to."""
+WEIGHTS = "phone_evidence.safetensors"
+RATE = 2 * FRAME_RATE
+"""Rows per second."""
+CONTEXT = (-3, 0, 3)
+"""Rows beside each that the map reads too."""
+
+
+class PhoneEvidence:
+    """Speech features to probabilities of phones: multinomial logistic regression.
+
+    Parameters
+    ----------
+    weights : mapping of str to array
+        ``mean``, ``spread`` [shape=(D,)], ``weight`` [shape=(P, 3 D)], ``bias`` and ``prior``
+        [shape=(P,)].
+    """
+
+    def __init__(self, weights: Mapping[str, Any]) -> None:
+        self.weights = {name: np.asarray(w, np.float32) for name, w in weights.items()}
+
+    def log_probabilities(self, features: Float32) -> Float32:
+        """Logarithm of the probability of each phone [shape=(2 T, P)].
+
+        Parameters
+        ----------
+        features : array [shape=(2 T, D)]
+            From `phone_features`.
+        """
+        w = self.weights
+        rows = with_context((features - w["mean"]) / w["spread"])
+        score = rows @ w["weight"].T + w["bias"]
+        score -= score.max(axis=1, keepdims=True)
+        score -= np.log(np.exp(score).sum(axis=1, keepdims=True))
+        return np.asarray(score, np.float32)
+
+
+def with_context(rows: Float32) -> Float32:
+    """Each row with those `CONTEXT` beside it [shape=(2 T, 3 D)]; the ends repeat."""
+    places = np.arange(len(rows))
+    beside = [rows[np.clip(places + offset, 0, len(rows) - 1)] for offset in CONTEXT]
+    return np.concatenate(beside, axis=1)
+
+
+def phone_features(network: DEITalk, speech: Speech) -> Float32:
+    """Speech features of a recording at `RATE` [shape=(2 T, D)]."""
+    sound, count = torch.tensor(speech.sound), speech.n_frames
+    later = sound[round(SAMPLE_RATE / RATE) :]
+    with torch.no_grad():
+        both = [network.frontend.encode(part, count) for part in (sound, later)]
+    return np.asarray(torch.stack(both, dim=1).flatten(0, 1).cpu().numpy(), np.float32)
+
+
+def measure_phones(speech: Speech) -> Float32:
+    """Logarithm of the probability of each phone, `RATE` rows a second [shape=(2 T, P)]."""
+    features = phone_features(require_model(MODEL, DEITalk), speech)
+    return phone_evidence().log_probabilities(features)
+
+
+@lru_cache(maxsize=1)
+def phone_evidence() -> PhoneEvidence:
+    """The embedded map."""
+    from safetensors.numpy import load
+
+    data: Any = resources.files("deitalk.pipeline.words").joinpath(WEIGHTS).read_bytes()
+    return PhoneEvidence(load(data))

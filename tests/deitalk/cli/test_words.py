@@ -1,0 +1,48 @@
+"""`deitalk animate --transcript` and `--phones`: files, notes, errors."""
+
+import json
+
+import pytest
+import soundfile
+from typer.testing import CliRunner
+
+from deitalk.cli import app
+from deitalk.corpus.engines import espeak
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory):
+    path = tmp_path_factory.mktemp("words") / "a.wav"
+    soundfile.write(path, espeak.synthesise("Bob may bring my map.").waveform, 16_000)
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_fit_and_misfit_are_one_line(line, tmp_path):
+    (tmp_path / "said.txt").write_text("Bob may bring my map.")
+    done = run("animate", line, "-o", tmp_path / "a/", "--transcript", tmp_path / "said.txt")
+    assert done.exit_code == 0 and "the words fit the sound (score" in done.output
+    about = json.loads((tmp_path / "a" / "take.json").read_text())
+    assert about["settings"]["transcript"].endswith("said.txt") and not about["source"]["warnings"]
+    done = run(
+        "animate", line, "-o", tmp_path / "b/", "--phones", "S IY S IY T UW N S IY K AA T AA"
+    )
+    assert done.exit_code == 0 and "the words do not fit the sound" in done.output
+    about = json.loads((tmp_path / "b" / "take.json").read_text())
+    assert about["source"]["warnings"][-1].startswith("the words do not fit the sound")
+
+
+def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
+    def error(*options):
+        done = run("animate", line, "-o", tmp_path / "c.json", *options)
+        assert done.exit_code == 1
+        return str(done.exception)
+
+    assert "both given" in error("--transcript", "a", "--phones", "AA")
+    assert "'xx' is no voice of espeak-ng" in error("--transcript", "a", "--language", "xx")
+    assert "w.csv" in error("--transcript", "w.csv")
+    monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
+    assert "pip install espeakng-loader, or give phones" in error("--transcript", "a")
