@@ -59,13 +59,14 @@ def meet_phones(curves: Float32, rules: Expression, phones: Sequence[KnownPhone]
     phones : sequence of KnownPhone
         Phones with their times.
     """
+    if not phones:
+        return
     n_frames = len(curves)
     closed = phone_frames(phones, BILABIALS, n_frames)
     bitten = phone_frames(phones, LABIODENTALS, n_frames) & ~closed
     before = rules.contact(curves)
     for places, frames in ((rules.together, closed), (rules.bite, bitten)):
-        block = curves[:, places]
-        curves[:, places] = np.maximum(block, frames[:, None].astype(np.float32))
+        curves[np.ix_(frames, places)] = np.maximum(curves[np.ix_(frames, places)], 1)
     added = np.maximum(rules.contact(curves) - before, 0)
     curves[:, rules.lively] *= 1 - PARTED * added[:, None]
     _round(curves, rules.controls, phones)
@@ -103,7 +104,8 @@ def _round(curves: Float32, controls: ControlSet, phones: Sequence[KnownPhone]) 
     floors = _sloped(floors)
     for column, part in enumerate(("mouth_funnel", "mouth_purse")):
         places = [i for i, name in enumerate(controls.names) if part in name]
-        curves[:, places] = np.maximum(curves[:, places], floors[:, column, None])
+        block, least = curves[:, places], floors[:, column, None]
+        curves[:, places] = np.where(least > 0, np.maximum(block, least), block)
 
 
 def _sloped(floors: Float32) -> Float32:
