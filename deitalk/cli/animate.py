@@ -130,10 +130,7 @@ def animate(
         _write_take(target, performance, settings, model, form, preview=preview, force=force)
     else:
         _write_file(target, performance, fps, digits)
-    for warning in performance.recording.warnings:
-        console().note(warning)
-    if performance.words is not None and performance.words.fits:
-        console().note(performance.words.line)
+    _note(performance)
     if as_json:
         emit_json(_summary(target, performance, settings))
         return
@@ -141,6 +138,14 @@ def animate(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"{_acted(performance, options['emotion'])}"
     )
+
+
+def _note(performance: "Performance") -> None:
+    """Print the notes on the recording, and how well the words fit it."""
+    for warning in performance.recording.warnings:
+        console().note(warning)
+    if performance.words is not None and performance.words.fits:
+        console().note(performance.words.line)
 
 
 def _acted(performance: "Performance", emotion: str) -> str:

@@ -37,6 +37,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
         "life": "blinks=1,gaze=1,brows=1,head=1",
         "look_at": [0.0, 0.0],
         "listen": 0.0,
+        "gain": {},
         "words": None,
         "language": "en-us",
         "seed": 0,
