@@ -104,8 +104,8 @@ def _round(curves: Float32, controls: ControlSet, phones: Sequence[KnownPhone]) 
     floors = _sloped(floors)
     for column, part in enumerate(("mouth_funnel", "mouth_purse")):
         places = [i for i, name in enumerate(controls.names) if part in name]
-        block, least = curves[:, places], floors[:, column, None]
-        curves[:, places] = np.where(least > 0, np.maximum(block, least), block)
+        block, floor = curves[:, places], floors[:, column, None]
+        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)
 
 
 def _sloped(floors: Float32) -> Float32:
