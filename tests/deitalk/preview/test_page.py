@@ -113,7 +113,7 @@ def test_page_without_recording_has_no_audio(tiny_player, tmp_path):
 
 def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "BUNDLE", tmp_path / "none.html")
-    with pytest.raises(MissingError, match="npm install && npm run build"):
+    with pytest.raises(MissingError, match="make page"):
         render_page(make_source(), tmp_path / "p.html")
     assert not (tmp_path / "p.html").exists()
 
