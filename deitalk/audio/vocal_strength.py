@@ -30,6 +30,8 @@ UNIT_DB = 3.0
 """Decibels per unit of the network's output."""
 REST_WEIGHT = 1e-3
 """Weight of frames without speech."""
+ROWS_AT_ONCE = 4096
+"""Frames whose activation is computed at once: an hour of temporary arrays is 100 MB."""
 
 
 def strength_frames(prosody: Prosody, activity: Float32) -> Float32:
@@ -121,17 +123,22 @@ def _convolved(weights: Mapping[str, Float32], layer: int, x: Float32) -> Float3
 
 
 def _gelu(x: Float32) -> Float32:
-    """Gaussian error linear unit, exact to 1e-7.
+    """Gaussian error linear unit, exact to 1e-7."""
+    out = np.empty_like(x, np.float32)
+    for start in range(0, len(x), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        out[rows] = x[rows] * (1 + _error_function(x[rows])) / 2
+    return out
 
-    The error function is Abramowitz and Stegun's 7.1.26.
-    """
+
+def _error_function(x: Float32) -> Float32:
+    """Error function of x / √2 by Abramowitz and Stegun's 7.1.26."""
     z = np.abs(x) * np.float32(0.5**0.5)
     t = 1 / (1 + np.float32(0.3275911) * z)
     series = np.zeros_like(t)
     for coefficient in (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592):
         series = (series + np.float32(coefficient)) * t
-    error = np.copysign(1 - series * np.exp(-z * z), x)
-    return np.asarray(x * (1 + error) / 2, np.float32)
+    return np.copysign(1 - series * np.exp(-z * z), x)
 
 
 def _mean_and_spread(x: Float32, share: Float32) -> Float32:

@@ -9,7 +9,7 @@ import typer
 
 from deitalk.cli.console import console
 from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
-from deitalk.cli.options import Emotion, Intensity
+from deitalk.cli.options import Backend, Emotion, Intensity
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -31,7 +31,10 @@ def live(
     ] = None,
     emotion: Emotion = "neutral",
     intensity: Intensity = 1.0,
-    model: Annotated[str, typer.Option(help="live, or the folder of a causal model.")] = "live",
+    model: Annotated[
+        str, typer.Option(help="live, the folder of a causal model, or its .onnx file.")
+    ] = "live",
+    backend: Backend = "torch",
     host: Host = "127.0.0.1",
     port: Port = None,
     protocol: ProtocolName = "livelink",
@@ -59,10 +62,11 @@ def live(
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     import numpy as np
 
-    from deitalk.live.animator import LiveAnimator, require_causal
+    from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Microphone, PacedSound
+    from deitalk.models.causal.network import load_causal
 
-    network = require_causal(model)
+    network = load_causal(model, backend=backend)
     if speech is not None:
         from deitalk.audio.load import load_audio
 

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.mel import MelSpectrogram, derivative
 from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.config import CausalMelConfig
@@ -83,13 +83,6 @@ class CausalMelFrontend(nn.Module):
             dropout=config.dropout if config.time_layers > 1 else 0.0,
         )
         self.project = nn.Linear(config.time_hidden, config.time_hidden)
-
-    @property
-    def lookahead_samples(self) -> int:
-        """Samples after the time of a frame that its features depend on."""
-        last = (self.delay + 1) * self.config.frame_spectra - 1
-        centre = round(last * SAMPLE_RATE / self.mel.frame_rate)
-        return centre + self.mel.length - self.mel.length // 2
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s.

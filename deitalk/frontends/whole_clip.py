@@ -21,8 +21,8 @@ from deitalk.audio.mel import nearest_spectra
 if TYPE_CHECKING:
     from deitalk.frontends.mel_bilstm import MelFrontend
 
-PIECE_FRAMES = 960
-"""Rig frames of a piece (32 s)."""
+PIECE_FRAMES = 240
+"""Rig frames of a piece (8 s); what a piece needs beside the sequence grows with it."""
 EXACT_FRAMES = 18_000
 """Longer clips (10 minutes) keep what lies between the layers in half precision: an hour of it is
 250 MB then. Curves change by less than 0.002 of a range."""
@@ -57,20 +57,24 @@ def encode_whole(
     Tensor [shape=(T, D)]
         In float16 if the clip is longer than `EXACT_FRAMES`, else in float32.
     """
-    device, phases = frontend.mel.window.device, len(frontend.shifts)
+    phases = len(frontend.shifts)
     store = torch.float32 if n_frames <= EXACT_FRAMES else torch.float16
-    rows = torch.zeros(n_frames, frontend.output_size, dtype=store, device=device)
     stages = 2 + frontend.recurrent.num_layers + len(frontend.rig)
     done, calls = count(1), phases * stages * -(-n_frames // PIECE_FRAMES)
 
     def tick() -> None:
         progress(min(next(done) / calls, 1.0))
 
+    rows: Tensor | None = None
     for shift in frontend.shifts:
         sound = _Sound(waveform.unsqueeze(0), gain, shift)
-        features = _features(frontend, sound, rows, tick)
+        features = _features(frontend, sound, n_frames, store, tick)
+        if rows is None:
+            rows = features.div_(phases)
+            continue
         for start, stop in _pieces(n_frames, PIECE_FRAMES):
             rows[start:stop] += features[start:stop] / phases
+    assert rows is not None
     return rows
 
 
@@ -83,28 +87,49 @@ class _Sound(NamedTuple):
 
 
 def _features(
-    frontend: "MelFrontend", sound: _Sound, like: Tensor, tick: Callable[[], None]
+    frontend: "MelFrontend",
+    sound: _Sound,
+    n_frames: int,
+    store: torch.dtype,
+    tick: Callable[[], None],
 ) -> Tensor:
-    """Features (T, D) of one phase, as `like`; `tick` is called per piece and stage."""
-    n_frames = len(like)
-    centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
-    length = int(centres[-1]) + 1
-    # One block of memory for a sequence: pieces of it would not go back to the system.
-    sequence = like.new_empty(length, frontend.recurrent.input_size)
-    for first, last in _pieces(length, 2 * PIECE_FRAMES):
-        sequence[first:last] = _spectral(frontend, sound, first, last, length)
-        tick()
-    for layer in range(frontend.recurrent.num_layers):
-        sequence = layer_output(frontend.recurrent, layer, sequence, tick, replace=True)
-    rows = torch.empty_like(like)
+    """Features (n_frames, D) of one phase; `tick` is called per piece and stage."""
+    memory, centres = _memory(frontend, sound, n_frames, store, tick)
+    rows = memory.new_empty(n_frames, frontend.output_size)
     for start, stop in _pieces(n_frames, PIECE_FRAMES):
-        rows[start:stop] = _attended(frontend, sequence, centres[start:stop])
+        rows[start:stop] = _attended(frontend, memory, centres[start:stop])
         tick()
+    del memory
     for rig in frontend.rig:
         context = layer_output(cast(Any, rig).recurrent, 0, rows, tick)
         for start, stop in _pieces(n_frames, PIECE_FRAMES):
             rows[start:stop] += cast(Any, rig).project(context[start:stop].float())
     return rows
+
+
+def _memory(
+    frontend: "MelFrontend",
+    sound: _Sound,
+    n_frames: int,
+    store: torch.dtype,
+    tick: Callable[[], None],
+) -> tuple[Tensor, Tensor]:
+    """States (K, 2 H) of the Time-BiLSTM, and the state of each frame."""
+    centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
+    length, lstm = int(centres[-1]) + 1, frontend.recurrent
+    # One block of memory for input and outputs: pieces of it would not go back to the system.
+    block = torch.empty(
+        length, max(lstm.input_size, 2 * lstm.hidden_size), dtype=store,
+        device=frontend.mel.window.device,
+    )  # fmt: skip
+    sequence = block[:, -lstm.input_size :]
+    for first, last in _pieces(length, 2 * PIECE_FRAMES):
+        sequence[first:last] = _spectral(frontend, sound, first, last, length)
+        tick()
+    for layer in range(lstm.num_layers):
+        output = block[:, : 2 * lstm.hidden_size]
+        sequence = layer_output(lstm, layer, sequence, tick, output=output)
+    return sequence, centres
 
 
 def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:
@@ -131,7 +156,7 @@ def layer_output(
     sequence: Tensor,
     tick: Callable[[], None] = lambda: None,
     *,
-    replace: bool = False,
+    output: Tensor | None = None,
 ) -> Tensor:
     """Output (K, 2 H) of one bidirectional layer.
 
@@ -144,14 +169,15 @@ def layer_output(
     sequence : Tensor [shape=(K, C)]
         Input, in float32 or float16; so is the output.
     tick : callable
-        Called for every 1920 rows or fewer.
-    replace : bool
-        Write the output over the input if it is as wide.
+        Called for every 480 rows or fewer.
+    output : Tensor [shape=(K, 2 H)], optional
+        Where the output is written. The input may lie in the same memory, to its right end.
     """
     size = lstm.hidden_size
-    is_new = not replace or sequence.shape[1] != 2 * size
-    output = sequence.new_empty(len(sequence), 2 * size) if is_new else sequence
-    ahead = output[:, :size] if is_new else sequence.new_empty(len(sequence), size)
+    covers = output is not None and sequence.shape[1] > size
+    if output is None:
+        output = sequence.new_empty(len(sequence), 2 * size)
+    ahead = sequence.new_empty(len(sequence), size) if covers else output[:, :size]
     pieces = list(_pieces(len(sequence), 2 * PIECE_FRAMES))
     state: State | None = None
     for first, last in pieces:

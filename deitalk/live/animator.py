@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.prosody import measure_windows
@@ -14,23 +13,30 @@ from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import window_levels
 from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack
-from deitalk.errors import AudioError, CheckpointError
+from deitalk.errors import AudioError
 from deitalk.live import rules
 from deitalk.live.idle import RunningIdle
-from deitalk.live.network import advance, begin, causal_frontend, first_state, put, take
 from deitalk.live.rules import DueRows
 from deitalk.live.stream import Change, Stream
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.models.causal.network import (
+    CausalNetwork,
+    NetworkRows,
+    load_causal,
+    put,
+    styles_of,
+    take,
+)
 from deitalk.models.network import chosen_actor
 from deitalk.pipeline.arguments import whole_seed
 from rig.arrays import Float32
-from rig.errors import quoted
 
 BLOCK_FRAMES = 256
 """Frames of a stream that the network reads at once."""
 Samples = npt.ArrayLike | bytes
 Emotion = str | Path | Mapping[str, float] | EmotionTrack
+
+if TYPE_CHECKING:
+    from deitalk.models.curve_model import DEITalk
 
 
 class LiveAnimator:
@@ -41,8 +47,10 @@ class LiveAnimator:
 
     Parameters
     ----------
-    model : str, Path or DEITalk
-        A model with a causal frontend, such as ``live``.
+    model : str, Path, DEITalk or CausalNetwork
+        A model with a causal frontend, such as ``live``; or its ``.onnx`` file.
+    backend : str
+        ``torch``, or ``onnx`` for ONNX Runtime, without torch.
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion : str, mapping, Path or EmotionTrack
@@ -71,7 +79,7 @@ class LiveAnimator:
 
     Attributes
     ----------
-    network : DEITalk
+    network : CausalNetwork
     names : tuple of str
         Controls, in the order of the columns.
     fps : float
@@ -84,7 +92,7 @@ class LiveAnimator:
 
     def __init__(
         self,
-        model: "str | Path | DEITalk" = "live",
+        model: "str | Path | DEITalk | CausalNetwork" = "live",
         *,
         streams: int = 1,
         emotion: Emotion = "neutral",
@@ -94,8 +102,9 @@ class LiveAnimator:
         raw: bool = False,
         seed: int = 0,
         actor: str | None = None,
+        backend: str = "torch",
     ) -> None:
-        self.network = require_causal(model)
+        self.network = load_causal(model, backend=backend)
         if not 1 <= streams <= 1024:
             raise AudioError(f"streams={streams} must be 1 to 1024; make several animators")
         if not 8_000 <= sample_rate <= 192_000:
@@ -106,9 +115,9 @@ class LiveAnimator:
         self.idle, self.seed = idle and self.settings.idle is not None, whole_seed(seed)
         direction = Direction.of(emotion, intensity)
         self._first = Change(0.0, direction.emotion, direction.intensity)
-        ahead = causal_frontend(self.network).lookahead_samples / SAMPLE_RATE
+        ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + rules.AHEAD / FRAME_RATE
-        self.state = first_state(self.network, streams)
+        self.state = tuple(part.copy() for part in self.network.first_state(streams))
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
 
@@ -196,15 +205,14 @@ class LiveAnimator:
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
         for k in range(len(self.streams)) if stream is None else [stream]:
-            put(self.state, [k], first_state(self.network, 1))
+            put(self.state, [k], self.network.first_state(1))
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
     def _stream(self, number: int) -> Stream:
         network, idle = self.network, None
         if self.idle and self.settings.idle is not None:
             idle = RunningIdle(network.controls, self.settings.idle, self.seed + number)
-        frontend = causal_frontend(network)
-        return Stream(frontend, network.controls, self.settings, self._first, idle)
+        return Stream(network.grid, network.controls, self.settings, self._first, idle)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
@@ -226,17 +234,17 @@ class LiveAnimator:
             ready = [k for k, count in enumerate(counts) if count > 0 and self._has_begun(k)]
             if not ready:
                 return
-            count = min(BLOCK_FRAMES, *(counts[k] for k in ready))
+            most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
+            count = 1 << (most.bit_length() - 1)  # few sizes: torch keeps memory for each
             taken = [self.streams[k].take(count) for k in ready]
-            windows = torch.stack([windows for windows, _ in taken])
-            styles = torch.stack(
-                [self.network.styles(torch.from_numpy(e), self.actor) for _, e in taken]
-            )
-            rows, state = advance(self.network, windows, styles, take(self.state, ready))
+            windows = np.stack([windows for windows, _ in taken])
+            emotion = np.stack([emotion for _, emotion in taken])
+            styles = styles_of(emotion, self.network.actors, self.actor)
+            rows, state = self.network.advance(windows, styles, take(self.state, ready))
             put(self.state, ready, state)
-            self._accept([self.streams[k] for k in ready], [part.cpu().numpy() for part in rows])
+            self._accept([self.streams[k] for k in ready], rows)
 
-    def _accept(self, streams: list[Stream], rows: list[Float32]) -> None:
+    def _accept(self, streams: list[Stream], rows: NetworkRows) -> None:
         """Measure the sound of the frames that were read, and apply the rules, of all streams."""
         windows = [stream.unmeasured() for stream in streams]
         places = np.cumsum([len(part) for part in windows])[:-1]
@@ -246,7 +254,7 @@ class LiveAnimator:
         due: dict[int, list[tuple[Stream, DueRows]]] = {}
         for k, stream in enumerate(streams):
             stream.measure(levels[k], prosody[k])
-            stream.accept(*(part[k] for part in rows))
+            stream.accept(rows.neutral[k], rows.emotional[k], rows.strength[k])
             if (one := stream.due()) is not None:
                 due.setdefault(id(stream.settings), []).append((stream, one))
         for group in due.values():
@@ -256,38 +264,23 @@ class LiveAnimator:
 
     def _begin(self) -> None:
         """Read the first groups of streams whose first frame is known now."""
-        delay = causal_frontend(self.network).delay
+        delay = self.network.grid.delay
         new = [
             k
             for k, stream in enumerate(self.streams)
             if not self._has_begun(k) and stream.n_ready() >= delay
         ]
         if new:
-            windows = torch.stack([self.streams[k].take(delay)[0] for k in new])
-            put(self.state, new, begin(self.network, windows, take(self.state, new)))
+            windows = np.stack([self.streams[k].take(delay)[0] for k in new])
+            put(self.state, new, self.network.begin(windows, take(self.state, new)))
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0
 
 
-def require_causal(model: "str | Path | DEITalk") -> DEITalk:
-    """A model for voices that have not ended.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, or it is one that needs the whole clip.
-    """
-    network = require_model(model, DEITalk)
-    if not network.is_causal:
-        raise CheckpointError(
-            f"model {quoted(str(model))} needs the whole clip; use the model live, or one "
-            "trained from configs/live.yaml"
-        )
-    return network
-
-
-def live_frames(waveform: Float32, model: "str | Path | DEITalk", **options: Any) -> Float32:
+def live_frames(
+    waveform: Float32, model: "str | Path | DEITalk | CausalNetwork", **options: Any
+) -> Float32:
     """Frames of a whole recording, as they are given while it is spoken [shape=(T, C)].
 
     Parameters

@@ -6,19 +6,17 @@ Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectr
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack
-from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.live import rules as running
 from deitalk.live.activity import AHEAD, RunningActivity
 from deitalk.live.idle import RunningIdle
 from deitalk.live.intensity import Measures, RunningIntensity
 from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
+from deitalk.models.causal.network import SpectraGrid
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
@@ -73,7 +71,7 @@ class Stream:
 
     Parameters
     ----------
-    frontend : CausalMelFrontend
+    grid : SpectraGrid
         Of the network.
     controls : ControlSet
         Columns of the curves.
@@ -87,13 +85,13 @@ class Stream:
 
     def __init__(
         self,
-        frontend: CausalMelFrontend,
+        grid: SpectraGrid,
         controls: ControlSet,
         rules: RulesConfig,
         change: Change,
         idle: RunningIdle | None,
     ) -> None:
-        self.frontend, self.controls, self.settings, self.idle = frontend, controls, rules, idle
+        self.grid, self.controls, self.settings, self.idle = grid, controls, rules, idle
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -128,34 +126,34 @@ class Stream:
     def n_ready(self) -> int:
         """Groups of spectra whose samples have come and that were not taken."""
         if self.n_total is not None:
-            return self.n_total + running.AHEAD + self.frontend.delay - self.groups
-        rate, length = self.frontend.mel.frame_rate, self.frontend.mel.length
+            return self.n_total + running.AHEAD + self.grid.delay - self.groups
+        rate, length = self.grid.rate, self.grid.length
         last = self.sound.end - (length - length // 2)  # centre of the last whole spectrum
         spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
         while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
             spectra -= 1
-        return max(spectra // self.frontend.config.frame_spectra - self.groups, 0)
+        return max(spectra // self.grid.spectra - self.groups, 0)
 
-    def take(self, count: int) -> tuple[Tensor, Float32]:
+    def take(self, count: int) -> tuple[Float32, Float32]:
         """Take the next groups.
 
         Returns
         -------
-        windows : Tensor [shape=(count P, W)]
+        windows : array [shape=(count P, W)]
         emotion : array [shape=(count, 5)]
             Of the frames that the network reads with them.
         """
-        mel, spectra = self.frontend.mel, self.frontend.config.frame_spectra
-        index = np.arange(self.groups * spectra, (self.groups + count) * spectra)
-        centres = np.round(index * SAMPLE_RATE / mel.frame_rate).astype(np.int64)
-        windows = self.sound.windows(centres - mel.length // 2, mel.length)
-        frames = np.arange(self.groups, self.groups + count) - self.frontend.delay
+        grid = self.grid
+        index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
+        centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
+        windows = self.sound.windows(centres - grid.length // 2, grid.length)
+        frames = np.arange(self.groups, self.groups + count) - self.grid.delay
         self.groups += count
-        return torch.from_numpy(windows), self._directed(frames)[0]
+        return windows, self._directed(frames)[0]
 
     def unmeasured(self) -> Float32:
         """Windows (m, `WINDOW`) of the frames to be measured before the network's next rows."""
-        stop = self.groups - self.frontend.delay + MEASURED_AHEAD
+        stop = self.groups - self.grid.delay + MEASURED_AHEAD
         frames = np.arange(self.n_measured, stop)
         self.n_measured = stop
         return self.sound.windows(frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2, WINDOW)
@@ -167,7 +165,7 @@ class Stream:
 
     def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
         """Take the network's rows for the groups taken last."""
-        stop, network = self.groups - self.frontend.delay, strength
+        stop, network = self.groups - self.grid.delay, strength
         frames = np.arange(stop - len(neutral), stop)
         voice = self.intensity.feed(network, *self._measured(len(frames)))
         emotion, factor = self._directed(frames)
@@ -211,10 +209,10 @@ class Stream:
 
     def _drop(self) -> None:
         """Drop sound and changes that no frame needs any more."""
-        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.frontend.mel.length
+        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
         activity = self.n_measured * SAMPLE_RATE // FRAME_RATE - WINDOW
         self.sound.drop(min(spectrum, activity))
-        seconds = (self.groups - self.frontend.delay) / FRAME_RATE - RAMP_SECONDS
+        seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
 

@@ -130,9 +130,9 @@ def is_onnx(model: str | Path, backend: str) -> bool:
 
 def _checked(model: CurveNetwork) -> CurveNetwork:
     """A loaded network; one of torch is put into evaluation mode."""
-    from deitalk.models.onnx import OnnxNetwork
+    from deitalk.models.onnx import OnnxCausalNetwork, OnnxNetwork
 
-    if isinstance(model, OnnxNetwork):
+    if isinstance(model, OnnxNetwork | OnnxCausalNetwork):
         return model
     from deitalk.models.checkpoint import require_model
     from deitalk.models.curve_model import DEITalk

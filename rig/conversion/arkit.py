@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float32
-from rig.controls import Control, ControlSet
-from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
+from rig.controls import DEFAULT_ID, Control, ControlSet
+from rig.conversion.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
 from rig.curves import RigCurves
 from rig.errors import ControlError
 
@@ -141,7 +141,7 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     Parameters
     ----------
     curves : RigCurves
-        Raw curves; those that are absent rest.
+        Raw curves, or those of the board; those that are absent rest.
 
     Returns
     -------
@@ -150,28 +150,39 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     Raises
     ------
     ControlError
-        If the curves are not raw curves.
+        If the curves are neither.
     """
-    if curves.control_set != RAW_ID:
+    if curves.control_set not in (RAW_ID, DEFAULT_ID):
         raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
-    raw = curves.reorder(raw_controls())
     rest, arkit = raw_controls().rest, arkit_controls()
-    parts = [slice(first, first + FRAMES_AT_ONCE) for first in range(0, len(raw), FRAMES_AT_ONCE)]
-    values = np.concatenate([_fit(raw.values[part] - rest) for part in parts or [slice(0)]])
+    shapes, missed, total = [], [], 0.0
+    for first in range(0, max(len(curves), 1), FRAMES_AT_ONCE):
+        part = curves.slice_frames(first, first + FRAMES_AT_ONCE)
+        part = board_to_raw(part) if part.control_set == DEFAULT_ID else part
+        raw = part.reorder(raw_controls())
+        shapes.append(_shapes(raw))
+        fitted = replace(raw, values=shapes[-1], names=arkit.names, control_set=ARKIT_ID)
+        found = arkit_to_raw(fitted).values
+        missed.append(np.linalg.norm(found - raw.values, axis=1))
+        total += float(np.square(raw.values - rest, dtype=np.float64).sum())
+    residual = np.concatenate(missed)
+    lost = float(np.sqrt(np.square(residual, dtype=np.float64).sum() / total)) if total else 0.0
+    values = np.concatenate(shapes)
+    whole = replace(curves, values=values, names=arkit.names, control_set=ARKIT_ID)
+    return ArkitFit(whole, residual, min(lost, 1.0))
+
+
+def _shapes(raw: RigCurves) -> Float32:
+    """Values of the shapes fitted to all raw curves [shape=(T, 61)]."""
+    arkit = arkit_controls()
+    values = _fit(raw.values - raw_controls().rest)
     jaw = values[:, arkit.index("JawOpen")]
     together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
     _turn_eyes(values, raw)
     if raw.head is not None:
         values[:, arkit.indices(HEAD)] = raw.head[:, : len(HEAD)] / np.array(HEAD_DEGREES)
-    fitted = replace(raw, values=values, names=arkit.names, control_set=ARKIT_ID)
-    missed, total = np.zeros(len(raw), np.float32), 0.0
-    for part in parts:
-        found = arkit_to_raw(fitted.slice_frames(part.start, part.stop)).values
-        missed[part] = np.linalg.norm(found - raw.values[part], axis=1)
-        total += float(np.square(raw.values[part] - rest, dtype=np.float64).sum())
-    lost = float(np.sqrt(np.square(missed, dtype=np.float64).sum() / total)) if total else 0.0
-    return ArkitFit(fitted, missed, min(lost, 1.0))
+    return values
 
 
 def _fit(moved: Float32) -> Float32:

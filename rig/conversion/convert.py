@@ -18,6 +18,7 @@ _STEPS: dict[tuple[str, str], Callable[[RigCurves], RigCurves]] = {
     (RAW_ID, DEFAULT_ID): raw_to_board,
     (ARKIT_ID, RAW_ID): arkit_to_raw,
     (RAW_ID, ARKIT_ID): lambda curves: raw_to_arkit(curves).curves,
+    (DEFAULT_ID, ARKIT_ID): lambda curves: raw_to_arkit(curves).curves,
 }
 
 

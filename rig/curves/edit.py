@@ -24,6 +24,8 @@ CLOSURE_CONTROLS = (
 
 MAX_FACTOR = 1e6
 """Largest gain or offset; the result stays finite in float32."""
+ROWS_AT_ONCE = 4096
+"""Frames whose ranges are checked at once."""
 MAX_SMOOTHING_SECONDS = 60.0
 """Longest deviation of a smoothing kernel."""
 
@@ -90,9 +92,9 @@ def clamp(
     controls = controls or default_controls()
     places = controls.indices(curves.names)
     low, high = controls.minimum[places], controls.maximum[places]
-    clamped = np.clip(curves.values, low, high)
-    if np.array_equal(clamped, curves.values):
+    if _are_within(curves.values, low, high):
         return curves, ClampReport()
+    clamped = np.clip(curves.values, low, high)
     excess = np.abs(curves.values - clamped)
     clipped = [
         Clipped(curves.names[i], int((excess[:, i] > tolerance).sum()), float(excess[:, i].max()))
@@ -125,6 +127,14 @@ def _factor(name: str, factor: str) -> float:
         raise CurveError(
             f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
         ) from None
+
+
+def _are_within(values: Float32, low: Float32, high: Float32) -> bool:
+    """Whether no value is outside its range; an hour of curves is not copied."""
+    return all(
+        bool(((rows >= low) & (rows <= high)).all())
+        for rows in (values[k : k + ROWS_AT_ONCE] for k in range(0, len(values), ROWS_AT_ONCE))
+    )
 
 
 def gain(

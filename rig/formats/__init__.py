@@ -198,7 +198,8 @@ def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves,
         curves, clipped = clamp(curves, known)
     wanted = chosen.control_set
     if wanted == ARKIT_ID and curves.control_set != ARKIT_ID:
-        fit = raw_to_arkit(convert(curves, RAW_ID))
+        is_board = curves.control_set == DEFAULT_ID
+        fit = raw_to_arkit(curves if is_board else convert(curves, RAW_ID))
         curves, note = fit.curves, str(fit)
     elif wanted is not None and curves.control_set not in chosen.also:
         curves = convert(curves, wanted)

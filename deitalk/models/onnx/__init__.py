@@ -2,13 +2,17 @@
 
 ::
 
-    graph.py     the model as one graph: torch modules between its layers
-    export.py    graph -> file with metadata
-    network.py   file -> `deitalk.models.network.CurveNetwork`; imports no torch
-    load.py      name, folder or file -> network; exports into the cache at the first use
+    graph.py            the model as one graph: torch modules between its layers
+    mel_graph.py, conformer_graph.py  parts of it
+    causal_graph.py     one frame of a causal model, with its state
+    export.py           graph -> file with metadata
+    network.py          file -> `deitalk.models.network.CurveNetwork`; imports no torch
+    causal_network.py   file -> `deitalk.models.causal.network.CausalNetwork`, as little
+    load.py             name, folder or file -> network; exports into the cache at the first use
 """
 
+from deitalk.models.onnx.causal_network import OnnxCausalNetwork
 from deitalk.models.onnx.load import load_onnx
 from deitalk.models.onnx.network import OnnxNetwork
 
-__all__ = ["OnnxNetwork", "load_onnx"]
+__all__ = ["OnnxCausalNetwork", "OnnxNetwork", "load_onnx"]

@@ -13,9 +13,11 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
+from deitalk.models.causal.in_torch import grid_of
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.causal_graph import OUTPUTS, CausalGraph, first_states
 from deitalk.models.onnx.graph import CurveGraph, GraphOutput
-from deitalk.models.onnx.network import SCHEMA
+from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
 from rig.files import atomic_write
 
 OPSET = 17
@@ -30,7 +32,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
     Parameters
     ----------
     model : DEITalk
-        With a mel frontend and an intensity module.
+        With a mel, conformer or causal frontend and an intensity module.
     path : Path
         Replaced if it exists.
     name : str
@@ -39,7 +41,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
     Raises
     ------
     CheckpointError
-        If the model has parts that are not exported (see `CurveGraph`).
+        If the model has parts that are not exported (see `CurveGraph` and `CausalGraph`).
     MissingError
         If the package onnx is not installed.
     """
@@ -49,11 +51,15 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
         raise MissingError(
             "the export needs the package onnx; install it with pip install 'deitalk[onnx]'"
         ) from None
-    graph = CurveGraph(model.cpu()).eval()
+    model = model.cpu()
     with atomic_write(path) as beside:
-        _trace(graph, beside, len(model.actors))
+        if model.is_causal:
+            texts = _trace_causal(model, beside)
+        else:
+            texts = {"schema": SCHEMA, "level_db": json.dumps(LEVEL_DB)}
+            _trace(CurveGraph(model).eval(), beside, len(model.actors))
         content = onnx.load(str(beside))
-        for key, value in metadata(model, name).items():
+        for key, value in (metadata(model, name) | texts).items():
             content.metadata_props.add(key=key, value=value)
         content.producer_name, content.producer_version = "deitalk", __version__
         onnx.save(content, str(beside))
@@ -79,12 +85,11 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "emotions": list(EMOTIONS),
         "actors": list(model.actors),
         "sample_rate": SAMPLE_RATE,
-        "level_db": LEVEL_DB,
         "frame_rate": FRAME_RATE,
         "rules": model.rules.model_dump(mode="json"),
     }
     texts = {key: json.dumps(value) for key, value in values.items()}
-    texts |= {"schema": SCHEMA, "name": name, "control_set": controls.id}
+    texts |= {"name": name, "control_set": controls.id}
     return texts | {"rig": rig_text(controls)}
 
 
@@ -99,6 +104,44 @@ def _trace(graph: CurveGraph, path: Path, n_actors: int) -> None:
     inputs = {"sound": "S", "emotion": "T", "place": "T"}
     axes = {name: {0: size} for name, size in inputs.items()}
     axes |= {name: {0: "T"} for name in GraphOutput._fields}
+    _export(graph, example, path, list(inputs), list(GraphOutput._fields), axes)
+
+
+def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
+    """Write the graph of one frame, for any number of streams; return its metadata."""
+    graph, grid, states = CausalGraph(model).eval(), grid_of(model), first_states(model)
+    batch = 2
+    example = (
+        torch.zeros(batch, grid.spectra, grid.length),
+        torch.full((batch, len(EMOTIONS) + len(model.actors)), 0.2),
+        *(first.expand(batch, *first.shape).clone() for first in states.values()),
+    )
+    inputs = ["windows", "emotion", *states]
+    outputs = [*OUTPUTS, *(NEXT + name for name in states)]
+    axes = {name: {0: "B"} for name in (*inputs, *outputs)}
+    _export(graph, example, path, inputs, outputs, axes)
+    described = [
+        {"name": name, "shape": list(first.shape), "first": _first_value(first)}
+        for name, first in states.items()
+    ]
+    texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
+    return texts | {"schema": CAUSAL_SCHEMA}
+
+
+def _first_value(first: torch.Tensor) -> Any:
+    """One number if all are equal, else nested lists."""
+    low = float(first.min())
+    return low if bool((first == low).all()) else first.tolist()
+
+
+def _export(
+    graph: torch.nn.Module,
+    example: tuple[torch.Tensor, ...],
+    path: Path,
+    inputs: list[str],
+    outputs: list[str],
+    axes: dict[str, dict[int, str]],
+) -> None:
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the exporter's own, on constants that are meant
         torch.onnx.export(
@@ -107,7 +150,7 @@ def _trace(graph: CurveGraph, path: Path, n_actors: int) -> None:
             path,
             dynamo=False,  # the newer exporter unrolls LSTMs over time
             opset_version=OPSET,
-            input_names=list(inputs),
-            output_names=list(GraphOutput._fields),
+            input_names=inputs,
+            output_names=outputs,
             dynamic_axes=axes,
         )

@@ -6,25 +6,24 @@ slices.
 """
 
 import math
-from fractions import Fraction
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.mel import FLOOR, MEAN, SPREAD, MelSpectrogram, derivative
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import CheckpointError
+from deitalk.frontends.conformer import ConformerFrontend
 from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.network import neutral_weights
+from deitalk.models.onnx.conformer_graph import ConformerGraph
+from deitalk.models.onnx.mel_graph import MelGraph
 
 BLOCK = 64
 """Frames whose attention is applied in one product."""
-MARGIN = 4096
-"""Zeros on either side of the sound, longer than any window and shift."""
 
 
 class GraphOutput(NamedTuple):
@@ -34,42 +33,6 @@ class GraphOutput(NamedTuple):
     neutral: Tensor
     saliency: Tensor
     intensity: Tensor
-
-
-class MelGraph(nn.Module):
-    """`MelSpectrogram` of a whole sound, at several shifts side by side."""
-
-    index: Tensor
-    transform: Tensor
-    filters: Tensor
-
-    def __init__(self, mel: MelSpectrogram, shifts: list[int]) -> None:
-        super().__init__()
-        step = Fraction(SAMPLE_RATE) / Fraction(mel.frame_rate).limit_denominator(1000)
-        self.period, self.count, self.phases = step.numerator, step.denominator, len(shifts)
-        self.length = mel.length
-        starts = torch.round(torch.arange(self.count, dtype=torch.float64) * float(step)).long()
-        within = torch.arange(mel.length) - mel.length // 2 + MARGIN
-        index = torch.tensor(shifts)[:, None, None] + starts[:, None] + within
-        self.register_buffer("index", index.flatten())
-        angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
-        angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
-        window = mel.window.double()[:, None]
-        waves = torch.cat((angle.cos(), angle.sin()), dim=1)  # real part, imaginary part
-        self.register_buffer("transform", (window * waves).float())
-        self.register_buffer("filters", torch.cat((mel.filters, mel.filters)) / mel.length)
-
-    def forward(self, sound: Tensor, n_spectra: int) -> Tensor:
-        """Map (S,) to (phases, 3, F, n_spectra)."""
-        periods = torch.arange((n_spectra + self.count - 1) // self.count) * self.period
-        padded = F.pad(sound, (MARGIN, MARGIN))
-        frames = padded[(periods[:, None] + self.index).flatten()]
-        frames = frames.view(-1, self.phases, self.count, self.length)
-        frames = frames.transpose(0, 1).reshape(self.phases, -1, self.length)[:, :n_spectra]
-        power = (frames @ self.transform).square() @ self.filters
-        mel = ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)
-        slope = derivative(mel)
-        return torch.stack((mel, slope, derivative(slope)), dim=1)
 
 
 class MelFrontendGraph(nn.Module):
@@ -152,7 +115,7 @@ class CurveGraph(nn.Module):
     Parameters
     ----------
     model : DEITalk
-        With a mel frontend and an intensity module.
+        With a mel or conformer frontend and an intensity module.
 
     Raises
     ------
@@ -165,13 +128,17 @@ class CurveGraph(nn.Module):
 
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
-        if not isinstance(model.frontend, MelFrontend) or not model.config.intensity:
-            raise CheckpointError(
-                "only models with a mel frontend and an intensity module are exported, such as "
-                "default"
-            )
         self.model = model
-        self.frontend = MelFrontendGraph(model.frontend)
+        self.frontend: nn.Module
+        if isinstance(model.frontend, MelFrontend) and model.config.intensity:
+            self.frontend = MelFrontendGraph(model.frontend)
+        elif isinstance(model.frontend, ConformerFrontend) and model.config.intensity:
+            self.frontend = ConformerGraph(model.frontend)
+        else:
+            raise CheckpointError(
+                "only models with a mel or conformer frontend and an intensity module are "
+                "exported, such as default, compact and live"
+            )
         self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
         size = model.frontend.output_size
         exponent = torch.arange(0, size, 2, dtype=torch.float32) / size

@@ -6,13 +6,16 @@ from pathlib import Path
 from deitalk import __version__
 from deitalk.errors import DeitalkError
 from deitalk.models.folder import model_folder, weights_hash
-from deitalk.models.onnx.network import OnnxNetwork
+from deitalk.models.onnx.causal_network import OnnxCausalNetwork
+from deitalk.models.onnx.network import OnnxFile, OnnxNetwork
 from rig.errors import quoted
 from rig.files import cache_folder
 
 
-def load_onnx(model: str | Path, *, device: str = "cpu", threads: int = 1) -> OnnxNetwork:
-    """Return a network of ONNX Runtime.
+def load_onnx(
+    model: str | Path, *, device: str = "cpu", threads: int = 1
+) -> OnnxNetwork | OnnxCausalNetwork:
+    """Return a network of ONNX Runtime: for whole recordings, or a causal one for those too.
 
     Parameters
     ----------
@@ -36,7 +39,8 @@ def load_onnx(model: str | Path, *, device: str = "cpu", threads: int = 1) -> On
     path = Path(model)
     if path.suffix != ".onnx":
         path = cached_export(model)
-    return OnnxNetwork(path, threads)
+    file = OnnxFile(path, threads)
+    return OnnxCausalNetwork(file) if file.is_causal else OnnxNetwork(file)
 
 
 def cached_export(model: str | Path) -> Path:

@@ -19,17 +19,18 @@ from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.files.reading import check_file
 
-SCHEMA = "deitalk.onnx/1"
-PART_FRAMES, CONTEXT_FRAMES = 9000, 3000
+SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/1", "deitalk.onnx-live/1"
+NEXT = "next_"
+"""Before the names of the outputs that are the state for the next call."""
+PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
 """Frames of a recording that are predicted at once, and frames on either side of them that are
-predicted as context only (100 s). The network's memory is long: with this context, parts and whole
-differ by at most 0.02 of a range."""
-_STEP = 3
-"""Frames after which a frame lies on a sample again (1600 samples)."""
+predicted as context only (96 s). The memory of a recurrent network is long: with this context,
+parts and whole differ by at most 0.02 of a range. Both are multiples of 3, so that parts begin on a
+sample, and of the 64 frames of a conformer's segment, so that its parts are exact."""
 
 
-class OnnxNetwork:
-    """A file of ``deitalk model export --onnx``; a `deitalk.models.network.CurveNetwork`.
+class OnnxFile:
+    """A file of ``deitalk model export --onnx`` in ONNX Runtime.
 
     Parameters
     ----------
@@ -47,17 +48,39 @@ class OnnxNetwork:
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
-        self.path = path
-        self._session = _session(path, threads)
-        self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
-        if self.metadata.get("schema") != SCHEMA:
+        self.path, self.session = path, _session(path, threads)
+        self.metadata: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
+        if self.metadata.get("schema") not in (SCHEMA, CAUSAL_SCHEMA):
             raise CheckpointError(f"{path}: no exported deitalk model ({SCHEMA}); export it again")
         try:
             self.rules = RulesConfig.model_validate(json.loads(self.metadata["rules"]))
             self.actors: tuple[str, ...] = tuple(json.loads(self.metadata["actors"]))
             self.controls = _controls(path, self.metadata)
         except (KeyError, ValueError, ValidationError):
-            raise CheckpointError(f"{path}: damaged metadata; export the model again") from None
+            raise damaged(path) from None
+
+    @property
+    def is_causal(self) -> bool:
+        """Whether it predicts one frame a call."""
+        return self.metadata["schema"] == CAUSAL_SCHEMA
+
+
+def damaged(path: Path) -> CheckpointError:
+    """Error of a file whose metadata lack something."""
+    return CheckpointError(f"{path}: damaged metadata; export the model again")
+
+
+class OnnxNetwork:
+    """A model for whole recordings; a `deitalk.models.network.CurveNetwork`.
+
+    Parameters
+    ----------
+    file : OnnxFile
+    """
+
+    def __init__(self, file: OnnxFile) -> None:
+        self.path, self.metadata, self._session = file.path, file.metadata, file.session
+        self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
 
     def read(
         self,

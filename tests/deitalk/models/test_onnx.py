@@ -14,6 +14,8 @@ from deitalk.config import Config, MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.frontends.conformer import SEGMENT_FRAMES
+from deitalk.live.animator import LiveAnimator, live_frames
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
@@ -30,6 +32,7 @@ from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E4
 RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2}
 TOLERANCE = 1e-4
 """Of a control's range."""
+CONTROL_FLOW = {"If", "Loop", "Scan", "DFT", "STFT", "ScatterElements", "ScatterND"}
 
 
 def tiny(**settings):
@@ -45,6 +48,40 @@ def tiny(**settings):
     return model
 
 
+CONFORMER = {
+    "kind": "conformer", "n_mels": 16, "stem_channels": 16, "hidden_size": 16, "layers": 2,
+    "heads": 2, "intermediate_size": 24, "kernel_size": 5, "phases": 2,
+}  # fmt: skip
+CAUSAL = {
+    "kind": "causal_mel", "conv_channels": (4, 4, 4), "spec_hidden": 4, "spectral_size": 16,
+    "time_hidden": 24,
+}  # fmt: skip
+
+
+def of_frontend(frontend, **settings):
+    """A network of another frontend, with random curves."""
+    torch.manual_seed(7)
+    chosen = SMALL | {"frontend": frontend, "saliency_frames": 31} | settings
+    config = Config.model_validate({"model": chosen})
+    network = DEITalk(config.model, rules=config.rules).eval()
+    with torch.no_grad():
+        network.decoder.output.weight.normal_(std=0.2)
+        network.decoder.style.weight.normal_()
+    return network
+
+
+@pytest.fixture(scope="module")
+def causal():
+    return of_frontend(CAUSAL, positions=False, actors=("ann", "bob"))
+
+
+@pytest.fixture(scope="module")
+def exported_causal(causal, tmp_path_factory):
+    path = tmp_path_factory.mktemp("onnx") / "causal.onnx"
+    export_onnx(causal, path, name="causal")
+    return load_onnx(path)
+
+
 @pytest.fixture(scope="module")
 def model():
     return tiny(actors=("ann", "bob"))
@@ -54,7 +91,7 @@ def model():
 def exported(model, tmp_path_factory):
     path = tmp_path_factory.mktemp("onnx") / "tiny.onnx"
     export_onnx(model, path, name="tiny")
-    return OnnxNetwork(path)
+    return load_onnx(path)
 
 
 def weights(n_frames, **amounts):
@@ -78,6 +115,47 @@ def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
     rows = weights(n_frames, happy=0.6, sad=0.4)
     assert_equal(exported.read(sound, rows, "bob"), model.read(sound, rows, "bob"))
+
+
+def test_conformer_equals_torch_at_any_length(tmp_path):
+    model = of_frontend(CONFORMER)
+    export_onnx(model, tmp_path / "conformer.onnx")
+    exported = load_onnx(tmp_path / "conformer.onnx")
+    for n_frames in (1, 33, 64, 97, 128, 200):  # part of a segment, one, with and without context
+        sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
+        rows = weights(n_frames, happy=0.6, sad=0.4)
+        assert_equal(exported.read(sound, rows), model.read(sound, rows))
+    assert not set(operators(tmp_path / "conformer.onnx")) & CONTROL_FLOW
+
+
+def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal):
+    for n_frames in (1, 40):
+        sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
+        rows = weights(n_frames, happy=0.6, sad=0.4)
+        for actor in ("ann", "bob"):
+            found = exported_causal.read(sound, rows, actor, gain=0.5)
+            assert_equal(found, causal.read(sound, rows, actor, gain=0.5))
+    assert not set(operators(exported_causal.path)) & CONTROL_FLOW
+
+
+def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
+    sounds = [speechlike(1.5), 0.3 * speechlike(1.2)]
+    expected = [
+        live_frames(sound, causal, emotion="angry", seed=k) for k, sound in enumerate(sounds)
+    ]
+    animator = LiveAnimator(exported_causal, streams=2, emotion="angry")
+    parts = [animator.feed([sound[:7000] for sound in sounds])]
+    parts += [animator.feed([sound[7000:] for sound in sounds]), animator.finish()]
+    span = causal.controls.maximum - causal.controls.minimum
+    for k in range(2):
+        found = np.concatenate([part[k] for part in parts])
+        assert found.shape == expected[k].shape
+        assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
+
+
+def test_models_for_whole_clips_are_refused_live(exported):
+    with pytest.raises(CheckpointError, match="needs the whole clip; use the model live"):
+        LiveAnimator(str(exported.path))
 
 
 def test_actors_differ_as_they_do_in_torch(model, exported):
@@ -106,8 +184,12 @@ def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, mon
     assert shares == [90 / 240, 180 / 240, 1]
     assert parts.emotional.shape == whole.emotional.shape
     assert np.abs(parts.emotional - whole.emotional).max() < 0.01
-    for frames in (network_module.PART_FRAMES, 9000, 3000):
+
+
+def test_parts_begin_on_samples_and_on_segments_of_the_conformer():
+    for frames in (network_module.PART_FRAMES, network_module.CONTEXT_FRAMES):
         assert frames % 3 == 0, "frame 3 k lies on sample 1600 k"
+        assert frames % SEGMENT_FRAMES == 0
 
 
 def test_metadata_describes_controls_rules_and_input(model, exported):
@@ -136,7 +218,7 @@ def test_metadata_describes_controls_rules_and_input(model, exported):
 def test_file_has_standard_operators_without_control_flow(exported):
     found = operators(exported.path)
     assert found["LSTM"] == 4 and found["Conv"] >= 9
-    assert not set(found) & {"If", "Loop", "Scan", "DFT", "STFT", "ScatterElements"}
+    assert not set(found) & CONTROL_FLOW
 
 
 def test_animate_gives_the_same_curves_with_either_backend(model, tmp_path, monkeypatch):
@@ -202,7 +284,7 @@ def test_missing_onnxruntime_is_named_with_its_install_line(monkeypatch, exporte
 
 COMMAND = """
 import sys
-sys.argv = ["deitalk", "animate", {sound!r}, "-e", "happy", "-o", {out!r}, "--model", {model!r}]
+sys.argv = {argv!r}
 from deitalk.cli import main
 try:
     main()
@@ -213,14 +295,28 @@ print("LOADED", sorted(slow & set(sys.modules)))
 """
 
 
-def test_animate_with_an_onnx_file_imports_no_torch(exported, tmp_path):
-    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
-    code = COMMAND.format(sound=str(sample), out=str(tmp_path / "take"), model=str(exported.path))
+def run_without_torch(*arguments):
+    """Run a command; none of the slow packages may be loaded at its end."""
+    code = COMMAND.format(argv=["deitalk", *arguments])
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "LOADED []"
+
+
+def test_live_with_an_onnx_file_imports_no_torch(exported_causal):
+    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
+    model = str(exported_causal.path)
+    run_without_torch("live", str(sample), "--model", model, "--seconds", "0.5", "--port", "9")
+
+
+def test_animate_with_an_onnx_file_imports_no_torch(exported, tmp_path):
+    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
+    take = str(tmp_path / "take")
+    run_without_torch(
+        "animate", str(sample), "-e", "happy", "-o", take, "--model", str(exported.path)
+    )
     about = json.loads((tmp_path / "take/take.json").read_text())["model"]
     assert about["name"] == str(exported.path) and about["bytes"] == exported.path.stat().st_size
 
@@ -232,4 +328,4 @@ def test_default_in_onnx_equals_torch(tmp_path):
     model = load_model("default")
     export_onnx(model, tmp_path / "default.onnx")
     sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
-    assert_equal(OnnxNetwork(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
+    assert_equal(load_onnx(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))

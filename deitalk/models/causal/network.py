@@ -1,0 +1,173 @@
+"""What live needs of a causal network: arrays in, arrays out, state in the caller's hands.
+
+`deitalk.models.causal.in_torch` does it in torch, `deitalk.models.onnx.causal_network` in ONNX
+Runtime. This module imports neither.
+
+Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group, W samples of a
+spectrum, C controls.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.config import RulesConfig
+from deitalk.errors import CheckpointError, DeitalkError
+from deitalk.models.network import BACKENDS, is_onnx
+from rig import ControlSet
+from rig.arrays import Float32
+from rig.errors import quoted
+
+if TYPE_CHECKING:
+    from deitalk.models.curve_model import DEITalk
+
+State: TypeAlias = tuple[Float32, ...]
+"""What a network keeps of streams between two calls; every array begins with the stream."""
+
+
+class SpectraGrid(NamedTuple):
+    """Where the spectra lie that a causal network reads."""
+
+    spectra: int
+    """P, of a rig frame."""
+    length: int
+    """W, samples of a spectrum."""
+    delay: int
+    """Groups that must come after a frame's own before the frame is known."""
+
+    @property
+    def rate(self) -> int:
+        """Spectra a second."""
+        return FRAME_RATE * self.spectra
+
+    @property
+    def lookahead_samples(self) -> int:
+        """Samples after the time of a frame that the network's rows depend on."""
+        last = (self.delay + 1) * self.spectra - 1
+        return round(last * SAMPLE_RATE / self.rate) + self.length - self.length // 2
+
+
+class NetworkRows(NamedTuple):
+    """What the network gives for consecutive frames."""
+
+    neutral: Float32
+    """[shape=(B, G, C)]."""
+    emotional: Float32
+    """[shape=(B, G, C)]."""
+    saliency: Float32
+    """[shape=(B, G), range -1 to 1]; 0 without the intensity module."""
+    strength: Float32
+    """Predicted intensity [shape=(B, G), range 0 to 1]; 1 without the intensity module."""
+
+
+class CausalNetwork(Protocol):
+    """A network whose frames depend on the past and a bounded look-ahead."""
+
+    @property
+    def controls(self) -> ControlSet:
+        """Columns of the curves."""
+
+    @property
+    def rules(self) -> RulesConfig:
+        """Post-processing that belongs to the model."""
+
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names of the actors whose styles it has; empty if it has none."""
+
+    @property
+    def grid(self) -> SpectraGrid:
+        """Where the spectra lie."""
+
+    def first_state(self, batch: int) -> State:
+        """State of streams before their first sample."""
+
+    def begin(self, windows: Float32, state: State) -> State:
+        """Read the first groups of streams, as many as the grid's `delay`: they give no frame.
+
+        The decoder begins with the first frame, as on a whole clip. Parameters as for `advance`.
+        """
+
+    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+        """Read the next frames of streams in the neutral and in another emotion.
+
+        Parameters
+        ----------
+        windows : array [shape=(B, G P, W)]
+            Samples of the next groups of spectra.
+        styles : array [shape=(B, G, 5 + actors)]
+            From `styles_of`, of the frames that are read: the grid's `delay` before the groups.
+        state : State
+            From `first_state`, or from the call before.
+        """
+
+
+def load_causal(
+    model: "str | Path | DEITalk | CausalNetwork", *, backend: str = "torch"
+) -> CausalNetwork:
+    """Return a causal network, loaded if a name, a folder or an ONNX file is given.
+
+    Parameters
+    ----------
+    model : str, Path, DEITalk or CausalNetwork
+        As for `deitalk.models.network.load_network`.
+    backend : str
+        ``torch`` or ``onnx``.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it is one that needs the whole clip.
+    DeitalkError
+        If the backend is unknown or not installed.
+    """
+    if backend not in BACKENDS:
+        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
+    if hasattr(model, "first_state"):
+        return cast(CausalNetwork, model)
+    if isinstance(model, str | Path) and is_onnx(model, backend):
+        from deitalk.models.onnx import load_onnx
+
+        network = load_onnx(model)
+        if not hasattr(network, "first_state"):
+            raise whole_clip_error(model)
+        return cast(CausalNetwork, network)
+    from deitalk.models.causal.in_torch import TorchNetwork
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+
+    found = require_model(cast("str | Path | DEITalk", model), DEITalk)
+    if not found.is_causal:
+        raise whole_clip_error(model)
+    return TorchNetwork(found)
+
+
+def whole_clip_error(model: object) -> CheckpointError:
+    """Error of a model that cannot be used live."""
+    return CheckpointError(
+        f"model {quoted(str(model))} needs the whole clip; use the model live, or one trained "
+        "from configs/live.yaml"
+    )
+
+
+def styles_of(emotion: Float32, actors: Sequence[str], actor: str) -> Float32:
+    """Weights of all styles (..., 5 + actors): those of the emotions (..., 5), and of an actor."""
+    chosen = np.array([name == actor for name in actors], np.float32)
+    shape = (*emotion.shape[:-1], len(actors))
+    return np.concatenate((emotion, np.broadcast_to(chosen, shape)), axis=-1, dtype=np.float32)
+
+
+def take(state: State, streams: Sequence[int]) -> State:
+    """State of some streams."""
+    index = list(streams)
+    return tuple(part[index] for part in state)
+
+
+def put(state: State, streams: Sequence[int], new: State) -> None:
+    """Replace the state of some streams, in place."""
+    index = list(streams)
+    for old, part in zip(state, new, strict=True):
+        old[index] = part

@@ -1,0 +1,80 @@
+"""Mel spectra in a graph: the Fourier transform is a product with two matrices."""
+
+import math
+from fractions import Fraction
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.mel import FLOOR, MEAN, SPREAD, MelSpectrogram, derivative
+
+MARGIN = 4096
+"""Zeros on either side of the sound, longer than any window and shift."""
+
+
+def fourier_products(mel: MelSpectrogram) -> tuple[Tensor, Tensor]:
+    """Matrices of mel power: samples (W,) to real and imaginary parts, their squares to (F,)."""
+    angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
+    angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
+    waves = torch.cat((angle.cos(), angle.sin()), dim=1)
+    transform = (mel.window.double()[:, None] * waves).float()
+    return transform, torch.cat((mel.filters, mel.filters)) / mel.length
+
+
+class MelGraph(nn.Module):
+    """`MelSpectrogram` of a whole sound, at several shifts side by side."""
+
+    index: Tensor
+    transform: Tensor
+    filters: Tensor
+
+    def __init__(self, mel: MelSpectrogram, shifts: list[int]) -> None:
+        super().__init__()
+        step = Fraction(SAMPLE_RATE) / Fraction(mel.frame_rate).limit_denominator(1000)
+        self.period, self.count, self.phases = step.numerator, step.denominator, len(shifts)
+        self.length = mel.length
+        starts = torch.round(torch.arange(self.count, dtype=torch.float64) * float(step)).long()
+        within = torch.arange(mel.length) - mel.length // 2 + MARGIN
+        index = torch.tensor(shifts)[:, None, None] + starts[:, None] + within
+        self.register_buffer("index", index.flatten())
+        transform, filters = fourier_products(mel)
+        self.register_buffer("transform", transform)
+        self.register_buffer("filters", filters)
+
+    def forward(self, sound: Tensor, n_spectra: int) -> Tensor:
+        """Map (S,) to (phases, 3, F, n_spectra)."""
+        mel = self.scaled(sound, n_spectra)
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)), dim=1)
+
+    def scaled(self, sound: Tensor, n_spectra: int) -> Tensor:
+        """Map (S,) to (phases, F, n_spectra), without the derivatives."""
+        periods = torch.arange((n_spectra + self.count - 1) // self.count) * self.period
+        padded = F.pad(sound, (MARGIN, MARGIN))
+        frames = padded[(periods[:, None] + self.index).flatten()]
+        frames = frames.view(-1, self.phases, self.count, self.length)
+        frames = frames.transpose(0, 1).reshape(self.phases, -1, self.length)[:, :n_spectra]
+        power = (frames @ self.transform).square() @ self.filters
+        return ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)
+
+
+class ProductMel(MelSpectrogram):
+    """`MelSpectrogram` whose power is a product of matrices."""
+
+    transform: Tensor
+    summed: Tensor
+
+    @classmethod
+    def of(cls, mel: MelSpectrogram) -> "ProductMel":
+        """The same spectrogram."""
+        found = cls(mel.length / SAMPLE_RATE, mel.frame_rate, mel.filters.shape[1])
+        transform, summed = fourier_products(mel)
+        found.register_buffer("transform", transform)
+        found.register_buffer("summed", summed)
+        return found
+
+    def power(self, windows: Tensor) -> Tensor:
+        """Mel power (B, L, F) of windows (B, L, window) of samples."""
+        return (windows @ self.transform).square() @ self.summed
