@@ -180,7 +180,9 @@ def checked_waveform(waveform: npt.ArrayLike) -> Float32:
         If they are no row of finite samples, or none at all.
     """
     samples = np.asarray(waveform, dtype=np.float32)
-    if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
+    blocks = range(0, len(samples) if samples.ndim == 1 else 0, BLOCK_SAMPLES)
+    finite = (np.isfinite(samples[k : k + BLOCK_SAMPLES]).all() for k in blocks)
+    if samples.ndim != 1 or not len(samples) or not all(finite):
         raise AudioError(
             f"a waveform of shape {samples.shape} cannot be used; give one row of finite samples "
             "at 16 kHz"

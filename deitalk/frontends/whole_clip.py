@@ -70,7 +70,7 @@ def encode_whole(
         sound = _Sound(waveform.unsqueeze(0), gain, shift)
         features = _features(frontend, sound, n_frames, store, tick)
         if rows is None:
-            rows = features.div_(phases)
+            rows = features / phases
             continue
         for start, stop in _pieces(n_frames, PIECE_FRAMES):
             rows[start:stop] += features[start:stop] / phases
@@ -94,17 +94,24 @@ def _features(
     tick: Callable[[], None],
 ) -> Tensor:
     """Features (n_frames, D) of one phase; `tick` is called per piece and stage."""
-    memory, centres = _memory(frontend, sound, n_frames, store, tick)
-    rows = memory.new_empty(n_frames, frontend.output_size)
+    block, centres = _memory(frontend, sound, n_frames, store, tick)
+    memory = block[: int(centres[-1]) + 1]
+    rows = block if _can_overwrite(frontend, centres) else torch.empty_like(block[:n_frames])
     for start, stop in _pieces(n_frames, PIECE_FRAMES):
         rows[start:stop] = _attended(frontend, memory, centres[start:stop])
         tick()
-    del memory
+    rows, context = rows[:n_frames], block[n_frames : 2 * n_frames]
     for rig in frontend.rig:
-        context = layer_output(cast(Any, rig).recurrent, 0, rows, tick)
+        layer_output(cast(Any, rig).recurrent, 0, rows, tick, output=context)
         for start, stop in _pieces(n_frames, PIECE_FRAMES):
             rows[start:stop] += cast(Any, rig).project(context[start:stop].float())
     return rows
+
+
+def _can_overwrite(frontend: "MelFrontend", centres: Tensor) -> bool:
+    """Whether the rows of a piece lie before all states that the next pieces need."""
+    stops, reach = range(PIECE_FRAMES, len(centres), PIECE_FRAMES), _reach(frontend)
+    return all(int(centres[stop]) - reach >= stop for stop in stops)
 
 
 def _memory(
@@ -114,22 +121,26 @@ def _memory(
     store: torch.dtype,
     tick: Callable[[], None],
 ) -> tuple[Tensor, Tensor]:
-    """States (K, 2 H) of the Time-BiLSTM, and the state of each frame."""
+    """States of the Time-BiLSTM (K or more, 2 H), and the one of each frame.
+
+    The block has room for two rows of a frame.
+    """
     centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
     length, lstm = int(centres[-1]) + 1, frontend.recurrent
+    width, device = 2 * lstm.hidden_size, frontend.mel.window.device
     # One block of memory for input and outputs: pieces of it would not go back to the system.
-    block = torch.empty(
-        length, max(lstm.input_size, 2 * lstm.hidden_size), dtype=store,
-        device=frontend.mel.window.device,
-    )  # fmt: skip
-    sequence = block[:, -lstm.input_size :]
+    shape = max(length, 2 * n_frames), max(lstm.input_size, width)
+    block = torch.empty(shape, dtype=store, device=device)
+    sequence = block[:length, -lstm.input_size :]
     for first, last in _pieces(length, 2 * PIECE_FRAMES):
         sequence[first:last] = _spectral(frontend, sound, first, last, length)
         tick()
     for layer in range(lstm.num_layers):
-        output = block[:, : 2 * lstm.hidden_size]
-        sequence = layer_output(lstm, layer, sequence, tick, output=output)
-    return sequence, centres
+        covers = sequence.shape[1] > lstm.hidden_size
+        sequence = layer_output(
+            lstm, layer, sequence, tick, output=block[:length, :width], covers=covers
+        )
+    return block[:, :width], centres
 
 
 def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:
@@ -156,7 +167,8 @@ def layer_output(
     sequence: Tensor,
     tick: Callable[[], None] = lambda: None,
     *,
-    output: Tensor | None = None,
+    output: Tensor,
+    covers: bool = False,
 ) -> Tensor:
     """Output (K, 2 H) of one bidirectional layer.
 
@@ -170,23 +182,32 @@ def layer_output(
         Input, in float32 or float16; so is the output.
     tick : callable
         Called for every 480 rows or fewer.
-    output : Tensor [shape=(K, 2 H)], optional
-        Where the output is written. The input may lie in the same memory, to its right end.
+    output : Tensor [shape=(K, 2 H)]
+        Where the output is written.
+    covers : bool
+        The output lies over the input. The forward direction is computed twice then: from the
+        first piece to the last for its states, and with the backward direction for its rows.
+
+    Returns
+    -------
+    Tensor
+        `output`.
     """
     size = lstm.hidden_size
-    covers = output is not None and sequence.shape[1] > size
-    if output is None:
-        output = sequence.new_empty(len(sequence), 2 * size)
-    ahead = sequence.new_empty(len(sequence), size) if covers else output[:, :size]
     pieces = list(_pieces(len(sequence), 2 * PIECE_FRAMES))
-    state: State | None = None
+    states: list[State | None] = [None]
     for first, last in pieces:
-        ahead[first:last], state = _direction(lstm, layer, "", sequence[first:last].float(), state)
-    state = None
-    for first, last in reversed(pieces):
-        piece = sequence[first:last].float().flip(0)
-        rows, state = _direction(lstm, layer, "_reverse", piece, state)
-        output[first:last, :size], output[first:last, size:] = ahead[first:last], rows.flip(0)
+        rows, state = _direction(lstm, layer, "", sequence[first:last].float(), states[-1])
+        states.append(state)
+        if not covers:
+            output[first:last, :size] = rows
+    behind: State | None = None
+    for (first, last), before in zip(reversed(pieces), reversed(states[:-1]), strict=True):
+        piece = sequence[first:last].float().clone()
+        if covers:
+            output[first:last, :size] = _direction(lstm, layer, "", piece, before)[0]
+        rows, behind = _direction(lstm, layer, "_reverse", piece.flip(0), behind)
+        output[first:last, size:] = rows.flip(0)
         tick()
     return output
 
@@ -206,11 +227,16 @@ def _direction(
     return output[0], (hidden, cell)
 
 
+def _reach(frontend: "MelFrontend") -> int:
+    """States on either side of a frame's own that its attention depends on, or more."""
+    config = frontend.config
+    return config.window_frames // config.time_stack + config.query_frames
+
+
 def _attended(frontend: "MelFrontend", memory: Tensor, centres: Tensor) -> Tensor:
     """Rows (n, D) around some states of the memory."""
     config, attention = frontend.config, frontend.attention
-    window = config.window_frames // config.time_stack
-    reach = window + attention.query_frames
+    window, reach = config.window_frames // config.time_stack, _reach(frontend)
     first, last = max(int(centres[0]) - reach, 0), int(centres[-1]) + reach + 1
     near = memory[first:last].float().unsqueeze(0)
     places = (centres - first).to(near.device)

@@ -308,7 +308,7 @@ class DEITalk(nn.Module):
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].float().unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
-            rows = (output.guidance, output.saliency, output.strength)
+            rows = (output.guidance.to(speech.dtype), output.saliency, output.strength)
             parts.append(tuple(row[0, inner] for row in rows))
         guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
         return Analysis(speech, guidance, saliency, strength)
@@ -372,7 +372,7 @@ class DEITalk(nn.Module):
             decoded = decode(
                 self.place(speech, frames, frames.new_tensor([total])),
                 emotion[first:last].unsqueeze(0),
-                None if guidance is None else guidance[first:last].unsqueeze(0),
+                None if guidance is None else guidance[first:last].float().unsqueeze(0),
             )
             rows[start:stop] = decoded[0, start - first : stop - first]
         return rows

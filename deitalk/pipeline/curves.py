@@ -260,7 +260,8 @@ def _apply_rules(
         rules.sharpen_contacts(reading)
         meet_phones(reading, rules, known)
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
-    values = rules.blend(neutral, emotional, intensities.scale)
+    out = None if emotional is neutral else emotional  # not needed any more
+    values = rules.blend(neutral, emotional, intensities.scale, out)
     rules.widen_speech(values, neutral, weights, intensities.applied)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)

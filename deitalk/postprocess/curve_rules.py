@@ -68,7 +68,13 @@ class Expression:
     controls: ControlSet
     settings: RulesConfig = field(default_factory=RulesConfig)
 
-    def blend(self, neutral: Float32, emotional: Float32, scale: Float32) -> Float32:
+    def blend(
+        self,
+        neutral: Float32,
+        emotional: Float32,
+        scale: Float32,
+        out: Float32 | None = None,
+    ) -> Float32:
         """Scale the expression and keep contacts closed.
 
         Parameters
@@ -77,12 +83,14 @@ class Expression:
             Two readings of the same speech.
         scale : array [shape=(T,)]
             Factor on their difference, from `expression_scale`.
+        out : array [shape=(T, C)], optional
+            Where the result is written; `emotional` is possible.
 
         Returns
         -------
         array [shape=(T, C)]
         """
-        delta = emotional - neutral  # in place from here: an hour of it is 80 MB
+        delta = np.subtract(emotional, neutral, out=out)  # in place: an hour of it is 80 MB
         delta *= scale[:, None]
         if self.settings.keep_contacts is not None:
             free = 1 - self.contact(neutral)

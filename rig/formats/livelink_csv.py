@@ -151,7 +151,9 @@ def write_take(path: Path, take: LiveLinkTake) -> None:
     """Write a take, ten decimals, one row per frame, and `padding` after them."""
     held = padding(take.ticks)
     ticks = np.concatenate([take.ticks, held])
-    values = np.concatenate([take.values, np.repeat(take.values[-1:], len(held), axis=0)])
+    values = take.values
+    if len(held):
+        values = np.concatenate([values, np.repeat(values[-1:], len(held), axis=0)])
     n_curves = np.full((len(ticks), 1), len(take.names))
     blocks: list[Block | Text] = [
         Text(timecode_text(ticks)),
