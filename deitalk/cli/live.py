@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
     from rig.livelink import LiveSender
+    from rig.livelink.live import LiveReport
 
 POLL_SECONDS = 0.05
 """Longest wait for sound."""
@@ -91,7 +92,10 @@ def live(
         sender.close()
         if isinstance(source, Microphone):
             source.close()
-    report = sender.report()
+    _print(sender.report())
+
+
+def _print(report: "LiveReport") -> None:
     console().print(
         f"{report.n_sent} frames, {report.n_skipped} skipped, {report.n_failed} not taken by the "
         f"network; sent {1000 * report.waited[0]:.1f} ms after they were known, at most "
