@@ -11,6 +11,7 @@ from deitalk.emotions import check_intensity, parse_emotion
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.arguments import LONGEST_LISTENING
+from deitalk.pipeline.words.transcript import is_words_file
 from deitalk.postprocess.life.amounts import Life
 from rig import limits
 from rig.errors import quoted
@@ -39,6 +40,8 @@ class Settings:
         Suffixes of the files to write, and ``take``.
     fps : float, optional
         Rate of the written curves.
+    transcript, phones, language : str
+        As for `deitalk.animate`, from a manifest alone; empty: no words, in the default language.
     idle, raw, seed, life, look_at, listen, gain
         As for `deitalk.animate`; empty: its defaults.
     """
@@ -57,6 +60,9 @@ class Settings:
     look_at: str = ""
     listen: float = 0.0
     gain: str = ""
+    transcript: str = ""
+    phones: str = ""
+    language: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +142,8 @@ def check_settings(settings: Settings) -> None:
     if not 0 <= settings.listen <= LONGEST_LISTENING:
         raise DeitalkError(f"listen {settings.listen:g} must be 0 to {LONGEST_LISTENING:g} s")
     parse_gains(settings.gain or None)
+    if settings.transcript and settings.phones:
+        raise DeitalkError("transcript and phones are both given; leave one out")
     if not is_track(settings.emotion):
         _parsed(settings.emotion)
     if settings.fps is not None:
@@ -179,6 +187,9 @@ def line_key(line: Line, model: str, strength: float | None) -> str:
     for name in ("intensity_curve", "voice"):
         if path := getattr(settings, name):
             parts[name] = content_hash(path)
+    for name in ("transcript", "phones"):
+        if is_words_file(words := getattr(settings, name)):
+            parts[name] = content_hash(words)
     if is_track(settings.emotion):
         parts["emotion"] = content_hash(settings.emotion)
     if TAKE in settings.formats:

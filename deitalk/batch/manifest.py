@@ -12,6 +12,8 @@
     voice             reference of the actor, instead of the one that is measured
     fps, seed, listen numbers
     life, look_at, gain   as for `deitalk animate`
+    transcript, phones    what is said: text, or a file relative to the manifest; not both
+    language          espeak-ng's voice for the words
 
 Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 """
@@ -27,13 +29,14 @@ from deitalk.batch.lines import BadLine, Line, Settings, check_settings, is_trac
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from deitalk.pipeline.arguments import whole_seed
+from deitalk.pipeline.words.transcript import is_words_file
 from rig import limits
 from rig.errors import UserError, quoted
 from rig.formats.table import writable_suffixes
 
 COLUMNS = (
     "audio", "output", "formats", "emotion", "intensity", "intensity_curve", "actor", "voice",
-    "fps", "seed", "life", "look_at", "listen", "gain",
+    "fps", "seed", "life", "look_at", "listen", "gain", "transcript", "phones", "language",
 )  # fmt: skip
 _SETTINGS = tuple(name for name in COLUMNS if name not in ("audio", "output", "formats"))
 _SEPARATORS = ",;\t"
@@ -139,13 +142,14 @@ def _settings(row: Row, base: str, defaults: Settings) -> Settings:
     found: dict[str, object] = {}
     if emotion := row.get("emotion"):
         found["emotion"] = joined(base, emotion) if is_track(emotion) else emotion
-    for name in ("intensity_curve", "voice"):
-        if path := row.get(name):
-            found[name] = joined(base, path)
+    for name in ("intensity_curve", "voice", "transcript", "phones"):
+        if cell := row.get(name):
+            is_path = name in ("intensity_curve", "voice") or is_words_file(cell)
+            found[name] = joined(base, cell) if is_path else cell
     for name in ("intensity", "fps", "listen"):
         if cell := row.get(name):
             found[name] = number(cell, name, "column")
-    for name in ("actor", "life", "look_at", "gain"):
+    for name in ("actor", "life", "look_at", "gain", "language"):
         if text := row.get(name):
             found[name] = text
     if seed := row.get("seed"):

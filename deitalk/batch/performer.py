@@ -99,6 +99,7 @@ class Performer:
         """Hash of a line's recording, and the line ready for the network; or its result."""
         from deitalk.pipeline.actor import voice_strength
         from deitalk.pipeline.curves import prepare
+        from deitalk.pipeline.words.transcript import LANGUAGE
 
         settings = order.settings
         data, sound = read_recording(order.audio)
@@ -123,6 +124,9 @@ class Performer:
             look_at=settings.look_at or (0.0, 0.0),
             listen=settings.listen,
             gain=settings.gain or None,
+            transcript=settings.transcript or None,
+            phones=settings.phones or None,
+            language=settings.language or LANGUAGE,
         )
 
     def _most_together(self, n_frames: int) -> int:
@@ -170,7 +174,7 @@ class Performer:
             sound=sound,
             seconds=shot.recording.duration,
             frames=len(performance.curves),
-            warnings=(*shot.recording.warnings, *findings(performance)),
+            warnings=(*performance.recording.warnings, *findings(performance)),
             stage=str(folder),
             targets=targets,
             files=files,

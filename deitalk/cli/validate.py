@@ -1,41 +1,66 @@
 """`deitalk validate`: errors and warnings of importers for a file."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deitalk.cli.console import emit, emit_json
+from deitalk.cli.options import Language, PhonesGiven, Words
 from rig.errors import as_line
+
+if TYPE_CHECKING:
+    from rig.validation.findings import Finding
 
 
 def validate(
     path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 on warnings too.")] = False,
+    transcript: Words = None,
+    phones: PhonesGiven = None,
+    language: Language = "en-us",
+    audio: Annotated[
+        Path | None, typer.Option(help="Recording of a file of curves, for its words.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Check a file or a take by the rules of the importing programs; exit code 1 on errors.
 
     Cell counts, time codes, ranges, NaN, constant curves, jumps, open mouths at the end, and
-    effects in Unreal.
+    effects in Unreal. With the words of the recording: closures that the lips miss.
 
     Examples
     --------
     deitalk validate take/
 
     deitalk validate MySlate_1_iPhone.csv --json
+
+    deitalk validate take/ --transcript "My promise is big."
     """
     from rig.validation.curves import validate as check
 
     validation = check(path)
+    findings = list(validation.findings)
+    if validation.ok and (transcript, phones) != (None, None):
+        findings += _closures(path, audio, (transcript, phones, language))
     if as_json:
-        rows = [
-            {"level": f.level, "path": str(f.path), "text": f.text} for f in validation.findings
-        ]
+        rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)
     else:
-        for finding in validation.findings:
+        for finding in findings:
             emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
-    is_warned = strict and any(f.level == "warning" for f in validation.findings)
+    is_warned = strict and any(finding.level == "warning" for finding in findings)
     if not validation.ok or is_warned:
         raise typer.Exit(1)
+
+
+def _closures(
+    path: Path, audio: Path | None, words: tuple[str | None, str | None, str]
+) -> "list[Finding]":
+    """Closures that the curves miss, by the words of the recording."""
+    from deitalk.pipeline.words.check import check_closures
+    from deitalk.pipeline.words.transcript import Transcript
+
+    given = Transcript.given(*words)
+    assert given is not None
+    return check_closures(path, given, audio)

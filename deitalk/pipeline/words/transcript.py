@@ -131,6 +131,11 @@ class Transcript:
         return None if transcript is None else cls.of(transcript, language)
 
 
+def is_words_file(given: str) -> bool:
+    """Whether a transcript is the path of a file."""
+    return given.strip().lower().endswith(SUFFIXES)
+
+
 def check_language(language: str) -> None:
     """Refuse a language that espeak-ng has no voice for; MissingError without espeak-ng."""
     if (reason := espeak.missing()) is not None:
@@ -146,8 +151,8 @@ def _path(given: object) -> Path | None:
     """Path of a given file; None of a text."""
     if isinstance(given, Path):
         found = given
-    elif isinstance(given, str) and given.strip().lower().endswith(SUFFIXES):
-        found = Path(given)
+    elif isinstance(given, str) and is_words_file(given):
+        found = Path(given.strip())
     elif isinstance(given, str):
         return None
     else:

@@ -47,6 +47,14 @@ def test_track_and_url_are_found_from_the_manifest():
     assert line.settings.emotion == "base/moods.csv"
 
 
+def test_words_are_a_text_or_a_file_beside_the_manifest():
+    text = "audio,transcript,language\na.wav,Bitte sehr,de\nb.wav,said/b.TextGrid,\n"
+    first, second = (line.settings for line in rows(text))
+    assert (first.transcript, first.language) == ("Bitte sehr", "de")
+    assert (second.transcript, second.language) == ("base/said/b.TextGrid", "")
+    assert only("audio,phones\na.wav,b.csv\n").settings.phones == "base/b.csv"
+
+
 @pytest.mark.parametrize(
     ("audio", "output"),
     [("/abs/one.wav", "one"), ("../up/two.wav", "two"), ("sub/three.v2.wav", "sub/three.v2")],

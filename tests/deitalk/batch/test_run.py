@@ -10,7 +10,9 @@ import pytest
 import soundfile
 
 from deitalk import animate
+from deitalk.batch.lines import content_hash
 from deitalk.batch.source import FAILED, SUMMARY
+from deitalk.corpus.engines import espeak
 from deitalk.emotions import read_actor
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.benchmark_curves import speechlike
@@ -61,6 +63,22 @@ def test_lines_of_one_length_are_those_of_animate(run, lines, model, rng, monkey
         np.testing.assert_allclose(found.values, alone.values, atol=1e-5)
     monkeypatch.setattr("deitalk.models.curve_model.DEITalk.read_together", None)
     assert run(emotion="sad").counts["done"] == 13
+
+
+def test_words_of_a_manifest_are_used_and_what_they_hold_counts(run, lines, model, tmp_path):
+    said = espeak.synthesise("Bob may bring my map.").waveform
+    soundfile.write(lines / "said.wav", said, 16_000, subtype="FLOAT")
+    manifest, words = lines / "lines.csv", lines / "said.txt"
+    words.write_text("Bob may bring my map.")
+    manifest.write_text("audio,transcript\nsaid.wav,said.txt\n")
+    assert run(manifest, formats="csv").counts["done"] == 1
+    animate(lines / "said.wav", model=model, transcript=words).save(tmp_path / "one.csv")
+    assert (run.out / "said.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
+    words.write_text("Seven years since the ship sank.")
+    content_hash.cache_clear()
+    report = run(manifest, formats="csv")
+    assert report.counts["done"] == 1
+    assert "the words do not fit the sound" in table(run.out / SUMMARY)[0]["warnings"]
 
 
 def test_take_folders_are_those_of_animate(run, lines):

@@ -1,6 +1,7 @@
 """`deitalk animate --transcript` and `--phones`: files, notes, errors."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import soundfile
@@ -8,6 +9,8 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.corpus.engines import espeak
+from deitalk.errors import DataError
+from rig import read_curves, write_curves
 
 
 @pytest.fixture(scope="module")
@@ -46,3 +49,21 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
     assert "w.csv" in error("--transcript", "w.csv")
     monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
     assert "pip install espeakng-loader, or give phones" in error("--transcript", "a")
+
+
+def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
+    assert run("animate", line, "-o", tmp_path / "a/", "--no-idle").exit_code == 0
+    said = "Bob may bring my map."
+    assert run("animate", line, "-o", tmp_path / "b.npz", "--transcript", said).exit_code == 0
+    good = run("validate", tmp_path / "b.npz", "--transcript", said, "--audio", line)
+    assert "the words fit the sound" in good.stdout and "do not meet" not in good.stdout
+    curves = read_curves(tmp_path / "b.npz")
+    values = curves.values.copy()
+    values[-25:, [i for i, name in enumerate(curves.names) if "lipsTogether" in name]] = 0
+    write_curves(tmp_path / "a" / "curves.csv", replace(curves, values=values))
+    bad = run("validate", tmp_path / "a", "--transcript", said, "--json")
+    found = [row["text"] for row in json.loads(bad.stdout)["findings"]]
+    missed = [text for text in found if "do not meet" in text]
+    assert missed and "p of 'map'" in missed[-1] and "(0.00 of 0.9)" in missed[-1]
+    with pytest.raises(DataError, match="no recording to compare the words with"):
+        raise run("validate", tmp_path / "b.npz", "--transcript", said).exception
