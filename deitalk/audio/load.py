@@ -3,9 +3,8 @@
 Letters: N samples at the source's rate, n of a block, C channels.
 """
 
-import wave
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.audio.notes import describe
+from deitalk.audio.original import start_seconds, wav_header
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 from rig.files import atomic_write
@@ -53,6 +53,8 @@ class Recording:
         Share of source samples inside flat runs (3 or more equal samples at full scale), 0 … 1.
     warnings : tuple of str
         Properties that lower the quality of the animation, such as clipping.
+    start : float, optional
+        Time of day of the first sample, seconds, of a WAV file with a chunk ``bext``.
     """
 
     waveform: Float32
@@ -62,6 +64,7 @@ class Recording:
     clipped_fraction: float = 0.0
     warnings: tuple[str, ...] = ()
     sample_rate: int = SAMPLE_RATE
+    start: float | None = None
 
     @property
     def duration(self) -> float:
@@ -117,7 +120,8 @@ def load_audio(
     """
     name, data = _name_and_data(source)
     with open_sound(name, data) as sound:
-        return read_sound(name, sound, max_seconds)
+        recording = read_sound(name, sound, max_seconds)
+    return replace(recording, start=start_seconds(name)) if data is None else recording
 
 
 def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) -> Recording:
@@ -138,7 +142,7 @@ def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) 
     )
 
 
-def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
+def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) -> None:
     """Write mono 16-bit PCM at 16 kHz, atomically; samples beyond ±1 are clipped.
 
     Parameters
@@ -147,6 +151,8 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
         Replaced if it exists; its folder must exist.
     waveform : array (S,)
         Finite; 1.0 is full scale (32768 steps, so that 16-bit sources survive unchanged).
+    start : float
+        Time of day of the first sample, seconds; other than 0 it is written as ``bext``.
 
     Raises
     ------
@@ -155,15 +161,11 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike) -> None:
     """
     samples = checked_waveform(waveform)
     try:
-        with (
-            atomic_write(path) as beside,
-            beside.open("wb") as raw,
-            wave.open(raw, "wb") as file,
-        ):
-            file.setparams((1, 2, SAMPLE_RATE, 0, "NONE", "NONE"))
+        with atomic_write(path) as beside, beside.open("wb") as file:
+            file.write(wav_header(SAMPLE_RATE, 1, 16, 2 * len(samples), start))
             for start in range(0, len(samples), BLOCK_SAMPLES):
                 scaled = np.rint(samples[start : start + BLOCK_SAMPLES] * 32768.0)
-                file.writeframes(scaled.clip(-32768, 32767).astype("<i2").tobytes())
+                file.write(scaled.clip(-32768, 32767).astype("<i2").tobytes())
     except OSError as error:
         raise AudioError(
             f"cannot write {path}: {error.strerror or error}; name a folder that exists, "

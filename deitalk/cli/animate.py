@@ -81,6 +81,10 @@ def animate(
     backend: Backend = "torch",
     device: Device = "cpu",
     threads: Threads = 1,
+    timecode: Annotated[
+        str,
+        typer.Option(help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF."),
+    ] = "zero",
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
@@ -104,6 +108,7 @@ def animate(
     target = Path(out)
     inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     _check(target, is_folder, inputs, fps=fps, digits=digits, preview=preview, force=force)
+    given_start = _given_start(timecode, fps)
     options: dict[str, Any] = {
         "emotion": emotion,
         "actor": actor,
@@ -125,11 +130,12 @@ def animate(
     settings = options | {
         "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
     }  # fmt: skip
+    start = _start(performance.recording) if given_start is None else given_start
+    form: dict[str, Any] = {"fps": fps, "digits": digits, "start": start}
     if is_folder:
-        form = {"fps": fps, "digits": digits}
         _write_take(target, performance, settings, model, form, preview=preview, force=force)
     else:
-        _write_file(target, performance, fps, digits)
+        _write_file(target, performance, form)
     _note(performance)
     if as_json:
         emit_json(_summary(target, performance, settings))
@@ -146,6 +152,21 @@ def _note(performance: "Performance") -> None:
         console().note(warning)
     if performance.words is not None and performance.words.fits:
         console().note(performance.words.line)
+
+
+def _given_start(timecode: str, fps: float | None) -> float | None:
+    """Time of day of a time code, seconds; None if it is to be the recording's."""
+    from deitalk.audio.original import parse_timecode
+
+    named = {"zero": 0.0, "recording": None}
+    return named[timecode] if timecode in named else parse_timecode(timecode, fps or 30.0)
+
+
+def _start(recording: "Recording") -> float:
+    """Time of day of a recording, with a note if it has none."""
+    if recording.start is None:
+        console().note(f"{recording.source} has no time code (bext chunk of a WAV): starts at 0")
+    return recording.start or 0.0
 
 
 def _acted(performance: "Performance", emotion: str) -> str:
@@ -301,13 +322,10 @@ def _extras(preview: bool) -> "tuple[Extra, ...]":
     return (add_preview,)
 
 
-def _write_file(
-    out: Path, performance: "Performance", fps: float | None, digits: int | None
-) -> None:
+def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
     from rig import write_curves
 
-    sound = performance.sound_file
-    report = write_curves(out, performance.curves, fps=fps, digits=digits, sound=sound)
+    report = write_curves(out, performance.curves, sound=performance.sound_file, **form)
     if report.note:
         console().note(report.note)
     for track in report.dropped:

@@ -89,7 +89,14 @@ class Performance:
             return 0.0
         return float(applied.mean())
 
-    def save(self, target: str | Path, *, fps: float | None = None, force: bool = False) -> Path:
+    def save(
+        self,
+        target: str | Path,
+        *,
+        fps: float | None = None,
+        start: float = 0.0,
+        force: bool = False,
+    ) -> Path:
         """Write a take folder, or one file of curves.
 
         Parameters
@@ -99,6 +106,9 @@ class Performance:
             a folder (see `rig.files.is_folder_name`).
         fps : float, optional
             Rate of the written curves, Hz; 30 by default.
+        start : float
+            Time of day of the first frame, seconds, for files with time codes; see
+            `recording.start`.
         force : bool
             Replace a file, or the files of a take, that are there.
 
@@ -116,15 +126,15 @@ class Performance:
         from rig.formats.table import writable_suffixes
 
         if is_folder_name(target, writable_suffixes()):
-            return self._save_take(Path(target), fps, force)
+            return self._save_take(Path(target), fps, start, force)
         from rig.files import check_file
         from rig.formats import write_curves
 
         check_file(target, force=force, inputs=(self.recording.source,))
-        write_curves(target, self.curves, fps=fps, sound=self.sound_file)
+        write_curves(target, self.curves, fps=fps, sound=self.sound_file, start=start)
         return Path(target)
 
-    def _save_take(self, folder: Path, fps: float | None, force: bool) -> Path:
+    def _save_take(self, folder: Path, fps: float | None, start: float, force: bool) -> Path:
         from deitalk.models.folder import describe_model
         from deitalk.pipeline.take import write_take
 
@@ -132,7 +142,9 @@ class Performance:
         if self.model:
             about = describe_model(self.model)
         settings = dict(self.settings)
-        return write_take(folder, self, settings=settings, model=about, fps=fps, force=force)
+        return write_take(
+            folder, self, settings=settings, model=about, fps=fps, start=start, force=force
+        )
 
     def __repr__(self) -> str:
         applied = f", applied intensity {self.mean_applied_intensity:.2f}"

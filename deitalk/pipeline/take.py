@@ -9,6 +9,7 @@
       neutral.npz      the neutral reading: what intensity 0 gives
       intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
       audio.wav        the recording, 16 kHz mono, in time with the curves
+      audio_48k.wav    the recording at 48 kHz with its channels, if it has more than 16 kHz
       <Slate>_take_1_deitalk.csv  Live Link Face, for Unreal's importer
       <Slate>.unreal.json      for the script that runs inside Unreal
 """
@@ -22,7 +23,9 @@ from typing import Any
 from deitalk import __version__
 from deitalk.audio.frames import frame_times
 from deitalk.audio.load import write_wav
+from deitalk.audio.original import write_original
 from deitalk.emotions import write_intensity_csv
+from deitalk.errors import AudioError
 from deitalk.pipeline.performance import Performance
 from rig import write_curves
 from rig.arrays import Float32
@@ -47,6 +50,7 @@ Extra = Callable[[Path, Performance], dict[str, str]]
 
 
 KIND = "take"
+ORIGINAL = "audio_48k.wav"
 PREVIEW_FILES = ("preview.html", "preview.mp4")
 
 
@@ -58,6 +62,7 @@ def write_take(
     model: dict[str, Any],
     fps: float | None = None,
     digits: int | None = None,
+    start: float = 0.0,
     force: bool = False,
     extras: tuple[Extra, ...] = (),
 ) -> Path:
@@ -77,6 +82,9 @@ def write_take(
         Rate of the curves; 30 by default.
     digits : int, range 2 to 6, optional
         Digits after the point of the curves as text; see `rig.write_curves`.
+    start : float
+        Time of day of the first frame, seconds: time code of the Live Link Face CSV, the file for
+        Unreal and the sounds.
     force : bool
         Replace the files of an existing take; other files in its folder stay.
     extras : tuple of callables
@@ -97,7 +105,7 @@ def write_take(
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, settings, model, fps, digits, extras)
+            _fill(stage, performance, settings, model, fps, digits, start, extras)
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -127,7 +135,7 @@ def check_take(
     rig.errors.TargetError
         As `write_take`.
     """
-    names = (*FILES, *PREVIEW_FILES, *exchange_names(Path(source).stem))
+    names = (*FILES, ORIGINAL, *PREVIEW_FILES, *exchange_names(Path(source).stem))
     check_folder(folder, kind=KIND, force=force, inputs=(source, *inputs), names=names)
 
 
@@ -138,6 +146,7 @@ def _fill(
     model: dict[str, Any],
     fps: float | None,
     digits: int | None,
+    start: float,
     extras: tuple[Extra, ...],
 ) -> None:
     curves = performance.curves if fps is None else performance.curves.resample(fps)
@@ -154,11 +163,11 @@ def _fill(
         predicted=performance.predicted,
         intensity=_track(performance.curves.intensity),
     )
-    write_wav(folder / "audio.wav", performance.recording.waveform)
+    write_wav(folder / "audio.wav", performance.recording.waveform, start=start)
+    files = FILES | _original(folder, performance, start)
     slate = Path(performance.recording.source).stem
-    files = dict(FILES)
     if curves.control_set == DEFAULT_ID:
-        files |= write_exchange_files(folder, curves, slate=slate, digits=digits)
+        files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
     for extra in extras:
         files |= extra(folder, performance)
     about = {
@@ -169,6 +178,7 @@ def _fill(
         "model": model,
         "control_set": curves.control_set,
         "fps": curves.fps,
+        "start_seconds": start,
         "frames": len(curves),
         "settings": settings,
         "clipped_values": performance.clipped,
@@ -178,6 +188,22 @@ def _fill(
     (folder / "take.json").write_text(
         json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
     )
+
+
+def _original(folder: Path, performance: Performance, start: float) -> dict[str, str]:
+    """Write the recording at 48 kHz, if it has more than the 16 kHz of ``audio.wav``.
+
+    A file that was removed or changed since it was read is left out.
+    """
+    recording = performance.recording
+    if not performance.sound_file or recording.source_rate <= recording.sample_rate:
+        return {}
+    seconds = recording.duration
+    try:
+        write_original(folder / ORIGINAL, recording.source, seconds=seconds, start=start)
+    except AudioError:
+        return {}
+    return {ORIGINAL: "the recording at 48 kHz with its channels, in time with the curves"}
 
 
 def _track(values: Float32 | None) -> Float32:

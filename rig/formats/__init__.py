@@ -109,6 +109,7 @@ def write_curves(
     fps: float | None = None,
     digits: int | None = None,
     sound: Path | str = "",
+    start: float = 0.0,
 ) -> WriteReport:
     """Write curves to a file, whole or not at all; values outside their ranges are clamped.
 
@@ -127,6 +128,9 @@ def write_curves(
         read again differs by at most half of the last one.
     sound : Path or str
         File of the speech, for formats that name it (Rhubarb's JSON and XML).
+    start : float
+        Time of day of the first frame, seconds, for formats with time codes (Live Link Face, Unreal
+        JSON).
 
     Returns
     -------
@@ -142,17 +146,18 @@ def write_curves(
     path = Path(path)
     chosen = find_format(path, format, writable=True)
     assert chosen.write is not None
-    options: tuple[object, ...] = () if digits is None else (checked_digits(digits, chosen),)
+    given: dict[str, object] = {"sound": os.path.abspath(sound) if sound else "", "start": start}
+    if digits is not None:
+        given["digits"] = checked_digits(digits, chosen)
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
         curves = curves.resample(fps)
     curves, clipped, note = _prepared(path, curves, chosen)
-    if chosen.names_sound:
-        options = (os.path.abspath(sound) if sound else "",)
+    options = {name: value for name, value in given.items() if name in chosen.options}
     try:
         with atomic_write(path) as beside:
-            chosen.write(beside, curves, *options)
+            chosen.write(beside, curves, **options)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FormatError(f"cannot write {path}: {reason}") from error
@@ -170,8 +175,8 @@ def checked_digits(digits: int, chosen: Format | None = None) -> int:
     """
     if type(digits) is not int or not 2 <= digits <= 6:
         raise FormatError(f"digits is {quoted(digits)}; must be 2 to 6", parameter="digits")
-    if chosen is not None and not chosen.has_digits:
-        taking = ", ".join(format.name for format in FORMATS if format.has_digits)
+    if chosen is not None and "digits" not in chosen.options:
+        taking = ", ".join(format.name for format in FORMATS if "digits" in format.options)
         raise FormatError(
             f"digits={digits} does not apply to {chosen.name}; it does to {taking}",
             parameter="digits",

@@ -26,6 +26,7 @@ def write_exchange_files(
     take: int = 1,
     subject: str = SUBJECT,
     digits: int | None = None,
+    start: float = 0.0,
 ) -> dict[str, str]:
     """Write a Live Link Face CSV and the file for the script inside Unreal.
 
@@ -43,6 +44,8 @@ def write_exchange_files(
         Live Link subject that Unreal's importer makes of the CSV.
     digits : int, optional
         Of the file for Unreal; see `rig.write_curves`.
+    start : float
+        Time of day of the first frame, seconds.
 
     Returns
     -------
@@ -50,8 +53,8 @@ def write_exchange_files(
         File names and a line on each, for ``take.json``.
     """
     live_link, unreal = exchange_names(slate, take=take, subject=subject)
-    report = write_curves(folder / live_link, curves, format="livelink")
-    write_curves(folder / unreal, curves, format="unreal", digits=digits)
+    report = write_curves(folder / live_link, curves, format="livelink", start=start)
+    write_curves(folder / unreal, curves, format="unreal", digits=digits, start=start)
     return {
         live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
         unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",

@@ -213,10 +213,11 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     return read_take(path).to_curves(fps)
 
 
-def write(path: Path, curves: RigCurves) -> None:
-    """Write ARKit shapes, or raw curves, from time code 00:00:00:00.000."""
+def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
+    """Write ARKit shapes, or raw curves, from a time of day in seconds."""
     values = curves.values.astype(np.float64)
-    write_take(path, LiveLinkTake(frame_ticks(len(curves), curves.fps), values, curves.names))
+    ticks = frame_ticks(len(curves), curves.fps) + round(start * TICKS_PER_SECOND)
+    write_take(path, LiveLinkTake(ticks, values, curves.names))
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

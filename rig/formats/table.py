@@ -53,10 +53,9 @@ class Format:
         First cells (lower case) of a CSV of this format, by which it is recognised.
     note : callable, optional
         A line on path and curves: what the writer adds, or an empty one.
-    has_digits : bool
-        Whether the writer takes the number of digits after the point as its third argument.
-    names_sound : bool
-        Whether the file names the sound that it belongs to; the writer takes its path then.
+    options : tuple of str
+        Keywords that the writer takes: digits after the point, sound (the path that the file
+        names), start (time of day of the first frame, seconds).
     """
 
     name: str
@@ -69,8 +68,7 @@ class Format:
     tracks: tuple[str, ...] = ()
     begins: tuple[str, ...] = ()
     note: Callable[[Path, RigCurves], str] | None = None
-    has_digits: bool = False
-    names_sound: bool = False
+    options: tuple[str, ...] = ()
 
 
 def _write_glb(path: Path, curves: RigCurves) -> None:
@@ -98,7 +96,7 @@ FORMATS: tuple[Format, ...] = (
         "frame, time and one column per control",
         curves_csv.read,
         curves_csv.write,
-        has_digits=True,
+        options=("digits",),
     ),
     Format(
         "json",
@@ -107,7 +105,7 @@ FORMATS: tuple[Format, ...] = (
         curves_json.read,
         curves_json.write,
         tracks=ALL_TRACKS,
-        has_digits=True,
+        options=("digits",),
     ),
     Format(
         "npz",
@@ -124,7 +122,7 @@ FORMATS: tuple[Format, ...] = (
         curves_csv.read,
         curves_csv.write,
         RAW_ID,
-        has_digits=True,
+        options=("digits",),
     ),
     Format(
         "rigmapper",
@@ -145,6 +143,7 @@ FORMATS: tuple[Format, ...] = (
         tracks=("head",),
         begins=("timecode", "blendshapecount"),
         note=livelink_csv.notes,
+        options=("start",),
     ),
     Format(
         "livelink-raw",
@@ -154,6 +153,7 @@ FORMATS: tuple[Format, ...] = (
         livelink_csv.write,
         RAW_ID,
         note=livelink_csv.notes,
+        options=("start",),
     ),
     Format(
         "a2f",
@@ -180,7 +180,7 @@ FORMATS: tuple[Format, ...] = (
         unreal_json.write,
         DEFAULT_ID,
         tracks=("head",),
-        has_digits=True,
+        options=("digits", "start"),
     ),
     Format(
         "maya",
@@ -203,7 +203,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_json_cues,
         rhubarb.write_json,
         DEFAULT_ID,
-        names_sound=True,
+        options=("sound",),
     ),
     Format(
         "rhubarb-tsv",
@@ -220,7 +220,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_xml,
         rhubarb.write_xml,
         DEFAULT_ID,
-        names_sound=True,
+        options=("sound",),
     ),
     Format(
         "glb",

@@ -32,14 +32,15 @@ SCHEMA = "deitalk.unreal/2"
 SCHEMAS = (SCHEMA, "deitalk.unreal/1")
 
 
-def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
-    """Write ``frame_rate``, ``n_frames``, ``raw``, ``board``, and ``head`` if it is known."""
+def write(path: Path, curves: RigCurves, digits: int = DECIMALS, start: float = 0.0) -> None:
+    """Write ``frame_rate``, ``n_frames``, ``start``, ``raw``, ``board``, and ``head`` if known."""
     rate = Fraction(curves.fps).limit_denominator(1001)
     head = {
         "schema": SCHEMA,
         "control_set": curves.control_set,
         "frame_rate": [rate.numerator, rate.denominator],
         "n_frames": len(curves),
+        "start": start,
     }
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])

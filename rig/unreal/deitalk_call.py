@@ -65,6 +65,7 @@ def animate(
     folder: str,
     emotion: str = "neutral",
     intensity: float = 1.0,
+    timecode: str = "zero",
     settings: dict[str, Any] | None = None,
     tick: Tick = lambda: None,
 ) -> str:
@@ -80,6 +81,8 @@ def animate(
         As of ``deitalk animate``: one of `EMOTIONS` or weights such as ``happy=0.7``.
     intensity : float
         Factor on the predicted intensity, 0 to 4.
+    timecode : str
+        As of ``deitalk animate``: zero, recording or HH:MM:SS:FF. A service takes zero only.
     settings : dict, optional
         As of `read_settings`.
     tick : callable
@@ -102,15 +105,15 @@ def animate(
         raise DeitalkError(f"intensity {intensity:g} is outside 0 to 4")
     os.makedirs(os.path.dirname(os.path.abspath(folder)), exist_ok=True)
     if settings["service"]:
+        if timecode != "zero":
+            raise DeitalkError("time codes need deitalk on this computer, not a service")
         return _by_service(settings, recording, folder, emotion, intensity, tick)
-    return _by_command(settings["command"], recording, folder, emotion, intensity, tick)
+    options = ["-e", emotion, "--intensity", repr(float(intensity)), "--timecode", timecode]
+    return _by_command([*settings["command"], "animate", recording, *options], folder, tick)
 
 
-def _by_command(
-    command: list[str], recording: str, folder: str, emotion: str, intensity: float, tick: Tick
-) -> str:
-    words = [*command, "animate", recording, "-o", folder, "-e", emotion]
-    words += ["--intensity", repr(float(intensity)), "--force"]
+def _by_command(command: list[str], folder: str, tick: Tick) -> str:
+    words = [*command, "-o", folder, "--force"]
     log = folder.rstrip("/\\") + ".log"
     with open(log, "w+", encoding="utf-8", errors="replace") as output:
         try:

@@ -40,6 +40,7 @@ def animate_audio(
     actor: str = "",
     start_frame: int | None = None,
     on_board: bool = False,
+    at_timecode: bool = False,
     folder: str = importer.FOLDER,
 ) -> Any:
     """Animate a sound and place both on a MetaHuman in the open or a new Level Sequence.
@@ -58,6 +59,8 @@ def animate_audio(
         In the display rate of the sequence; by default the start of its playback.
     on_board : bool
         Keys on the face board, whose track must be in the sequence, instead of an AnimSequence.
+    at_timecode : bool
+        Start at the time code of the recording (chunk ``bext`` of a WAV) instead.
     folder : str
         Of new assets.
 
@@ -69,7 +72,7 @@ def animate_audio(
     face = None if on_board else placing.find_face(actor)
     recording, asset = _recording(sound)
     name = importer.asset_name(asset.get_name() if asset is not None else recording)
-    data = _animated(recording, name, emotion, intensity)
+    data = _animated(recording, name, emotion, intensity, at_timecode)
     asset = asset or placing.import_sound(recording, folder)
     animation = None
     if not on_board:
@@ -80,6 +83,8 @@ def animate_audio(
     rate = importer.standard_rate(clip)
     frame_rate = unreal.FrameRate(rate.numerator, rate.denominator)
     sequence = placing.open_sequence(name, frame_rate, folder)
+    if at_timecode:
+        start_frame = placing.frame_of(clip.get("start", 0.0), sequence)
     start, stop = placing.place(animation, asset, face, sequence, start_frame, folder)
     if on_board:
         importer.control_rig(data, start_frame=start)
@@ -157,7 +162,7 @@ def _saved(name: str) -> str:
     return os.path.join(str(saved), "deitalk", name)
 
 
-def _animated(recording: str, name: str, emotion: str, intensity: float) -> str:
+def _animated(recording: str, name: str, emotion: str, intensity: float, at_timecode: bool) -> str:
     """Return the file for Unreal, with a bar of progress that can be cancelled."""
     title = f"deitalk animates {os.path.basename(recording)}"
     with unreal.ScopedSlowTask(1.0, title) as task:
@@ -170,7 +175,8 @@ def _animated(recording: str, name: str, emotion: str, intensity: float) -> str:
             task.enter_progress_frame(EASING * left[0], title)
             left[0] *= 1 - EASING
 
-        return str(deitalk_call.animate(recording, _saved(name), emotion, intensity, tick=tick))
+        more = {"timecode": "recording" if at_timecode else "zero", "tick": tick}
+        return str(deitalk_call.animate(recording, _saved(name), emotion, intensity, **more))
 
 
 def _selected_sound(needed: bool) -> Any:

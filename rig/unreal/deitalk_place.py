@@ -144,6 +144,13 @@ def open_sequence(name: str, rate: Any, folder: str = importer.FOLDER) -> Any:
     return sequence
 
 
+def frame_of(seconds: float, sequence: Any) -> int:
+    """Return the frame of a time of day in the display rate of a sequence."""
+    display = sequence.get_display_rate()
+    frames: float = float(seconds) * display.numerator / display.denominator
+    return round(frames)
+
+
 def free_name(name: str, folder: str) -> str:
     """Return a name that no asset of a folder has: ``speech``, then ``speech_2``."""
     number, free = 1, name

@@ -466,7 +466,7 @@ def test_full_disk_leaves_no_partial_file(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     write_wav(tmp_path / "a.wav", [0.5])
-    monkeypatch.setattr(wave.Wave_write, "writeframes", full)
+    monkeypatch.setattr("deitalk.audio.load.wav_header", full)
     with pytest.raises(AudioError, match="No space left"):
         write_wav(tmp_path / "a.wav", [0.0])
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]

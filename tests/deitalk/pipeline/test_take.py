@@ -9,10 +9,12 @@ import pytest
 import soundfile
 
 from deitalk import animate
+from deitalk.audio.original import start_seconds
 from deitalk.pipeline.take import FILES, write_take
 from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from tests.deitalk.pipeline.test_curves import network, recording
+from tests.unreal_live_link import import_csv
 
 __all__ = ["network"]
 
@@ -50,6 +52,26 @@ def test_files_of_a_take_agree(tmp_path, performance):
     sound, rate = soundfile.read(take / "audio.wav")
     assert rate == 16_000
     assert len(sound) == len(performance.recording.waveform)
+
+
+def test_take_of_a_48_khz_file_has_it_and_one_time_code(tmp_path, performance, rng):
+    source = tmp_path / "line.wav"
+    soundfile.write(source, rng.uniform(-0.1, 0.1, (100_000, 2)), 48_000)
+    known = replace(performance.recording, source=str(source), source_rate=48_000)
+    take = write(tmp_path / "take", replace(performance, recording=known), start=3661.5)
+    about = json.loads((take / "take.json").read_text())
+    assert about["start_seconds"] == 3661.5 and "audio_48k.wav" in about["files"]
+    sound, rate = soundfile.read(take / "audio_48k.wav")
+    assert rate == 48_000 and sound.shape == (3 * len(known.waveform), 2)
+    np.testing.assert_array_equal(sound[:100_000], soundfile.read(source)[0])
+    for name in ("audio.wav", "audio_48k.wav"):
+        assert start_seconds(take / name) == 3661.5
+    there = import_csv(take / "line_take_1_deitalk.csv")
+    assert there.times[0] == pytest.approx(3661.5) and there.subject == "deitalk"
+    assert json.loads((take / "line.unreal.json").read_text())["start"] == 3661.5
+    source.unlink()
+    again = write(tmp_path / "again", replace(performance, recording=known))
+    assert not (again / "audio_48k.wav").exists()
 
 
 def test_take_at_another_rate_keeps_its_duration(tmp_path, performance):

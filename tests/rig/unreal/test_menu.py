@@ -90,6 +90,24 @@ def test_recording_is_animated_imported_and_placed(tmp_path, monkeypatch, sound,
     assert not fake_unreal.ScopedEditorTransaction.n_open
 
 
+def test_recording_is_placed_at_its_time_code(tmp_path, monkeypatch, sound, stand_in):
+    write_curves(tmp_path / "c.unreal.json", speech(61), start=3723.5)  # 01:02:03.5
+    (tmp_path / "c.unreal.json").replace(tmp_path / "ready")
+    sequence = fake_unreal_editor.SceneSequence([], rate=(24, 1))
+    module = editor(tmp_path, metahuman("A"), level_sequence=sequence)
+    menu = menu_inside(module, monkeypatch, stand_in)
+    menu.animate_audio(sound, at_timecode=True)
+    words = words_of(tmp_path)
+    assert words[words.index("--timecode") + 1] == "recording"
+    first = round(3723.5 * 24)
+    (section,) = sequence.bindings[1].tracks[0].sections
+    assert section.start == first and sequence.audio[0].sections[0].start == first
+    with pytest.raises(menu.DeitalkError, match="time codes need deitalk on this computer"):
+        call = menu.deitalk_call
+        call.animate(sound, str(tmp_path / "x"), timecode="recording",
+                     settings=stand_in | {"service": "http://x"})  # fmt: skip
+
+
 def test_second_emotion_replaces_the_first_at_the_same_place(
     tmp_path, monkeypatch, sound, stand_in
 ):
@@ -323,5 +341,5 @@ def test_deitalk_itself_is_started(tmp_path, monkeypatch):
     run_inside(None, monkeypatch)
     call = importlib.import_module("deitalk_call")
     settings = {"command": [sys.executable, "-m", "deitalk"], "service": "", "key": ""}
-    path = call.animate(recording, str(tmp_path / "take"), "happy", 1.0, settings)
+    path = call.animate(recording, str(tmp_path / "take"), "happy", 1.0, settings=settings)
     assert read_curves(path).fps == 30 and Path(path).name == "promise.unreal.json"

@@ -1,0 +1,172 @@
+"""The recording at 48 kHz, and the time of day of its first sample.
+
+A WAV file of a field recorder or an audio workstation has a chunk ``bext`` (Broadcast Wave Format,
+EBU Tech 3285) with the number of samples since midnight at its beginning. Unreal's SoundWave holds
+that as its time code (FSoundWaveTimecodeInfo).
+
+Letters: n samples of a block, C channels.
+"""
+
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from deitalk.audio.decoding import open_sound
+from deitalk.audio.headers import MOST_CHUNKS
+from deitalk.errors import AudioError, DeitalkError
+from rig.arrays import Float32
+from rig.files import atomic_write
+
+ORIGINAL_RATE = 48_000
+DAY = 24 * 3600.0
+BLOCK_SAMPLES = 1 << 20
+MOST_BYTES = (1 << 32) - 1024
+"""Of a WAV file, whose sizes are 32-bit numbers."""
+_BEXT_BYTES, _TIME_REFERENCE = 602, 338
+"""Size of the chunk's version 1 without history, and offset of the 64-bit number of samples."""
+_TIMECODE = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?::(\d{2})|(\.\d+))?")
+
+
+def start_seconds(path: Path | str) -> float | None:
+    """Time of day of the first sample of a WAV file, seconds; None if the file has none."""
+    try:
+        with open(path, "rb") as file:
+            return _start_of_wav(file)
+    except (OSError, struct.error):
+        return None
+
+
+def parse_timecode(text: str, fps: float) -> float:
+    """Seconds since midnight of ``HH:MM:SS:FF`` or ``HH:MM:SS.sss``.
+
+    FF counts frames of the nearest whole rate, without dropped numbers.
+
+    Raises
+    ------
+    DeitalkError
+        If it is neither, or beyond a day.
+    """
+    match = _TIMECODE.fullmatch(text.strip())
+    parts = [int(part) for part in match.groups()[:3]] if match else [99]
+    frames = int(match[4] or 0) if match else 0
+    if match is None or parts[0] > 23 or max(parts[1:]) > 59 or frames >= round(fps):
+        raise DeitalkError(
+            f"time code {text[:40]!r} is not HH:MM:SS:FF with FF below {round(fps)}, HH:MM:SS.sss, "
+            "recording or zero"
+        )
+    hours, minutes, seconds = parts
+    return hours * 3600 + minutes * 60 + seconds + frames / round(fps) + float(match[5] or 0)
+
+
+def write_original(path: Path, source: str, *, seconds: float, start: float = 0.0) -> None:
+    """Write a recording as 48 kHz PCM with all its channels, 24 bits or 16 if the source has 16.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.wav``.
+    source : str
+        Path of the recording.
+    seconds : float
+        Length to write; a shorter recording is followed by silence.
+    start : float
+        Time of day of the first sample, seconds.
+
+    Raises
+    ------
+    AudioError
+        If the recording cannot be read or the file cannot be written.
+    """
+    with open_sound(source, None) as sound:
+        n_samples = round(seconds * ORIGINAL_RATE)
+        width = _sample_bytes(source)
+        n_bytes = n_samples * sound.channels * width
+        if n_bytes > MOST_BYTES:
+            raise AudioError(f"{source} is longer than a WAV file can be at 48 kHz")
+        with atomic_write(path) as beside, beside.open("wb") as file:
+            file.write(wav_header(ORIGINAL_RATE, sound.channels, 8 * width, n_bytes, start))
+            left = n_samples
+            for block in _at_48k(sound.blocks(BLOCK_SAMPLES // sound.channels), sound.rate):
+                file.write(_pcm(block[:left], width))
+                left -= min(left, len(block))
+            for start_left in range(left, 0, -BLOCK_SAMPLES):
+                count = min(start_left, BLOCK_SAMPLES)
+                file.write(bytes(count * sound.channels * width))
+
+
+def wav_header(rate: int, channels: int, bits: int, n_bytes: int, start: float = 0.0) -> bytes:
+    """Bytes of a WAV file before its samples; with a chunk ``bext`` if it starts after midnight."""
+    width = channels * bits // 8
+    form = struct.pack("<HHIIHH", 1, channels, rate, rate * width, width, bits)
+    chunks = b"fmt " + struct.pack("<I", len(form)) + form
+    if start:
+        bext = bytearray(_BEXT_BYTES)
+        struct.pack_into("<QH", bext, _TIME_REFERENCE, round(start * rate), 1)
+        chunks += b"bext" + struct.pack("<I", len(bext)) + bytes(bext)
+    chunks += b"data" + struct.pack("<I", n_bytes)
+    return b"RIFF" + struct.pack("<I", 4 + len(chunks) + n_bytes) + b"WAVE" + chunks
+
+
+def _start_of_wav(file: IO[bytes]) -> float | None:
+    """Walk the chunks of a RIFF or RF64 file for the rate and the time reference."""
+    head = file.read(12)
+    if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
+        return None
+    rate, samples = 0, None
+    for _ in range(MOST_CHUNKS):
+        mark = file.read(8)
+        if len(mark) < 8:
+            break
+        (size,) = struct.unpack("<I", mark[4:])
+        at = file.tell()
+        if mark[:4] == b"fmt ":
+            (rate,) = struct.unpack("<4xI", file.read(8))
+        elif mark[:4] == b"bext" and size >= _TIME_REFERENCE + 8:
+            file.seek(at + _TIME_REFERENCE)
+            (samples,) = struct.unpack("<Q", file.read(8))
+        if mark[:4] == b"data" and head[:4] == b"RF64":
+            break  # its size is elsewhere; bext stands before it
+        file.seek(at + size + size % 2)
+    if samples is None or not rate:
+        return None
+    seconds = samples / rate
+    return seconds if seconds < DAY else None
+
+
+def _sample_bytes(source: str) -> int:
+    import soundfile
+
+    try:
+        subtype = str(soundfile.info(source).subtype)
+    except (RuntimeError, OSError):
+        return 2
+    return 3 if subtype in ("PCM_24", "PCM_32", "FLOAT", "DOUBLE") else 2
+
+
+def _at_48k(blocks: Iterator[Float32], rate: int) -> Iterator[Float32]:
+    """Blocks (n, C) at 48 kHz; those of that rate are passed on."""
+    import soxr
+
+    resampler = None
+    for block in blocks:
+        if rate == ORIGINAL_RATE:
+            yield block
+            continue
+        resampler = resampler or soxr.ResampleStream(
+            rate, ORIGINAL_RATE, block.shape[1], dtype="float32", quality="HQ"
+        )
+        yield resampler.resample_chunk(np.ascontiguousarray(block))
+        last = block[:0]
+    if resampler is not None:
+        yield resampler.resample_chunk(last, last=True)
+
+
+def _pcm(block: Float32, width: int) -> bytes:
+    """Little-endian integers of samples within -1 and 1; others are clipped."""
+    scale = float(1 << (8 * width - 1))
+    numbers = np.rint(block.astype(np.float64) * scale).clip(-scale, scale - 1).astype("<i4")
+    return numbers.view(np.uint8).reshape(-1, 4)[:, :width].tobytes()
