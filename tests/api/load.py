@@ -1,8 +1,11 @@
-"""Measures the service: start, one client, ten clients, overhead over the library.
+"""Measures the service: start, one client, several clients, overhead over the library.
 
 ::
 
     python -m tests.api.load                   # about two minutes
+
+Times are of the clock, and of the processors in brackets: on a machine with other work only the
+second are the service's own.
 """
 
 import os
@@ -19,6 +22,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import httpx
 
 from tests.api.conftest import wav
+from tests.api.kill import descendants
 from tests.api.server import Server, start, stop, wait_until
 
 SPEECH = wav(10.0)
@@ -57,8 +61,17 @@ def at_once(server: Server, clients: int, each: int) -> list[float]:
     return sorted(times)
 
 
-def beside_the_library(server: Server, count: int) -> tuple[list[float], list[float]]:
-    """Times of one client and of the same work by the package alone, ms, one after the other."""
+def processor_ms(server: Server) -> float:
+    """Processor time of the server and its processes since their start."""
+    ticks = 0
+    for pid in (server.process.pid, *descendants(server.process.pid)):
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += sum(map(int, fields[11:15]))
+    return 1000 * ticks / os.sysconf("SC_CLK_TCK")
+
+
+def library() -> Callable[[], None]:
+    """The same work by the package alone."""
     import torch
 
     import deitalk
@@ -73,8 +86,28 @@ def beside_the_library(server: Server, count: int) -> tuple[list[float], list[fl
             write_curves(Path(folder) / "curves.json", performance.curves)
 
     work()
-    pairs = [(at_once(server, 1, 1)[0], timed(work)) for _ in range(count)]
-    return sorted(service for service, _ in pairs), sorted(alone for _, alone in pairs)
+    return work
+
+
+def compare(server: Server, count: int) -> float:
+    """Print times of one client and of the library, in turns; return the client's 95th percentile."""
+    work, service, alone = library(), [], []
+    spent, own = 0.0, 0.0
+    with server.client() as client:
+        for _ in range(count):
+            before = processor_ms(server)
+            service.append(timed(lambda: ask(client)))
+            spent += processor_ms(server) - before
+            before = 1000 * time.process_time()
+            alone.append(timed(work))
+            own += 1000 * time.process_time() - before
+    late = sorted(service)[int(0.95 * count)]
+    say(f"one client: median {statistics.median(service):.0f} ms, p95 {late:.0f} ms "
+        f"[{spent / count:.0f} ms]; library: {statistics.median(alone):.0f} ms "
+        f"[{own / count:.0f} ms]; overhead "
+        f"{statistics.median(service) - statistics.median(alone):+.0f} ms "
+        f"[{(spent - own) / count:+.0f} ms]")  # fmt: skip
+    return late
 
 
 def main() -> None:
@@ -82,21 +115,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         server = start(
-            Path(folder), ready=False, workers=2, requests_per_minute=1_000_000,
-            queued_jobs=1_000_000,
-        )  # fmt: skip
+            Path(folder), ready=False, workers=os.cpu_count(), requests_per_minute=1_000_000
+        )
         try:
             answers = time.perf_counter() - began
             wait_until(server, "/readyz")
-            say(f"answers after {answers:.1f} s, ready after {time.perf_counter() - began:.1f} s")
-            at_once(server, 2, 2)
-            one, alone = beside_the_library(server, 20)
-            ten = at_once(server, 10, 6)
-            overhead = statistics.median(one) - statistics.median(alone)
-            say(f"one client: median {statistics.median(one):.0f} ms, p95 {one[18]:.0f} ms; library "
-                f"{statistics.median(alone):.0f} ms; overhead {overhead:.0f} ms")  # fmt: skip
-            say(f"ten clients: median {statistics.median(ten):.0f} ms, p95 {ten[56]:.0f} ms, "
-                f"{ten[56] / one[18]:.1f} x one client's")  # fmt: skip
+            say(f"answers after {answers:.1f} s, ready after {time.perf_counter() - began:.1f} s "
+                f"[{processor_ms(server) / 1000:.1f} s of all processes]")  # fmt: skip
+            at_once(server, 4, 2)
+            alone = compare(server, 40)
+            for clients in (2, 5, 10):
+                times = at_once(server, clients, 60 // clients)
+                late = times[int(0.95 * len(times))]
+                say(f"{clients} clients on {os.cpu_count()} processors: median "
+                    f"{statistics.median(times):.0f} ms, p95 {late:.0f} ms, {late / alone:.1f} x "
+                    "one client's")  # fmt: skip
         finally:
             stop(server)
 

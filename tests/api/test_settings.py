@@ -223,3 +223,28 @@ def test_studio_refuses_a_port_on_which_something_listens(listening, monkeypatch
     with pytest.raises(ConfigError, match=f"port {listening} is taken"):
         commands.studio(None, port=listening, opens=True)
     assert not opened
+
+
+def test_every_route_has_a_line_of_curl_in_the_documentation(tmp_path):
+    """Each line has a path and a method of the schema, and each path of the schema has a line."""
+    lines = re.findall(
+        r"^curl .*$", (Path(api.__file__).parents[1] / "docs/service.md").read_text(), re.MULTILINE
+    )
+    found = set()
+    for line in lines:
+        path = re.search(r"http://127\.0\.0\.1:8000(/[^\s'?]*)", line).group(1)
+        path = path.replace("$ID", "{job_id}").replace("metahuman-185@mh4", "{control_set}")
+        sends = re.search(r" -F | --data-binary ", line)
+        method = re.search(r"-X (\w+)", line)
+        found.add((method.group(1) if method else "POST" if sends else "GET", path))
+    schema = create_app(Settings(data=tmp_path)).openapi()["paths"]
+    assert found == {(method.upper(), path) for path in schema for method in schema[path]}
+
+
+def test_every_setting_has_a_row_in_the_documentation():
+    text = (Path(api.__file__).parents[1] / "docs/service.md").read_text()
+    rows = text[text.index("| setting | default | |") :].split("\n\n")[0]
+    named = {
+        name for row in rows.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])
+    }
+    assert named == set(Settings.model_fields)
