@@ -144,8 +144,10 @@ def _gelu(x: Float32) -> Float32:
 def _mean_and_spread(x: Float32, share: Float32) -> Float32:
     """Weighted mean and standard deviation over time: (T, C) and (T, 1) to (2 C,)."""
     mean = (x * share).sum(axis=0)
-    square = (np.square(x - mean) * share).sum(axis=0)
-    return np.concatenate([mean, np.sqrt(np.maximum(square, 1e-4))])
+    square = x - mean
+    square *= square
+    square *= share
+    return np.concatenate([mean, np.sqrt(np.maximum(square.sum(axis=0), 1e-4))])
 
 
 @lru_cache(maxsize=1)

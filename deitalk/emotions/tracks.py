@@ -273,7 +273,7 @@ def write_intensity_csv(
     with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        for frame, (time, *values) in enumerate(columns.tolist()):
+        for frame, (time, *values) in enumerate(row.tolist() for row in columns):
             writer.writerow([frame, f"{time:.6f}", *(f"{value:.6g}" for value in values)])
 
 

@@ -71,9 +71,10 @@ def encode_whole(
         features = _features(frontend, sound, n_frames, store, tick)
         if rows is None:
             rows = features / phases
-            continue
-        for start, stop in _pieces(n_frames, PIECE_FRAMES):
-            rows[start:stop] += features[start:stop] / phases
+        else:
+            for start, stop in _pieces(n_frames, PIECE_FRAMES):
+                rows[start:stop] += features[start:stop] / phases
+        del features  # its memory is for the next phase
     assert rows is not None
     return rows
 

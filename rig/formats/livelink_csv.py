@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import limits
-from rig.arrays import Float64, Int64
+from rig.arrays import Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
@@ -49,7 +49,7 @@ class LiveLinkTake:
     ----------
     ticks : array of int64 [shape=(T,)]
         Time of each frame in 1/60000 s since midnight; rising.
-    values : array of float64 [shape=(T, C)]
+    values : array of float64, or float32 [shape=(T, C)]
         As in the file, not clamped.
     names : tuple of str [length C]
         Columns after the time code and the count.
@@ -58,7 +58,7 @@ class LiveLinkTake:
     """
 
     ticks: Int64
-    values: Float64
+    values: Float64 | Float32
     names: tuple[str, ...]
     count_column: str = COUNT
 
@@ -215,9 +215,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 
 def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
     """Write ARKit shapes, or raw curves, from a time of day in seconds."""
-    values = curves.values.astype(np.float64)
     ticks = frame_ticks(len(curves), curves.fps) + round(start * TICKS_PER_SECOND)
-    write_take(path, LiveLinkTake(ticks, values, curves.names))
+    write_take(path, LiveLinkTake(ticks, curves.values, curves.names))
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:
