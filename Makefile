@@ -75,8 +75,9 @@ pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architect
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
 	$(BIN)/deitalk plot docs/samples/promise.flac --emotion happy -o docs/curves.png --force
 
-docs: setup  ## Write docs/api.md from the docstrings
+docs: setup  ## Write docs/api.md from the docstrings, tables from docs/results
 	$(BIN)/python docs/make_api.py
+	$(BIN)/python docs/make_results.py
 
 sample:  ## Synthesise the bundled sample (needs flite)
 	flite -voice slt -t "$(SAMPLE_TEXT)" -o docs/samples/promise.wav

@@ -76,7 +76,7 @@ def evaluate(
     deitalk evaluate default --acted crema/clips.csv --split test
     """
     reserve_report(out, picture, force=force)
-    from deitalk.models.folder import product_of
+    from deitalk.models.folder import describe_model, product_of
 
     if product_of(model) == "mesh":
         _refuse("not for mesh models", noise=noise, captured=captured, picture=picture)
@@ -95,7 +95,8 @@ def evaluate(
         report, markdown = _score_curves(
             model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
         )
-    write_report(report, markdown, out, as_json=as_json)
+    known = {"model": model, "sha256": describe_model(model)["sha256"]}
+    write_report(known | report, markdown, out, as_json=as_json)
     if picture is not None:
         from deitalk.figures.evaluation import draw
 

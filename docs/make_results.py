@@ -1,0 +1,124 @@
+"""Write the tables of documents from the results of commands: ``make docs``.
+
+``docs/results/*.json`` are reports as `deitalk evaluate -o` writes them, of the weights whose hash
+they hold. A table stands between ``<!-- table NAME -->`` and ``<!-- end -->``.
+"""
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).parent
+RESULTS = DOCS / "results"
+DOCUMENTS = (DOCS.parent / "MODEL_CARD.md",)
+_TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
+
+COLUMNS = (
+    ("LibriSpeech", "default-test", "librispeech"),
+    ("speechocean762 adults", "default-test", "speechocean-adults"),
+    ("its children", "default-test", "speechocean-children"),
+    ("espeak-ng English", "default-test", "espeak"),
+    ("two fresh readers", "default-fresh", "fresh"),
+)
+"""Heading, report and group of each column."""
+
+Group = dict[str, Any]
+Cell = Callable[[Group, Group], str]
+"""Scores of a group, as animated and of the network alone, to the text of a cell."""
+
+
+def short(value: float, digits: int = 3) -> str:
+    """A number without the zero before its point: ``.959``."""
+    return re.sub(r"^(-?)0\.", r"\1.", f"{value:.{digits}f}")
+
+
+def _both(name: str, digits: int = 3) -> Cell:
+    return lambda a, b: f"{short(a[name], digits)} ({short(b[name], digits)})"
+
+
+def _percent(name: str) -> Cell:
+    return lambda a, b: f"{short(100 * a[name], 1)} % ({short(100 * b[name], 1)})"
+
+
+def _one(name: str) -> Cell:
+    return lambda a, b: short(a[name])
+
+
+SCORES: dict[str, Cell] = {
+    "bilabials found": _both("bilabial_hits_at_5_percent"),
+    "bilabial AUC, windows": _both("bilabial_window_auc"),
+    "bilabial AUC, frames": _both("bilabial_frame_auc"),
+    "AUC of loudness alone, windows": _one("loudness_bilabial_window_auc"),
+    "found closures held at .9 for two frames": _both("found_bilabials_held_at_0.9", 2),
+    "frames with shut lips on sounds other than p b m f v": _percent("shut_on_other_sounds"),
+    "jaw r against the tables (loudness alone)": lambda a, b: (
+        f"{short(a['jaw_r'])} ({short(a['loudness_jaw_r'])})"
+    ),
+    "mean r of twelve articulation channels": _both("articulation_r"),
+    "jaw lag": lambda a, b: f"{a['jaw_lag_ms']:.0f} ms",
+    "mouth opening in silence (times of the phones) against speech": _percent("opening_in_silence"),
+    "LPE over `lip`": _both("lpe"),
+    "EPE over `upper_face`, of acted takes": _both("epe", 4),
+}
+CONTOURS: dict[str, str] = {
+    "contour along which level, treble, pitch and speed were modified: predicted": "intensity_rho",
+    "... the network alone": "network_rho",
+    "... prosody index alone": "index_rho",
+    "... level alone": "level_rho",
+}
+
+
+@cache
+def report(name: str) -> dict[str, Any]:
+    """A report of ``docs/results``."""
+    loaded: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    return loaded
+
+
+def scores() -> str:
+    """Scores of the default model on its test speakers, the network alone in brackets."""
+    heads, groups = [], []
+    for title, name, group in COLUMNS:
+        both = report(name)["groups"][group], report(name)["network"][group]
+        heads.append(f"{title} ({both[0]['clips']})")
+        groups.append(both)
+    rows = [[name, *(cell(*both) for both in groups)] for name, cell in SCORES.items()]
+    return _table([["test speakers (recordings)", *heads], *rows])
+
+
+def intensity() -> str:
+    """How the predicted intensity follows a voice, beside what is simpler."""
+    heads = [title for title, _, _ in COLUMNS]
+    contours = [report(name)["contours"][group] for _, name, group in COLUMNS]
+    labels = [report(name)["groups"][group] for _, name, group in COLUMNS]
+    rows = [[t, *(short(c[key], 2) for c in contours)] for t, key in CONTOURS.items()]
+    above = [f"{short(c['above_level'], 2)} ± {short(c['above_level_error'], 2)}" for c in contours]
+    rows.append(["... predicted less level, with its standard error", *above])
+    for title, key in (
+        ("label of the corpus: predicted (all recordings)", "intensity_rho"),
+        ("... the network alone", "network_rho"),
+        ("... prosody index alone", "index_rho"),
+    ):
+        rows.append([title, *(short(group[key], 2) for group in labels)])
+    return _table([["", *heads], *rows])
+
+
+TABLES: dict[str, Callable[[], str]] = {"scores": scores, "intensity": intensity}
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(row)} |".replace("|  |", "| |", 1) for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]]) + "\n"
+
+
+def written(text: str) -> str:
+    """A document with its tables as the results have them."""
+    return _TABLE.sub(lambda match: f"{match[1]}\n{TABLES[match[2]]()}\n", text)
+
+
+if __name__ == "__main__":
+    for path in DOCUMENTS:
+        path.write_text(written(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,62 @@
+"""Numbers in documents are those of the reports in docs/results, which are of today's weights."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from deitalk.models.folder import embedded_models, model_folder, weights_hash
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = sorted((ROOT / "docs/results").glob("*.json"))
+
+
+@pytest.fixture(scope="module")
+def maker():
+    path = ROOT / "docs/make_results.py"
+    module = importlib.util.module_from_spec(
+        spec := importlib.util.spec_from_file_location("make_results", path)
+    )
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_tables_are_those_of_the_reports(maker):
+    for path in maker.DOCUMENTS:
+        text = path.read_text(encoding="utf-8")
+        assert "<!-- table " in text
+        assert text == maker.written(text), f"{path.name}: run `make docs`"
+
+
+def test_changed_report_changes_the_table(maker, monkeypatch):
+    changed = json.loads(json.dumps(maker.report("default-test")))
+    changed["groups"]["librispeech"]["bilabial_window_auc"] = 0.5
+    both = {"default-test": changed, "default-fresh": maker.report("default-fresh")}
+    monkeypatch.setattr(maker, "report", both.__getitem__)
+    assert "| bilabial AUC, windows | .500 (.986) |" in maker.written(
+        maker.DOCUMENTS[0].read_text(encoding="utf-8")
+    )
+
+
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
+def test_reports_are_of_the_weights_of_today(path):
+    """New weights need a new evaluation: `deitalk evaluate default ... -o docs/results/...`."""
+    report = json.loads(path.read_text(encoding="utf-8"))
+    if report.get("model") in embedded_models():
+        assert report["sha256"] == weights_hash(model_folder(report["model"]))
+
+
+def test_number_is_written_without_its_zero(maker):
+    assert [maker.short(x) for x in (0.9588, 1.0, -0.25, 0.0)] == [".959", "1.000", "-.250", ".000"]
+    assert maker.short(10.54, 1) == "10.5"
+
+
+def test_readme_has_the_scores_of_the_card(maker):
+    line = next(
+        row
+        for row in (ROOT / "README.md").read_text().splitlines()
+        if row.startswith("| `default`")
+    )
+    auc = maker.report("default-test")["groups"]["librispeech"]["bilabial_window_auc"]
+    assert f"bilabial AUC {maker.short(auc)};" in line
