@@ -2,6 +2,7 @@
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ from deitalk.cli.options import (
     Digits,
     Emotion,
     Force,
+    Identity,
     Intensity,
     IntensityCurve,
     Json,
@@ -88,6 +90,7 @@ def animate(
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
+    identity: Identity = "0",
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -108,7 +111,7 @@ def animate(
     target = Path(out)
     inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     _check(target, is_folder, inputs, fps=fps, digits=digits, preview=preview, force=force)
-    given_start = _given_start(timecode, fps)
+    given_start, extras = _given_start(timecode, fps), _extras(preview, identity)
     options: dict[str, Any] = {
         "emotion": emotion,
         "actor": actor,
@@ -133,7 +136,7 @@ def animate(
     start = _start(performance.recording) if given_start is None else given_start
     form: dict[str, Any] = {"fps": fps, "digits": digits, "start": start}
     if is_folder:
-        _write_take(target, performance, settings, model, form, preview=preview, force=force)
+        _write_take(target, performance, settings, model, form, extras, force=force)
     else:
         _write_file(target, performance, form)
     _note(performance)
@@ -302,24 +305,24 @@ def _write_take(
     settings: dict[str, Any],
     model: str,
     form: dict[str, Any],
+    extras: "tuple[Extra, ...]",
     *,
-    preview: bool,
     force: bool,
 ) -> None:
     from deitalk.models.folder import describe_model
     from deitalk.pipeline.take import write_take
 
     about = describe_model(model)
-    extras = _extras(preview)
     write_take(out, performance, settings=settings, model=about, force=force, extras=extras, **form)
 
 
-def _extras(preview: bool) -> "tuple[Extra, ...]":
+def _extras(preview: bool, identity: str) -> "tuple[Extra, ...]":
     if not preview:
         return ()
     from deitalk.preview.take import add_preview
+    from rig.face.identity import resolve_identity
 
-    return (add_preview,)
+    return (partial(add_preview, identity=resolve_identity(identity)),)
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:

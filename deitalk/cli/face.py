@@ -8,7 +8,7 @@ import typer
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit
 from deitalk.cli.options import Force, Identity
-from deitalk.cli.paths import identity_of, reserve_file
+from deitalk.cli.paths import reserve_file
 from deitalk.errors import DeitalkError
 
 app = CheckedCommands(
@@ -40,7 +40,7 @@ def sheet(
     --------
     deitalk face sheet mouth -o mouth.png
 
-    deitalk face sheet emotions --identity Dana --columns 5 -o dana.png
+    deitalk face sheet emotions --identity child --columns 5 -o child.png
     """
     from rig.face import build_head
     from rig.face.contact_sheet import draw_sheet, sheet_tiles
@@ -50,7 +50,7 @@ def sheet(
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
     reserve_file(out, force=force)
     tiles = sheet_tiles(name)
-    head = build_head(identity_of(identity))
+    head = build_head(identity)
     picture = draw_sheet(
         head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
         backend=backend,  # type: ignore[arg-type]
@@ -74,10 +74,12 @@ def identities(
     """
     from rig.face import IDENTITIES
     from rig.face.contact_sheet import draw_people
+    from rig.face.identity import ROLES
     from rig.face.render.picture import write_png
 
+    roles = {name: role for role, name in ROLES.items()}
     for number, person in enumerate(IDENTITIES):
-        emit(f"{number}\t{person.name}")
+        emit("\t".join([str(number), person.name, *filter(None, [roles.get(person.name)])]))
     if out is not None:
         reserve_file(out, force=force)
         write_png(out, draw_people())
@@ -104,7 +106,7 @@ def export(
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")
     reserve_file(out, force=force)
-    head = build_head(identity_of(identity))
+    head = build_head(identity)
     names = write_head(out, head).names
     console().print(
         f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "

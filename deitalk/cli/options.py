@@ -68,7 +68,12 @@ Most = Annotated[
     int | None,
     typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),
 ]
-Identity = Annotated[str, typer.Option(help="Number or name; see `deitalk face identities`.")]
+Identity = Annotated[
+    str,
+    typer.Option(
+        help="Head: female, male, child, or a number or name of `deitalk face identities`."
+    ),
+]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
 MeshOut = Annotated[
     str,

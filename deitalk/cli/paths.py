@@ -92,8 +92,3 @@ def curves_of(source: Path) -> Path:
         if (source / name).is_file():
             return source / name
     raise DeitalkError(f"{source} has no curves; give a take folder or a file of curves")
-
-
-def identity_of(text: str) -> int | str:
-    """Read the number or the name of an embedded head."""
-    return int(text) if text.lstrip("-").isdigit() else text

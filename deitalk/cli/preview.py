@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
-from deitalk.cli.paths import identity_of, reserve_file
+from deitalk.cli.paths import reserve_file
 
 
 def preview(
@@ -60,14 +60,13 @@ def preview(
     shown += [load_source(other) for other in others]
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
-    who = identity_of(identity)
     for target in targets:
         if target.suffix.lower() in PAGES:
-            render_page(shown, target, identity=who, force=force)
+            render_page(shown, target, identity=identity, force=force)
         else:
             with bar("drawing") as progress:
                 render_video(
-                    shown[0], target, identity=who, second_view=view,
+                    shown[0], target, identity=identity, second_view=view,
                     backend=backend,  # type: ignore[arg-type]
                     force=force, progress=progress,
                 )  # fmt: skip

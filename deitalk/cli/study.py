@@ -8,7 +8,7 @@ import typer
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity, Json
-from deitalk.cli.paths import identity_of, reserve_folder
+from deitalk.cli.paths import reserve_folder
 from deitalk.cli.reports import reserve_report, write_report
 from deitalk.errors import DataError
 
@@ -66,7 +66,7 @@ def build(
     with bar("drawing") as progress:
         key = build_study(
             systems, out, tasks=tuple(task or TASKS), size=at_once, most=most, raters=raters,
-            with_loudness=with_loudness, identity=identity_of(identity), post=post, seed=seed,
+            with_loudness=with_loudness, identity=identity, post=post, seed=seed,
             force=force, progress=progress,
         )  # fmt: skip
     items = {clip["item"] for clip in key["clips"].values()}

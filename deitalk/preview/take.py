@@ -8,6 +8,7 @@ from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource
 from deitalk.preview.video import render_video
+from rig.face.identity import Identity
 
 
 def check_preview(folder: Path) -> tuple[str, ...]:
@@ -21,7 +22,9 @@ def check_preview(folder: Path) -> tuple[str, ...]:
     return check_needs([folder / "preview.html", folder / "preview.mp4"])
 
 
-def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
+def add_preview(
+    folder: Path, performance: Performance, identity: int | str | Identity = 0
+) -> dict[str, str]:
     """Write ``preview.html`` and ``preview.mp4`` into a take folder.
 
     Parameters
@@ -30,6 +33,8 @@ def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
         Must exist.
     performance : Performance
         Its curves, neutral reading and recording are shown.
+    identity : int, str or Identity
+        Head of page and video.
 
     Returns
     -------
@@ -43,8 +48,8 @@ def add_preview(folder: Path, performance: Performance) -> dict[str, str]:
         sample_rate=SAMPLE_RATE,
         neutral=performance.neutral.values,
     )
-    render_page(source, folder / "preview.html")
-    render_video(source, folder / "preview.mp4")
+    render_page(source, folder / "preview.html", identity=identity)
+    render_video(source, folder / "preview.mp4", identity=identity)
     return {
         "preview.html": "face, sound and every curve in one page; the intensity can be dragged",
         "preview.mp4": "review video",

@@ -33,6 +33,7 @@ class Identity:
     nose_height: float = 1.0
     nose_tip_up_cm: float = 0.0
     mouth_width: float = 1.0
+    mouth_lift_cm: float = 0.0
     lip_fullness: float = 1.0
     neck_width: float = 1.0
     ear_size: float = 1.0
@@ -118,12 +119,32 @@ IDENTITIES: tuple[Identity, ...] = (
         hair_volume_cm=1.1, hair_parting=0.4, skin=(0.83, 0.66, 0.53), lips=(0.68, 0.43, 0.38),
         hair=(0.06, 0.06, 0.07), iris=(0.20, 0.13, 0.08),
     ),
+    Identity(
+        name="Kaya", skull_width=1.05, jaw_width=0.84, jaw_drop_cm=-1.9, chin_forward_cm=-0.55,
+        chin_width=0.72, cheek=1.3, brow_ridge=0.0, eye_size=1.2, eye_height=1.06,
+        eye_tilt_degrees=2.0, nose_length=0.74, nose_width=0.84, nose_height=0.5,
+        nose_tip_up_cm=0.25, mouth_width=0.8, mouth_lift_cm=0.45, lip_fullness=1.05,
+        neck_width=0.62, brow_thickness=0.6, brow_lift_cm=0.1, hair_volume_cm=0.9,
+        hair_length_cm=5.5, hair_parting=0.2, skin=(0.90, 0.72, 0.62), lips=(0.80, 0.48, 0.46),
+        hair=(0.34, 0.20, 0.11), iris=(0.36, 0.28, 0.17),
+    ),
+    Identity(
+        name="Leo", skull_width=1.05, jaw_width=0.9, jaw_drop_cm=-1.5, chin_forward_cm=-0.55,
+        chin_width=0.76, cheek=1.3, brow_ridge=0.1, eye_size=1.14, eye_height=1.04,
+        eye_tilt_degrees=2.0, nose_length=0.8, nose_width=0.86, nose_height=0.62,
+        nose_tip_up_cm=0.22, mouth_width=0.86, mouth_lift_cm=0.35, lip_fullness=0.95,
+        neck_width=0.68, ear_size=1.12, brow_thickness=0.8, brow_lift_cm=0.1, hair_volume_cm=1.0,
+        hair_parting=-0.3, skin=(0.80, 0.58, 0.46), lips=(0.70, 0.42, 0.38),
+        hair=(0.10, 0.07, 0.06), iris=(0.24, 0.16, 0.10),
+    ),
 )  # fmt: skip
-"""Ten distinct people; index 0 is the reference head."""
+"""Ten adults and two children (Kaya and Leo); index 0 is the reference head."""
+ROLES = {"female": "Dana", "male": "Bruno", "child": "Kaya"}
+"""Names for who wants a kind of person, not a certain one."""
 
 
 def resolve_identity(identity: int | str | Identity) -> Identity:
-    """Turn a number, a name or an `Identity` into an `Identity`.
+    """Turn a number, a name, a role or an `Identity` into an `Identity`.
 
     Raises
     ------
@@ -132,12 +153,12 @@ def resolve_identity(identity: int | str | Identity) -> Identity:
     """
     if isinstance(identity, Identity):
         return identity
-    if isinstance(identity, int) and 0 <= identity < len(IDENTITIES):
-        return IDENTITIES[identity]
-    for known in IDENTITIES:
-        if known.name == identity:
+    word = str(identity).lower()
+    word = ROLES.get(word, word).lower()
+    for number, known in enumerate(IDENTITIES):
+        if word in (str(number), known.name.lower()):
             return known
-    names = ", ".join(known.name for known in IDENTITIES)
+    names = ", ".join((*ROLES, *(known.name for known in IDENTITIES)))
     raise RigError(
         f"identity {identity!r} is unknown; use 0 to {len(IDENTITIES) - 1} or one of {names}"
     )

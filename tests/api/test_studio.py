@@ -156,6 +156,15 @@ def test_page_is_one_script_that_reaches_this_service_only(server):
     assert policy.count("unsafe") == 1  # of styles
 
 
+def test_head_of_the_page_is_chosen_in_its_address(server):
+    needs_player()
+    with server.client() as client:
+        usual, child = client.get("/"), client.get("/", params={"head": "child"})
+        unknown = client.get("/", params={"head": "nobody"})
+    assert child.status_code == 200 and child.text != usual.text
+    assert unknown.status_code == 422 and "female, male, child" in unknown.text
+
+
 def shown_values(tab) -> np.ndarray:
     return np.array(tab.evaluate("Array.from(deitalk.page.take.frame(40))"))
 

@@ -36,7 +36,7 @@ def anatomy(identity: Identity) -> Anatomy:
     """Eye centre (left eye), eyeball radius, and where the lips meet."""
     radius = EYE_RADIUS * identity.eye_size
     eye = np.array([3.12 * identity.eye_spacing, 0.0, 6.2 - 0.6 * (radius - EYE_RADIUS)])
-    mouth_y = -7.1 - 0.25 * identity.jaw_drop_cm
+    mouth_y = -7.1 - 0.25 * identity.jaw_drop_cm + identity.mouth_lift_cm
     return Anatomy(eye, radius, mouth_y, MOUTH_HALF_WIDTH * identity.mouth_width)
 
 

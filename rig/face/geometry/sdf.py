@@ -72,7 +72,7 @@ def _with_face(d: Float64, p: Float64, i: Identity) -> Float64:
     size = 0.62 + 0.14 * i.brow_ridge
     x = 1.2 * i.eye_spacing
     d = blend(d, capsule(p, (x, 1.5, 7.72), (4.4 * w, 1.9, 6.1), size, size), 1.6)
-    d = blend(d, ellipsoid(p, (0, -7.1, 6.1), (3.1 * w, 2.6, 2.75)), 1.8)
+    d = blend(d, ellipsoid(p, (0, -7.1 + i.mouth_lift_cm, 6.1), (3.1 * w, 2.6, 2.75)), 1.8)
     return carve(d, ellipsoid(p, (3.1 * i.eye_spacing, 0.0, 9.35), (2.2, 1.3, 1.45)), 1.2)
 
 
@@ -93,7 +93,8 @@ def _with_nose(d: Float64, p: Float64, i: Identity) -> Float64:
 def _with_neck(d: Float64, p: Float64, i: Identity) -> Float64:
     neck = capsule(p, (0, -6, -2.2), (0, -26, -4.6), 4.6 * i.neck_width, 5.4 * i.neck_width)
     d = blend(d, neck, 1.4)
-    sternal = capsule(p, (4.0 * i.neck_width, -6.5, -1.2), (1.2, -17, 1.6), 0.8, 0.9)
+    thin = min(i.neck_width / 0.8, 1.0) ** 2  # a child's neck shows no tendons
+    sternal = capsule(p, (4.0 * i.neck_width, -6.5, -1.2), (1.2, -17, 1.6), 0.8 * thin, 0.9 * thin)
     return blend(d, sternal, 1.2)
 
 

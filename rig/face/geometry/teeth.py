@@ -13,10 +13,8 @@ UPPER_HEIGHTS = np.array([0.50, 0.44, 0.49, 0.40, 0.38, 0.34])
 LOWER_HEIGHTS = np.array([0.42, 0.42, 0.43, 0.42, 0.41, 0.40])
 UPPER_BACK, LOWER_BACK = 0.58, 0.95
 """How far the middle of the front teeth lies behind the lips' rim, cm."""
-UPPER_EDGE, LOWER_EDGE = -0.22, -0.13
-"""Height of the incisors' biting edges below the line where the lips meet, cm.
-
-At rest the upper incisors overlap the lower ones by 0.9 mm (a normal overbite is 1 to 3 mm)."""
+UPPER_EDGE, LOWER_EDGE = -0.22, -0.24
+"""Height of the incisors' biting edges below the line where the lips meet, cm."""
 LIP_BACK, LIP_EDGE = 0.80, -0.36
 """The surface in front of the lower teeth that the lower lip rests on, stated likewise."""
 
@@ -55,7 +53,7 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
         place = np.array([x, edge + up * height, z])
         vertices = tooth.vertices @ turn.T + place
-        shade = _lip_shadow(vertices, edge, up, lip_z) * (1.0 if is_upper else 0.85)
+        shade = _lip_shadow(vertices, edge, up, lip_z) * (1.0 if is_upper else 0.92)
         tooth = Mesh(vertices, tooth.faces, tooth.colors * shade[:, None], tooth.gloss)
         parts += [tooth, mirrored(tooth)]
     parts.append(_gum(edge + up * 0.98, lip_z, is_upper=is_upper))
@@ -114,5 +112,5 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
         np.array([0.84, 0.45, 0.46]),
         0.55,
     )
-    colors = _darkened(mesh.colors, vertices)
+    colors = _darkened(mesh.colors, vertices + np.array([0, 0, 0.8]))
     return Mesh(vertices, mesh.faces, colors, mesh.gloss), np.repeat(s, TONGUE_COLUMNS)

@@ -55,8 +55,11 @@ def _lower_lip_depress(p: LipPoints) -> Triple:
 def _funnel(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        open_ = (0.24 if side == "U" else 0.40) * p.bell**0.7
-        open_ = open_ * p.rings(m1=1, r0=1, r2=0.95, r4=0.35, r6=0.08)
+        open_ = (0.24 if side == "U" else 0.40) * p.bell ** (0.6 if side == "U" else 0.5)
+        if side == "U":
+            open_ = open_ * p.rings(m1=1, r0=1, r2=0.95, r4=0.35, r6=0.08)
+        else:  # the red gets lower towards its middle, which rounds the outline
+            open_ = open_ * p.rings(m1=1, r0=1, r2=0.80, r3=0.62, r4=0.20, r6=0.05)
         out = (0.40 + 0.36 * p.bell) if side == "U" else (0.44 + 0.42 * p.bell)
         flare = p.rings(m1=0.74, r0=0.96, r2=1.02, r3=0.96, r5=0.64, r6=0.46)
         return -0.72 * p.u * m, -s * open_ * m, out * flare * m
@@ -69,12 +72,15 @@ def _purse(side: str) -> Shape:
         m, s = _share(p, side), _towards(side)
         close = (0.20 if side == "U" else 0.06) * p.bell**0.6  # the upper lip covers its teeth
         close = close * p.rings(m1=1, r0=1, r2=0.45, r3=0.15, r5=0)
+        bunch = 0.0 if side == "U" else 0.30  # the red of the lower lip gathers to a round
+        close = close + bunch * p.bell * p.rings(m1=0, r0=0, r2=0.5, r3=0.9, r4=1, r5=0.8, r6=0.3)
         out = (0.46 + 0.50 * p.bell) if side == "U" else (0.50 + 0.56 * p.bell)
         far = 0.26 if side == "U" else 0.42  # the nose is near
         curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.02, r3=0.90, r5=0.25 + far, r6=0.05 + far)
         return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, s * close * m, out * curl * m
 
-    return Shape(f"purse{side}", lips, reach=6)
+    chin = ((0, -10.4, 0, 0, -0.06),) if side == "D" else ()
+    return Shape(f"purse{side}", lips, chin, reach=6)
 
 
 def _roll(side: str, *, is_in: bool) -> Shape:
@@ -197,11 +203,13 @@ MOUTH_SHAPES: tuple[Shape, ...] = (
         "cornerPull",
         _corner_pull,
         (
-            (3.9, -2.9, 0.10, 0.40, 0.20),
-            (2.7, -4.6, 0.30, 0.34, 0.26),
-            (4.3, -5.6, 0.42, 0.34, 0.22),
+            (3.9, -2.9, 0.10, 0.46, 0.34),
+            (2.7, -4.6, 0.30, 0.36, 0.30),
+            (4.0, -4.5, 0.30, 0.42, 0.50),
+            (4.3, -5.6, 0.42, 0.34, 0.30),
+            (0, -10.4, 0, -0.24, -0.10),
         ),
-        ((NASOLABIAL, 0.15, 0.42),),
+        ((NASOLABIAL, 0.20, 0.40),),
     ),
     Shape(
         "sharpCornerPull",

@@ -118,7 +118,7 @@ def test_lips_never_pass_through_each_other(head):
 
 
 @pytest.mark.parametrize(
-    "number", [0, pytest.param(3, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)]
+    "number", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 5, 10))]
 )
 def test_no_lid_enters_its_eyeball(number):
     head = build_head(number)
@@ -278,9 +278,9 @@ def test_tongue_goes_between_the_teeth_for_th(head):
     assert outside[:, 1].min() >= front[:, 1].max() - 0.1
 
 
-@pytest.mark.parametrize("open_", [0.5, 1.0])
-def test_open_jaw_shows_the_lower_incisors_before_a_lower_tongue(head, open_):
-    pose = head.pose(pose_values({"CTRL_C_jaw.ty": open_}))
+@pytest.mark.parametrize("name", ["AA (father)", "SH CH", "OW (go)"])
+def test_open_mouth_shows_the_lower_incisors_before_a_lower_tongue(head, name):
+    pose = head.pose(pose_values(MOUTH_POSES[name]))
     lower, tongue = pose[head.slices["teeth_lower"]], pose[head.slices["tongue"]]
     edge = lower[(np.abs(lower[:, 0]) < 0.4) & (lower[:, 2] > lower[:, 2].max() - 0.6), 1].max()
     lip = pose[head._rim_middle[1], 1]

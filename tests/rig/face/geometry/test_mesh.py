@@ -100,7 +100,7 @@ def test_wider_nose_is_wider():
     assert wide < narrow - 0.1
 
 
-@pytest.mark.parametrize("identity", [-1, 10, "Nobody"])
+@pytest.mark.parametrize("identity", [-1, 12, "Nobody"])
 def test_unknown_identity_lists_the_known_ones(identity):
     with pytest.raises(RigError, match="Ada, Bruno"):
         build_head(identity)
