@@ -12,7 +12,8 @@ codes to the last digit; `to_curves` puts it on an even grid.
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,15 @@ ENDINGS = ("_cal", "_raw", "_neutral")
 """Ends of file names that the importer leaves out of the subject."""
 SUFFIXES = ("livelink", "livelink-raw")
 """Before ``.csv`` they name our format; Unreal keeps them."""
+SUBJECT_REST = (
+    "HeadControlSwitch", "HeadRoll", "HeadPitch", "HeadYaw", "HeadTranslationX",
+    "HeadTranslationY", "HeadTranslationZ", "MHFDSVersion", "DisableFaceOverride",
+)  # fmt: skip
+"""Properties after the raw curves of every MetaHuman subject since Unreal 5.6, in their order
+(LiveLinkFaceSource.cpp): degrees, and cm forward, right and up."""
+_HEAD_COLUMNS = (2, 1, 0, 5, 3, 4)
+_HEAD_SIGNS = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
+"""Columns and signs of `rig.curves.HEAD` for them: a shift to the right is negative there."""
 COUNT = "BlendshapeCount"
 """Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
@@ -100,7 +110,16 @@ class LiveLinkTake:
             with np.errstate(over="ignore", invalid="ignore"):  # named by RigCurves
                 values[:, column] = np.interp(grid, seconds, self.values[:, places[name]])
         values.setflags(write=False)  # not copied again
-        return RigCurves(values, names, fps, control_set=controls.id).reorder(controls)
+        curves = RigCurves(values, names, fps, control_set=controls.id).reorder(controls)
+        return replace(curves, head=self._head(grid, seconds)) if controls.id == RAW_ID else curves
+
+    def _head(self, grid: Float64, seconds: Float64) -> Float32 | None:
+        columns = {
+            name: np.interp(grid, seconds, self.values[:, self.names.index(name)])
+            for name in SUBJECT_REST
+            if name in self.names
+        }
+        return _head_track(columns)
 
     def _check_gaps(self, n_frames: int) -> None:
         most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
@@ -214,9 +233,33 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 
 
 def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
-    """Write ARKit shapes, or raw curves, from a time of day in seconds."""
+    """Write ARKit shapes, or raw curves as a MetaHuman subject has them, from a time of day (s)."""
+    values, names = curves.values, curves.names
+    if curves.control_set == RAW_ID:
+        names = (*names, *SUBJECT_REST)
+        values = np.column_stack([values, _subject_rest(curves)])
     ticks = frame_ticks(len(curves), curves.fps) + round(start * TICKS_PER_SECOND)
-    write_take(path, LiveLinkTake(ticks, curves.values, curves.names))
+    write_take(path, LiveLinkTake(ticks, values, names))
+
+
+def _subject_rest(curves: RigCurves) -> Float32:
+    """Values [shape=(T, 9)] of `SUBJECT_REST`."""
+    rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
+    if curves.head is not None:
+        rest[:, 0] = 1
+        rest[:, 1:7] = curves.head[:, _HEAD_COLUMNS] * _HEAD_SIGNS
+    rest[:, 7:] = 1
+    return rest
+
+
+def _head_track(columns: Mapping[str, Float64]) -> Float32 | None:
+    """The head track of columns of `SUBJECT_REST`; None unless the switch is on."""
+    if any(name not in columns for name in SUBJECT_REST[:7]) or not columns[SUBJECT_REST[0]].any():
+        return None
+    track = np.empty((len(columns[SUBJECT_REST[0]]), len(_HEAD_COLUMNS)), np.float32)
+    for place, sign, name in zip(_HEAD_COLUMNS, _HEAD_SIGNS, SUBJECT_REST[1:7], strict=True):
+        track[:, place] = sign * columns[name]
+    return track
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

@@ -148,10 +148,11 @@ FORMATS: tuple[Format, ...] = (
     Format(
         "livelink-raw",
         (".livelink-raw.csv",),
-        "Live Link CSV with the 251 raw curves as columns",
+        "Live Link CSV of a MetaHuman subject: the 251 raw curves, head and versions",
         livelink_csv.read,
         livelink_csv.write,
         RAW_ID,
+        tracks=("head",),
         note=livelink_csv.notes,
         options=("start",),
     ),

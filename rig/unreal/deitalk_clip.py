@@ -31,10 +31,14 @@ HEAD = {
 right and up."""
 
 
+VERSIONS = {"MHFDSVersion": 1.0, "DisableFaceOverride": 1.0}
+"""Constant curves of MetaHuman Animator's sequences and subjects since 5.6."""
+
+
 def load(path: str) -> dict[str, Any]:
     """Read and check a ``*.unreal.json``.
 
-    Raw curves become numbers, and a head track becomes raw curves (see `HEAD`).
+    Raw curves become numbers, a head track becomes raw curves (see `HEAD`); `VERSIONS` are added.
     """
     try:
         with open(path, encoding="utf-8") as stream:
@@ -50,7 +54,7 @@ def load(path: str) -> dict[str, Any]:
         raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
     try:
         raw = {name: _raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
-        data["raw"] = {**raw, **_head_curves(data.get("head"))}
+        data["raw"] = {**raw, **VERSIONS, **_head_curves(data.get("head"))}
         channels = [*data["raw"].values()]
         channels += [values for axes in data["board"].values() for values in axes.values()]
         lists = [values if isinstance(values, list) else [values] for values in channels]

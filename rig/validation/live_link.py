@@ -49,7 +49,7 @@ def check_live_link(path: Path) -> list[Finding]:
     values = take.values[:, shapes]
     outside = (values < 0) | (values > 1)
     if outside.any():
-        worst = float(np.abs(np.clip(values, 0, 1) - values).max())
+        worst = float(np.maximum(values - 1, -values).max())
         count = int(outside.sum())
         text = f"{count} values are outside 0 to 1, by {worst:.3g} at most: Unreal keeps them"
         findings.append(Finding("warning", path, text))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -249,3 +251,26 @@ def test_name_with_the_apps_ending_keeps_the_subject_and_another_suffix_is_noted
     assert there == "anna.livelink"
     assert f"subject {there!r}" in report.note and f"{stem}_cal.csv for 'anna'" in report.note
     assert report.note.split("; ")[-1] in [f.text for f in validate(report.path).findings]
+
+
+def test_raw_columns_are_those_of_a_metahuman_subject_in_its_order(tmp_path):
+    """LiveLinkFaceSource.cpp: raw controls, switch, roll, pitch, yaw, X, Y, Z, version, override."""
+    track = np.array(
+        [[10, -5, 2, 0.1, 0.2, 0.3]] * 40, np.float32
+    )  # yaw pitch roll left up forward
+    curves = replace(rest_curves(40), head=track)
+    write_curves(tmp_path / "a_cal.csv", curves, format="livelink-raw")
+    there = unreal_live_link.import_csv(tmp_path / "a_cal.csv")
+    names = list(there.columns)
+    assert len(names) == 260 and all(name.startswith("CTRL_expressions_") for name in names[:251])
+    assert names[251:] == [
+        "HeadControlSwitch", "HeadRoll", "HeadPitch", "HeadYaw", "HeadTranslationX",
+        "HeadTranslationY", "HeadTranslationZ", "MHFDSVersion", "DisableFaceOverride",
+    ]  # fmt: skip
+    last = [there.columns[name][-1] for name in names[251:]]
+    assert last == pytest.approx([1, 2, -5, 10, 0.3, -0.1, 0.2, 1, 1])
+    back = read_curves(tmp_path / "a_cal.csv", control_set=None)
+    np.testing.assert_allclose(back.head, track, atol=1e-6)
+    write_curves(tmp_path / "b.livelink-raw.csv", rest_curves(40))
+    assert unreal_live_link.import_csv(tmp_path / "b.livelink-raw.csv").columns["HeadYaw"][0] == 0
+    assert read_curves(tmp_path / "b.livelink-raw.csv", control_set=None).head is None

@@ -84,7 +84,10 @@ def test_anim_sequence_gets_every_raw_curve_in_one_bracket(take, monkeypatch):
     assert module.assets["/Game/deitalk/my_take"] is sequence and module.saved == [sequence]
     assert sequence.controller.n_brackets == 1 and sequence.controller.depth == 0
     assert sequence.controller.n_frames == 3 and sequence.controller.rate.numerator == 30
-    assert len(sequence.curves) == 251
+    raw = [name for name in sequence.curves if name.startswith("CTRL_expressions_")]
+    others = {name: values[1] for name, values in sequence.curves.items() if name not in raw}
+    assert len(raw) == 251
+    assert others == {"MHFDSVersion": [1.0, 1.0], "DisableFaceOverride": [1.0, 1.0]}
     times, values = sequence.curves["CTRL_expressions_jawOpen"]
     assert times == pytest.approx([0, 1 / 30, 2 / 30, 3 / 30])
     assert values == pytest.approx([0, 0.25, 0.5, 0.75])
