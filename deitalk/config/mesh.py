@@ -58,6 +58,18 @@ class MeshDataConfig(Section):
     basis_error_mm: float = Field(
         default=0.5, gt=0, description="what the bases may cost where the face moves most"
     )
+    basis_variance: float | None = Field(
+        default=None,
+        gt=0,
+        le=1,
+        description="share of the variance that the bases keep, .97 in §4.4; null: the fewest "
+        "components within basis_error_mm",
+    )
+    weigh_triangles: bool = Field(
+        default=True,
+        description="count triangles by their area in the bases and the loss; false: all alike, as "
+        "Eq. 5-8 are printed",
+    )
     basis_frames: int = Field(
         default=400,
         ge=2,

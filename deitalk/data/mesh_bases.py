@@ -73,6 +73,8 @@ def fit_mesh_bases(
     error_mm: float,
     unit_mm: float,
     seed: int = 0,
+    variance: float | None = None,
+    weigh_triangles: bool = True,
 ) -> MeshBases:
     """Bases of the training sequences, as small as held-out frames allow.
 
@@ -91,20 +93,25 @@ def fit_mesh_bases(
         Millimetres in a unit of the templates.
     seed : int
         Which frames.
+    variance : float, optional, range 0 to 1
+        Share of the variance to keep, whatever it costs: .97 in the paper.
+    weigh_triangles : bool
+        Weigh triangles by their area; not in the paper.
 
     Returns
     -------
     MeshBases
-        Of the smallest share of variance within `error_mm`, for gradients and for offsets apart;
-        else of the largest share tried.
+        Of `variance`; without it of the smallest share within `error_mm`, for gradients and for
+        offsets apart, else of the largest share tried.
 
     Notes
     -----
-    Deviation: the paper keeps 97 % of the variance of unweighted numbers; see
-    `rig.deformation.basis`. All speakers share the bases, and the weights are from the mean of
-    their triangles' areas.
+    Deviation: by default the size follows from the error and triangles are weighted, where the
+    paper keeps 97 % of the variance of unweighted numbers; see `rig.deformation.basis`. All
+    speakers share the bases, and the weights are from the mean of their triangles' areas.
     """
     areas = np.mean([triangle_areas(t) for t in templates.values()], axis=0)
+    areas = areas if weigh_triangles else np.ones_like(areas)
     drawn = _draw(templates, training, n_frames, seed)
     stretch, rotation = (
         fit_basis(np.concatenate([getattr(d, kind) for d in drawn]), areas) for kind in "sr"
@@ -133,7 +140,7 @@ def fit_mesh_bases(
     small: list[GradientBasis] = []
     table: list[dict[str, float]] = []
     for whole, moved in (((stretch, rotation), solved), ((offsets,), added)):
-        for share in VARIANCES:
+        for share in VARIANCES if variance is None else (variance,):
             cut = tuple(basis.truncated(basis.size_for(share)) for basis in whole)
             error = errors(moved(cut))
             p99 = float(np.percentile(error[:, moving], 99))

@@ -170,6 +170,8 @@ def write_mesh_folder(
     lips: Lips | None = None,
     basis_frames: int = 400,
     basis_error_mm: float = 0.5,
+    basis_variance: float | None = None,
+    weigh_triangles: bool = True,
 ) -> None:
     """Fit bases to the training sequences and write the coefficients of all, or nothing.
 
@@ -187,7 +189,7 @@ def write_mesh_folder(
         Millimetres in the templates' unit.
     lips : Lips, optional
         Rims of the lips, the same vertices on every template.
-    basis_frames, basis_error_mm
+    basis_frames, basis_error_mm, basis_variance, weigh_triangles
         As for `deitalk.data.mesh_bases.fit_mesh_bases`.
 
     Raises
@@ -219,6 +221,8 @@ def write_mesh_folder(
             n_frames=basis_frames,
             error_mm=basis_error_mm,
             unit_mm=unit_mm,
+            variance=basis_variance,
+            weigh_triangles=weigh_triangles,
         )
         write_mesh_bases(beside, bases)
         if lips is not None:

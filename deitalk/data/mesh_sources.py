@@ -110,6 +110,8 @@ def build_meshes(data: Path, config: MeshDataConfig, out: Path) -> None:
         lips=lips,
         basis_frames=config.basis_frames,
         basis_error_mm=config.basis_error_mm,
+        basis_variance=config.basis_variance,
+        weigh_triangles=config.weigh_triangles,
     )
 
 

@@ -24,7 +24,7 @@ SEAL_MM = 1.0
 
 
 def value_loss(predicted: Tensor, target: Tensor, deviations: Tensor) -> Tensor:
-    """Squared error of a frame, over its triangles weighted by area (Eq. 7).
+    """Squared error of a frame, over its triangles as the bases weigh them (Eq. 7).
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def value_loss(predicted: Tensor, target: Tensor, deviations: Tensor) -> Tensor:
     -----
     The components are orthogonal under the weights, so this is the squared error of the 6 N or
     3 N numbers themselves, less what no coefficients can give, at a thousandth of the work.
-    Deviation: the paper weighs every triangle alike; small dense ones on the rims of lips and lids
-    would then count most and show least.
+    Deviation: by default triangles count by their area (``data.weigh_triangles``), where the paper
+    weighs them alike; small dense ones on the rims of lips and lids then count most and show least.
     """
     return ((predicted - target) * deviations).square().sum(dim=-1).mean()
 

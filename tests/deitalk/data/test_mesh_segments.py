@@ -465,6 +465,25 @@ def test_between_frames_by_hand():
 # Bases
 
 
+def test_bases_keep_a_share_of_the_variance_with_all_triangles_alike():
+    """As the paper has it: plain principal components of s and r (§4.4)."""
+    template = sheet()
+    rng = np.random.default_rng(0)
+    moving = template.vertices + 0.02 * rng.standard_normal((60, 25, 3))
+    bases = fit_mesh_bases(
+        {"ann": template}, [("ann", lambda: moving)], [("ann", lambda: moving)],
+        n_frames=60, error_mm=1e-9, unit_mm=10, variance=0.97, weigh_triangles=False,
+    )  # fmt: skip
+    s, r = pack_vertices(template, moving)
+    for values, basis in ((s, bases.stretch), (r, bases.rotation)):
+        power = np.linalg.svd(values - values.mean(axis=0), compute_uv=False) ** 2
+        share = np.cumsum(power) / power.sum()
+        assert len(basis.components) == 1 + np.searchsorted(share, 0.97)
+        np.testing.assert_array_equal(basis.weights, 1)
+        left = values - basis.expand(basis.project(values))
+        assert (left**2).sum() <= 0.0301 * power.sum()
+
+
 def test_bases_keep_held_out_frames_within_the_bound():
     rng = np.random.default_rng(0)
     template = sheet()
