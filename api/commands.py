@@ -40,7 +40,7 @@ def serve(file: Path | None, *, ray: bool = False, **given: Any) -> None:
 
         cluster.run(settings)
         return
-    start_early()
+    start_early(settings.backend)
     from api.serving import run
 
     run(settings)

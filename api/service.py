@@ -2,6 +2,7 @@
 
 import asyncio
 
+from api.compute.exports import export_all
 from api.compute.live import Voices
 from api.compute.order import Limits
 from api.compute.pool import Pool, Stage
@@ -31,6 +32,7 @@ class Service:
             "models": {name: str(folder) for name, folder in settings.known_models.items()},
             "preload": list(settings.preload),
             "device": settings.device,
+            "backend": settings.backend,
             "threads": 1,
         }
         self._starting: asyncio.Task[None] | None = None
@@ -51,6 +53,8 @@ class Service:
         self._starting = asyncio.create_task(self._start_workers())
 
     async def _start_workers(self) -> None:
+        if self.settings.backend == "onnx":
+            await asyncio.to_thread(export_all, self.limits)
         await self.pool.start()
         self.runner.start()
 

@@ -17,6 +17,7 @@ from sqlalchemy.exc import ArgumentError
 from deitalk.config.yaml_text import read_yaml
 from deitalk.errors import ConfigError
 from deitalk.models.folder import embedded_models
+from deitalk.models.network import Backend
 from rig.errors import quoted
 from rig.limits import MIB, SECONDS
 
@@ -58,6 +59,7 @@ class Settings(BaseSettings):
     models: dict[str, Path] = {}
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
+    backend: Backend = "torch"
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     job_workers: int = Field(default=1, ge=0, le=64)
     memory_mb: int = Field(default=4096, ge=256, le=1_000_000)
@@ -143,6 +145,10 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"host {self.host} can be reached from other machines, and there are no keys; make "
                 "one with `deitalk key NAME`, or serve on 127.0.0.1"
+            )
+        if self.backend == "onnx" and self.device != "cpu":
+            raise ConfigError(
+                f"device {quoted(self.device)}: backend onnx runs on cpu only; leave device out"
             )
         unknown = [name for name in self.preload if name not in self.known_models]
         if unknown:

@@ -38,6 +38,7 @@ class Limits(TypedDict):
     models: dict[str, str]
     preload: list[str]
     device: str
+    backend: str
     threads: int
 
 

@@ -26,9 +26,11 @@ def work(connection: Connection, limits: Limits) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     _silence()
-    from api.compute import warm
-
-    warm.prepare(limits)
+    if limits["backend"] == "onnx":
+        from api.compute.warm_onnx import prepare
+    else:
+        from api.compute.warm import prepare
+    prepare(limits)
     _limit_memory(limits["memory_bytes"])
     _send(connection, {"progress": 0.0})
     while True:

@@ -10,18 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from api.compute.networks import curve_network
 from api.compute.order import OUT, RECORDING, Answer, Limits, Order, TooLarge
 from api.compute.voices import perform_voices
-from api.compute.warm import model_of
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
 from deitalk.emotions import read_intensity_curve
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.errors import CheckpointError
 from deitalk.models.folder import describe_model
 from deitalk.pipeline.curves import animate
-from deitalk.pipeline.mesh import animate_mesh
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.take import write_take
 from rig.controls import DEFAULT_ID
@@ -70,7 +68,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
     options = order["options"]
-    network = require_model(model_of(options.get("model", "default"), limits), DEITalk)
+    network = curve_network(options.get("model", "default"), limits)
     direction = _direction(options)
     recording = _recording(order, limits)
     return animate(
@@ -179,6 +177,12 @@ def _facts(performance: Performance) -> dict[str, Any]:
 
 def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
+    if limits["backend"] == "onnx":
+        raise CheckpointError("meshes need torch; this service has the backend onnx")
+    from api.compute.warm import model_of
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.pipeline.mesh import animate_mesh
+
     network = model_of(options.get("model", "default"), limits)
     direction = _direction(options)
     if isinstance(network, DEITalk):
@@ -252,7 +256,7 @@ def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
     """Curves of one window of a stream: samples as float32 in, values (T, C) as float32 out."""
     options = order["options"]
     samples = np.fromfile(RECORDING, "<f4")
-    network = require_model(model_of(options.get("model", "default"), limits), DEITalk)
+    network = curve_network(options.get("model", "default"), limits)
     performance = animate(
         samples,
         sample_rate=SAMPLE_RATE,

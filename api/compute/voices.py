@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from api.compute.networks import causal_network
 from api.compute.order import MOST_VOICES, OUT, SAMPLES, Answer, Limits, Order
-from api.compute.warm import model_of
 from deitalk.live.animator import LiveAnimator
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
 
 
@@ -50,7 +48,7 @@ class Voices:
     def _open(self, voice: int, model: str, limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
-            network = require_model(model_of(model, limits), DEITalk)
+            network = causal_network(model, limits)
             self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, idle=False)
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)

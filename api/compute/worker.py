@@ -43,7 +43,7 @@ class Worker:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._context = _context()
+        self._context = _context(limits["backend"])
         self._process: multiprocessing.process.BaseProcess | None = None
         self.is_ready = False
 
@@ -135,18 +135,19 @@ class Worker:
             self._connection.close()
 
 
-def start_early() -> None:
+def start_early(backend: str) -> None:
     """Start the process that workers are forked from, which takes seconds, beside other work."""
     if sys.platform.startswith("linux"):
-        _context()
+        _context(backend)
         from multiprocessing import forkserver
 
         forkserver.ensure_running()
 
 
-def _context() -> BaseContext:
+def _context(backend: str) -> BaseContext:
     if not sys.platform.startswith("linux"):
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["api.compute.warm"])
+    module = "api.compute.warm_onnx" if backend == "onnx" else "api.compute.warm"
+    context.set_forkserver_preload([module])
     return context

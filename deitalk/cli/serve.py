@@ -22,6 +22,9 @@ def serve(
     settings: Annotated[
         Path | None, typer.Option(help="YAML file of settings; see docs/service.md.")
     ] = None,
+    backend: Annotated[
+        str | None, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx); no meshes.")
+    ] = None,
     ray: Annotated[
         bool, typer.Option("--ray", help="Serve on the machines of a Ray cluster (extra ray).")
     ] = False,
@@ -38,7 +41,7 @@ def serve(
 
     deitalk serve --ray --settings cluster.yaml
     """
-    _commands().serve(settings, ray=ray, host=host, port=port)
+    _commands().serve(settings, ray=ray, host=host, port=port, backend=backend)
 
 
 def studio(

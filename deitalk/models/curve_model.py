@@ -304,14 +304,14 @@ class DEITalk(nn.Module):
             largest = [module.project(piece.float()).amax(dim=0) for piece in pieces]
             embedding = torch.stack(largest).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
-        parts = []
+        guidance = speech.new_empty(n_frames, self.config.emotion_size)
+        tracks = speech.new_empty(2, n_frames, dtype=torch.float32)
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].float().unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
-            rows = (output.guidance.to(speech.dtype), output.saliency, output.strength)
-            parts.append(tuple(row[0, inner] for row in rows))
-        guidance, saliency, strength = (torch.cat(part) for part in zip(*parts, strict=True))
-        return Analysis(speech, guidance, saliency, strength)
+            guidance[start:stop] = output.guidance[0, inner]
+            tracks[:, start:stop] = torch.cat((output.saliency, output.strength))[:, inner]
+        return Analysis(speech, guidance, tracks[0], tracks[1])
 
     def attention_weights(self, sound: Tensor) -> Tensor:
         """Temporal attention of the frontend [shape=(T, W)]; rows sum to 1 (SDFA Fig. 9).

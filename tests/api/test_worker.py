@@ -18,6 +18,7 @@ def limits(**given):
         "models": {"default": "default"},
         "preload": ["default"],
         "device": "cpu",
+        "backend": "torch",
         "threads": 1,
     } | given
 

@@ -1,15 +1,33 @@
 """Networks of ONNX Runtime by the names of models."""
 
 import hashlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 from deitalk import __version__
-from deitalk.errors import DeitalkError
+from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.models.folder import model_folder, weights_hash
 from deitalk.models.onnx.causal_network import OnnxCausalNetwork
 from deitalk.models.onnx.network import OnnxFile, OnnxNetwork
 from rig.errors import quoted
 from rig.files import cache_folder
+
+EXPORT = """
+import sys
+from pathlib import Path
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.export import export_onnx
+from rig.errors import UserError
+folder, path, name = sys.argv[1:]
+try:
+    export_onnx(require_model(Path(folder), DEITalk), Path(path), name=name)
+except UserError as error:
+    sys.exit(str(error))
+"""
+"""Program of the process that exports a model."""
 
 
 def load_onnx(
@@ -44,16 +62,25 @@ def load_onnx(
 
 
 def cached_export(model: str | Path) -> Path:
-    """File of a model in the cache folder, written if it is not there; errors as `load_onnx`."""
+    """File of a model in the cache folder, written if it is not there; errors as `load_onnx`.
+
+    It is written by a process of its own, so that torch is not imported here.
+    """
+    path = cached_path(model)
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-c", EXPORT, str(model_folder(model)), str(path), str(model)]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode:
+            lines = (done.stderr or "it was ended").strip().splitlines()
+            raise CheckpointError(f"model {quoted(str(model))} is not exported: {lines[-1]}")
+    return path
+
+
+def cached_path(model: str | Path) -> Path:
+    """Where `cached_export` keeps the file of a model; another for other weights or settings."""
     folder = model_folder(model)
     settings = (folder / "config.yaml").read_bytes()
     key = hashlib.sha256(f"{__version__} {weights_hash(folder)}".encode() + settings).hexdigest()
-    path = cache_folder() / f"model-{key[:20]}.onnx"
-    if not path.is_file():
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
-        from deitalk.models.onnx.export import export_onnx
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        export_onnx(require_model(folder, DEITalk), path, name=str(model))
-    return path
+    return cache_folder() / f"model-{key[:20]}.onnx"
