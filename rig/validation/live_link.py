@@ -46,7 +46,7 @@ def check_live_link(path: Path) -> list[Finding]:
         text = f"{len(missing)} of 61 columns are missing ({missing[0]}, …): they stay at 0"
         findings.append(Finding("warning", path, text))
     shapes = [i for i, name in enumerate(take.names) if name in arkit_controls().names[:52]]
-    values = take.values[:, shapes]
+    values = np.asarray(take.values[:, shapes], np.float64)
     outside = (values < 0) | (values > 1)
     if outside.any():
         worst = float(np.maximum(values - 1, -values).max())
