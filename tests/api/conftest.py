@@ -2,18 +2,15 @@
 
 import io
 import json
-import subprocess
-import sys
-import time
+import os
 import wave
-from contextlib import suppress
 
-import httpx
 import numpy as np
 import pytest
 
 from api.guard.keys import digest_of
-from tests.api.server import free_port, serving
+from tests.api.bucket import serving_bucket
+from tests.api.server import serving
 
 KEYS = {
     "farm": "dk_farm-key-of-the-tests",
@@ -84,32 +81,18 @@ def bearer(name: str) -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def bucket():
-    """A bucket of moto's S3 server, in a process of its own; the variables of AWS name it."""
-    for needed in ("s3fs", "moto", "flask"):
-        pytest.importorskip(needed, reason="needs s3fs and moto's server (extra test)")
-    port = free_port()
-    address = f"http://127.0.0.1:{port}"
-    given = {
-        "AWS_ENDPOINT_URL": address, "AWS_ACCESS_KEY_ID": "tests", "AWS_SECRET_ACCESS_KEY": "tests",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }  # fmt: skip
-    process = subprocess.Popen(
-        [sys.executable, "-m", "moto.server", "-p", str(port)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+def bucket(tmp_path_factory):
+    """URL of an empty bucket of a real S3 server; the variables of AWS name the server."""
+    for needed in ("s3fs", "swift"):
+        pytest.importorskip(needed, reason=f"needs {needed} (extra test)")
+    folder = tmp_path_factory.mktemp("swift")
     try:
-        with pytest.MonkeyPatch.context() as patch:
-            for name, value in given.items():
-                patch.setenv(name, value)
-            end = time.monotonic() + 60
-            while True:
-                with suppress(httpx.HTTPError):
-                    if httpx.put(f"{address}/deitalk", trust_env=False).is_success:
-                        break
-                assert time.monotonic() < end and process.poll() is None
-                time.sleep(0.1)
-            yield "s3://deitalk"
-    finally:
-        process.terminate()
-        process.wait()
+        os.setxattr(folder, "user.deitalk", b"1")
+    except OSError:
+        pytest.skip("OpenStack Swift needs a file system with extended attributes")
+    with serving_bucket(folder) as variables, pytest.MonkeyPatch.context() as patch:
+        for name, value in variables.items():
+            patch.setenv(name, value)
+        s3fs = pytest.importorskip("s3fs")
+        s3fs.S3FileSystem().mkdir("deitalk")
+        yield "s3://deitalk"
