@@ -388,10 +388,18 @@ class Section:
         assert start_frame < end_frame
         self.start, self.stop = start_frame, end_frame
 
+    def has_start_frame(self):
+        return self.start is not None
+
+    def has_end_frame(self):
+        return self.stop is not None
+
     def get_start_frame(self):
+        assert self.start is not None, "the section has no lower bound"
         return self.start
 
     def get_end_frame(self):
+        assert self.stop is not None, "the section has no upper bound"
         return self.stop
 
 

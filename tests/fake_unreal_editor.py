@@ -1,7 +1,8 @@
 """The part of the substitute for Unreal that the menu needs: level, Sequencer, menus, windows.
 
 Signatures and types follow Unreal's generated API pages (docs/unreal-menu.md lists them). Rules of
-the editor that it keeps: there is no main menu while start scripts run; a class that a window shows
+the editor that it keeps: there is no main menu while start scripts run, and menus of the Content
+Browser exist when they are first opened or extended; a class that a window shows
 derives from Object and has properties of Unreal's types; a binding of a component has a parent, and
 its objects are found in the context of the parent's actor.
 """
@@ -261,6 +262,9 @@ def tool_menus(module):
         def find_menu(self, name):
             return module.menus.get(name)
 
+        def extend_menu(self, name):
+            return module.menus.setdefault(name, Menu())
+
         def refresh_all_widgets(self):
             pass
 
@@ -303,8 +307,7 @@ def make_editor(*, actors=(), selected=(), assets=(), saved, **options):
         pass
 
     def start():
-        for name in ("LevelEditor.MainMenu", "ContentBrowser.AssetContextMenu.SoundWave"):
-            module.menus[name] = Menu()
+        module.menus["LevelEditor.MainMenu"] = Menu()
         for tick in list(module.ticks.values()):
             tick(0.01)
 

@@ -69,7 +69,8 @@ def anim_sequence(
     n_frames = round(float(library.get_sequence_length(sequence)) * rate[0] / rate[1]) + 1
     grid = [i * rate[1] / rate[0] for i in range(n_frames)]
     raw = {name: _sampled(times, values, grid) for name, (times, values) in keys.items() if times}
-    return _write(folder, _name_of(asset), rate, n_frames, raw=raw, audio=audio)
+    head = _head(sequence, grid)
+    return _write(folder, _name_of(asset), rate, n_frames, raw=raw, head=head, audio=audio)
 
 
 def anim_folder(content: str, folder: str) -> list[str]:
@@ -141,6 +142,26 @@ def level_sequence(
     return _write(
         folder, opened.get_name(), rate, len(frames), board=channels, audio=audio or sound
     )
+
+
+def _head(sequence: Any, grid: list[float]) -> dict[str, Any] | None:
+    """Return the head track of an AnimSequence; None without one, or with its switch at 0."""
+    spelt = {name.lower(): name for name in _curve_names(sequence)}
+    keys = {}
+    for name in ("HeadControlSwitch", *deitalk_clip.HEAD):
+        if name.lower() in spelt:
+            library = importer.unreal.AnimationLibrary
+            times, values = library.get_float_keys(sequence, spelt[name.lower()])
+            keys[name] = _sampled([float(t) for t in times], [float(v) for v in values], grid)
+    switch = keys.pop("HeadControlSwitch", 1.0)
+    if "HeadYaw" not in keys or switch == 0:
+        return None
+    track = {}
+    for name, (column, sign) in deitalk_clip.HEAD.items():
+        values = keys.get(name, 0.0)
+        is_list = isinstance(values, list)
+        track[column] = [sign * value for value in values] if is_list else sign * values
+    return track
 
 
 def _curve_names(sequence: Any) -> list[str]:
@@ -234,6 +255,7 @@ def _write(
     *,
     raw: dict[str, Any] | None = None,
     board: dict[str, Any] | None = None,
+    head: dict[str, Any] | None = None,
     audio: str = "",
 ) -> str:
     """Write the file beside its place, then rename it."""
@@ -247,6 +269,7 @@ def _write(
         "raw": raw or {},
         "board": board or {},
     }
+    data.update({"head": head} if head else {})
     with open(path + ".part", "w", encoding="utf-8") as stream:
         json.dump(data, stream)
     os.replace(path + ".part", path)

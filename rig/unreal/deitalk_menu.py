@@ -109,12 +109,10 @@ def register() -> bool:
     main = menus.find_menu(MAIN_MENU)
     if main is None:
         return False
+    sounds = menus.extend_menu(SOUND_MENU)  # it is built when it is first opened
     own = main.add_sub_menu(MAIN_MENU, "", TITLE, TITLE, "Facial animation from speech")
-    places = [own]
-    if menus.find_menu(SOUND_MENU) is not None:
-        sounds = menus.find_menu(SOUND_MENU)
-        places.append(sounds.add_sub_menu(SOUND_MENU, "GetAssetActions", TITLE, TITLE, ""))
-    for menu in places:
+    of_sounds = sounds.add_sub_menu(SOUND_MENU, "GetAssetActions", TITLE, TITLE, "")
+    for menu in (own, of_sounds):
         _add(menu, "animate", "Animate audio…", "open_dialog()", "Choose sound and emotion")
         for emotion in deitalk_call.EMOTIONS:
             label = f"Animate the selected sound: {emotion}"

@@ -8,6 +8,7 @@ Used by ``deitalk_menu.py``; alone in the editor's Python console::
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any
 
@@ -219,14 +220,14 @@ def _add_animation(
     tracks = binding.find_tracks_by_type(unreal.MovieSceneSkeletalAnimationTrack)
     track = tracks[0] if tracks else binding.add_track(unreal.MovieSceneSkeletalAnimationTrack)
     for section in track.get_sections():
-        first, end = int(section.get_start_frame()), int(section.get_end_frame())
+        first, end = _span(section)
         if first >= span[1] or end <= span[0]:
             continue
         there = section.get_editor_property("params").get_editor_property("animation")
         path = str(there.get_path_name()) if there is not None else ""
         if not path.startswith(f"{folder}/"):
             raise DeitalkError(
-                f"the Face track has {path or 'a section'} from frame {first} to {end}: move it, "
+                f"the Face track has {path or 'a section'} from frame {first:g} to {end:g}: move it, "
                 f"or start elsewhere; the new animation is {animation.get_path_name()}"
             )
         track.remove_section(section)
@@ -235,6 +236,12 @@ def _add_animation(
     parameters.set_editor_property("animation", animation)
     section.set_editor_property("params", parameters)
     section.set_range(*span)
+
+
+def _span(section: Any) -> tuple[float, float]:
+    """Return first frame and the one after the last; a section without a bound has none."""
+    first = section.get_start_frame() if section.has_start_frame() else -math.inf
+    return first, section.get_end_frame() if section.has_end_frame() else math.inf
 
 
 def bind(sequence: Any, face: Any) -> Any:
@@ -268,7 +275,7 @@ def _add_sound(sequence: Any, sound: Any, start: int) -> None:
     for track in find(unreal.MovieSceneAudioTrack):
         for section in track.get_sections():
             is_same = section.get_editor_property("sound") == sound
-            if is_same and int(section.get_start_frame()) == start:
+            if is_same and _span(section)[0] == start:
                 return
     add = getattr(sequence, "add_track", None) or sequence.add_master_track  # before 5.2
     section = add(unreal.MovieSceneAudioTrack).add_section()

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,6 +33,21 @@ def scripts(module, monkeypatch):
     export = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(export)
     return importer, export
+
+
+def test_head_track_comes_back_from_an_anim_sequence(tmp_path, monkeypatch, rng):
+    curves = replace(speech(40), head=rng.uniform(-20, 20, (40, 6)).astype(np.float32))
+    write_curves(tmp_path / "take.unreal.json", curves)
+    module = fake_unreal.make_unreal(skeletons=[SKELETON])
+    importer, export = scripts(module, monkeypatch)
+    sequence = importer.anim_sequence(str(tmp_path / "take.unreal.json"))
+    export.anim_sequence("/Game/deitalk/take", str(tmp_path / "out"))
+    found, _ = read_present(tmp_path / "out" / "take.unreal.json")
+    np.testing.assert_allclose(found.head, curves.head, atol=2e-6)
+    assert set(found.names) == set(board_to_raw(curves).names)  # no constant is a raw curve
+    sequence.curves["HeadControlSwitch"] = ([0.0], [0.0])
+    export.anim_sequence("/Game/deitalk/take", str(tmp_path / "off"))
+    assert read_present(tmp_path / "off" / "take.unreal.json")[0].head is None
 
 
 @pytest.mark.parametrize("fps", [30.0, 60.0, 24000 / 1001])

@@ -135,6 +135,11 @@ def test_animation_of_others_is_never_blended_or_removed(tmp_path, monkeypatch, 
     menu.placing.place(theirs, None, anna.components[1], sequence, 30)
     with pytest.raises(menu.DeitalkError, match=r"has /Game/Mocap/AS_1\.AS_1 from frame 30 to 54"):
         menu.animate_audio(sound, start_frame=20)
+    endless = sequence.bindings[1].tracks[0].add_section()  # as one that was added by hand
+    endless.set_editor_property("params", menu.unreal.MovieSceneSkeletalAnimationParams())
+    with pytest.raises(menu.DeitalkError, match="has a section from frame -inf to inf"):
+        menu.animate_audio(sound, start_frame=54)
+    sequence.bindings[1].tracks[0].remove_section(endless)
     menu.animate_audio(sound, start_frame=54)  # two seconds at 24 frames a second
     sections = sequence.bindings[1].tracks[0].sections
     assert [(s.start, s.stop) for s in sections] == [(30, 54), (54, 102)]
