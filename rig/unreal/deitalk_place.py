@@ -227,8 +227,8 @@ def _add_animation(
         path = str(there.get_path_name()) if there is not None else ""
         if not path.startswith(f"{folder}/"):
             raise DeitalkError(
-                f"the Face track has {path or 'a section'} from frame {first:g} to {end:g}: move it, "
-                f"or start elsewhere; the new animation is {animation.get_path_name()}"
+                f"the Face track has {path or 'a section'} from frame {first:g} to {end:g}: "
+                f"move it, or start elsewhere; the new animation is {animation.get_path_name()}"
             )
         track.remove_section(section)
     section = track.add_section()

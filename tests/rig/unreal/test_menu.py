@@ -117,8 +117,8 @@ def test_second_emotion_replaces_the_first_at_the_same_place(
     second = menu.animate_audio(sound, "sad")
     again = menu.animate_audio(sound, "sad", start_frame=100)
     face = module.opened.bindings[1]
-    spans = {s.start: s.params.animation for s in face.tracks[0].sections}
-    assert spans == {0: second, 100: again} and len(module.opened.bindings) == 2
+    placed = [(s.start, s.params.animation) for s in face.tracks[0].sections]
+    assert placed == [(0, second), (100, again)] and len(module.opened.bindings) == 2
     assert module.opened.playback == (0, 160)
     starts = [s.start for track in module.opened.audio for s in track.sections]
     assert starts == [0, 100]  # one sound at each place
