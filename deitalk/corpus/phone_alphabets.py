@@ -9,7 +9,7 @@ import re
 import unicodedata
 from functools import lru_cache
 
-from deitalk.phones import PHONES
+from deitalk.phones import PHONES, VOWELS
 
 # Symbol(s) of the International Phonetic Alphabet -> phones. Length marks are looked up first and
 # then dropped; stress, tone, nasality and secondary articulation are dropped (see _PLAIN).
@@ -114,6 +114,19 @@ def spoken_words(ipa: str, language: str = "en") -> list[tuple[str, ...]]:
     else:
         found = [ipa_to_phones(word, code) for word in plain.split()]
     return [phones for phones in found if phones]
+
+
+def stressed_vowel(ipa: str, language: str = "en") -> int | None:
+    """Place, among the vowels of a word, of the one with primary stress; None without one.
+
+    >>> stressed_vowel("ɐɡˈɛn")
+    1
+    """
+    before, mark, _ = ipa.partition("ˈ")
+    if not mark:
+        return None
+    phones = spoken_words(before, language)
+    return sum(phone in VOWELS for phone in (phones[-1] if phones else ()))
 
 
 def _syllable(name: str) -> tuple[str, ...]:

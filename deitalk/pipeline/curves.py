@@ -210,14 +210,27 @@ def prepare(
     )  # fmt: skip
 
 
-def finish(shot: Shot, reading: Reading, model: str = "") -> Performance:
-    """Apply the rules to what the network read; `model` is its name or folder, for a take."""
+def finish(
+    shot: Shot, reading: Reading, model: str = "", words: "WordFit | None" = None
+) -> Performance:
+    """Apply the rules to what the network read.
+
+    Parameters
+    ----------
+    shot, reading
+        What was prepared, and read of it.
+    model : str
+        Its name or folder, for a take.
+    words : WordFit, optional
+        Times of the shot's words, if they are known already.
+    """
     neutral, emotional, tracks = reading
     speech, rules, controls, clock = shot.speech, shot.rules, shot.network.controls, shot.clock
     intensities = measure_intensities(speech, tracks, shot.direction, rules.voice_intensity)
     clock.lap("network")
     expression = Expression(controls, rules)
-    words = None if shot.words is None else _aligned(speech, shot.words)
+    if words is None and shot.words is not None:
+        words = _aligned(speech, shot.words)
     known = () if words is None else words.known
     values = _apply_rules(expression, neutral, emotional, shot.weights, intensities, speech, known)
     head = None

@@ -61,6 +61,8 @@ class PoseClip:
     sound: Path
     degrees: Float64
     """Yaw, pitch and roll as measured, 25 a second [shape=(n, 3)]."""
+    words: tuple[tuple[float, float, str], ...] = ()
+    """Start and end in seconds, and the word; empty if they are not stated."""
 
 
 def read_poses(folder: Path | str, most: int | None = None) -> dict[str, list[PoseClip]]:
@@ -81,8 +83,10 @@ def read_poses(folder: Path | str, most: int | None = None) -> dict[str, list[Po
     folder = Path(folder)
     files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
     names: dict[str, list[str]] = {}
-    for name, speaker, _ in _rows(folder / "clips.csv"):
+    words = {}
+    for name, speaker, spoken in _rows(folder / "clips.csv"):
         names.setdefault(speaker, []).append(name)
+        words[name] = spoken
     poses: dict[str, list[PoseClip]] = {}
     for speaker, clips in sorted(names.items()):
         count = len(clips) if most is None else min(most, len(clips))
@@ -90,7 +94,8 @@ def read_poses(folder: Path | str, most: int | None = None) -> dict[str, list[Po
         for name in chosen:
             degrees = _pose(files, name)
             if degrees is not None:
-                clip = PoseClip(name, speaker, _sound(folder, files, name), degrees)
+                sound = _sound(folder, files, name)
+                clip = PoseClip(name, speaker, sound, degrees, words[name])
                 poses.setdefault(speaker, []).append(clip)
     if not poses:
         raise DataError(f"{folder}: no recording with a pose of shape (frames, 3 or more)")
@@ -127,7 +132,8 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
     columns = _columns(folder / "columns.json")
     files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
     by_speaker: dict[str, list[LipClip]] = {}
-    for name, speaker, (first, last) in _rows(folder / "clips.csv"):
+    for name, speaker, words in _rows(folder / "clips.csv"):
+        first, last = (words[0][0], words[-1][1]) if words else (0.0, np.inf)
         track = _track(folder, files, name, columns)
         times = np.arange(int(len(track) / RATE * FRAME_RATE)) / FRAME_RATE
         clip = LipClip(
@@ -148,8 +154,8 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
     ]
 
 
-def _rows(path: Path) -> Iterator[tuple[str, str, tuple[float, float]]]:
-    """Clip, speaker, start of the first word and end of the last."""
+def _rows(path: Path) -> Iterator[tuple[str, str, tuple[tuple[float, float, str], ...]]]:
+    """Clip, speaker, and start, end and text of each word."""
     check_file(path, limits.TRACK_BYTES, error=DataError)
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -157,15 +163,20 @@ def _rows(path: Path) -> Iterator[tuple[str, str, tuple[float, float]]]:
         for row in rows:
             if not row["clip"] or not row["speaker"]:
                 raise ValueError("an empty name")
-            spans = [word.rsplit(":", 1)[1].split("-") for word in (row.get("words") or "").split()]
-            start = float(spans[0][0]) if spans else 0.0
-            yield row["clip"], row["speaker"], (start, float(spans[-1][1]) if spans else np.inf)
+            yield row["clip"], row["speaker"], tuple(map(_word, (row.get("words") or "").split()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read ({type(error).__name__})") from None
     except (KeyError, IndexError, ValueError, TypeError):
         raise DataError(
             f"{path}: needs the columns clip and speaker, and words as bin:0.50-0.74"
         ) from None
+
+
+def _word(text: str) -> tuple[float, float, str]:
+    """Start, end and text of ``bin:0.50-0.74``."""
+    name, _, times = text.rpartition(":")
+    start, end = times.split("-")
+    return float(start), float(end), name
 
 
 def _columns(path: Path) -> list[int]:

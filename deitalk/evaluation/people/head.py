@@ -8,8 +8,9 @@ left out. The exit code is 1 if a ratio lies beyond `TOLERANCE`.
 The correlation is that of the head's pitch with the level of the voice, both without their trend,
 averaged over a speaker's recordings at each lag of up to a third of a second: the largest of those
 means, whatever its sign (people nod early or late, down or up). Beside it stands that with the
-level reversed in time, the chance level. A tracker also takes a moving chin for a nod, so that the
-readers' is an upper bound.
+level reversed in time, the chance level. Where the folder states the words, the same is done with
+the stressed syllables (`deitalk.evaluation.people.stress`). A tracker also takes a moving chin for
+a nod, so that the readers' is an upper bound.
 
 Letters: T frames at 30 per second, n measures at 25.
 """
@@ -27,6 +28,7 @@ from deitalk.audio.load import load_audio
 from deitalk.data.lips.measured import RATE, PoseClip, read_poses
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
+from deitalk.evaluation.people.stress import stress_track
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.head import head_motion
@@ -42,16 +44,19 @@ LAG_SECONDS, TREND_SECONDS, LEVEL_SECONDS = 0.33, 0.6, 0.07
 FADED_SECONDS = 1.5
 DRAWINGS = 3
 AXES = ("yaw", "pitch", "roll")
-SOUNDS = ("level", "level reversed")
+SOUNDS = ("level", "level reversed", "stressed syllables", "stressed syllables reversed")
 Mover = Callable[[Voice, int], Float64]
 
 
 class Reader(NamedTuple):
-    """A speaker: measured heads, and events and level of each recording's voice."""
+    """A speaker: measured heads, and events, level and stress of each recording's voice."""
 
     clips: list[PoseClip]
     voices: list[Voice]
     levels: list[Float64]
+    """Without what lies 40 dB below the loudest."""
+    stresses: list[Float64]
+    """Empty where the words are not known."""
 
 
 def move_head(voice: Voice, drawing: int) -> Float64:
@@ -79,7 +84,7 @@ def evaluate_head(folder: Path, most: int = 24, mover: Mover = move_head) -> dic
         ``measured range``, ``range``, ``measured speed`` and ``speed``: degrees (5th to 95th
         percentile) and degrees per second (root mean square) of yaw, pitch and roll, median over
         recordings, mean over speakers; ``measured correlation``, ``correlation``: of pitch with
-        the level, and with the level reversed.
+        each of `SOUNDS`, NaN where the words are not known.
 
     Raises
     ------
@@ -104,7 +109,11 @@ def evaluate_head(folder: Path, most: int = 24, mover: Mover = move_head) -> dic
 def _reader(clips: list[PoseClip]) -> Reader:
     speeches = [Speech.of(load_audio(clip.sound).waveform) for clip in clips]
     voices = [measure_voice(speech.activity, speech.prosody) for speech in speeches]
-    return Reader(clips, voices, [speech.prosody.level for speech in speeches])
+    levels = [speech.prosody.level for speech in speeches]
+    levels = [np.maximum(level, level.max() - 40) for level in levels]
+    pairs = zip(speeches, clips, strict=True)
+    stresses = [stress_track(speech, clip.words) for speech, clip in pairs if clip.words]
+    return Reader(clips, voices, levels, stresses if len(stresses) == len(clips) else [])
 
 
 def joined(voices: Sequence[Voice]) -> Voice:
@@ -143,25 +152,27 @@ def _measures(degrees: Float64, rate: float) -> Float64:
 
 
 def _correlations(heads: Sequence[tuple[int, Float64]], rate: float, reader: Reader) -> Float64:
-    """Correlation of pitch with the level, and with the level reversed [shape=(2,)]."""
-    profiles = []
-    for i, head in heads:
-        offset = 0.5 / RATE if rate == RATE else 0.0
-        times = np.arange(len(head)) / rate + offset
-        pitch = np.interp(np.arange(0, times[-1], 1 / FRAME_RATE), times, head[:, 1])
-        level = reader.levels[i]
-        profiles.append([_profile(pitch, level), _profile(pitch, level[::-1])])
-    largest: Float64 = np.abs(np.mean(profiles, axis=0)).max(axis=1)
-    return largest
+    """Correlation of pitch with each of `SOUNDS` [shape=(4,)]."""
+    found = np.full(len(SOUNDS), np.nan)
+    for place, sounds in ((0, reader.levels), (2, reader.stresses)):
+        if not sounds:
+            continue
+        profiles = []
+        for i, head in heads:
+            offset = 0.5 / RATE if rate == RATE else 0.0
+            times = np.arange(len(head)) / rate + offset
+            pitch = np.interp(np.arange(0, times[-1], 1 / FRAME_RATE), times, head[:, 1])
+            profiles.append([_profile(pitch, sound) for sound in (sounds[i], sounds[i][::-1])])
+        found[place : place + 2] = np.abs(np.mean(profiles, axis=0)).max(axis=1)
+    return found
 
 
-def _profile(pitch: Float64, level: Float64) -> list[float]:
+def _profile(pitch: Float64, sound: Float64) -> list[float]:
     """Correlation at each lag, both without their trend."""
-    count = min(len(pitch), len(level))
-    level = np.maximum(level[:count], level.max() - 40)
-    level = gaussian_smooth(level, LEVEL_SECONDS * FRAME_RATE, "mirror")
+    count = min(len(pitch), len(sound))
+    sound = gaussian_smooth(sound[:count], LEVEL_SECONDS * FRAME_RATE, "mirror")
     trend = TREND_SECONDS * FRAME_RATE
-    a, b = (x - gaussian_smooth(x, trend, "mirror") for x in (pitch[:count], level))
+    a, b = (x - gaussian_smooth(x, trend, "mirror") for x in (pitch[:count], sound))
     most = int(LAG_SECONDS * FRAME_RATE)
     inner = b[most : count - most]
     shifted = (a[most + lag : count - most + lag] for lag in range(-most, most + 1))
@@ -177,10 +188,10 @@ def as_markdown(report: dict[str, list[float]]) -> str:
             for column, value in zip(columns.values(), (theirs, ours, ours / theirs), strict=True):
                 column[f"{what} of {axis}, {unit}"] = f"{value:.2f}"
     shares = {
-        who: {sound: f"{value:.2f}" for sound, value in zip(SOUNDS, report[name], strict=True)}
+        who: {s: f"{v:.2f}" for s, v in zip(SOUNDS, report[name], strict=True) if np.isfinite(v)}
         for who, name in (("readers", "measured correlation"), ("here", "correlation"))
     }
-    lines = [*table("head", columns), "", *table("pitch and level", shares)]
+    lines = [*table("head", columns), "", *table("pitch of the head and", shares)]
     return "\n".join(lines) + "\n"
 
 

@@ -11,7 +11,6 @@ import argparse
 import sys
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +27,8 @@ from deitalk.evaluation.validation import lips_together
 from deitalk.models.network import CurveNetwork, load_network
 from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
+from deitalk.pipeline.words.align import fit_words
+from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from rig.arrays import Float32
 
@@ -123,23 +124,23 @@ def exchanged(words: Transcript, others: Transcript, every: int = 4) -> Transcri
 
 
 def measure(
-    network: CurveNetwork, takes: Sequence[Take], conditions: Sequence[str] = CONDITIONS
+    network: CurveNetwork, takes: Sequence[Take]
 ) -> dict[str, dict[str, list[ClosureScores]]]:
     """Closures of every group and condition, clip by clip."""
     said = [Transcript.of(take.text, take.language) for take in takes]
     found: dict[str, dict[str, list[ClosureScores]]] = defaultdict(lambda: defaultdict(list))
     for i, take in enumerate(takes):
         other = said[(i + len(takes) // 2) % len(takes)]
-        words = dict(
-            zip(CONDITIONS, (None, said[i], other, exchanged(said[i], other)), strict=True)
-        )
+        given = (None, said[i], other, exchanged(said[i], other))
         shot = prepare(take.waveform, "neutral", lambda: network, sample_rate=16_000, idle=False)
         speech = shot.speech
         reading = network.read(speech.waveform, shot.weights, shot.actor, gain=speech.gain)
-        for name in conditions:
+        evidence, prior = measure_phones(speech), phone_evidence().weights["prior"]
+        for name, words in zip(CONDITIONS, given, strict=True):
             neutral = reading.neutral.copy()
             copy = reading._replace(neutral=neutral, emotional=neutral)
-            curves = finish(replace(shot, words=words[name]), copy).curves.values
+            fit = None if words is None else fit_words(evidence, words, prior)
+            curves = finish(shot, copy, words=fit).curves.values
             lips = lips_together(curves, network.controls)
             found[take.group][name].append(closure_scores(lips, take.phones))
     return found

@@ -26,9 +26,9 @@ FLOOR = -12.0
 """Least logarithm of a probability on the path: one bad row does not bend it."""
 WORST = -6.0
 """Least fit of a row."""
-LEAST_FIT = -1.6
+LEAST_FIT = -1.4
 """Mean fit of a recording below which its words are not obeyed."""
-LEAST_WORD = -2.5
+LEAST_WORD = -3.0
 """The same of one word."""
 SLACK_SECONDS = 0.1
 """By which a phone may lie outside its word's given times."""

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 import soundfile
 
+from deitalk.corpus.engines import espeak
+from deitalk.corpus.phone_alphabets import stressed_vowel
 from deitalk.errors import DataError
 from deitalk.evaluation.people.head import TOLERANCE, as_markdown, evaluate_head, main, ratios
+from deitalk.evaluation.people.stress import stress_track, stressed_times
+from deitalk.pipeline.speech import Speech
+from deitalk.pipeline.words.align import FittedWord, WordFit
+from deitalk.postprocess.known_phones import KnownPhone
 from tests.conftest import SHARED
 
 SECONDS = 2.0
@@ -48,6 +54,47 @@ def test_ratios_are_those_of_the_motion(folder, gain):
     np.testing.assert_allclose(report["measured range"][0], 2 * 2.7, rtol=0.1)
     assert report["measured correlation"][0] == pytest.approx(report["correlation"][0], abs=0.1)
     assert "| range of yaw, ° |" in as_markdown(report)
+
+
+def test_stress_is_espeaks_and_its_time_the_sounds():
+    """A vowel of each word: the second of "again", the first of "seven", none of an unmarked one."""
+    assert [stressed_vowel(ipa) for ipa in ("ɐɡˈɛn", "sˈɛvən", "æt", "fˈaɪɚ")] == [1, 0, None, 0]
+    words = (FittedWord("again", 0.0, 1.0, 0.0), FittedWord("at", 1.0, 2.0, 0.0))
+    phones = (
+        KnownPhone(0.0, 0.2, "AX"), KnownPhone(0.2, 0.4, "G"), KnownPhone(0.4, 0.8, "EH"),
+        KnownPhone(0.8, 1.0, "N"), KnownPhone(1.0, 1.5, "AE"), KnownPhone(1.5, 2.0, "T"),
+    )  # fmt: skip
+    fit = WordFit(words, phones, 0.0)
+    assert stressed_times(fit, [1, None]) == pytest.approx([0.6])
+    assert len(stressed_times(fit, [None, 3])) == 0
+
+
+def test_head_that_nods_on_stress_correlates_with_it(tmp_path):
+    said = espeak.synthesise("Lay green with seven again.", rate=120)
+    speech = Speech.of(said.waveform)
+    words = [(0.0, said.duration_seconds, word) for word in "lay green with seven again".split()]
+    track = stress_track(speech, words)
+    vowels = [p for p in said.phones if p.name in ("EY", "IY", "EH")]
+    assert sum(p.name == "EH" for p in vowels) == 2
+    peaks = [i / 30 for i in range(1, len(track) - 1) if track[i - 1] < track[i] >= track[i + 1]]
+    assert len(peaks) == 4
+    for peak, vowel in zip(peaks, vowels, strict=True):
+        assert abs(peak - (vowel.start + vowel.end) / 2) < 0.08
+    (tmp_path / "columns.json").write_text(json.dumps({"columns": []}))
+    spans = " ".join(f"{w}:0.00-{said.duration_seconds:.2f}" for _, _, w in words)
+    times = (np.arange(int(said.duration_seconds * 25)) + 0.5) / 25
+    pitch = np.interp(times, np.arange(len(track)) / 30, track)
+    pose = np.stack([turn(times)[:, 0], pitch, turn(times)[:, 2]], axis=1).astype(np.float16)
+    rows = ["clip,speaker,words"]
+    for name in "abc":  # the first and the last lie in the fades of a take
+        soundfile.write(tmp_path / f"{name}.wav", said.waveform, 16_000)
+        np.savez(tmp_path / f"{name}.npz", pose=pose)
+        rows.append(f"{name},anna,{spans}")
+    (tmp_path / "clips.csv").write_text("\n".join(rows) + "\n")
+    report = evaluate_head(tmp_path, mover=lambda voice, k: turn(np.arange(voice.n_frames) / 30))
+    measured = report["measured correlation"]
+    assert measured[2] > 0.9 and measured[2] > measured[3]
+    assert "| stressed syllables |" in as_markdown(report)
 
 
 def test_folder_without_poses_is_an_error_in_one_line(tmp_path):

@@ -79,7 +79,7 @@ def test_phones_have_the_times_of_the_sound():
 
 
 def test_a_word_that_is_not_there_is_reported_and_not_used():
-    sound = evidence(("S", 20), ("IY", 20), ("T", 20), ("AA", 20), ("N", 20), ("UW", 20))
+    sound = evidence(("S", 20), ("IY", 20), ("T", 20), ("AA", 10), ("N", 20), ("UW", 20))
     words = (Word("see", ("S", "IY")), Word("top", ("P", "AA")), Word("new", ("N", "UW")))
     found = fit_words(sound, transcript(*words), FLAT)
     assert found.is_obeyed and not found.fits
