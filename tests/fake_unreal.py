@@ -229,7 +229,12 @@ class AssetTools:
                 self.module.messages.append(str(error))  # logged, and nothing is imported
                 continue
             self.module.imported.append(imported)
-            task.imported_object_paths = [f"{task.destination_path}/imported"]
+            path = f"{task.destination_path}/imported"
+            kind = getattr(self.module, "LevelSequence", LevelSequence)
+            first, last = (round(imported.times[i] * imported.rate) for i in (0, -1))
+            rate = (imported.rate, 1)
+            self.module.assets[path] = kind([], rate, name="imported", playback=(first, last))
+            task.imported_object_paths = [path]
 
 
 class Hierarchy:

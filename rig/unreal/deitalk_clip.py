@@ -130,6 +130,22 @@ def subject_of(path: str) -> str:
     return "_".join(rest) or stem
 
 
+def start_of_take(path: str) -> float:
+    """Return the time of day of the first frame of a Live Link Face CSV, seconds.
+
+    As Unreal's importer: FF counts sixtieths if one of the file exceeds 30.0, else thirtieths.
+    """
+    try:
+        with open(path, encoding="utf-8-sig") as stream:
+            codes = [line.split(",", 1)[0].split(":") for line in stream][1:]
+        fields = [[float(part) for part in code] for code in codes if len(code) == 4]
+        hours, minutes, seconds, frames = fields[0]
+    except (OSError, ValueError, IndexError) as error:
+        raise DeitalkError(f"{path} has no time codes: {error}; run: deitalk validate") from error
+    rate = 60 if max(field[3] for field in fields) > 30.0 else 30
+    return hours * 3600 + minutes * 60 + seconds + frames / rate
+
+
 def standard_rate(data: dict[str, Any]) -> Fraction:
     """Return the frames per second of a clip, or the nearest of `RATES` if it is an odd rate."""
     own = Fraction(*data["frame_rate"])

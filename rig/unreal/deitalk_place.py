@@ -74,8 +74,8 @@ def skeleton_of(face: Any) -> str:
     return str(skeleton.get_path_name()).split(".")[0] if skeleton is not None else ""
 
 
-def import_sound(path: str, folder: str = importer.FOLDER) -> Any:
-    """Import a sound file as a SoundWave; one that is there already under its name is taken.
+def import_sound(path: str, folder: str = importer.FOLDER, name: str = "") -> Any:
+    """Import a sound file as a SoundWave; one that is there already under the name is taken.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def import_sound(path: str, folder: str = importer.FOLDER) -> Any:
         If Unreal does not import the file.
     """
     importer.need_unreal()
-    name = f"{importer.asset_name(path)}_sound"
+    name = name or f"{importer.asset_name(path)}_sound"
     there = unreal.load_asset(f"{folder}/{name}")
     if isinstance(there, unreal.SoundWave):
         return there
@@ -124,6 +124,40 @@ def export_sound(sound: Any, folder: str) -> str:
     if not unreal.Exporter.run_asset_export_task(task) or not os.path.isfile(path):
         raise DeitalkError(f"Unreal does not write {sound.get_name()} as WAV; choose its file")
     return path
+
+
+def live_link_take(path: str, sound: str = "", folder: str = importer.FOLDER) -> Any:
+    """Import a Live Link Face CSV, and put its sound on the take's frames.
+
+    Parameters
+    ----------
+    path : str
+        The CSV; see `deitalk_unreal.live_link_csv`.
+    sound : str
+        Sound file; by default ``audio_48k.wav`` or ``audio.wav`` beside the CSV, if there is one.
+    folder : str
+        Of the assets.
+
+    Returns
+    -------
+    unreal.LevelSequence
+        Opened in Sequencer.
+    """
+    start = importer.start_of_take(path)
+    beside = os.path.dirname(os.path.abspath(path))
+    found = [os.path.join(beside, name) for name in ("audio_48k.wav", "audio.wav")]
+    sound = sound or next((name for name in found if os.path.isfile(name)), "")
+    assets = [unreal.load_asset(name) for name in importer.live_link_csv(path, folder)]
+    sequences = [asset for asset in assets if isinstance(asset, unreal.LevelSequence)]
+    if not sequences:
+        raise DeitalkError(f"Unreal made no Level Sequence of {path}")
+    unreal.LevelSequenceEditorBlueprintLibrary.open_level_sequence(sequences[0])
+    if sound:
+        stem = importer.asset_name(path)
+        wave = import_sound(sound, folder, name=f"{stem}_sound")
+        place(None, wave, sequence=sequences[0], start_frame=frame_of(start, sequences[0]))
+    importer.say(f"{path}: from {start:g} s, sound {sound or 'none'}")
+    return sequences[0]
 
 
 def open_sequence(name: str, rate: Any, folder: str = importer.FOLDER) -> Any:

@@ -348,3 +348,30 @@ def test_deitalk_itself_is_started(tmp_path, monkeypatch):
     settings = {"command": [sys.executable, "-m", "deitalk"], "service": "", "key": ""}
     path = call.animate(recording, str(tmp_path / "take"), "happy", 1.0, settings=settings)
     assert read_curves(path).fps == 30 and Path(path).name == "promise.unreal.json"
+
+
+@pytest.mark.parametrize("start", [0.0, 36672.5])
+def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, stand_in, start):
+    take = tmp_path / "take"
+    take.mkdir()
+    write_curves(take / "line_take_1_anna.csv", speech(61), format="livelink", start=start)
+    for name, seconds in (("audio.wav", 1), ("audio_48k.wav", 2)):
+        with wave.open(str(take / name), "wb") as stream:
+            stream.setparams((1, 2, 16000, 0, "NONE", ""))
+            stream.writeframes(bytes(32000 * seconds))
+    module = editor(tmp_path)
+    menu = menu_inside(module, monkeypatch, stand_in)
+    sequence = menu.placing.live_link_take(str(take / "line_take_1_anna.csv"))
+    assert module.opened is sequence and module.imported[0].subject == "anna"
+    (section,) = [s for track in sequence.audio for s in track.sections]
+    first = round(start * 60)  # the importer shows files in sixtieths at 60 frames a second
+    assert (section.start, section.stop) == (first, first + 120)
+    assert section.sound.path == str(take / "audio_48k.wav")
+
+
+def test_take_without_time_codes_is_an_error_of_one_line(tmp_path, monkeypatch, stand_in):
+    menu = menu_inside(editor(tmp_path), monkeypatch, stand_in)
+    for text in ("", "a,b\n1,2\n"):
+        (tmp_path / "a.csv").write_text(text)
+        with pytest.raises(menu.DeitalkError, match="has no time codes"):
+            menu.placing.live_link_take(str(tmp_path / "a.csv"))
