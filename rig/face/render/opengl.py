@@ -44,28 +44,33 @@ class OpenGLRenderer:
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
         self.size, self.view = size, view
         self._context = open_context()
-        context, n = self._context, len(mesh.vertices)
+        self._things: list[Any] = []
+        context, n, own = self._context, len(mesh.vertices), self._own
         vertex, fragment = glsl()
-        self._program = context.program(vertex_shader=vertex, fragment_shader=fragment)
-        self._points = context.buffer(reserve=n * 24)
-        paint = np.c_[mesh.colors, mesh.gloss].astype("f4")
-        index = context.buffer(mesh.faces.astype("i4").tobytes())
-        self._array = context.vertex_array(
-            self._program,
-            [(self._points, "3f 3f", "position", "normal"),
-             (context.buffer(paint.tobytes()), "4f", "paint")],
-            index,
-        )  # fmt: skip
+        self._program = own(context.program(vertex_shader=vertex, fragment_shader=fragment))
+        self._points = own(context.buffer(reserve=n * 24))
+        paint = own(context.buffer(np.c_[mesh.colors, mesh.gloss].astype("f4").tobytes()))
+        index = own(context.buffer(mesh.faces.astype("i4").tobytes()))
+        parts = [(self._points, "3f 3f", "position", "normal"), (paint, "4f", "paint")]
+        self._array = own(context.vertex_array(self._program, parts, index))
         large = (round(SUPERSAMPLE * size[0]), round(SUPERSAMPLE * size[1]))
-        self._large = context.texture(large, 4)  # read with linear filtering, moderngl's default
+        self._large = own(context.texture(large, 4))  # read with linear filtering, the default
         self._large.repeat_x = self._large.repeat_y = False
-        self._many = context.framebuffer([self._large], context.depth_renderbuffer(large))
-        self._one = context.framebuffer([context.renderbuffer(size, 4)])
-        shrink = context.program(vertex_shader=_WHOLE, fragment_shader=_SHRINK)
-        self._shrink = context.vertex_array(shrink, [])
-        sky_vertex, sky_fragment = glsl_background()
-        sky = context.program(vertex_shader=sky_vertex, fragment_shader=sky_fragment)
-        self._sky = context.vertex_array(sky, [])
+        depth = own(context.depth_renderbuffer(large))
+        self._many = own(context.framebuffer([self._large], depth))
+        self._one = own(context.framebuffer([own(context.renderbuffer(size, 4))]))
+        self._shrink = self._whole_picture(_WHOLE, _SHRINK)
+        self._sky = self._whole_picture(*glsl_background())
+
+    def _own(self, thing: Any) -> Any:
+        """Note what `close` has to release: moderngl releases nothing by itself."""
+        self._things.append(thing)
+        return thing
+
+    def _whole_picture(self, vertex: str, fragment: str) -> Any:
+        """Return a program over the whole picture."""
+        program = self._own(self._context.program(vertex_shader=vertex, fragment_shader=fragment))
+        return self._own(self._context.vertex_array(program, []))
 
     def draw(self, vertices: Float64, normals: Float64) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
@@ -90,9 +95,8 @@ class OpenGLRenderer:
 
     def close(self) -> None:
         """Free this renderer's buffers; the context stays for the next one."""
-        for thing in (self._array, self._points, self._many, self._large, self._one, self._sky,
-                      self._shrink, self._program):  # fmt: skip
-            thing.release()
+        while self._things:
+            self._things.pop().release()
 
 
 @lru_cache(maxsize=1)

@@ -169,6 +169,35 @@ def test_two_opengl_renderers_of_different_sizes_are_independent(head, opengl):
     assert np.array_equal(one.render(head.mesh.vertices), alone)
 
 
+class Recording:
+    """An OpenGL context that keeps what is made of it."""
+
+    def __init__(self, context):
+        self.context, self.made = context, []
+
+    def __getattr__(self, name):
+        found = getattr(self.context, name)
+        if name not in ("program", "buffer", "vertex_array", "texture", "framebuffer",
+                        "renderbuffer", "depth_renderbuffer"):  # fmt: skip
+            return found
+
+        def make(*given, **named):
+            self.made.append(found(*given, **named))
+            return self.made[-1]
+
+        return make
+
+
+def test_closed_renderer_leaves_nothing_in_the_context(head, opengl, monkeypatch):
+    context = Recording(opengl_module.open_context())
+    monkeypatch.setattr(opengl_module, "open_context", lambda: context)
+    renderer = make_renderer(head.mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
+    renderer.render(head.mesh.vertices)
+    assert len(context.made) >= 12
+    renderer.close()
+    assert {type(thing.mglo).__name__ for thing in context.made} == {"InvalidObject"}
+
+
 def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
     def missing():
         raise RigError("no OpenGL here")
