@@ -78,7 +78,7 @@ def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Int64, Floa
     root = skin.vertices[upper]
     mid = root + length[:, None] * (0.55 * out)
     tip = root + length[:, None] * (out + np.array([0, 0.34, -0.10]))
-    top = root + np.array([0, 0.075, 0.015])
+    top = root + np.array([0, 0.045, 0.010])
     rows = np.stack([root - [0, 0.01, 0], mid, tip, top], 1)
     faces = grid_faces(len(upper), 4)
     mesh = painted(

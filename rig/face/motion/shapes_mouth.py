@@ -64,7 +64,8 @@ def _funnel(side: str) -> Shape:
         flare = p.rings(m1=0.74, r0=0.96, r2=1.02, r3=0.96, r5=0.64, r6=0.46)
         return -0.72 * p.u * m, -s * open_ * m, out * flare * m
 
-    return Shape(f"funnel{side}", lips, reach=6)
+    chin = ((0, -10.4, 0, 0.09, -0.02),) if side == "D" else ()
+    return Shape(f"funnel{side}", lips, chin, reach=6)
 
 
 def _purse(side: str) -> Shape:
