@@ -19,7 +19,7 @@ from rig.face.render.picture import Picture, text_width, write_text
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"
 EMOTIONS, INTENSITY = ("neutral", "happy", "angry"), 1.5
-VIEW = View((0, -2.9, 4), (8, -2.0, 60), 21)
+VIEW = View((0, -3.5, 4), (8, -2.6, 60), 22)
 FACE, STRIP_HEIGHT = (280, 320), 96
 """Width and height of a face, and height of the strip, pixels."""
 STEP = 2
@@ -42,7 +42,7 @@ def main() -> None:
         lower[:, column : column + 2] = 255
         pictures.append(Image.fromarray(np.vstack([np.hstack(rows), lower])))
     pictures[0].save(
-        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=72, method=4,
+        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=68, method=4,
         duration=[round((k + STEP) / 0.03) - round(k / 0.03) for k in frames],
     )  # fmt: skip
 
