@@ -19,6 +19,11 @@ TAKE = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+)")
 """The app's names, ``<Slate>_<Take>_<Subject>``."""
 
 
+MARK = f"{PREFIX}mouthUp"
+"""Property by which the face blueprint recognises raw curves."""
+SWITCH = "HeadControlSwitch"
+
+
 def is_live_link(path: Path) -> bool:
     """Return whether a CSV begins as a Live Link Face CSV, with any separator or quotes."""
     start = re.sub(r"[^a-z]", "", _first_line(path).lower())
@@ -40,7 +45,7 @@ def check_live_link(path: Path) -> list[Finding]:
     if take.ticks[0] > 60_000:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
         findings.append(Finding("warning", path, text))
-    findings += _pace(path, take, highest)
+    findings += _pace(path, take, highest) + _metahuman(path, take)
     missing = [name for name in arkit_controls().names if name not in take.names]
     if missing and not any(name.startswith(PREFIX) for name in take.names):
         text = f"{len(missing)} of 61 columns are missing ({missing[0]}, …): they stay at 0"
@@ -112,6 +117,20 @@ def _subject(path: Path) -> str:
     if suffix_note(path):
         text = suffix_note(path)
     return text
+
+
+def _metahuman(path: Path, take: LiveLinkTake) -> list[Finding]:
+    """Find raw curves that the face blueprint of Unreal 5.6 and later does not take as such."""
+    if not any(name.startswith(PREFIX) for name in take.names):
+        return []
+    texts = []
+    if MARK not in take.names:
+        texts.append(f"no column {MARK}: Unreal takes the columns for ARKit shapes")
+    turns = [i for i, name in enumerate(take.names) if name in ("HeadYaw", "HeadPitch", "HeadRoll")]
+    switch = [i for i, name in enumerate(take.names) if name == SWITCH]
+    if take.values[:, turns].any() and not take.values[:, switch].any():
+        texts.append(f"the head turns, but {SWITCH} is not 1: Unreal leaves the head still")
+    return [Finding("warning", path, text) for text in texts]
 
 
 def _pace(path: Path, take: LiveLinkTake, highest: float) -> list[Finding]:

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -308,3 +309,16 @@ def test_one_wrong_byte_gives_findings(suffix, place, byte, cut, tmp_path_factor
     data[at : at + 1] = bytes([byte])
     path.write_bytes(bytes(data[:at] if cut else data))
     assert validate(path).findings
+
+
+def test_raw_subjects_are_checked_by_the_face_blueprints_of_5_6(tmp_path):
+    """Raw curves are recognised by CTRL_expressions_mouthUp; the head needs HeadControlSwitch."""
+    head = np.tile(np.array([10, 0, 0, 0, 0, 0], np.float32), (90, 1))
+    path = tmp_path / "scene_take_1_anna_cal.csv"
+    write_curves(path, replace(talking(), head=head), format="livelink-raw")
+    good = path.read_text()
+    assert validate(path).ok and not texts(path, "warning")
+    path.write_text(good.replace("CTRL_expressions_mouthUp,", "other,"))
+    assert any("takes the columns for ARKit shapes" in text for text in texts(path, "warning"))
+    path.write_text(good.replace("HeadControlSwitch", "other"))
+    assert any("leaves the head still" in text for text in texts(path, "warning"))
