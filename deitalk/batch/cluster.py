@@ -4,6 +4,7 @@ Ray Data gives blocks of a few lines to the actors, and gives those of a machine
 others. A line may then be animated twice; the second result has the same files.
 """
 
+import os
 import pickle
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -38,6 +39,7 @@ class Cluster:
     """
 
     def __init__(self, address: str, count: int | None, make: Make) -> None:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
             import ray
             import ray.data

@@ -52,6 +52,7 @@ def cluster(monkeypatch):
     from ray.cluster_utils import Cluster
 
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     made = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "num_gpus": 1})
     made.other = made.add_node(num_cpus=2, num_gpus=1)
     ray.init(address=made.address, log_to_driver=False)
