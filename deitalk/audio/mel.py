@@ -105,7 +105,7 @@ class MelSpectrogram(nn.Module):
     def power(self, windows: Tensor) -> Tensor:
         """Mel power (B, L, F) of windows (B, L, window) of samples."""
         spectrum = torch.fft.rfft(windows * self.window, self.n_fft)
-        power = spectrum.real.square() + spectrum.imag.square()  # (B, L, bins)
+        power = torch.view_as_real(spectrum).square().sum(dim=-1)  # (B, L, bins)
         mel: Tensor = power @ self.filters / self.length
         return mel
 

@@ -129,6 +129,13 @@ class TemporalAttention(nn.Module):
         weights = scores.softmax(dim=-1)
         return torch.einsum("nl,nld->nd", weights, memory), weights
 
+    def joined_query(self) -> tuple[Tensor, Tensor]:
+        """Query convolution and its projection as one convolution: a twelfth of the products."""
+        project, query = self.query_project, self.query
+        assert query.bias is not None
+        weight = torch.einsum("ac,cdk->adk", project.weight, query.weight)
+        return weight, project.weight @ query.bias + project.bias
+
     def along(self, memory: Tensor, centres: Tensor, window: int) -> Tensor:
         """Attend around given places of the memory of a whole clip.
 
@@ -147,8 +154,11 @@ class TemporalAttention(nn.Module):
         """
         batch, length, _ = memory.shape
         half = self.query_frames // 2
-        filtered = self.query(F.pad(memory.transpose(1, 2), (half, half))).transpose(1, 2)
-        projected = self.query_project(filtered[:, centres])  # (B, T, C_att)
+        padded = F.pad(memory.transpose(1, 2), (half, half))
+        if torch.is_grad_enabled():
+            projected = self.query_project(self.query(padded).transpose(1, 2)[:, centres])
+        else:
+            projected = F.conv1d(padded, *self.joined_query()).transpose(1, 2)[:, centres]
         keys = self.key_project(memory)  # (B, L, C_att)
         index = centres.unsqueeze(1) + torch.arange(window, device=memory.device) - window // 2
         outside = (index < 0) | (index >= length)

@@ -137,11 +137,11 @@ def _memory(
         sequence[first:last] = _spectral(frontend, sound, first, last, length)
         tick()
     for layer in range(lstm.num_layers):
-        covers = sequence.shape[1] > lstm.hidden_size
-        sequence = layer_output(
-            lstm, layer, sequence, tick, output=block[:length, :width], covers=covers
-        )
-    return block[:, :width], centres
+        output, covers = block[:, :width], sequence.shape[1] > lstm.hidden_size
+        if covers and store != torch.float16:  # of a short clip: memory for time
+            output, covers = torch.empty_like(output), False
+        sequence = layer_output(lstm, layer, sequence, tick, output=output[:length], covers=covers)
+    return output, centres
 
 
 def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:

@@ -6,6 +6,7 @@ slices.
 """
 
 import math
+from copy import copy
 from typing import NamedTuple
 
 import torch
@@ -38,6 +39,9 @@ class GraphOutput(NamedTuple):
 class MelFrontendGraph(nn.Module):
     """`MelFrontend` of a whole clip, averaged over its phases."""
 
+    query_weight: Tensor
+    query_bias: Tensor
+
     def __init__(self, frontend: MelFrontend) -> None:
         super().__init__()
         config = frontend.config
@@ -50,12 +54,18 @@ class MelFrontendGraph(nn.Module):
         self.frontend, self.steps, self.stack = frontend, round(steps), config.time_stack
         self.window = config.window_frames // config.time_stack
         self.mel = MelGraph(frontend.mel, frontend.shifts)
+        with torch.no_grad():
+            weight, bias = frontend.attention.joined_query()
+        self.register_buffer("query_weight", weight)
+        self.register_buffer("query_bias", bias)
+        self.gather = copy(frontend.spectral.gather)
+        self.gather.batch_first = False
 
     def forward(self, sound: Tensor, n_frames: int) -> Tensor:
         """Map (S,) to (1, T, D)."""
         frontend = self.frontend
         length = self.steps * (n_frames - 1) + 1
-        spectral = frontend.spectral(self.mel(sound, length * self.stack))
+        spectral = self._spectral(self.mel(sound, length * self.stack))
         memory, _ = frontend.recurrent(
             spectral.reshape(self.mel.phases, -1, frontend.recurrent.input_size)
         )
@@ -63,16 +73,20 @@ class MelFrontendGraph(nn.Module):
         rows: Tensor = frontend.rig(frontend.centred(attended, memory[:, :: self.steps]))
         return rows.mean(dim=0, keepdim=True)
 
+    def _spectral(self, mel: Tensor) -> Tensor:
+        """`SpectralGathering`, with the frequencies in front for its LSTM."""
+        spectral = self.frontend.spectral
+        x = spectral.convolve(mel).permute(2, 0, 3, 1)  # (F / 4, B, L, C)
+        x, _ = self.gather(x.flatten(1, 2))
+        rows: Tensor = spectral.project(x.transpose(0, 1).flatten(1))
+        return rows.view(mel.shape[0], mel.shape[3], -1)
+
     def _attended(self, attention: TemporalAttention, memory: Tensor) -> Tensor:
         """`TemporalAttention.along` around every `steps`-th state."""
         half, before = attention.query_frames // 2, self.window // 2
-        filtered = F.conv1d(
-            F.pad(memory.transpose(1, 2), (half, half)),
-            attention.query.weight,
-            attention.query.bias,
-            stride=self.steps,
-        )
-        query = attention.query_project(filtered.transpose(1, 2))  # (B, T, C_att)
+        padded = F.pad(memory.transpose(1, 2), (half, half))
+        query = F.conv1d(padded, self.query_weight, self.query_bias, stride=self.steps)
+        query = query.transpose(1, 2)  # (B, T, C_att)
         sides = (0, 0, before, self.window - before)
         keys = F.pad(attention.key_project(memory), sides)
         outside = F.pad(torch.zeros_like(memory[:, :, :1]), sides, value=-1e9)
