@@ -117,10 +117,8 @@ class Microphone:
                 callback=self._take,
             )
         except (sounddevice.PortAudioError, ValueError, OSError) as error:
-            reason = shorten(" ".join(str(error).split()), 120)
-            raise AudioError(
-                f"{self.name} cannot be opened ({reason}); connect one, or name another"
-            ) from None
+            raise self._closed(error) from None
+        self._failure = sounddevice.PortAudioError
 
     def read(self, seconds: float) -> Float32 | None:
         """What has come since the call before, at least a block; None if none came in time.
@@ -128,10 +126,13 @@ class Microphone:
         Raises
         ------
         AudioError
-            If no block has come for 2 s.
+            If the input cannot be started, or no block has come for 2 s.
         """
         if not self.is_open:
-            self.stream.start()
+            try:
+                self.stream.start()
+            except (self._failure, OSError) as error:
+                raise self._closed(error) from None
             self.is_open, self.heard = True, monotonic()
         try:
             blocks = [self.blocks.get(timeout=max(seconds, 0.001))]
@@ -150,6 +151,10 @@ class Microphone:
     def close(self) -> None:
         """Let the device go."""
         self.stream.close(ignore_errors=True)
+
+    def _closed(self, error: Exception) -> AudioError:
+        reason = shorten(" ".join(str(error).split()), 120)
+        return AudioError(f"{self.name} cannot be opened ({reason}); connect one, or name another")
 
     def _take(self, samples: Any, frames: int, time: Any, status: Any) -> None:
         self.blocks.put(np.array(samples[:, 0], np.float32))

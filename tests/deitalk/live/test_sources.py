@@ -2,16 +2,20 @@
 
 import socket
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from deitalk.cli import app
 from deitalk.cli.live import transmit
 from deitalk.errors import AudioError, MissingError
 from deitalk.live import sources
 from deitalk.live.animator import LiveAnimator
 from deitalk.live.sources import BLOCK, Microphone, PacedSound
+from rig.errors import UserError
 from rig.livelink import LiveSender, decode, make_protocol
 from rig.livelink.sender import Clock
 
@@ -114,6 +118,35 @@ def test_microphone_gives_its_blocks_and_tells_when_it_is_gone(monkeypatch):
     monkeypatch.setattr(sources, "SILENT_SECONDS", 0.0)
     with pytest.raises(AudioError, match="given no sound"):
         microphone.read(0.001)
+
+
+def test_microphone_that_is_gone_at_the_start_is_one_line(monkeypatch):
+    device = Device()
+    monkeypatch.setitem(sys.modules, "sounddevice", device)
+    microphone = Microphone()
+
+    def gone():
+        raise device.PortAudioError("Device unavailable [PaErrorCode -9985]")
+
+    microphone.stream.start = gone
+    with pytest.raises(AudioError, match=r"cannot be opened \(Device unavailable"):
+        microphone.read(0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--model", "none"], "none: no model there"),
+        (["--model", "none", "--backend", "onnx"], "none: no model there"),
+        (["--model", "default"], "needs the whole clip; use the model live"),
+        (["--backend", "gpu"], "backend 'gpu' is unknown; use torch or onnx"),
+    ],
+)
+def test_wrong_model_of_the_command_is_one_line(arguments, words):
+    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
+    done = CliRunner().invoke(app, ["live", str(sample), *arguments])
+    assert done.exit_code and isinstance(done.exception, UserError)
+    assert words in str(done.exception) and "\n" not in str(done.exception)
 
 
 def test_missing_microphone_or_package_is_one_line(monkeypatch):
