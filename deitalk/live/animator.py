@@ -15,6 +15,7 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import AudioError
 from deitalk.live import rules
+from deitalk.live.brows import RunningBrows
 from deitalk.live.idle import RunningIdle
 from deitalk.live.rules import DueRows
 from deitalk.live.stream import Change, Stream
@@ -60,11 +61,11 @@ class LiveAnimator:
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
     idle : bool
-        Add blinks and small motions of the gaze, if the model's rules have them.
+        Add blinks, small motions of the gaze, and brows on accents, if the model's rules have them.
     raw : bool
         The network alone, without the model's rules.
     seed : int
-        Seed of the blinks; stream k has ``seed + k``.
+        Seed of this motion; stream k has ``seed + k``.
     actor : str, optional
         Whose style, of a model that was tuned on several actors; by default its first.
 
@@ -209,10 +210,12 @@ class LiveAnimator:
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
     def _stream(self, number: int) -> Stream:
-        network, idle = self.network, None
+        controls, idle, brows = self.network.controls, None, None
         if self.idle and self.settings.idle is not None:
-            idle = RunningIdle(network.controls, self.settings.idle, self.seed + number)
-        return Stream(network.grid, network.controls, self.settings, self._first, idle)
+            seed = self.seed + number
+            idle = RunningIdle(controls, self.settings.idle, seed)
+            brows = RunningBrows(controls, self.settings.idle, seed, rules.AHEAD)
+        return Stream(self.network.grid, controls, self.settings, self._first, idle, brows)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
@@ -259,8 +262,8 @@ class LiveAnimator:
                 due.setdefault(id(stream.settings), []).append((stream, one))
         for group in due.values():
             curves = group[0][0].rules.apply([one for _, one in group])
-            for (stream, _), frames in zip(group, curves, strict=True):
-                stream.emit(frames)
+            for (stream, one), frames in zip(group, curves, strict=True):
+                stream.emit(frames, one)
 
     def _begin(self) -> None:
         """Read the first groups of streams whose first frame is known now."""

@@ -13,6 +13,7 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.live import rules as running
 from deitalk.live.activity import AHEAD, RunningActivity
+from deitalk.live.brows import RunningBrows
 from deitalk.live.idle import RunningIdle
 from deitalk.live.intensity import Measures, RunningIntensity
 from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
@@ -81,6 +82,8 @@ class Stream:
         Emotion and intensity at the start.
     idle : RunningIdle or None
         Blinks and gaze.
+    brows : RunningBrows or None
+        Accents of brows, lids and cheeks.
     """
 
     def __init__(
@@ -90,8 +93,10 @@ class Stream:
         rules: RulesConfig,
         change: Change,
         idle: RunningIdle | None,
+        brows: RunningBrows | None = None,
     ) -> None:
-        self.grid, self.controls, self.settings, self.idle = grid, controls, rules, idle
+        self.grid, self.controls, self.settings = grid, controls, rules
+        self.idle, self.brows = idle, brows
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -167,7 +172,10 @@ class Stream:
         """Take the network's rows for the groups taken last."""
         stop, network = self.groups - self.grid.delay, strength
         frames = np.arange(stop - len(neutral), stop)
-        voice = self.intensity.feed(network, *self._measured(len(frames)))
+        measures, speaking = self._measured(len(frames))
+        voice = self.intensity.feed(network, measures, speaking)
+        if self.brows is not None:
+            self.brows.feed(measures, speaking)
         emotion, factor = self._directed(frames)
         scale, applied = factor, voice * factor
         if self.settings.voice_intensity is not None:
@@ -188,8 +196,11 @@ class Stream:
         self.n_frames += count
         return due
 
-    def emit(self, curves: Float32) -> None:
+    def emit(self, curves: Float32, due: DueRows) -> None:
         """Take the curves of the frames that were due."""
+        if self.brows is not None:
+            shown = due.own.applied * due.gates.expression
+            self.brows.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
         if self.idle is not None:
             self.idle.add_to(curves)
         self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))

@@ -52,6 +52,9 @@ HELD_SIDE = 0.25
 """Share of a character's difference of the sides in an expression that is held."""
 SWELL = 0.4
 """Part of an expression that comes and goes with the accents."""
+_STYLES = np.array([ACCENTS[name] for name in EMOTIONS])
+_LEAST = np.array([-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
+"""Lower end of a control's range; lids widen to -1."""
 
 
 class BrowEvents(NamedTuple):
@@ -127,23 +130,16 @@ def move_brows(
     """
     if not amount:
         return
-    styles = np.array([ACCENTS[name] for name in EMOTIONS])
     shares = np.concatenate([np.ones((len(curves), 1)), mixture[:, 1:]], axis=1)
-    gains = amount * (shares @ styles)
+    gains = amount * (shares @ _STYLES)
     calm = amount * (events.question[:, None] * np.asarray(QUESTION) + events.drift)
     for place, letter in enumerate("LR"):
         swells = events.accents[:, place]
         breath = 1 + amount * SWELL * (swells - 0.4)
         breath *= 1 + min(amount, 1) * (side, -side)[place] * HELD_SIDE
-        for k, stem in enumerate(STEMS):
-            column = controls.index(f"CTRL_{letter}_{stem}.ty")
-            held = neutral[:, column]
-            values = np.clip(held + (curves[:, column] - held) * breath, _least(stem), 1)
-            motion = np.clip(gains[:, k] * swells + calm[:, k], -1, 1)
-            room = np.where(motion > 0, 1 - values, values - _least(stem))
-            curves[:, column] = values + motion * room
-
-
-def _least(stem: str) -> float:
-    """Lower end of a control's range; lids widen to -1."""
-    return -1.0 if stem == "eye_blink" else 0.0
+        columns = [controls.index(f"CTRL_{letter}_{stem}.ty") for stem in STEMS]
+        held = neutral[:, columns]
+        values = np.clip(held + (curves[:, columns] - held) * breath[:, None], _LEAST, 1)
+        motion = np.clip(gains * swells[:, None] + calm, -1, 1)
+        room = np.where(motion > 0, 1 - values, values - _LEAST)
+        curves[:, columns] = values + motion * room
