@@ -31,8 +31,8 @@ from deitalk.models.network import chosen_actor
 from deitalk.pipeline.arguments import whole_seed
 from rig.arrays import Float32
 
-BLOCK_FRAMES = 256
-"""Frames of a stream that the network reads at once."""
+BLOCK_FRAMES, FEW_FRAMES = 256, 8
+"""Most frames of a stream that the network reads at once, and most of any number."""
 Samples = npt.ArrayLike | bytes
 Emotion = str | Path | Mapping[str, float] | EmotionTrack
 
@@ -238,7 +238,8 @@ class LiveAnimator:
             if not ready:
                 return
             most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
-            count = 1 << (most.bit_length() - 1)  # few sizes: torch keeps memory for each
+            # Few sizes, for each of which torch keeps memory: 1 to 8, 16, 32 …
+            count = most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1)
             taken = [self.streams[k].take(count) for k in ready]
             windows = np.stack([windows for windows, _ in taken])
             emotion = np.stack([emotion for _, emotion in taken])
