@@ -4,6 +4,8 @@ The fork server of `multiprocessing` imports this module; what it holds is share
 scipy's linear algebra is among them: its start below a limit of memory does not end.
 """
 
+import gc
+
 import numpy as np
 import pandas
 import torch
@@ -52,6 +54,9 @@ def _preload() -> None:
     model = require_model("default", DEITalk)
     animate(np.zeros(1600, np.float32), sample_rate=16000, model=model)
     _models["default"] = model
+    # What is here now is never collected: a full collection would copy its pages into each worker.
+    gc.collect()
+    gc.freeze()
 
 
 _preload()
