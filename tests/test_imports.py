@@ -161,7 +161,7 @@ def test_server_of_the_service_reads_no_model_and_no_torch():
 def test_worker_of_the_service_starts_without_packages_of_analysis():
     slow = SLOW - {"pandas", "fastapi", "scipy"}
     code = (
-        "import sys, api.compute.warm; "
+        "import gc, sys, api.compute.warm; assert gc.get_freeze_count() > 100_000; "
         f"print(sorted({{name.split('.')[0] for name in sys.modules}} & {slow!r}))"
     )
     done = run(code)
