@@ -72,15 +72,17 @@ class Run:
     ----------
     slower : float
         How much longer a second of the microphone is than one of this computer, a share.
+    backend : str
+        ``torch`` or ``onnx``.
     """
 
-    def __init__(self, slower: float) -> None:
+    def __init__(self, slower: float, backend: str) -> None:
         self.slower, self.first, self.delays = slower, None, []
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(30)
         port = str(self.socket.getsockname()[1])
-        command = [sys.executable, "-m", "tests.live_run", "--command", str(slower), port]
+        command = [sys.executable, "-m", "tests.live_run", "--command", str(slower), port, backend]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.start = float(self.process.stdout.readline())
@@ -117,10 +119,10 @@ class Run:
         self.socket.close()
 
 
-def measure(minutes: float, period: float, slower: float) -> None:
+def measure(minutes: float, period: float, slower: float, backend: str) -> None:
     """Run, and print a line every `period` minutes."""
     write = sys.stdout.write
-    run, levels, medians, spent = Run(slower), [], [], 0.0
+    run, levels, medians, spent = Run(slower, backend), [], [], 0.0
     try:
         for k in range(max(round(minutes / period), 1)):
             rows, used = run.receive(60 * period), run.processor_seconds()
@@ -145,10 +147,10 @@ def measure(minutes: float, period: float, slower: float) -> None:
     )
 
 
-def command(slower: float, port: str) -> None:
+def command(slower: float, port: str, backend: str) -> None:
     """`deitalk live` with the stand-in."""
     sys.modules["sounddevice"] = StandIn(slower)  # type: ignore[assignment]
-    sys.argv = ["deitalk", "live", "--mic", "--port", port, "--emotion", "happy"]
+    sys.argv = ["deitalk", "live", "--mic", "--port", port, "-e", "happy", "--backend", backend]
     from deitalk.cli import main
 
     main()
@@ -160,12 +162,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=120)
     parser.add_argument("--period", type=float, default=5, help="minutes")
     parser.add_argument("--ppm", type=float, default=100, help="difference of the clocks")
-    parser.add_argument("--command", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--backend", default="torch", help="torch or onnx")
+    parser.add_argument("--command", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.command:
-        command(float(given.command[0]), given.command[1])
+        command(float(given.command[0]), *given.command[1:])
     else:
-        measure(given.minutes, given.period, 1e-6 * given.ppm)
+        measure(given.minutes, given.period, 1e-6 * given.ppm, given.backend)
 
 
 if __name__ == "__main__":
