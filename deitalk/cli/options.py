@@ -36,7 +36,7 @@ Backend = Annotated[
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
 Digits = Annotated[
     int | None,
-    typer.Option(help="Digits after the point of csv, json and unreal.json, 2 to 6; 6 by default."),
+    typer.Option(min=2, max=6, help="Digits after the point of csv, json and unreal.json; else 6."),
 ]
 Threads = Annotated[
     int,
