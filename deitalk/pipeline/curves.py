@@ -241,8 +241,10 @@ def finish(
         motion = _idle_motion(speech, shown, seeds, shot.idle, shot.life, actor)
         motion.move(values, neutral, controls)
         head = motion.head
-    clipped = _clamp(_scaled(values, shot.gain, controls), controls)
-    _clamp(_scaled(neutral, shot.gain, controls), controls)
+    clipped = _clamp(values, controls)
+    _clamp(neutral, controls)
+    for reading in (values, neutral):
+        _scale(reading, shot.gain, controls)
     clock.lap("expression")
     emotion, applied = shot.weights, intensities.applied
     return Performance(
@@ -363,13 +365,11 @@ def _extended(recording: Recording, seconds: Any) -> Recording:
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
 
 
-def _scaled(values: Float32, gain: Float32, controls: ControlSet) -> Float32:
-    """Scale the distance of every control from rest in place."""
+def _scale(values: Float32, gain: Float32, controls: ControlSet) -> None:
+    """Scale the distance of every control from rest within its range, in place."""
     places = np.flatnonzero(gain != 1)
-    if len(places):
-        rest = controls.rest[places]
-        values[:, places] = rest + (values[:, places] - rest) * gain[places]
-    return values
+    rest, low, high = (x[places] for x in (controls.rest, controls.minimum, controls.maximum))
+    values[:, places] = np.clip(rest + (values[:, places] - rest) * gain[places], low, high)
 
 
 def _clamp(values: Float32, controls: ControlSet) -> int:

@@ -77,7 +77,7 @@ def seek(tab, seconds: float) -> None:
 
 
 def download(tab, name: str, folder):
-    with tab.expect_download() as given:
+    with tab.expect_download(timeout=120_000) as given:
         tab.get_by_role("button", name=name, exact=True).click()
     path = folder / given.value.suggested_filename
     given.value.save_as(path)
@@ -137,8 +137,7 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
         "--intensity-curve",
         tmp_path / "intensity.csv",
     )
-    command("animate", speech, *edits, "-o", tmp_path / "plain.json")
-    command("convert", tmp_path / "plain.json", tmp_path / "scaled.csv", "--gain", "mouth=0.5")
+    command("animate", speech, *edits, "--gain", "mouth=0.5", "-o", tmp_path / "scaled.csv")
     expected = read_curves(tmp_path / "scaled.csv").values
     assert np.abs(read_curves(exported).values - expected).max() <= 2e-6
     command("animate", speech, "-o", tmp_path / "neutral.csv")

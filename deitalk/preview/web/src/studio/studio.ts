@@ -250,9 +250,9 @@ export class Studio {
       words.push("--intensity-curve intensity.csv");
     }
     for (const [name, value] of Object.entries(optionsOf(session, session.edit))) words.push(optionOf(name, value));
-    const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => ` --gain ${region}=${gain}`).join("");
-    const scaled = gains && `, then deitalk convert take/ curves.csv${gains}`;
-    notice(`${words.filter(Boolean).join(" ")} -o take/${scaled}`);
+    const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => `${region}=${gain}`);
+    if (gains.length) words.push(`--gain ${gains.join(",")}`);
+    notice(`${words.filter(Boolean).join(" ")} -o take/`);
   }
 
   /** Whether the intensity is not the predicted one. */
