@@ -19,8 +19,9 @@ import torch
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.phones import PHONES
 from deitalk.pipeline.speech import Speech
-from rig.arrays import Float32
+from rig.arrays import Float32, Int64
 
 MODEL = "default"
 """Whose features the map was fitted to."""
@@ -28,7 +29,9 @@ WEIGHTS = "phone_evidence.safetensors"
 RATE = 2 * FRAME_RATE
 """Rows per second."""
 CONTEXT = (-3, 0, 3)
-"""Rows beside each that the map reads too."""
+"""Rows beside each that the map reads too; the ends repeat."""
+PIECE = 4096
+"""Rows that are mapped at once: an hour has 216,000."""
 
 
 class PhoneEvidence:
@@ -52,19 +55,20 @@ class PhoneEvidence:
         features : array [shape=(2 T, D)]
             From `phone_features`.
         """
-        w = self.weights
-        rows = with_context((features - w["mean"]) / w["spread"])
-        score = rows @ w["weight"].T + w["bias"]
+        count = len(features)
+        pieces = [np.arange(i, min(i + PIECE, count)) for i in range(0, count, PIECE)]
+        parts = [self._piece(features, rows) for rows in pieces]
+        return np.concatenate(parts) if parts else np.zeros((0, len(PHONES)), np.float32)
+
+    def _piece(self, features: Float32, rows: Int64) -> Float32:
+        """The same for some rows."""
+        w, last = self.weights, len(features) - 1
+        beside = [features[np.clip(rows + offset, 0, last)] for offset in CONTEXT]
+        scaled = [(part - w["mean"]) / w["spread"] for part in beside]
+        score = np.concatenate(scaled, axis=1) @ w["weight"].T + w["bias"]
         score -= score.max(axis=1, keepdims=True)
         score -= np.log(np.exp(score).sum(axis=1, keepdims=True))
         return np.asarray(score, np.float32)
-
-
-def with_context(rows: Float32) -> Float32:
-    """Each row with those `CONTEXT` beside it [shape=(2 T, 3 D)]; the ends repeat."""
-    places = np.arange(len(rows))
-    beside = [rows[np.clip(places + offset, 0, len(rows) - 1)] for offset in CONTEXT]
-    return np.concatenate(beside, axis=1)
 
 
 def phone_features(network: DEITalk, speech: Speech) -> Float32:

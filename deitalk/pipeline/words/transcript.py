@@ -168,6 +168,10 @@ def _text(given: object, path: Path | None) -> tuple[str, str]:
     if path is not None:
         return read_text(path, limits.TRANSCRIPT_BYTES, error=DataError), path.name
     text = str(given)
+    if any(0xD800 <= ord(c) < 0xE000 or c == "\0" for c in text):
+        raise DataError(
+            f"transcript {quoted(given)} holds bytes that are no text; write it in UTF-8"
+        )
     if len(text) > limits.TRANSCRIPT_BYTES:
         raise DataError(f"the transcript has more than {limits.TRANSCRIPT_BYTES} characters")
     return text, text if len(text) <= 60 else text[:59] + "…"

@@ -7,8 +7,9 @@ import numpy as np
 
 from rig.arrays import Bool, Float32, Float64, Int64
 
-BAND = 750
-"""States on both sides of the best one that are followed: about a minute of speech."""
+BAND = 400
+"""States on both sides of the best one that are followed: about half a minute of speech. An hour of
+speech takes 170 MB."""
 
 
 def best_path(

@@ -10,7 +10,7 @@ from deitalk.corpus.engines import espeak
 from deitalk.errors import DeitalkError
 from deitalk.phones import PHONES
 from deitalk.pipeline.words.align import fit_words
-from deitalk.pipeline.words.evidence import RATE, phone_evidence
+from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.pipeline.words.viterbi import best_path
 
@@ -119,6 +119,23 @@ def test_embedded_map_fits_the_features_of_default():
     weights = phone_evidence().weights
     assert weights["weight"].shape == (len(PHONES), 3 * width)
     assert weights["prior"].sum() == pytest.approx(1, abs=0.01) and (weights["prior"] > 0).all()
+
+
+def test_evidence_is_a_softmax_of_rows_and_those_beside(rng, monkeypatch):
+    """The same by hand, at once and in pieces; the ends repeat."""
+    features = rng.normal(size=(10, 2)).astype(np.float32)
+    weight = rng.normal(size=(len(PHONES), 6)).astype(np.float32)
+    zeros = np.zeros(len(PHONES))
+    found = PhoneEvidence(
+        {"mean": [1, 2], "spread": [2, 4], "weight": weight, "bias": zeros, "prior": zeros}
+    )
+    scaled = (features - [1, 2]) / [2, 4]
+    rows = np.pad(scaled, ((3, 3), (0, 0)), mode="edge")
+    score = np.hstack([rows[:-6], rows[3:-3], rows[6:]]) @ weight.T
+    expected = score - np.log(np.exp(score).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
+    monkeypatch.setattr("deitalk.pipeline.words.evidence.PIECE", 3)
+    np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
 
 
 @pytest.fixture(scope="module")

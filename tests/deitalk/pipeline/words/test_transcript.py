@@ -171,6 +171,8 @@ def test_bad_textgrids_and_texts_are_refused(tmp_path):
         Transcript.of("nothing.txt")
     with pytest.raises(ConfigError, match="'klingonese' is no voice"):
         Transcript.of("hello", "klingonese")
+    with pytest.raises(DataError, match="no text; write it in UTF-8"):
+        Transcript.of("caf\udce9")
     with pytest.raises(DataError, match="both given"):
         Transcript.given("hello", "HH", "en-us")
     with pytest.raises(DataError, match="neither ARPABET nor IPA"):
