@@ -343,6 +343,7 @@ def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) ->
         "mean_intensity": performance.mean_intensity,
         "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
+        "words": performance.words and performance.words.line,
         "settings": settings,
         "timings_seconds": performance.timings,
     }

@@ -101,10 +101,8 @@ class WordFit:
     def line(self) -> str:
         """One line: how well the words fit, and which do not."""
         if not self.is_obeyed:
-            return (
-                f"the words do not fit the sound (score {self.fit:.2f}, at least {LEAST_FIT:g}); "
-                "the curves are those of the sound alone"
-            )
+            score = f"score {self.fit:.2f}, at least {LEAST_FIT:g}" if self.words else "too many"
+            return f"the words do not fit the sound ({score}); they are not used"
         wrong = [word.text for word in self.words if not word.fits]
         found = f"the words fit the sound (score {self.fit:.2f})"
         if not wrong:

@@ -97,7 +97,7 @@ def test_wrong_words_are_not_used_at_all():
 
 def test_more_phones_than_rows_are_no_path():
     found = fit_words(evidence(("S", 3)), transcript(Word("a", ("AA",) * 9)), FLAT)
-    assert found.words == () and not found.is_obeyed and "do not fit" in found.line
+    assert found.words == () and not found.is_obeyed and "(too many)" in found.line
 
 
 def test_given_times_choose_between_two_places():
