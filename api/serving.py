@@ -46,6 +46,7 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         http=GuardedProtocol.limited(settings.header_seconds),
         ws="websockets-sansio",
         ws_max_size=LIVE_MESSAGE_BYTES,
+        ws_per_message_deflate=False,  # a kilobyte could stand for a megabyte
         h11_max_incomplete_event_size=HEADER_BYTES,
         limit_concurrency=settings.connections,
         timeout_keep_alive=KEEP_ALIVE_SECONDS,
