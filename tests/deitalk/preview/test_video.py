@@ -255,7 +255,7 @@ def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("name", "backend", "error", "message"),
     [
-        ("p.html", "auto", MissingError, "built without Node.js"),
+        ("p.html", "auto", MissingError, "has no preview page"),
         ("p.avi", "auto", PreviewError, "use .mp4 or .html"),
         ("p.mp4", "paint", RigError, "backend 'paint' is unknown"),
     ],
@@ -276,7 +276,7 @@ def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
     for command in (["animate", speech, "--preview", "-o", take], ["preview", str(tmp_path)]):
         done = CliRunner().invoke(app, command)
         assert isinstance(done.exception, MissingError), done.output
-        assert "built without Node.js" in str(done.exception)
+        assert "has no preview page" in str(done.exception)
 
 
 @pytest.mark.parametrize("command", ["plot", "attention"])
