@@ -113,7 +113,10 @@ class Idle(Section):
     blinks: Factor = Field(default=1.0, description="more or fewer; 0: none")
     gaze: Factor = Field(default=1.0, description="width of fixations and aversions")
     brows: Factor = Field(default=1.0, description="size of accents of brows, lids and cheeks")
-    head: Factor = Field(default=1.0, description="size of the head's motion, a track of its own")
+    head: Factor = Field(
+        default=1.0,
+        description="size of the motion of the head, a track of its own, and of the neck",
+    )
 
 
 class RulesConfig(Section):

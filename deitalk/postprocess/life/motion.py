@@ -1,4 +1,4 @@
-"""Blinks, gaze, brows and head of one take.
+"""Blinks, gaze, brows, head and neck of one take.
 
 The times of all events come from the voice and the seed alone. What they move depends on the
 emotion shown, which is 0 in the neutral reading: both readings blink and look alike, and intensity
@@ -17,6 +17,7 @@ from deitalk.postprocess.life.blinks import lid_closure, plan_blinks
 from deitalk.postprocess.life.brows import BrowEvents, move_brows, plan_brows
 from deitalk.postprocess.life.gaze import LID_SHARE, as_controls, gaze_degrees, plan_aversions
 from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.neck import neck_motion
 from deitalk.postprocess.life.tracks import presence
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Voice
@@ -43,6 +44,8 @@ class TakeMotion:
     brows: BrowEvents
     head: Float32 | None
     """Track of the head [shape=(T, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
+    neck: dict[str, Float32]
+    """Tracks of the neck's controls [shape=(T,), range 0 to 1]; empty if the head is off."""
     mixture: Float32
     """Emotion shown at each frame [shape=(T, S)]."""
 
@@ -65,6 +68,9 @@ class TakeMotion:
             side, amount = self.traits.side, self.amounts.brows
             move_brows(reading, neutral, controls, self.brows, mixture, side, amount)
             self._move_eyes(reading, controls)
+            for name, track in self.neck.items():
+                place = controls.index(name)
+                reading[:, place] += track * (1 - reading[:, place])
 
     def _move_eyes(self, curves: Float32, controls: ControlSet) -> None:
         looks = as_controls(self.gaze)
@@ -110,10 +116,11 @@ def plan_motion(
     gaze, shifts = gaze_degrees(n_frames, aversions, rng)
     place = presence(n_frames)[:, None] * np.asarray(life.look_at, np.float32)
     mixture = np.minimum(mixture, MOST_SHOWN)
-    head, turned = None, np.zeros((n_frames, 2), np.float32)
+    head, neck, turned = None, {}, np.zeros((n_frames, 2), np.float32)
     if amounts.head:
         motion, posture = head_motion(voice, traits, mixture, seeds.generator("head"))
         motion, head = amounts.head * motion, amounts.head * (motion + posture)
+        neck = neck_motion(voice, head, amounts.head, seeds.generator("neck"))
         turned = motion[:, :2] * np.array([1, -1], np.float32)
     gaze = amounts.gaze * (gaze + turned) + place
     rng, lids = seeds.generator("blinks"), np.zeros((n_frames, 2), np.float32)
@@ -122,4 +129,4 @@ def plan_motion(
         shifts = shifts if amounts.gaze else []
         lids = lid_closure(plan_blinks(voice, rng, idle, shifts, factor), n_frames, rng)
     brows = plan_brows(voice, traits, seeds.generator("brows"))
-    return TakeMotion(amounts, traits, lids, gaze, brows, head, mixture)
+    return TakeMotion(amounts, traits, lids, gaze, brows, head, neck, mixture)

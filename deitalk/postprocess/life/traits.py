@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.arrays import Float32
 
-PARTS = ("traits", "blinks", "gaze", "brows", "head")
+PARTS = ("traits", "blinks", "gaze", "brows", "head", "neck")
 ASYMMETRY = 0.12
 """How much stronger one side of a character moves than the other, at most: spontaneous faces are
 asymmetric by 10 to 15 % (Skinner and Mullen 1991; Borod et al. 1998)."""

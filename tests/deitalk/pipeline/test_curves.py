@@ -190,7 +190,7 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
     assert np.abs(acted.curves.values[70:100] - neutral[70:100]).max() > 0.05
 
 
-UPPER = ("_brow_", "_eye_", "_eye.")
+UPPER = ("_brow_", "_eye_", "_eye.", "neck_")
 
 
 @pytest.mark.parametrize("changed", ["seed", "gain"])

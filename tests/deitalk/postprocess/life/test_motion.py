@@ -9,6 +9,7 @@ from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS, plan_brows
 from deitalk.postprocess.life.head import head_motion
 from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from rig import default_controls
@@ -45,12 +46,13 @@ def of(curves, stem, side="L"):
     return curves[:, CONTROLS.index(f"CTRL_{side}_{stem}.ty")]
 
 
-def test_only_brows_lids_cheeks_and_eyes_move():
+def test_only_brows_lids_cheeks_eyes_and_neck_move():
     curves, _ = moved("angry")
     rest = np.tile(CONTROLS.rest, (N_FRAMES, 1))
     names = {CONTROLS.names[i] for i in np.flatnonzero((curves != rest).any(axis=0))}
     expected = {f"CTRL_{s}_{stem}.ty" for s in "LR" for stem in STEMS}
-    assert names == expected | {f"CTRL_{s}_eye.t{axis}" for s in "LR" for axis in "xy"}
+    expected |= {f"CTRL_{s}_eye.t{axis}" for s in "LR" for axis in "xy"}
+    assert {*names} - expected <= {*TURNS, SWALLOWS, BREATH} and expected <= names
     assert np.array_equal(curves[0], rest[0])
     assert np.array_equal(curves[-14:], rest[-14:])
 
@@ -206,3 +208,43 @@ def test_amounts_reject_other_names_and_numbers(life):
 def test_look_rejects_what_are_no_two_angles(look):
     with pytest.raises(DeitalkError, match="look_at"):
         Life.of(None, look)
+
+
+def necks(voice, count=200, yaw=0.0):
+    head = np.zeros((voice.n_frames, 6), np.float32)
+    head[:, 0] = yaw
+    return [neck_motion(voice, head, 1.0, np.random.default_rng(seed)) for seed in range(count)]
+
+
+def test_breath_is_drawn_before_phrases_and_is_over_within_them():
+    breath = necks(VOICE, 1)[0][BREATH]
+    for phrase in PHRASES[1:]:
+        assert breath[phrase.start - 6 : phrase.start].max() > 0.3
+        assert breath[phrase.start + 12 : phrase.stop - 20].max() == 0
+
+
+def test_people_swallow_once_a_minute_and_never_while_they_speak():
+    """Ten minutes of a phrase of 4 s and a pause of 2 s."""
+    phrases = tuple(Phrase(start, start + 120, False) for start in range(60, 18_000, 180))
+    voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
+    counts, speaking = [], voice.speaking > 0
+    for tracks in necks(voice, 20):
+        above = tracks[SWALLOWS] > 0.5
+        counts.append(int((above[1:] & ~above[:-1]).sum()))
+        assert not above[speaking].any()
+    assert 7 <= np.mean(counts) <= 13
+    short = Voice(
+        900,
+        np.zeros(900, np.float32),
+        (),
+        tuple(Phrase(s, s + 60, False) for s in range(20, 860, 80)),
+    )
+    assert all(tracks[SWALLOWS].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
+
+
+@pytest.mark.parametrize(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
+def test_the_muscle_of_the_other_side_turns_the_head(yaw, contracts):
+    tracks = necks(VOICE, 1, yaw)[0]
+    assert tracks[TURNS[contracts]] == pytest.approx(0.5)
+    assert tracks[TURNS[1 - contracts]].max() == 0
+    assert max(necks(VOICE, 1, 1.9)[0][side].max() for side in TURNS) == 0

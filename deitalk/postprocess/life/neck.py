@@ -1,0 +1,75 @@
+"""Neck of a face whose head moves: breath before phrases, swallowing in pauses, the turning muscle.
+
+- The throat widens with the breath drawn in a pause before a phrase: 0.3 to 0.6 s (Winkworth et al.
+  1995 for reading and speech), with the lift of the head (`deitalk.postprocess.life.head`).
+- People who are awake swallow about once a minute (Lear, Flanagan and Moorrees 1965), not while
+  they speak: here in the first pause of at least 1.2 s after a time of that mean has passed.
+  Hyoid and larynx take about a second (Logemann 1998).
+- The sternocleidomastoid of one side turns the head to the other (Bexander, Mellor and Hodges
+  2005): the left one shows from two degrees of turn to the right.
+
+Amounts are small, and set by eye: no data here measures a neck.
+
+Letters: T frames at 30 per second.
+"""
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.postprocess.life.tracks import presence, swell
+from deitalk.postprocess.life.voice import Voice
+from rig.arrays import Float32
+
+INHALE = 0.35
+INHALE_SECONDS = (0.45, 0.35)
+"""Rise before a phrase and fall after its start."""
+SWALLOW_EVERY, LEAST_WAIT = 60.0, 5.0
+"""Mean and shortest time between two swallows, seconds."""
+SWALLOW_PAUSE = 1.2
+SWALLOW = (0.45, 0.4, 0.15)
+"""Rise, fall and top of a swallow, seconds."""
+FREE_DEGREES, FULL_DEGREES = 2.0, 40.0
+"""Yaw from which a turning muscle shows, and what it takes more to contract in full."""
+
+BREATH, SWALLOWS = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_neck_swallow.ty"
+TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
+
+
+def neck_motion(
+    voice: Voice, head: Float32, amount: float, rng: np.random.Generator
+) -> dict[str, Float32]:
+    """Tracks of the neck's controls by name [shape=(T,), range 0 to 1].
+
+    Parameters
+    ----------
+    voice : Voice
+        Of the recording.
+    head : array [shape=(T, 6)]
+        Track of the head (`rig.curves.HEAD`).
+    amount : float
+        Factor on breath and swallowing; the head's is in its track.
+    rng : numpy.random.Generator
+        Equal generators give equal motion.
+    """
+    n_frames = voice.n_frames
+    breath, swallows = np.zeros(n_frames), np.zeros(n_frames)
+    due = rng.exponential(SWALLOW_EVERY)
+    for start, stop in voice.pauses():
+        if stop < n_frames:
+            span, shape = swell(n_frames, stop / FRAME_RATE - 0.08, *INHALE_SECONDS)
+            breath[span] = np.maximum(breath[span], INHALE * shape)
+        first, end = start / FRAME_RATE, stop / FRAME_RATE
+        while end - max(first, due - 0.5) >= SWALLOW_PAUSE:
+            peak = max(first, due - 0.5) + 0.5
+            span, shape = swell(n_frames, peak, *SWALLOW)
+            swallows[span] = np.maximum(swallows[span], shape)
+            due = peak + LEAST_WAIT + rng.exponential(SWALLOW_EVERY - LEAST_WAIT)
+    shown = amount * presence(n_frames)
+    turns = (np.maximum(np.abs(head[:, 0]) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
+    tracks = {
+        BREATH: breath * shown,
+        SWALLOWS: swallows * shown,
+        TURNS[0]: turns * (head[:, 0] > 0),
+        TURNS[1]: turns * (head[:, 0] < 0),
+    }
+    return {name: track.clip(0, 1).astype(np.float32) for name, track in tracks.items()}
