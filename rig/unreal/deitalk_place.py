@@ -12,6 +12,7 @@ import math
 import os
 from typing import Any
 
+import deitalk_clip  # type: ignore[import-not-found]
 import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 unreal = importer.unreal
@@ -143,7 +144,7 @@ def live_link_take(path: str, sound: str = "", folder: str = importer.FOLDER) ->
     unreal.LevelSequence
         Opened in Sequencer.
     """
-    start = importer.start_of_take(path)
+    start = deitalk_clip.start_of_take(path)
     beside = os.path.dirname(os.path.abspath(path))
     found = [os.path.join(beside, name) for name in ("audio_48k.wav", "audio.wav")]
     sound = sound or next((name for name in found if os.path.isfile(name)), "")
