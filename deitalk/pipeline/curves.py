@@ -243,8 +243,8 @@ def finish(
         head = motion.head
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
-    for reading in (values, neutral):
-        _scale(reading, shot.gain, controls)
+    for curves in (values, neutral):
+        _scale(curves, shot.gain, controls)
     clock.lap("expression")
     emotion, applied = shot.weights, intensities.applied
     return Performance(
