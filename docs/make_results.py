@@ -1,7 +1,8 @@
 """Write the tables of documents from the results of commands: ``make docs``.
 
 ``docs/results/*.json`` are reports as `deitalk evaluate -o` writes them, of the weights whose hash
-they hold. A table stands between ``<!-- table NAME -->`` and ``<!-- end -->``.
+they hold, and ``ablations.json`` of `deitalk ablate`. A table stands between
+``<!-- table NAME -->`` and ``<!-- end -->``.
 """
 
 import json
@@ -13,7 +14,7 @@ from typing import Any
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS / "results"
-DOCUMENTS = (DOCS.parent / "MODEL_CARD.md",)
+DOCUMENTS = (DOCS.parent / "MODEL_CARD.md", DOCS / "ablations.md")
 _TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 COLUMNS = (
@@ -106,7 +107,65 @@ def intensity() -> str:
     return _table([["", *heads], *rows])
 
 
-TABLES: dict[str, Callable[[], str]] = {"scores": scores, "intensity": intensity}
+SOURCES = {
+    "librispeech": "LibriSpeech",
+    "speechocean-adults": "speechocean762, adults",
+    "speechocean-children": "speechocean762, children",
+    "espeak": "espeak-ng, English",
+}
+VARIANTS = {
+    "full": "full",
+    "no_dei": "without dynamic intensity (DEI)",
+    "no_dpe": "without positional encoding (DPE)",
+    "no_velocity": "without velocity loss",
+    "no_classification": "without classification loss",
+}
+METRICS = {
+    "lpe": ("LPE / 1000", 1000, 1),
+    "epe": ("EPE / 1000", 1000, 2),
+    "bilabial_window_auc": ("bilabial AUC", 1, 3),
+    "bilabial_hits_at_5_percent": ("bilabials found", 1, 2),
+    "jaw_r": ("jaw r", 1, 3),
+    "articulation_r": ("mean r", 1, 3),
+    "intensity_rho": ("intensity, rank correlation", 1, 2),
+    "jerk_per_speed": ("jerk / speed", 1, 0),
+}
+"""Title, factor and digits."""
+
+
+def ablations() -> str:
+    """Networks without parts of DEITalk, alone and with the rules after them."""
+    parts = []
+    for prediction, title in (("network", "the network alone"), ("groups", "with the rules")):
+        for source, name in SOURCES.items():
+            heads = [f"{name}, {title}", *(head for head, _, _ in METRICS.values())]
+            rows = [
+                [
+                    text,
+                    *(
+                        _spread(report("ablations")[variant][prediction][source], m)
+                        for m in METRICS
+                    ),
+                ]
+                for variant, text in VARIANTS.items()
+            ]
+            parts.append(_table([heads, *rows]))
+    return "\n".join(parts)
+
+
+def _spread(scores: dict[str, Group], metric: str) -> str:
+    _, factor, digits = METRICS[metric]
+    if not scores[metric]["n"]:
+        return "–"
+    mean, sd = (factor * scores[metric][key] for key in ("mean", "sd"))
+    return f"{short(mean, digits)} ± {short(sd, digits)}"
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "scores": scores,
+    "intensity": intensity,
+    "ablations": ablations,
+}
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
