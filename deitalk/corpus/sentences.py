@@ -86,13 +86,13 @@ FOREIGN = {
         "Amanhã vamos de barco até a ilha verde.",
         "Os filhos do vizinho brincam muito bem juntos.",
     ),
-    "cmn": (  # pinyin: espeak-ng often lacks the dictionary of characters
-        "Wǒ de māma měi tiān zǎoshang mǎi miànbāo.",
-        "Nǐ míngbái bù míngbái zhège wèntí?",
-        "Bàba hé péngyou yìqǐ qù běibiān páshān.",
-        "Jīntiān de fēng fēicháng dà, wǒmen bù chūmén.",
-        "Tài piàoliang le! Wǒ xǐhuan zhè piàn lǜsè de hú.",
-        "Tā pǎobù pǎo de hěn kuài, bú pà xià yǔ.",
+    "cmn": (  # pinyin with tones as digits: espeak-ng reads tone marks as English
+        "Wo3 de5 ma1ma5 mei3 tian1 zao3shang5 mai3 mian4bao1.",
+        "Ni3 ming2bai5 bu4 ming2bai5 zhe4ge5 wen4ti2?",
+        "Ba4ba5 he2 peng2you5 yi4qi3 qu4 bei3bian1 pa2shan1.",
+        "Jin1tian1 de5 feng1 fei1chang2 da4, wo3men5 bu4 chu1men2.",
+        "Tai4 piao4liang5 le5! Wo3 xi3huan5 zhe4 pian4 lv4se4 de5 hu2.",
+        "Ta1 pao3bu4 pao3 de5 hen3 kuai4, bu2 pa4 xia4 yu3.",
     ),
     "hi": (
         "मेरी माँ बाज़ार से फल लाती है।",

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from deitalk.corpus import alignment, sentences
+from deitalk.corpus.engines import espeak
 from deitalk.corpus.sentences import english_sentence, foreign_sentence
-from deitalk.corpus.synthesis import held_ssml
+from deitalk.corpus.synthesis import FOREIGN_VOICES, held_ssml
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 
 
@@ -47,6 +48,16 @@ def test_foreign_sentences_belong_to_their_language():
     rng = np.random.default_rng(0)
     for language, known in sentences.FOREIGN.items():
         assert foreign_sentence(language, rng).text in known
+
+
+@pytest.mark.parametrize("language", list(sentences.FOREIGN))
+def test_no_sentence_is_read_as_english(language):
+    """espeak-ng marks what it reads in another language, such as Mandarin with tone marks."""
+    if (reason := espeak.missing()) is not None:
+        pytest.skip(reason)
+    for voice in FOREIGN_VOICES[language]:
+        for text in sentences.FOREIGN[language]:
+            assert "(en)" not in espeak.pronounce(text, voice=voice), text
 
 
 def test_phones_and_diphone_classes_are_covered():
