@@ -10,7 +10,6 @@ import contextlib
 import glob
 import json
 import os
-import shutil
 import subprocess
 import threading
 import time
@@ -76,7 +75,8 @@ def animate(
     recording : str
         A sound file.
     folder : str
-        Of the results; those of an earlier call are replaced.
+        Of the take, which replaces that of an earlier call; a service gives one file,
+        ``<folder>.unreal.json``.
     emotion : str
         As of ``deitalk animate``: one of `EMOTIONS` or weights such as ``happy=0.7``.
     intensity : float
@@ -173,12 +173,11 @@ def _by_service(
             _wait(lambda end=pause: time.monotonic() > end, tick)  # type: ignore[misc]
             job = json.loads(_request(place, headers, None, tick)[1])
         body = _request(f"{place}/result", headers, None, tick)[1]
-    shutil.rmtree(folder, ignore_errors=True)
-    os.makedirs(folder)
-    stem = os.path.splitext(os.path.basename(recording))[0]
-    path = os.path.join(folder, f"{stem}.unreal.json")
-    with open(path, "wb") as output:
+    path = folder.rstrip("/\\") + ".unreal.json"
+    beside = f"{path}.{os.getpid()}"
+    with open(beside, "wb") as output:
         output.write(body)
+    os.replace(beside, path)
     return path
 
 

@@ -4,6 +4,7 @@ import ast
 import http.server
 import importlib
 import json
+import os
 import re
 import sys
 import threading
@@ -295,6 +296,9 @@ def test_service_is_called_instead_of_the_command(tmp_path, monkeypatch, sound, 
     Service.result = (tmp_path / "ready").read_bytes()
     address = f"http://127.0.0.1:{server.server_port}"
     settings = stand_in | {"service": address, "key": "k1"}
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "notes.txt").write_text("mine")
     module = editor(tmp_path, metahuman("A"))
     menu = menu_inside(module, monkeypatch, settings)
     monkeypatch.setattr(menu.deitalk_call, "JOB_POLL_SECONDS", 0.01)
@@ -304,6 +308,8 @@ def test_service_is_called_instead_of_the_command(tmp_path, monkeypatch, sound, 
         assert path == "/v1/animations?emotion=happy&intensity=2.0&format=unreal"
         assert headers["Authorization"] == "Bearer k1" and Service.polls == 2
         assert "/Game/deitalk/line_happy" in module.assets
+        found = menu.deitalk_call.animate(sound, str(mine), settings=settings)
+        assert found == f"{mine}.unreal.json" and os.listdir(mine) == ["notes.txt"]
         monkeypatch.setattr(Service, "refuses", True)
         with pytest.raises(menu.DeitalkError, match="the service refuses: the recording is silent"):
             menu.animate_audio(sound)
