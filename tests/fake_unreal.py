@@ -191,7 +191,7 @@ class AssetImportTask:
     def __init__(self):
         self.filename = self.destination_path = self.factory = None
         self.destination_name = ""
-        self.automated = self.save = False
+        self.automated = self.save = self.replace_existing = False
         self.imported_object_paths = []
 
 
@@ -218,7 +218,10 @@ class AssetTools:
         for task in import_tasks:
             if task.factory is None and task.filename.endswith(".wav"):
                 path = f"{task.destination_path}/{task.destination_name}"
-                self.module.assets[path] = sound = SoundWave(task.destination_name, task.filename)
+                if path in self.module.assets and not task.replace_existing:
+                    continue
+                new = SoundWave(task.destination_name, task.filename)
+                sound = self.module.assets.setdefault(path, new)  # a reimport keeps the object
                 with wave.open(task.filename) as stream:
                     sound.duration = stream.getnframes() / stream.getframerate()
                 continue

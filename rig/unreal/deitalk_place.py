@@ -76,7 +76,9 @@ def skeleton_of(face: Any) -> str:
 
 
 def import_sound(path: str, folder: str = importer.FOLDER, name: str = "") -> Any:
-    """Import a sound file as a SoundWave; one that is there already under the name is taken.
+    """Import a sound file as a SoundWave; one of the same file is imported again.
+
+    A SoundWave of another file that has the name stays: the new one gets a free name.
 
     Raises
     ------
@@ -86,19 +88,33 @@ def import_sound(path: str, folder: str = importer.FOLDER, name: str = "") -> An
     importer.need_unreal()
     name = name or f"{importer.asset_name(path)}_sound"
     there = unreal.load_asset(f"{folder}/{name}")
-    if isinstance(there, unreal.SoundWave):
-        return there
+    if there is not None and not _is_sound_of(there, path):
+        name = free_name(name, folder)
     task = unreal.AssetImportTask()
     task.filename = path
     task.destination_path = folder
     task.destination_name = name
     task.automated = True
     task.save = True
+    task.replace_existing = True
     unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
     sound = unreal.load_asset(f"{folder}/{name}")
     if not isinstance(sound, unreal.SoundWave):
         raise DeitalkError(f"Unreal does not import {path}; it takes wav, ogg, flac and aiff")
     return sound
+
+
+def _is_sound_of(asset: Any, path: str) -> bool:
+    """Whether an asset is a SoundWave that was imported from a file."""
+    if not isinstance(asset, unreal.SoundWave):
+        return False
+    source = asset.get_editor_property("asset_import_data")
+    first = str(source.get_first_filename()) if source is not None else ""
+    return bool(first) and _plain(first) == _plain(path)
+
+
+def _plain(path: str) -> str:
+    return os.path.normcase(os.path.abspath(path))
 
 
 def export_sound(sound: Any, folder: str) -> str:

@@ -381,3 +381,24 @@ def test_take_without_time_codes_is_an_error_of_one_line(tmp_path, monkeypatch, 
         (tmp_path / "a.csv").write_text(text)
         with pytest.raises(menu.DeitalkError, match="has no time codes"):
             menu.placing.live_link_take(str(tmp_path / "a.csv"))
+
+
+def test_changed_recording_is_imported_again_and_sounds_of_others_stay(
+    tmp_path, monkeypatch, sound, stand_in
+):
+    module = editor(tmp_path, metahuman("A"))
+    placing = menu_inside(module, monkeypatch, stand_in).placing
+    first = placing.import_sound(sound).duration
+    shorter = Path(sound).read_bytes()
+    with wave.open(sound, "wb") as stream:
+        stream.setparams((1, 2, 16_000, 0, "NONE", ""))
+        stream.writeframes(bytes(2 * 48_000))
+    assert placing.import_sound(sound).duration == 3.0 != first
+    other = tmp_path / "other" / Path(sound).name
+    other.parent.mkdir()
+    other.write_bytes(shorter)
+    names = {path for path in module.assets if "_sound" in path}
+    assert placing.import_sound(str(other)).duration == first
+    assert {path for path in module.assets if "_sound" in path} == names | {
+        f"{next(iter(names))}_2"
+    }
