@@ -40,7 +40,7 @@ NETWORK_SHARE = 0.1
 
 
 class TooLong(Exception):
-    """A recording that is not for now: its length in seconds."""
+    """A recording too long to be answered at once; its argument is the length in seconds."""
 
 
 def perform(order: Order, limits: Limits, progress: Progress) -> Answer:

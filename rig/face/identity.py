@@ -140,7 +140,7 @@ IDENTITIES: tuple[Identity, ...] = (
 )  # fmt: skip
 """Ten adults and two children (Kaya and Leo); index 0 is the reference head."""
 ROLES = {"female": "Dana", "male": "Bruno", "child": "Kaya"}
-"""Names for who wants a kind of person, not a certain one."""
+"""Heads that stand for a kind of person."""
 
 
 def resolve_identity(identity: int | str | Identity) -> Identity:

@@ -201,7 +201,7 @@ def padding(ticks: Int64) -> Int64:
 
 
 def notes(path: Path, curves: RigCurves) -> str:
-    """Return what is to know about a file: its padding, and a subject that its suffix changes."""
+    """Return notes on a file: its padding, and a subject that its suffix changes."""
     return "; ".join(note for note in (_padding_note(curves), suffix_note(path)) if note)
 
 

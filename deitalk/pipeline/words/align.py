@@ -27,7 +27,7 @@ FLOOR = -12.0
 WORST = -6.0
 """Least fit of a row."""
 LEAST_FIT = -1.4
-"""Mean fit of a recording below which its words are not obeyed."""
+"""Mean fit of a recording below which its words are not used."""
 LEAST_WORD = -3.0
 """The same of one word."""
 SLACK_SECONDS = 0.1
@@ -83,24 +83,24 @@ class WordFit:
     is_bounded: bool = False
 
     @property
-    def is_obeyed(self) -> bool:
+    def is_used(self) -> bool:
         """Whether the sound fits the words as a whole."""
         return self.fit >= LEAST_FIT
 
     @property
     def fits(self) -> bool:
         """Whether the sound contradicts no word."""
-        return self.is_obeyed and all(word.fits for word in self.words)
+        return self.is_used and all(word.fits for word in self.words)
 
     @property
     def known(self) -> tuple[KnownPhone, ...]:
         """Phones that the curves shall meet: those of words that fit."""
-        return tuple(phone for phone in self.phones if phone.is_known) if self.is_obeyed else ()
+        return tuple(phone for phone in self.phones if phone.is_known) if self.is_used else ()
 
     @property
     def line(self) -> str:
         """One line: how well the words fit, and which do not."""
-        if not self.is_obeyed:
+        if not self.is_used:
             score = f"score {self.fit:.2f}, at least {LEAST_FIT:g}" if self.words else "too many"
             return f"the words do not fit the sound ({score}); they are not used"
         wrong = [word.text for word in self.words if not word.fits]

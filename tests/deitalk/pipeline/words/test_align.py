@@ -82,7 +82,7 @@ def test_a_word_that_is_not_there_is_reported_and_not_used():
     sound = evidence(("S", 20), ("IY", 20), ("T", 20), ("AA", 10), ("N", 20), ("UW", 20))
     words = (Word("see", ("S", "IY")), Word("top", ("P", "AA")), Word("new", ("N", "UW")))
     found = fit_words(sound, transcript(*words), FLAT)
-    assert found.is_obeyed and not found.fits
+    assert found.is_used and not found.fits
     assert "P" not in [p.name for p in found.known]
     assert {"S", "N", "UW"} <= {p.name for p in found.known}
     assert found.line.endswith("1 of 3 do not and are not used: top")
@@ -91,13 +91,13 @@ def test_a_word_that_is_not_there_is_reported_and_not_used():
 def test_wrong_words_are_not_used_at_all():
     sound = evidence(("S", 20), ("IY", 20), ("T", 20))
     found = fit_words(sound, transcript(Word("bomb", ("B", "AA", "M"))), FLAT)
-    assert not found.is_obeyed and found.known == ()
+    assert not found.is_used and found.known == ()
     assert "do not fit the sound" in found.line
 
 
 def test_more_phones_than_rows_are_no_path():
     found = fit_words(evidence(("S", 3)), transcript(Word("a", ("AA",) * 9)), FLAT)
-    assert found.words == () and not found.is_obeyed and "(too many)" in found.line
+    assert found.words == () and not found.is_used and "(too many)" in found.line
 
 
 def test_given_times_choose_between_two_places():
