@@ -24,10 +24,9 @@ from deitalk.models.causal.network import (
     NetworkRows,
     load_causal,
     put,
-    styles_of,
     take,
 )
-from deitalk.models.network import chosen_actor
+from deitalk.models.network import chosen_actor, styles_of
 from deitalk.pipeline.arguments import whole_seed
 from rig.arrays import Float32
 

@@ -41,8 +41,15 @@ class Reading(NamedTuple):
     tracks: Tracks
 
 
-class CurveNetwork(Protocol):
-    """A network from speech and emotion to curves."""
+def styles_of(emotion: Float32, actors: Sequence[str], actor: str) -> Float32:
+    """Weights of all styles (..., 5 + actors): those of the emotions (..., 5), and of an actor."""
+    chosen = np.array([name == actor for name in actors], np.float32)
+    shape = (*emotion.shape[:-1], len(actors))
+    return np.concatenate((emotion, np.broadcast_to(chosen, shape)), axis=-1, dtype=np.float32)
+
+
+class NetworkFacts(Protocol):
+    """What is known of a network before it reads anything."""
 
     @property
     def controls(self) -> ControlSet:
@@ -55,6 +62,10 @@ class CurveNetwork(Protocol):
     @property
     def actors(self) -> tuple[str, ...]:
         """Names of the actors whose styles it has; empty if it has none."""
+
+
+class CurveNetwork(NetworkFacts, Protocol):
+    """A network from speech and emotion to curves."""
 
     def read(
         self,

@@ -11,13 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
 
-import numpy as np
-
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.config import RulesConfig
 from deitalk.errors import CheckpointError, DeitalkError
-from deitalk.models.network import BACKENDS, is_onnx
-from rig import ControlSet
+from deitalk.models.network import BACKENDS, NetworkFacts, is_onnx
 from rig.arrays import Float32
 from rig.errors import quoted
 
@@ -63,20 +59,8 @@ class NetworkRows(NamedTuple):
     """Predicted intensity [shape=(B, G), range 0 to 1]; 1 without the intensity module."""
 
 
-class CausalNetwork(Protocol):
+class CausalNetwork(NetworkFacts, Protocol):
     """A network whose frames depend on the past and a bounded look-ahead."""
-
-    @property
-    def controls(self) -> ControlSet:
-        """Columns of the curves."""
-
-    @property
-    def rules(self) -> RulesConfig:
-        """Post-processing that belongs to the model."""
-
-    @property
-    def actors(self) -> tuple[str, ...]:
-        """Names of the actors whose styles it has; empty if it has none."""
 
     @property
     def grid(self) -> SpectraGrid:
@@ -151,13 +135,6 @@ def whole_clip_error(model: object) -> CheckpointError:
         f"model {quoted(str(model))} needs the whole clip; use the model live, or one trained "
         "from configs/live.yaml"
     )
-
-
-def styles_of(emotion: Float32, actors: Sequence[str], actor: str) -> Float32:
-    """Weights of all styles (..., 5 + actors): those of the emotions (..., 5), and of an actor."""
-    chosen = np.array([name == actor for name in actors], np.float32)
-    shape = (*emotion.shape[:-1], len(actors))
-    return np.concatenate((emotion, np.broadcast_to(chosen, shape)), axis=-1, dtype=np.float32)
 
 
 def take(state: State, streams: Sequence[int]) -> State:

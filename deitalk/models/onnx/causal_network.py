@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.models.causal.network import NetworkRows, SpectraGrid, State, styles_of
-from deitalk.models.network import Reading, Tracks, is_neutral
+from deitalk.models.causal.network import NetworkRows, SpectraGrid, State
+from deitalk.models.network import Reading, Tracks, is_neutral, styles_of
 from deitalk.models.onnx.network import OnnxFile, damaged
 from rig.arrays import Float32
 

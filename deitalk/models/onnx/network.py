@@ -11,9 +11,8 @@ from pydantic import ValidationError
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import parse_controls
-from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, MissingError
-from deitalk.models.network import Reading, Tracks, is_neutral
+from deitalk.models.network import Reading, Tracks, is_neutral, styles_of
 from rig import ControlSet, default_controls, limits
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -92,10 +91,7 @@ class OnnxNetwork:
     ) -> Reading:
         """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
         total = len(weights)
-        styles = np.zeros((total, len(EMOTIONS) + len(self.actors)), np.float32)
-        styles[:, : len(EMOTIONS)] = weights
-        if actor:
-            styles[:, len(EMOTIONS) + self.actors.index(actor)] = 1
+        styles = styles_of(weights, self.actors, actor)
         place = np.arange(total, dtype=np.float32) / np.float32(total)
         parts = []
         for start in range(0, total, PART_FRAMES):
