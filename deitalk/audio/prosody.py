@@ -30,6 +30,8 @@ BAND_EDGES_HZ = 700 * (
     - 1
 )
 """Of equal width on the mel scale, 80 to 7600 Hz."""
+SONORANT = slice(3, 18)
+"""Bands of the first three formants, 330 to 3300 Hz, in which syllables stand out most."""
 
 
 class Prosody(NamedTuple):
@@ -57,6 +59,17 @@ class Prosody(NamedTuple):
         """Bright over dark, dB [shape=(T,)]."""
         tilt: Float64 = 10 * np.log10((self.bright + 1e-12) / (self.dark + 1e-12))
         return tilt
+
+    @property
+    def sonority(self) -> Float64:
+        """Power of the bands of the formants, dB [shape=(T,)]."""
+        return sonority_db(self.bands.T)
+
+
+def sonority_db(bands: Float64) -> Float64:
+    """Power of the bands of the formants, dB [shape=(T,)], of all bands (26, T)."""
+    sonority: Float64 = 10 * np.log10(bands[SONORANT].sum(axis=0) + 1e-12)
+    return sonority
 
 
 def level_db(waveform: Float32, centres: Int64, width: int = LEVEL_WINDOW) -> Float64:

@@ -120,14 +120,17 @@ def joined(voices: Sequence[Voice]) -> Voice:
     """One voice of several, one after the other."""
     starts = np.cumsum([0, *(voice.n_frames for voice in voices)]).tolist()
     pairs = list(zip(starts, voices, strict=False))
-    accents = [Accent(a.frame + start, a.strength) for start, v in pairs for a in v.accents]
+    accents, stresses = (
+        tuple(Accent(a.frame + start, a.strength) for start, v in pairs for a in getattr(v, name))
+        for name in ("accents", "stresses")
+    )
     phrases = [
         Phrase(p.start + start, p.stop + start, p.is_question)
         for start, v in pairs
         for p in v.phrases
     ]
     prominence = np.concatenate([voice.prominence for voice in voices])
-    return Voice(starts[-1], prominence, tuple(accents), tuple(phrases))
+    return Voice(starts[-1], prominence, accents, tuple(phrases), stresses)
 
 
 def _moved(voices: Sequence[Voice], mover: Mover, drawing: int) -> list[tuple[int, Float64]]:

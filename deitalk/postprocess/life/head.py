@@ -1,13 +1,13 @@
 """Turn and shift of the head on the voice.
 
-- Nods on stressed syllables and with level and pitch (Hadar et al. 1983; Munhall et al. 2004; Graf
-  et al. 2002), lowering at the end of a phrase and a raise at the start of the next one (McClave
-  2000), stillness in pauses, where the breath lifts head and shoulders a little.
+- Nods on stressed syllables, deeper where level and pitch are high (Hadar et al. 1983; Munhall et
+  al. 2004; Graf et al. 2002), lowering at the end of a phrase and a raise before the next one
+  (McClave 2000), stillness in pauses, where the breath lifts head and shoulders a little.
 - An emotion has a posture and a liveliness: sadness lowers and tilts the head, anger lowers and
   advances it, surprise draws it back (Coulson 2004); motion is wider and faster in happiness and
   anger, and smaller in sadness, than in neutral speech (Busso et al. 2007).
-- `NODS` and `SWAY` are set so that range and speed of a neutral take are those of six readers on
-  video (docs/life.md).
+- `NODS`, `SWAY` and `STIR` are set so that range and speed of a neutral take, and the correlation
+  of its pitch with stressed syllables, are those of six readers on video (docs/life.md).
 
 The track has six columns (`rig.curves.HEAD`): yaw to the character's right, pitch up, roll to the
 right shoulder, degrees, the signs of Unreal's rotators; then the shift in cm to the character's
@@ -15,6 +15,8 @@ left, up and forward, the axes of the embedded head.
 
 Letters: T frames at 30 per second.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,25 +28,32 @@ from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
-NODS = (0.4, 1.6, 0.3)
-"""Largest yaw, pitch and roll of an accent, degrees."""
-NOD_SECONDS = ((0.16, 0.26), (0.22, 0.45))
+NODS = (0.26, 1.3, 0.26)
+"""Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""
+NOD_SECONDS = ((0.13, 0.2), (0.15, 0.24))
 """Attack and decay."""
-NOD_LAG = 0.04
-"""The nod is lowest so long after the peak of the accent, seconds."""
-DOWN_SHARE = 0.75
-"""Share of the accents with a nod; the others raise the head."""
+NOD_LAG, NOD_SPREAD = 0.03, 0.02
+"""Seconds from the peak of the syllable to the lowest point, and their standard deviation."""
+NOD_SHARE, DOWN_SHARE = 0.85, 0.95
+"""Share of the stressed syllables with a nod, and of the nods that lower the head first."""
+LEAST_NOD, HIGH_NOD = 0.5, 0.3
+"""Height of the nod of the weakest stress, and what a prominence of 1 adds to any."""
 LISTENING_SECONDS = 3.0
 """Silence of at least so long is a turn of the other: single and double nods, six seconds apart on
 the average (Dittmann and Llewellyn 1968)."""
-SWAY, SWAY_SECONDS = (0.28, 0.5, 0.2), 0.45
-STIR, STIR_SECONDS = (0.5, 0.82, 0.34), 0.14
+LISTENING_DEGREES = (0.8, 1.6)
+SWAY, SWAY_SECONDS = (0.28, 0.8, 0.2), 0.7
+STIR, STIR_SECONDS = (0.48, 0.35, 0.32), 0.14
 """Standard deviation of slow and of quick turns, yaw, pitch and roll in degrees, and the sigma of
 the Gaussian that their noise is smoothed with."""
 QUIET = 0.5
 """Share of the sway that is left in a pause."""
 FINAL_DEGREES, INITIAL_DEGREES = -0.8, 0.5
-"""Pitch at the end and at the start of a phrase."""
+"""Pitch at the end and before the start of a phrase."""
+FINAL_SECONDS, INITIAL_SECONDS = (1.0, 0.1, 1.2), (0.6, 0.0, 0.8)
+"""Attack, hold and decay."""
+INITIAL_LEAD = 0.2
+"""The raise is highest so long before a phrase, seconds."""
 BREATH_SECONDS, BREATH_CM, BREATH_DEGREES = 4.0, 0.05, 0.15
 """Period of quiet breathing, its lift, and the pitch that goes with it."""
 INHALE_CM, INHALE_DEGREES = 0.14, 0.35
@@ -61,6 +70,19 @@ POSTURE: dict[str, tuple[float, ...]] = {
 LIVELINESS = {"neutral": 1.0, "angry": 1.35, "happy": 1.4, "sad": 0.85, "surprised": 1.25}
 POSTURE_SECONDS = 0.35
 """Sigma of the Gaussian over which a posture comes and goes."""
+
+
+class Nod(NamedTuple):
+    """A nod of one syllable."""
+
+    lag: float
+    """Seconds from the peak of the syllable to the lowest point."""
+    attack: float
+    """Seconds down."""
+    decay: float
+    """Seconds up."""
+    degrees: Float64
+    """Yaw, pitch and roll at the lowest point [shape=(3,)]; 0 where the syllable has no nod."""
 
 
 def head_motion(
@@ -111,40 +133,60 @@ def _sway(voice: Voice, rng: np.random.Generator) -> Float64:
 
 
 def _nods(voice: Voice, rng: np.random.Generator) -> Float64:
-    """Nods of accents [shape=(T, 3)]."""
+    """Nods of stressed syllables, and in long silences [shape=(T, 3)], degrees."""
     nods = np.zeros((voice.n_frames, 3))
-    for accent in voice.accents:
-        peak = accent.frame / FRAME_RATE + NOD_LAG + 0.03 * rng.standard_normal()
-        times = (rng.uniform(*seconds) for seconds in NOD_SECONDS)
-        span, shape = swell(voice.n_frames, peak, *times)
-        sign = -1.0 if rng.random() < DOWN_SHARE else 0.6
-        height = (0.2 + 0.8 * accent.strength) * rng.uniform(0.6, 1.4)
-        aside = rng.normal(0, 0.6, 2)
-        nods[span] += height * shape[:, None] * np.array([aside[0], sign, aside[1]])
+    for stress in voice.stresses:
+        nod = draw_nod(stress.strength, float(voice.prominence[stress.frame]), rng)
+        peak = stress.frame / FRAME_RATE + nod.lag
+        span, shape = swell(voice.n_frames, peak, nod.attack, nod.decay)
+        nods[span] += shape[:, None] * nod.degrees
     for start, stop in voice.pauses(LISTENING_SECONDS):
         time = start / FRAME_RATE + rng.exponential(LISTENING_SECONDS)
         while time < stop / FRAME_RATE - 1:
             for beat in range(int(rng.integers(1, 3))):
                 span, shape = swell(voice.n_frames, time + 0.45 * beat, 0.25, 0.35)
-                nods[span, 1] -= rng.uniform(0.5, 1.0) * shape
+                nods[span, 1] -= rng.uniform(*LISTENING_DEGREES) * shape
             time += LISTENING_SECONDS + rng.exponential(LISTENING_SECONDS)
-    return np.asarray(NODS) * nods
+    return nods
+
+
+def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> Nod:
+    """Draw the nod of a stressed syllable.
+
+    Parameters
+    ----------
+    strength : float, range 0 to 1
+        Of the stress.
+    prominence : float
+        Level and pitch of the syllable, as in `Voice`.
+    rng : numpy.random.Generator
+        Gives seven numbers, whatever they are.
+    """
+    lag = NOD_LAG + NOD_SPREAD * rng.standard_normal()
+    attack, decay = (float(rng.uniform(*seconds)) for seconds in NOD_SECONDS)
+    height = LEAST_NOD + (1 - LEAST_NOD) * strength
+    height *= (1 + HIGH_NOD * min(max(prominence, 0.0), 2.0)) * rng.uniform(0.6, 1.4)
+    kind, aside = rng.random(), rng.standard_normal(2)
+    sign = -1.0 if kind < NOD_SHARE * DOWN_SHARE else 0.7
+    turn = np.array([aside[0], sign, aside[1]])
+    return Nod(lag, attack, decay, height * (kind < NOD_SHARE) * np.asarray(NODS) * turn)
 
 
 def _phrases(voice: Voice) -> Float64:
     """Pitch of the ends and starts of phrases [shape=(T,)], degrees."""
     pitch = np.zeros(voice.n_frames)
     for phrase in voice.phrases:
-        seconds = (phrase.stop - phrase.start) / FRAME_RATE
-        slope = min(0.7, seconds / 2)
+        longest = (phrase.stop - phrase.start) / FRAME_RATE / 2
         final = -0.5 * FINAL_DEGREES if phrase.is_question else FINAL_DEGREES
-        end, start = phrase.stop / FRAME_RATE, phrase.start / FRAME_RATE
-        for degrees, swelling in (
-            (final, swell(voice.n_frames, end, slope, 0.8, 0.1)),
-            (INITIAL_DEGREES, swell(voice.n_frames, start + 0.1, 0.35, slope)),
-        ):
-            span, shape = swelling
-            pitch[span] += degrees * shape
+        attack, hold, decay = FINAL_SECONDS
+        span, shape = swell(
+            voice.n_frames, phrase.stop / FRAME_RATE, min(attack, longest), decay, hold
+        )
+        pitch[span] += final * shape
+        attack, hold, decay = INITIAL_SECONDS
+        before = phrase.start / FRAME_RATE - INITIAL_LEAD
+        span, shape = swell(voice.n_frames, before, attack, min(decay, longest), hold)
+        pitch[span] += INITIAL_DEGREES * shape
     return pitch
 
 

@@ -1,4 +1,4 @@
-"""What of a voice moves a face above the mouth: accents, phrases, questions.
+"""What of a voice moves a face above the mouth: accents, stressed syllables, phrases, questions.
 
 Letters: T frames at 30 per second.
 """
@@ -24,6 +24,16 @@ SURROUNDINGS = 45
 LEAST_PROMINENCE, FULL_PROMINENCE = 0.3, 2.0
 """Rise above its surroundings from which a peak is an accent, and that of a full one; in standard
 deviations of a lively reading."""
+SONORITY_SECONDS = 0.04
+"""Sigma of the Gaussian that smooths the sonority: less than a syllable."""
+SONORITY_DB = 35.0
+"""Sonority further below the loudest is no speech."""
+STRESS_DISTANCE = 6
+"""Least frames from stressed syllable to stressed syllable."""
+LEAST_STRESS_DB, FULL_STRESS_DB = 3.0, 12.0
+"""Rise of the sonority above its surroundings from which a syllable is stressed, and that of a
+full stress. On LibriSpeech 64 % of those found are stressed vowels of the words, within 80 ms, and
+81 % of these are found."""
 RISE_SEMITONES = 2.5
 """Rise of the last voiced part of a phrase that marks a question (Cruttenden 1997)."""
 RISE_SECONDS = (0.5, 0.15)
@@ -31,7 +41,7 @@ RISE_SECONDS = (0.5, 0.15)
 
 
 class Accent(NamedTuple):
-    """A stressed syllable."""
+    """A syllable that stands out."""
 
     frame: int
     strength: float
@@ -55,7 +65,10 @@ class Voice(NamedTuple):
     """Level and pitch of syllables relative to the recording's mean [shape=(T,)], in standard
     deviations of a lively reading; 0 where there is no speech."""
     accents: tuple[Accent, ...]
+    """Peaks of level and pitch."""
     phrases: tuple[Phrase, ...]
+    stresses: tuple[Accent, ...] = ()
+    """Peaks of the sonority: more than accents, about every third of a second."""
 
     @property
     def speaking(self) -> Float32:
@@ -74,7 +87,7 @@ class Voice(NamedTuple):
 
 
 def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
-    """Find accents, phrases and questions.
+    """Find accents, stressed syllables, phrases and questions.
 
     Parameters
     ----------
@@ -93,22 +106,36 @@ def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
     level = _standard(prosody.level, prosody.active & speaking, LEVEL_DB)
     phrases = tuple(_phrases(speaking, prosody))
     prominence = np.where(speaking, (level + pitch) / np.sqrt(2), 0)
-    accents = [accent for accent in _peaks(prominence) if speaking[accent.frame]]
-    return Voice(len(speaking), prominence.astype(np.float32), tuple(accents), phrases)
+    accents = _peaks(prominence, ACCENT_DISTANCE, LEAST_PROMINENCE, FULL_PROMINENCE)
+    stresses = _peaks(_sonority(prosody), STRESS_DISTANCE, LEAST_STRESS_DB, FULL_STRESS_DB)
+    return Voice(
+        len(speaking),
+        prominence.astype(np.float32),
+        tuple(accent for accent in accents if speaking[accent.frame]),
+        phrases,
+        tuple(stress for stress in stresses if speaking[stress.frame]),
+    )
 
 
-def _peaks(values: Float64) -> Iterator[Accent]:
+def _sonority(prosody: Prosody) -> Float64:
+    """Smoothed over less than a syllable [shape=(T,)], dB."""
+    sonority = prosody.sonority
+    loud = np.maximum(sonority, sonority.max(initial=-np.inf) - SONORITY_DB)
+    return gaussian_smooth(loud, SONORITY_SECONDS * FRAME_RATE, "mirror")
+
+
+def _peaks(values: Float64, distance: int, least: float, full: float) -> list[Accent]:
     """Peaks that rise enough above their surroundings, the higher of two that are near."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     tops = np.flatnonzero((values > padded[:-2]) & (values >= padded[2:]))
-    is_free = np.ones(len(values) + ACCENT_DISTANCE, bool)
+    is_free = np.ones(len(values) + distance, bool)
     found = []
     for top in sorted(tops.tolist(), key=lambda frame: -values[frame]):
         rise = min(_fall(values[top::-1][:SURROUNDINGS]), _fall(values[top:][:SURROUNDINGS]))
-        if is_free[top] and rise >= LEAST_PROMINENCE:
-            is_free[max(top - ACCENT_DISTANCE + 1, 0) : top + ACCENT_DISTANCE] = False
-            found.append(Accent(top, min(float(rise) / FULL_PROMINENCE, 1.0)))
-    yield from sorted(found)
+        if is_free[top] and rise >= least:
+            is_free[max(top - distance + 1, 0) : top + distance] = False
+            found.append(Accent(top, min(float(rise) / full, 1.0)))
+    return sorted(found)
 
 
 def _fall(values: Float64) -> float:

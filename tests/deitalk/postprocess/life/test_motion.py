@@ -7,7 +7,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS, plan_brows
-from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.head import draw_nod, head_motion
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
@@ -20,7 +20,7 @@ PHRASES = tuple(Phrase(start, start + 75, start == 600) for start in range(60, 8
 STRESSED = tuple(
     Accent(frame, 0.8) for phrase in PHRASES for frame in range(phrase.start + 8, phrase.stop, 16)
 )
-VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), STRESSED, PHRASES)
+VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), STRESSED, PHRASES, STRESSED)
 UPPER = ("_brow_", "_eye_", "_eye.")
 
 
@@ -143,7 +143,7 @@ def test_controls_stay_in_their_ranges_at_twice_everything(emotion):
         assert of(curves, stem).min() >= (-1 if stem == "eye_blink" else 0) - 1e-6
 
 
-def test_head_nods_with_accents_and_is_at_rest_at_both_ends():
+def test_head_nods_on_stressed_syllables_and_is_at_rest_at_both_ends():
     pitch = np.zeros(N_FRAMES)
     for seed in range(30):
         motion, posture = head_motion(
@@ -152,8 +152,33 @@ def test_head_nods_with_accents_and_is_at_rest_at_both_ends():
         pitch += motion[:, 1] / 30
         assert not motion[[0, -1]].any()
         assert not posture.any()
-    frames = np.array([accent.frame for accent in STRESSED])
-    assert pitch[frames + 1].mean() < pitch[frames + 9].mean() - 0.3
+    frames = np.array([stress.frame for stress in STRESSED])
+    assert pitch[frames + 1].mean() < pitch[frames + 9].mean() - 0.5
+
+
+def test_head_rises_before_a_phrase_and_is_low_at_its_end():
+    phrase = Phrase(120, 300, False)
+    voice = VOICE._replace(phrases=(phrase,), stresses=())
+    pitch = np.mean(
+        [
+            head_motion(voice, Traits(), shown("neutral"), np.random.default_rng(seed))[0][:, 1]
+            for seed in range(60)
+        ],
+        axis=0,
+    )
+    before, within, end = pitch[phrase.start - 6], pitch[200:240].mean(), pitch[phrase.stop]
+    assert before > within + 0.3
+    assert end < within - 0.5
+
+
+def test_nods_are_deeper_on_stronger_and_higher_syllables():
+    def depth(strength, prominence):
+        draws = [draw_nod(strength, prominence, np.random.default_rng(i)) for i in range(200)]
+        return -np.mean([nod.degrees[1] for nod in draws])
+
+    assert depth(1.0, 0.0) == pytest.approx(2 * depth(0.0, 0.0))
+    assert depth(0.5, 1.0) == pytest.approx(1.3 * depth(0.5, 0.0))
+    assert depth(0.5, -3.0) == depth(0.5, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,16 @@ def test_accents_are_where_level_and_pitch_peak():
     assert strong == pytest.approx([30, 54, 87], abs=2)
 
 
+def test_stresses_are_syllables_and_stronger_where_they_rise_further():
+    time = np.arange(3 * 16_000) / 16_000
+    at, tall = [0.5, 0.9, 1.3, 1.7, 2.1, 2.5], [0.5, 0.1, 0.5, 0.1, 0.5, 0.1]
+    syllables = sum(h * np.exp(-(((time - a) / 0.07) ** 2)) for a, h in zip(at, tall, strict=True))
+    voice = voice_of(np.full(len(time), 120.0), 0.02 + 0.4 * syllables)
+    assert [stress.frame for stress in voice.stresses] == pytest.approx(np.multiply(at, 30), abs=1)
+    strengths = [stress.strength for stress in voice.stresses]
+    assert min(strengths[::2]) > 1.5 * max(strengths[1::2])
+
+
 @pytest.mark.parametrize(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
 def test_final_rise_is_a_question(end, is_question):
     time = np.arange(2 * 16_000) / 16_000
@@ -51,7 +61,7 @@ def test_short_gaps_do_not_part_phrases():
 def test_silence_has_no_events():
     activity = speech_activity(np.zeros(32_000, np.float32))
     voice = measure_voice(activity, measure_prosody(np.zeros(32_000, np.float32), len(activity)))
-    assert voice.accents == voice.phrases == ()
+    assert voice.accents == voice.phrases == voice.stresses == ()
     assert list(voice.pauses()) == [(0, 60)]
 
 
