@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
-RATE, BLOCK_SECONDS, FPS = 48_000, 0.01, 30
+RATE, FPS = 48_000, 30
 LOOK_AHEAD_MS = 199.0
 
 
@@ -35,7 +35,7 @@ class StandIn:
 
         from deitalk import load_audio
 
-        self.period = BLOCK_SECONDS * (1 + slower)
+        self.slower = slower
         self.sound = soxr.resample(load_audio(SAMPLE).waveform, 16_000, RATE)
 
     def query_devices(self, device: Any, kind: str) -> dict[str, float]:
@@ -56,12 +56,13 @@ class StandIn:
 
     def _run(self) -> None:
         start, count = time.monotonic(), 0
+        period = self.size / RATE * (1 + self.slower)
         sys.stdout.write(f"{start}\n")
         sys.stdout.flush()
         while True:
             at = np.arange(count * self.size, (count + 1) * self.size) % len(self.sound)
             count += 1
-            time.sleep(max(start + count * self.period - time.monotonic(), 0))
+            time.sleep(max(start + count * period - time.monotonic(), 0))
             self.callback(self.sound[at][:, None], self.size, None, None)
 
 

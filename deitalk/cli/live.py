@@ -1,5 +1,6 @@
 """`deitalk live`: the face of a voice that has not ended, over UDP."""
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -78,6 +79,8 @@ def live(
     )
     animator.feed(np.zeros(source.sample_rate, np.float32))  # the first call takes longer
     animator.reset()
+    gc.collect()
+    gc.freeze()  # a full collection of what is here now would stop the face for a tenth of a second
     sender = _sender(animator, protocol, host, port, subject)
     console().print(
         f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "

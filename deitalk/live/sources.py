@@ -1,4 +1,4 @@
-"""Sound that comes in blocks of 10 ms: a microphone, or a recording at its own pace."""
+"""Sound that comes in blocks of 1/150 s: a microphone, or a recording at its own pace."""
 
 import queue
 from collections.abc import Callable
@@ -12,8 +12,8 @@ from deitalk.errors import AudioError, MissingError
 from rig.arrays import Float32
 from rig.errors import quoted, shorten
 
-BLOCK = SAMPLE_RATE // 100
-"""Samples of a block."""
+BLOCKS_A_SECOND = 150
+"""Five a frame of 30 Hz, so that every frame becomes known at the same place of its block."""
 SILENT_SECONDS = 2.0
 """Time without a block after which a microphone counts as gone."""
 
@@ -53,13 +53,13 @@ class PacedSound:
         wait: Callable[[float], None] = sleep,
     ) -> None:
         self.waveform, self.now, self.wait = waveform, now, wait
-        self.start: float | None
-        self.start, self.at = None, 0
+        self.start: float | None = None
+        self.n_read = 0
 
     @property
     def is_over(self) -> bool:
         """Whether all blocks were read."""
-        return self.at >= len(self.waveform)
+        return self._end(self.n_read) >= len(self.waveform)
 
     def read(self, seconds: float) -> Float32 | None:
         """The next block, once its last sample would have been spoken since the first call.
@@ -68,17 +68,19 @@ class PacedSound:
         """
         if self.start is None:
             self.start = self.now()
-        due = self.start + min(self.at + BLOCK, len(self.waveform)) / SAMPLE_RATE
-        wait = due - self.now()
+        wait = self.start + self._end(self.n_read + 1) / SAMPLE_RATE - self.now()
         if wait > seconds:
             self.wait(max(seconds, 0.0))
             return None
         if wait > 0:
             self.wait(wait)
-        missed = max(int(-wait * SAMPLE_RATE) // BLOCK, 0)
-        block = self.waveform[self.at : self.at + (1 + missed) * BLOCK]
-        self.at += len(block)
-        return block
+        missed = max(int(-wait * BLOCKS_A_SECOND), 0)
+        begin, self.n_read = self._end(self.n_read), self.n_read + 1 + missed
+        return self.waveform[begin : self._end(self.n_read)]
+
+    def _end(self, n_blocks: int) -> int:
+        """Samples of the first blocks."""
+        return min(round(n_blocks * SAMPLE_RATE / BLOCKS_A_SECOND), len(self.waveform))
 
 
 class Microphone:
@@ -109,7 +111,7 @@ class Microphone:
             self.sample_rate = round(float(about["default_samplerate"]))
             self.stream = sounddevice.InputStream(
                 samplerate=self.sample_rate,
-                blocksize=self.sample_rate // 100,
+                blocksize=self.sample_rate // BLOCKS_A_SECOND,
                 device=device,
                 channels=1,
                 dtype="float32",

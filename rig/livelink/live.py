@@ -1,8 +1,9 @@
 """Frames that come as they are made, sent at an even pace: jitter buffer and clock.
 
-Frame k leaves at ``base + k / fps`` of a monotonic clock. The base follows the latest arrival of
-the last seconds: at once to a later one, slowly to an earlier one, so that frames neither wait long
-nor leave in bursts, and a sender whose clock differs from that of the sound drifts by no frame.
+Frame k leaves at ``base + k / fps`` of a monotonic clock. The base follows the arrivals of the last
+seconds, as late as `IN_TIME` of them: at once to a later time, slowly to an earlier one, so that
+frames neither wait long nor leave in bursts, and a sender whose clock differs from that of the
+sound drifts by no frame. The few frames that come later leave when they come.
 """
 
 from collections import deque
@@ -17,8 +18,10 @@ from rig.curves import RigCurves
 from rig.livelink.protocols import LiveProtocol
 from rig.livelink.sender import REST_REPEATS, Clock, connected
 
+IN_TIME = 0.95
+"""Share of the arrivals that the base waits for: one stall does not delay the seconds after it."""
 MARGIN_SECONDS = 0.002
-"""Between the latest arrival and the time a frame leaves."""
+"""Between the last of these arrivals and the time a frame leaves."""
 MEMORY_FRAMES = 90
 """Arrivals that the base follows (3 s)."""
 SLEW = 0.0005
@@ -158,7 +161,7 @@ class LiveSender:
         return LiveReport(self.n_sent, self.n_skipped, self.n_failed, waited)
 
     def _follow(self) -> None:
-        latest = max(self.offsets) + MARGIN_SECONDS
+        latest = float(np.quantile(self.offsets, IN_TIME)) + MARGIN_SECONDS
         self.base = latest if self.n_pushed == 0 else max(latest, self.base - SLEW)
 
     def _due(self, number: int) -> float:

@@ -14,7 +14,7 @@ from deitalk.cli.live import transmit
 from deitalk.errors import AudioError, MissingError
 from deitalk.live import sources
 from deitalk.live.animator import LiveAnimator
-from deitalk.live.sources import BLOCK, Microphone, PacedSound
+from deitalk.live.sources import BLOCKS_A_SECOND, Microphone, PacedSound
 from rig.errors import UserError
 from rig.livelink import LiveSender, decode, make_protocol
 from rig.livelink.sender import Clock
@@ -41,16 +41,18 @@ def test_recording_comes_at_its_own_pace(voice):
     while not source.is_over:
         blocks.append(source.read(1.0))
         assert time.seconds == pytest.approx(sum(map(len, blocks)) / 16_000)
-    assert np.array_equal(np.concatenate(blocks), voice) and len(blocks[0]) == BLOCK
+    assert np.array_equal(np.concatenate(blocks), voice)
+    ends = np.cumsum([len(block) for block in blocks])
+    assert BLOCKS_A_SECOND % 30 == 0 and ends[14] == 1600  # three frames of 1/30 s
 
 
 def test_missed_blocks_come_at_once_after_a_stall(voice, monkeypatch):
     time = Time()
     source = PacedSound(voice, time.now, time.sleep)
     source.read(1.0)
-    time.sleep(0.1)
+    time.sleep(0.101)
     late = source.read(1.0)
-    assert np.array_equal(late, voice[BLOCK : 11 * BLOCK])
+    assert np.array_equal(late, voice[107:1707])  # the block that is due, and 14 that were missed
     device = Device()
     monkeypatch.setitem(sys.modules, "sounddevice", device)
     microphone = Microphone()
@@ -111,7 +113,7 @@ def test_microphone_gives_its_blocks_and_tells_when_it_is_gone(monkeypatch):
     device = Device()
     monkeypatch.setitem(sys.modules, "sounddevice", device)
     microphone = Microphone()
-    assert microphone.sample_rate == 44100 and device.made["blocksize"] == 441
+    assert microphone.sample_rate == 44100 and device.made["blocksize"] == 294
     device.made["callback"](np.full((441, 1), 0.5), 441, None, None)
     assert np.array_equal(microphone.read(0.1), np.full(441, 0.5, np.float32))
     assert microphone.read(0.001) is None

@@ -68,6 +68,16 @@ def test_frames_leave_evenly_however_they_come(rng):
     assert report.waited[1] <= 0.015 + MARGIN_SECONDS + 0.001
 
 
+def test_one_stall_in_three_seconds_delays_no_other_frame():
+    run = Run()
+    for k in range(90):
+        run.come(100 + k / FPS + (0.06 if k == 60 else 0.0))
+    run.sender.drain()
+    behind = np.array(run.link.times) - 100 - np.arange(90) / FPS
+    assert run.sender.n_skipped == 0 and behind[60] == pytest.approx(0.06)
+    assert np.abs(np.delete(behind, [60, 61]) - MARGIN_SECONDS).max() < 0.001
+
+
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
 def test_another_clock_of_the_sound_adds_up_to_no_frame(drift):
     run, frames = Run(), 30 * 60 * 30
