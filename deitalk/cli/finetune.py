@@ -1,12 +1,15 @@
 """`deitalk finetune`: a model tuned on captures."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deitalk.cli.console import bar, console, emit
 from deitalk.cli.train import shown_on
+
+if TYPE_CHECKING:
+    from deitalk.config import FinetuneConfig
 
 
 def finetune(
@@ -27,6 +30,12 @@ def finetune(
     rehearse: Annotated[
         str | None, typer.Option("--rehearse", help="Dataset folder whose speech holds the base.")
     ] = None,
+    leave_out: Annotated[
+        str | None, typer.Option("--leave-out", help="Take or actor to test on, not to train on.")
+    ] = None,
+    folds: Annotated[
+        str | None, typer.Option(help="Leave out each of the takes, or actors, in turn.")
+    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
     ] = None,
@@ -43,25 +52,53 @@ def finetune(
     deitalk finetune my_captures/ -o runs/anna
 
     deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
+
+    deitalk finetune my_captures/ --folds takes -o runs/folds
     """
-    given = {"model.control_set": rig, "tune.part": part, "tune.corpus": rehearse}
+    given = {
+        "model.control_set": rig,
+        "tune.part": part,
+        "tune.corpus": rehearse,
+        "tune.leave_out": leave_out,
+    }
     changes = [f"{key}={value}" for key, value in given.items() if value is not None]
     with console().status("loading"):
         from deitalk.training.tuning.recipe import read_recipe
         from deitalk.training.tuning.task import finetune as tune
 
         settings = read_recipe(recipe, [*changes, *(overrides or ())], base=base)
+    if folds is not None:
+        _tune_folds(settings, data, out, folds, resume=resume)
+        return
     with bar("tuning") as advance:
         scores = tune(settings, data, out, resume=resume, progress=shown_on(advance))
+    _print_scores(scores)
+    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
+    _write_page(out)
+
+
+def _tune_folds(
+    settings: "FinetuneConfig", data: Path, out: Path, kind: str, *, resume: bool
+) -> None:
+    """Leave out each take or actor in turn, and print the scores."""
+    from deitalk.training.tuning.folds import tune_folds
+
+    with bar("tuning") as advance:
+        result = tune_folds(settings, data, out, kind, resume=resume, progress=shown_on(advance))
+    _print_scores(result["folds"])
+    console().print("means over the folds:")
+    _print_scores(result["mean"])
+    console().print(f"{out / 'folds.md'}: all scores, of each control too")
+
+
+def _print_scores(scores: dict[str, dict[str, float]]) -> None:
     for name, values in scores.items():
         text = ", ".join(
             f"{key} {values[key]:.3g}"
             for key in ("error_of_mean_pose", "mean_r", "range")
-            if key in values
+            if values.get(key) is not None
         )
         emit(f"{name}\t{text}")
-    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
-    _write_page(out)
 
 
 def _write_page(out: Path) -> None:

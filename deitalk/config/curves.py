@@ -47,6 +47,11 @@ class ModelConfig(Section):
         description="controls that a second decoder moves, the base's of a fine-tuned model; not "
         "in the paper",
     )
+    kept_intensity: bool = Field(
+        default=False,
+        description="a second projection of Eq. 4 guides the decoder of the kept controls, the "
+        "base's of a fine-tuned model; not in the paper",
+    )
     motion_channels: tuple[Width, ...] = Field(
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )
@@ -66,6 +71,13 @@ class ModelConfig(Section):
     def _default_kind(cls, value: Any) -> Any:
         """A frontend without a kind is the paper's."""
         return {"kind": "wav2vec"} | value if isinstance(value, dict) else value
+
+    @model_validator(mode="after")
+    def _kept_intensity_guides_a_kept_decoder(self) -> "ModelConfig":
+        """A second projection has a decoder to guide, and frames to compare with."""
+        if self.kept_intensity and not (self.kept_controls and self.saliency_frames):
+            raise ValueError("kept_intensity needs kept_controls and saliency_frames")
+        return self
 
     @model_validator(mode="after")
     def _causal_ends_never(self) -> "ModelConfig":

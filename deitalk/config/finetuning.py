@@ -47,8 +47,17 @@ class TuneConfig(Section):
         description="rules of lip contacts: the base's, or those of the section `rules`; auto is "
         "the base's where no capture knows the lips-together controls",
     )
+    intensity: Literal["auto", "base", "captured"] = Field(
+        default="auto",
+        description="emotional intensity: the base's, or learnt from captured motion (DEITalk Eq. "
+        "4-11) with the strength of the captured expressions; auto learns it where emotions differ "
+        "from neutral in the captures",
+    )
     corpus: str | None = Field(
         default=None, description="dataset folder whose speech the base's curves are learnt on"
+    )
+    leave_out: str | None = Field(
+        default=None, description="take or actor that is tested on and never trained on"
     )
 
 

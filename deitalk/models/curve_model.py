@@ -100,6 +100,7 @@ class DEITalk(nn.Module):
                 n_emotions,
                 config.saliency_frames,
                 self.is_causal,
+                config.kept_intensity,
             )
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
@@ -304,7 +305,7 @@ class DEITalk(nn.Module):
             largest = [module.project(piece.float()).amax(dim=0) for piece in pieces]
             embedding = torch.stack(largest).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
-        guidance = speech.new_empty(n_frames, self.config.emotion_size)
+        guidance = speech.new_empty(n_frames, module.guidance_size)
         tracks = speech.new_empty(2, n_frames, dtype=torch.float32)
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].float().unsqueeze(0), embedding)

@@ -26,7 +26,7 @@ class Intensity(NamedTuple):
     saliency: Tensor
     """e_sim [shape=(B, T), range -1 to 1] (Eq. 5)."""
     guidance: Tensor
-    """E_in [shape=(B, T, E)] (Eq. 6)."""
+    """E_in [shape=(B, T, E)] (Eq. 6); that of a kept projection follows, (B, T, 2 E)."""
     strength: Tensor
     """Predicted intensity [shape=(B, T), range 0 to 1]: the saliency, calibrated."""
 
@@ -97,6 +97,9 @@ class DynamicIntensity(nn.Module):
         keeps the contrast that a training window had and can be computed in chunks.
     causal : bool
         The number of frames ends with each frame instead of being around it.
+    kept : bool
+        A second projection, that of the model before its fine-tuning, gives the guidance of the
+        decoder that was kept too (`deitalk.models.rig_decoder.RigDecoder`; not in the paper).
     """
 
     def __init__(
@@ -107,10 +110,13 @@ class DynamicIntensity(nn.Module):
         n_emotions: int,
         saliency_frames: int | None,
         causal: bool = False,
+        kept: bool = False,
     ) -> None:
         super().__init__()
         self.saliency_frames, self.causal = saliency_frames, causal
         self.project = nn.Linear(in_size, emotion_size)
+        self.kept = nn.Linear(in_size, emotion_size) if kept else None
+        self.guidance_size = (2 if kept else 1) * emotion_size
         self.classifier = nn.Sequential(
             nn.Linear(emotion_size, classifier_size),
             nn.ReLU(),
@@ -133,7 +139,13 @@ class DynamicIntensity(nn.Module):
         if self.saliency_frames is not None:
             maximum = past_maximum if self.causal else local_maximum
             around = maximum(features, self.saliency_frames)
-        return self._compared(features, embedding, around)
+        intensity = self._compared(features, embedding, around)
+        if self.kept is None or self.saliency_frames is None:
+            return intensity
+        before = self.kept(speech)
+        saliency = emotional_saliency(before, local_maximum(before, self.saliency_frames))
+        guidance = torch.cat((intensity.guidance, saliency.unsqueeze(-1) * before), dim=-1)
+        return intensity._replace(guidance=guidance)
 
     def first_past(self, batch: int) -> Tensor:
         """Features before the first frame of streams (B, saliency_frames - 1, E): none."""

@@ -56,7 +56,7 @@ class RigDecoder(nn.Module):
         kept: Tensor | None = None,
     ) -> None:
         super().__init__()
-        self.residual = residual
+        self.residual, self.guidance_size = residual, guidance_size
         self.register_buffer("is_kept", kept, persistent=False)
         self.kept: RigDecoder | None = None
         if kept is not None:
@@ -97,8 +97,9 @@ class RigDecoder(nn.Module):
         emotion : Tensor [shape=(B, 5 + A) or (B, T, 5 + A)]
             Weights of the emotional styles, of which the paper's is one-hot and constant, then of
             the actors; these may be left out.
-        guidance : Tensor [shape=(B, T, E)] or None
-            E_in; None if the decoder was made without.
+        guidance : Tensor [shape=(B, T, E) or (B, T, 2 E)] or None
+            E_in, and that of the kept decoder if it is another; None if the decoder was made
+            without.
 
         Returns
         -------
@@ -107,7 +108,8 @@ class RigDecoder(nn.Module):
         curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
         if self.kept is None or self.is_kept is None:
             return curves
-        return torch.where(self.is_kept, self.kept(speech, emotion, guidance), curves)
+        theirs = guidance if guidance is None else guidance[..., -self.guidance_size :]
+        return torch.where(self.is_kept, self.kept(speech, emotion, theirs), curves)
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
@@ -163,5 +165,8 @@ class RigDecoder(nn.Module):
         style = self.style(emotion[..., :n_emotions])
         if self.actors is not None and emotion.shape[-1] > n_emotions:
             style = style + self.actors(emotion[..., n_emotions:])
-        extra = style if guidance is None else torch.cat((style, guidance), dim=-1)
+        if guidance is None:
+            extra = style
+        else:
+            extra = torch.cat((style, guidance[..., : self.guidance_size]), dim=-1)
         return speech.transpose(1, 2), extra.transpose(1, 2)

@@ -242,9 +242,15 @@ class CurveLoss:
             raise ConfigError("loss.lips: the embedded head has the board's controls only; set 0")
         self.lips = HeadLips(build_head()).to(device) if config.lips else None
 
-    def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
-        """Every part of the loss of one batch, and their weighted sum as ``total``."""
-        curves = batch.curves if self.config.contrast else None
+    def __call__(
+        self, network: nn.Module, batch: Window, motion: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Every part of the loss of one batch, and their weighted sum as ``total``.
+
+        `motion` [shape=(B, T, C)] is what the voice belongs to, where the targets are other curves.
+        """
+        motion = batch.curves if motion is None else motion
+        curves = motion if self.config.contrast else None
         output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
         parts = total_loss(
             _across_processes(output),

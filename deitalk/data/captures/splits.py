@@ -7,7 +7,9 @@ sentence, and a model would be tested on what it was trained on. Clips in betwee
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
+from deitalk.data.clips import Clip
 from deitalk.errors import DataError
 
 TRAIN, VALIDATION, TEST = "train", "validation", "test"
@@ -72,6 +74,72 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         homes = _actors(minutes)
         return [homes[piece.actor] for piece in pieces]
     return _apart(pieces, _blocks(pieces))
+
+
+class Division(NamedTuple):
+    """Clips of a dataset folder by split."""
+
+    train: list[Clip]
+    validation: list[Clip]
+    test: list[Clip]
+
+
+def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Division:
+    """Clips by their split; or a take or an actor for the test, and the rest divided anew.
+
+    The rest is for training, but for the last clip of every take of three and more, which is for
+    validation (of shorter takes, the last clip), and for its neighbours, which are left out.
+
+    Parameters
+    ----------
+    clips : sequence of Clip
+        All of a dataset folder.
+    leave_out : str or None
+        Name of a take or of an actor.
+
+    Raises
+    ------
+    DataError
+        If no clip, or every clip, is of that name.
+    """
+    if leave_out is None:
+        return Division(*([c for c in clips if c.split == s] for s in (TRAIN, VALIDATION, TEST)))
+    is_held = [leave_out in (_take(clip), clip.speaker) for clip in clips]
+    if not any(is_held) or all(is_held):
+        some = ", ".join([*names_of(clips, "takes"), *names_of(clips, "actors")][:6])
+        raise DataError(
+            f"`leave_out={leave_out}` must be one of several takes or actors, such as {some}",
+            parameter="leave_out",
+        )
+    rest = [clip for clip, held in zip(clips, is_held, strict=True) if not held]
+    splits = _apart(
+        [Piece(c.speaker, c.emotion, _take(c), *c.span) for c in rest], _last_of_takes(rest)
+    )
+    return Division(
+        [clip for clip, split in zip(rest, splits, strict=True) if split == TRAIN],
+        [clip for clip, split in zip(rest, splits, strict=True) if split == VALIDATION],
+        [clip for clip, held in zip(clips, is_held, strict=True) if held],
+    )
+
+
+def _last_of_takes(clips: Sequence[Clip]) -> list[str]:
+    """Validation for the last clip of every take of three and more, or else the last clip."""
+    takes: dict[str, list[Clip]] = defaultdict(list)
+    for clip in sorted(clips, key=lambda clip: clip.span):
+        takes[_take(clip)].append(clip)
+    chosen = [take[-1] for take in takes.values() if len(take) >= 3] or [clips[-1]]
+    return [VALIDATION if clip in chosen else TRAIN for clip in clips]
+
+
+def _take(clip: Clip) -> str:
+    """Name of its take; a clip without one is its own."""
+    return clip.take or clip.name
+
+
+def names_of(clips: Sequence[Clip], kind: str) -> list[str]:
+    """Names of all ``takes`` or ``actors``, sorted."""
+    of_actors = kind == "actors"
+    return sorted({clip.speaker if of_actors else _take(clip) for clip in clips})
 
 
 def _actors(minutes: dict[str, float]) -> dict[str, str]:

@@ -13,6 +13,7 @@ import numpy as np
 import soundfile
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.clip_scores import loudness
@@ -82,12 +83,16 @@ def write_comparison(
         name: [run(example) for example in captures.examples] for name, run in systems.items()
     }
     scores = {name: _scores(rows, captures) for name, rows in curves.items()}
+    for name, model in (("before", base), ("after", tuned)):
+        if model is not None:
+            scores[name] |= _intensity(model, captures)
     scores["capture"] = _own(captures)
     report = {
         "clips": len(captures.examples),
         "choose_the_weights_too": not are_unseen,
         "moving_controls": int(captures.pose.moving.sum()),
         "scores": scores,
+        "controls": _controls(curves, captures),
     }
     with atomic_write(folder / "report.json") as beside:
         beside.write_text(as_json(report))
@@ -180,12 +185,42 @@ def _row(example: Example, values: Float32, captures: CaptureSet) -> dict[str, f
     return row
 
 
+def _intensity(model: DEITalk, captures: CaptureSet) -> dict[str, float]:
+    """Pearson's r of the predicted intensity with the captured expressions' strength in speech."""
+    rs = []
+    for example in captures.examples:
+        strength = predict(model, example)[1]
+        known = np.isfinite(example.intensity) & (speech_activity(example.waveform) > 0)
+        if strength is not None and known.any():
+            rs.append(correlation(example.intensity[known], strength[known]))
+    return {"intensity_r": _mean(rs)} if np.isfinite(rs).any() else {}
+
+
 def _own(captures: CaptureSet) -> dict[str, float]:
     """What the captures themselves would score, where that is defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {name: _mean([row[name] for row in rows if name in row]) for name in _steps_of(rows)}
     curves = [example.curves for example in captures.examples]
     return {"error_of_mean_pose": 0.0, "range": 1.0, **own, **_closures(curves, captures)}
+
+
+def _controls(curves: dict[str, list[Float32]], captures: CaptureSet) -> dict[str, Any]:
+    """Each control that moves, most first: spread, and r and error before and after."""
+    rows = {}
+    for place in np.flatnonzero(captures.pose.moving):
+        places = [i for i, example in enumerate(captures.examples) if example.known[place]]
+        if not places:
+            continue
+        target = np.concatenate([captures.examples[i].curves[:, place] for i in places])
+        still = np.square(target - captures.pose.values[place]).mean()
+        row = {"captured_sd": float(target.std())}
+        for name in ("before", "after"):
+            if name in curves:
+                given = np.concatenate([curves[name][i][:, place] for i in places])
+                row[f"{name}_r"] = correlation(target, given)
+                row[f"{name}_error_of_mean_pose"] = float(np.square(target - given).mean() / still)
+        rows[captures.controls.names[place]] = row
+    return dict(sorted(rows.items(), key=lambda item: -item[1]["captured_sd"]))
 
 
 def _steps(values: Float32) -> dict[str, float]:

@@ -186,17 +186,26 @@ class CurveGraph(nn.Module):
         return GraphOutput(readings[1], readings[0], saliency[0], strength[0])
 
     def _intensity(self, speech: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Saliency, strength (1, T) and guidance (1, T, E), as `DynamicIntensity`."""
+        """Saliency, strength (1, T) and guidance (1, T, E or 2 E), as `DynamicIntensity`."""
         module = self.model.intensity
         features = module.project(speech)
-        if module.saliency_frames is None:
+        saliency = self._saliency(features)
+        strength = torch.sigmoid(4 * (F.softplus(module.slope) * saliency + module.offset))
+        guidance = saliency.unsqueeze(-1) * features
+        if module.kept is not None:
+            before = module.kept(speech)
+            kept = self._saliency(before).unsqueeze(-1) * before
+            guidance = torch.cat((guidance, kept), dim=-1)
+        return saliency, strength, guidance
+
+    def _saliency(self, features: Tensor) -> Tensor:
+        """Cosine of every frame with the largest values around it (1, T)."""
+        frames = self.model.intensity.saliency_frames
+        if frames is None:
             around = features.amax(dim=1, keepdim=True)
         else:
-            around = local_maximum(features, module.saliency_frames)
-        norms = _norm(features) * _norm(around)
-        saliency = (features * around).sum(dim=-1) / norms
-        strength = torch.sigmoid(4 * (F.softplus(module.slope) * saliency + module.offset))
-        return saliency, strength, saliency.unsqueeze(-1) * features
+            around = local_maximum(features, frames)
+        return (features * around).sum(dim=-1) / (_norm(features) * _norm(around))
 
 
 def _norm(features: Tensor) -> Tensor:

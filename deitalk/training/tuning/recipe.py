@@ -19,6 +19,9 @@ from rig.arrays import Bool
 CONTACT_RULES = ("sharpen_contacts", "keep_contacts", "limit_contact_speed")
 """Rules of a model that act on its lip contacts."""
 
+INTENSITY_LOSS = {"contrast": 0.1, "classification": 0.1, "intensity": 20.0}
+"""Weights of Eq. 8 where intensity is learnt: those of the paper, and of the base's training."""
+
 
 def read_recipe(
     recipe: Path | None, overrides: Sequence[str] = (), *, base: str | None = None
@@ -148,6 +151,31 @@ def _with_kept_controls(
     )
     model = config.model.model_copy(update={"kept_controls": names})
     return config.model_copy(update={"model": model})
+
+
+def with_captured_intensity(config: FinetuneConfig) -> FinetuneConfig:
+    """The configuration that learns intensity: its losses, and the base's for what it still moves.
+
+    Weights of Eq. 8 that the recipe has are kept; those that are 0 become `INTENSITY_LOSS`.
+    """
+    weights = {
+        name: getattr(config.loss, name) or weight for name, weight in INTENSITY_LOSS.items()
+    }
+    kept = {"kept_intensity": bool(config.model.kept_controls)}
+    return config.model_copy(
+        update={
+            "loss": config.loss.model_copy(update=weights),
+            "model": config.model.model_copy(update=kept),
+        }
+    )
+
+
+def can_learn_intensity(config: FinetuneConfig) -> bool:
+    """Whether the network has an intensity, and can keep the base's beside it where it must."""
+    model = config.model
+    if not model.intensity or config.tune.intensity == "base":
+        return False
+    return not model.kept_controls or model.saliency_frames is not None
 
 
 def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:

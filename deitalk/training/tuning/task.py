@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.config import FinetuneConfig
+from deitalk.data.captures.splits import divide_clips
 from deitalk.data.clips import REHEARSED, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
@@ -33,11 +34,14 @@ from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.low_rank import add_adapters, merged_weights
 from deitalk.training.tuning.recipe import (
+    can_learn_intensity,
     is_same_rig,
     learnt_controls,
     with_actors,
     with_base_parts,
+    with_captured_intensity,
 )
+from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
@@ -83,7 +87,7 @@ def finetune(
         task.base.cpu() if task.is_same_rig else None,
         CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
         task.clips,
-        are_unseen=task.test_clips is not task.validation_clips,
+        are_unseen=task.has_test,
     )
 
 
@@ -107,14 +111,17 @@ class FinetuneTask(CurveTask):
     config: FinetuneConfig
 
     def __init__(self, config: FinetuneConfig, data: Path) -> None:
-        super().__init__(with_actors(config, read_clips(data, "train")), data)
+        division = divide_clips(read_clips(data), config.tune.leave_out)
+        super().__init__(with_actors(config, division.train), data)
         config = self.config
+        self.clips, self.validation_clips = division.train, division.validation
         if not self.clips or not self.validation_clips:
             raise DataError(
                 f"{data}: needs clips to train on and to validate; fill the column split, or "
                 "import the takes with `deitalk data import`"
             )
-        self.test_clips = read_clips(data, "test") or self.validation_clips
+        self.has_test = bool(division.test)
+        self.test_clips = division.test or self.validation_clips
         self.learnt = learnt_controls(config, self.controls)
         self.pose: MeanPose = mean_pose(self.clips, self.controls, self.learnt)
         if is_same_rig(config):
@@ -123,10 +130,30 @@ class FinetuneTask(CurveTask):
             self.config, self.learnt = config, captured
         shown = {clip.emotion for clip in self.clips}
         self.unseen = [i for i, emotion in enumerate(EMOTIONS) if emotion not in shown]
-        self.captures = [replace(clip, source="recording") for clip in self.clips]
-        if config.tune.corpus is not None:
-            others = read_clips(config.tune.corpus, "train")
-            self.captures += [replace(clip, source=REHEARSED, speaker="") for clip in others]
+        self.axes = self._axes()
+        if self.axes:
+            self.config = with_captured_intensity(self.config)
+
+    def _axes(self) -> dict[tuple[str, str], ExpressionAxis]:
+        """The captured expressions from which intensity is learnt."""
+        config = self.config
+        axes = {}
+        if can_learn_intensity(config):
+            axes = expression_axes(self.clips, self.controls, self.learnt)
+        if not axes and config.tune.intensity == "captured":
+            raise ConfigError(
+                "tune.intensity=captured: no captured emotion differs from the actor's neutral "
+                "clips, or the base has no intensity; use auto"
+            )
+        return axes
+
+    def read(self, out: Path) -> None:
+        """Measure the strength of the captured expressions, in ``intensity/`` of the run."""
+        if self.axes:
+            self.clips, self.validation_clips, self.test_clips = (
+                label_intensity(clips, self.axes, self.controls, out / "intensity")
+                for clips in (self.clips, self.validation_clips, self.test_clips)
+            )
 
     def build(self, device: torch.device) -> None:
         """Build the model with the base's weights; keep the base as the teacher."""
@@ -145,6 +172,10 @@ class FinetuneTask(CurveTask):
             own = self.model.decoder.kept.state_dict().keys()
             weights = {k: v for k, v in base.decoder.state_dict().items() if k in own}
             self.model.decoder.kept.load_state_dict(weights)
+        kept = self.model.intensity.kept if self.config.model.intensity else None
+        if kept is not None:
+            before = base.intensity.kept or base.intensity.project
+            kept.load_state_dict(before.state_dict())
         if base.decoder.actors is not None and self.model.decoder.actors is not None:
             known = base.decoder.actors.weight
             with torch.no_grad():
@@ -178,6 +209,11 @@ class FinetuneTask(CurveTask):
             decoder.actors.requires_grad_(True)
         if part == "head" or not self.is_same_rig:
             decoder.output.requires_grad_(True)
+        if self.axes:
+            self.model.intensity.requires_grad_(True)
+            self.model.motion.requires_grad_(True)
+            if self.model.intensity.kept is not None:
+                self.model.intensity.kept.requires_grad_(False)
 
     @torch.no_grad()
     def _fit_last_layer(self) -> None:
@@ -211,9 +247,13 @@ class FinetuneTask(CurveTask):
 
     def batches(self, share: Share) -> WindowBatches:
         """Windows of the captures, and of speech to rehearse."""
-        settings = self.config.train
+        settings, corpus = self.config.train, self.config.tune.corpus
+        captures = [replace(clip, source="recording") for clip in self.clips]
+        if corpus is not None:
+            others = read_clips(corpus, "train")
+            captures += [replace(clip, source=REHEARSED, speaker="") for clip in others]
         return WindowBatches(
-            self.captures,
+            captures,
             self.controls,
             self.config.data,
             settings.seed,
@@ -233,21 +273,23 @@ class FinetuneTask(CurveTask):
         """Every part of the loss, and their weighted sum (Eq. 8)."""
         learnt = torch.from_numpy(self.learnt).to(batch.known)
         batch = batch._replace(known=batch.known * learnt)
-        return self._loss(network, self._completed(batch) if self.is_same_rig else batch)
+        if not self.is_same_rig:
+            return self._loss(network, batch)
+        return self._loss(network, *self._completed(batch))
 
     @torch.no_grad()
-    def _completed(self, batch: Window) -> Window:
-        """Targets of the base where captures have none.
+    def _completed(self, batch: Window) -> tuple[Window, Tensor]:
+        """Targets of the base where captures have none; the curves in the emotion of the voice.
 
         Controls that a clip does not know are the base's. Some windows take an emotion that no
         capture has: their targets change as the base's curves do from emotion to emotion.
         """
         base = self._base_curves(batch, batch.emotion)
-        curves = torch.where(batch.known[:, None] > 0, batch.curves, base)
+        curves = acted = torch.where(batch.known[:, None] > 0, batch.curves, base)
         other = self._other_emotion(batch.emotion)
         if (other != batch.emotion).any():
             curves = curves + self._base_curves(batch, other) - base
-        return batch._replace(curves=curves, emotion=other)
+        return batch._replace(curves=curves, emotion=other), acted
 
     def _base_curves(self, batch: Window, emotion: Tensor) -> Tensor:
         known = emotion[:, : len(EMOTIONS) + len(self.base.config.actors)]

@@ -110,3 +110,15 @@ def test_motion_encoder_spans_fifteen_frames_on_either_side():
     assert out.shape == (1, 60, 4)
     moved = (encoder(changed) != out).any(dim=-1)[0].nonzero().flatten()
     assert (int(moved[0]), int(moved[-1])) == (15, 45)
+
+
+def test_kept_projection_gives_the_guidance_that_it_gave_alone():
+    torch.manual_seed(2)
+    before, speech = module(5), torch.randn(2, 20, 6)
+    tuned = DynamicIntensity(6, 4, 8, 5, 5, kept=True).eval()
+    with torch.no_grad():
+        tuned.kept.load_state_dict(before.project.state_dict())
+    guidance = tuned(speech).guidance
+    assert guidance.shape == (2, 20, tuned.guidance_size) == (2, 20, 8)
+    torch.testing.assert_close(guidance[..., 4:], before(speech).guidance)
+    assert not torch.allclose(guidance[..., :4], guidance[..., 4:])

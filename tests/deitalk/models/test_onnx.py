@@ -118,7 +118,11 @@ def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
 
 
 def test_conformer_equals_torch_at_any_length(tmp_path):
-    model = of_frontend(CONFORMER)
+    """Also where a kept decoder has a guidance of its own."""
+    kept = default_controls().names[40:]
+    model = of_frontend(CONFORMER, kept_controls=kept, kept_intensity=True)
+    with torch.no_grad():
+        model.decoder.kept.output.weight.normal_(std=0.2)
     export_onnx(model, tmp_path / "conformer.onnx")
     exported = load_onnx(tmp_path / "conformer.onnx")
     for n_frames in (1, 33, 64, 97, 128, 200):  # part of a segment, one, with and without context

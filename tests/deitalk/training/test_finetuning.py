@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.cli import app
-from deitalk.config import RulesConfig, load_config
+from deitalk.config import RulesConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
 from deitalk.data.seeded_batches import Share
@@ -23,15 +23,14 @@ from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
-from deitalk.models.checkpoint import load_model, save_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
 from deitalk.training.tuning.recipe import read_recipe
 from deitalk.training.tuning.task import FinetuneTask, finetune
-from rig import RigCurves, default_controls, read_curves, write_curves
+from rig import RigCurves, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw, write_dataset
+from tests.deitalk.training.conftest import CONTROLS, recipe
 
-CONTROLS = default_controls()
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 RIG = """
 id: three@1
@@ -44,47 +43,8 @@ lip: [mouth_open, smile_l, smile_r]
 """
 
 
-@pytest.fixture(scope="module")
-def base(tmp_path_factory) -> str:
-    """A network of random weights whose curves move."""
-    folder = tmp_path_factory.mktemp("base") / "model"
-    torch.manual_seed(0)
-    config = load_config(TINY)
-    model = DEITalk(config.model)
-    with torch.no_grad():
-        model.decoder.output.weight.normal_(std=0.05)
-        model.decoder.style.weight.normal_(std=1.0)
-    save_model(folder, model, config, {"steps": 0})
-    return str(folder)
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory) -> Path:
-    """Clips in all emotions but surprised, of which the jaw alone is known in the first two.
-
-    Every control moves, for a dead channel counts as not captured.
-    """
-    folder = write_dataset(tmp_path_factory.mktemp("data"))
-    for path in (folder / "curves").iterdir():
-        curves = read_curves(path)
-        wave = 0.02 * np.sin(np.arange(len(curves)) / 3)[:, None]
-        inward = np.where(CONTROLS.rest > CONTROLS.minimum, -1, 1)
-        values = curves.values + (wave + 0.02) * inward
-        write_curves(path, RigCurves(values.astype(np.float32), curves.names, fps=curves.fps))
-    (folder / "known.txt").write_text(f"{JAW}\n")
-    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="", speaker="anna")
-    table.loc[:1, "known"] = "known.txt"
-    table.to_csv(folder / "clips.csv", index=False)
-    return folder
-
-
 TUNED = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
 LIP = "CTRL_L_mouth_lipsTogetherU.ty"
-
-
-def recipe(base, *overrides):
-    mine = ("train.steps=4", "train.evaluate_every=2", "train.batch_size=4")
-    return read_recipe(None, (*mine, "data.window_frames=32", *overrides), base=base)
 
 
 def weights(folder) -> dict[str, torch.Tensor]:
@@ -176,7 +136,7 @@ def test_targets_of_emotions_that_no_capture_has_change_as_the_base(base, data):
     task.build(torch.device("cpu"))
     assert task.unseen == [EMOTIONS.index("surprised")]
     batch = next(iter(task.batches(Share())))
-    full = task._completed(batch)
+    full, _ = task._completed(batch)
     assert (full.emotion.argmax(dim=1) == task.unseen[0]).all()
     before, after = (task._base_curves(batch, e) for e in (batch.emotion, full.emotion))
     known = batch.known[:, None] > 0
@@ -192,7 +152,7 @@ def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_
     task.build(torch.device("cpu"))
     batch = next(iter(task.batches(Share())))
     assert not batch.known.any()
-    full = task._completed(batch)
+    full, _ = task._completed(batch)
     torch.testing.assert_close(full.curves, task._base_curves(batch, batch.emotion))
     finetune(config, data, tmp_path / "run")
 

@@ -1,0 +1,58 @@
+"""A base model of random weights and captures of seconds, for tests of tuning."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from deitalk.config import FinetuneConfig, load_config
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.training.tuning.recipe import read_recipe
+from rig import RigCurves, default_controls, read_curves, write_curves
+from tests.dataset import JAW, write_dataset
+
+CONTROLS = default_controls()
+TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+
+
+def recipe(base: str, *overrides: str) -> FinetuneConfig:
+    """Four steps on small windows."""
+    mine = ("train.steps=4", "train.evaluate_every=2", "train.batch_size=4")
+    return read_recipe(None, (*mine, "data.window_frames=32", *overrides), base=base)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory) -> str:
+    """A network of random weights whose curves move."""
+    folder = tmp_path_factory.mktemp("base") / "model"
+    torch.manual_seed(0)
+    config = load_config(TINY)
+    model = DEITalk(config.model)
+    with torch.no_grad():
+        model.decoder.output.weight.normal_(std=0.05)
+        model.decoder.style.weight.normal_(std=1.0)
+    save_model(folder, model, config, {"steps": 0})
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    """Clips in all emotions but surprised, of which the jaw alone is known in the first two.
+
+    Every control moves, for a dead channel counts as not captured.
+    """
+    folder = write_dataset(tmp_path_factory.mktemp("data"))
+    for path in (folder / "curves").iterdir():
+        curves = read_curves(path)
+        wave = 0.02 * np.sin(np.arange(len(curves)) / 3)[:, None]
+        inward = np.where(CONTROLS.rest > CONTROLS.minimum, -1, 1)
+        values = curves.values + (wave + 0.02) * inward
+        write_curves(path, RigCurves(values.astype(np.float32), curves.names, fps=curves.fps))
+    (folder / "known.txt").write_text(f"{JAW}\n")
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="", speaker="anna")
+    table.loc[:1, "known"] = "known.txt"
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder

@@ -1,0 +1,77 @@
+"""Takes left out in turn."""
+
+import json
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from deitalk.cli import app
+from deitalk.data.clips import read_clips
+from deitalk.errors import DataError
+from deitalk.training.tuning.task import FinetuneTask
+from tests.dataset import JAW, write_dataset
+from tests.deitalk.training.conftest import recipe
+
+SHORT = ("train.steps=2", "train.evaluate_every=2", "train.batch_size=2", "data.window_frames=32")
+
+
+@pytest.fixture(scope="module")
+def two_takes(tmp_path_factory):
+    """Six clips of 3 s: three of each take, one after another."""
+    folder = write_dataset(tmp_path_factory.mktemp("takes"))
+    table = pd.read_csv(folder / "clips.csv", dtype=str)
+    starts = [0, 10, 20] * 2
+    table = table.assign(
+        take=["a"] * 3 + ["b"] * 3,
+        start_s=starts,
+        stop_s=[s + 3 for s in starts],
+        emotion="sad",
+        speaker="anna",
+    )
+    table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def test_fold_is_tested_on_the_take_that_it_was_not_trained_on(base, two_takes, tmp_path):
+    """Of the other take the last clip chooses the weights; the split of the table has no part."""
+    task = FinetuneTask(recipe(base, "tune.leave_out=b"), two_takes)
+    names = [clip.name for clip in read_clips(two_takes)]
+    assert [clip.name for clip in task.clips] == names[:2]
+    assert [clip.name for clip in task.validation_clips] == names[2:3]
+    assert [clip.name for clip in task.test_clips] == names[3:]
+
+
+def test_means_are_those_of_the_folds(base, two_takes, tmp_path):
+    """And the command goes on with folds that are there."""
+    sets = [part for override in SHORT for part in ("--set", override)]
+    command = ["finetune", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *sets]
+    done = CliRunner().invoke(app, [*command, "--folds", "takes"])
+    assert done.exit_code == 0, done.output
+    assert [line.split("\t")[0] for line in done.stdout.splitlines()][:3] == ["a", "b", "before"]
+    reports = [json.loads((tmp_path / f"out/{n}/report.json").read_text()) for n in "ab"]
+    result = json.loads((tmp_path / "out/folds.json").read_text())
+    assert list(result["folds"]) == ["a", "b"]
+    for system in ("before", "after", "loudness"):
+        scores = [report["scores"][system]["mean_r"] for report in reports]
+        assert result["mean"][system]["mean_r"] == pytest.approx(sum(scores) / 2)
+    moving = result["controls"][JAW]
+    assert 0 < moving["captured_sd"] and {"before_r", "after_r"} <= moving.keys()
+    again = CliRunner().invoke(app, [*command, "--folds", "takes", "--resume"])
+    assert again.exit_code == 0 and again.stdout == done.stdout
+    with pytest.raises(DataError, match="holds a run already"):
+        CliRunner().invoke(app, [*command, "--folds", "takes"], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        (["--leave-out", "c"], "`leave_out=c` must be one of several takes or actors, such as a"),
+        (["--folds", "clips"], "`folds=clips` must be one of takes, actors"),
+        (["--folds", "actors"], "folds of actors need two; here is anna alone"),
+    ],
+)
+def test_command_rejects_what_cannot_be_left_out(base, two_takes, tmp_path, options, match):
+    arguments = ["finetune", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *options]
+    with pytest.raises(DataError, match=match):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
