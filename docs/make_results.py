@@ -14,8 +14,27 @@ from typing import Any
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS / "results"
-DOCUMENTS = (DOCS.parent / "MODEL_CARD.md", DOCS / "ablations.md")
+DOCUMENTS = (
+    DOCS.parent / "MODEL_CARD.md",
+    DOCS / "ablations.md",
+    RESULTS / "README.md",
+)
 _TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
+
+_EVALUATE = "deitalk evaluate default"
+_ABLATE = "deitalk ablate --data corpus/ --steps 300"
+COMMANDS = {
+    "default-test": f"{_EVALUATE} --data corpus/ --split test --most 90 --probes 12",
+    "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
+    "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
+    "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=default "
+    "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
+    "--set train.workers=0 --set train.evaluate_every=300 --set model.decoder_channels=128 "
+    "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
+    "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
+    "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
+}
+"""What writes each report of ``docs/results``; `deitalk ablate` writes its ``ablations.json``."""
 
 COLUMNS = (
     ("LibriSpeech", "default-test", "librispeech"),
@@ -133,24 +152,43 @@ METRICS = {
 """Title, factor and digits."""
 
 
+SYSTEMS = {
+    "deitalk": "DEITalk",
+    "faceformer": "FaceFormer-style",
+    "emotalk": "EmoTalk-style, emotion of the voice",
+    "emotalk_labelled": "EmoTalk-style, emotion given",
+}
+
+
 def ablations() -> str:
     """Networks without parts of DEITalk, alone and with the rules after them."""
+    alone = _variants("ablations", VARIANTS, "network", "the network alone")
+    ruled = _variants("ablations", VARIANTS, "groups", "with the rules")
+    return "\n".join((*alone, *ruled))
+
+
+def comparison() -> str:
+    """DEITalk beside other networks, alone (DEITalk Table 1)."""
+    return "\n".join(_variants("comparison", SYSTEMS, "network", "the network alone"))
+
+
+def _variants(name: str, variants: dict[str, str], prediction: str, title: str) -> list[str]:
+    """A table of each source of a report of `deitalk ablate`: variants down, scores across."""
+    table, heads = report(name), [head for head, _, _ in METRICS.values()]
     parts = []
-    for prediction, title in (("network", "the network alone"), ("groups", "with the rules")):
-        for source, name in SOURCES.items():
-            heads = [f"{name}, {title}", *(head for head, _, _ in METRICS.values())]
-            rows = [
-                [
-                    text,
-                    *(
-                        _spread(report("ablations")[variant][prediction][source], m)
-                        for m in METRICS
-                    ),
-                ]
-                for variant, text in VARIANTS.items()
-            ]
-            parts.append(_table([heads, *rows]))
-    return "\n".join(parts)
+    for source, text in SOURCES.items():
+        rows = [
+            [shown, *(_spread(table[variant][prediction][source], m) for m in METRICS)]
+            for variant, shown in variants.items()
+        ]
+        parts.append(_table([[f"{text}, {title}", *heads], *rows]))
+    return parts
+
+
+def commands() -> str:
+    """The command of each report."""
+    rows = [[f"`{name}.json`", f"`{command}`"] for name, command in COMMANDS.items()]
+    return _table([["report", "command"], *rows])
 
 
 def _spread(scores: dict[str, Group], metric: str) -> str:
@@ -165,6 +203,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "scores": scores,
     "intensity": intensity,
     "ablations": ablations,
+    "comparison": comparison,
+    "commands": commands,
 }
 
 

@@ -47,6 +47,10 @@ def test_reports_are_of_the_weights_of_today(path):
         assert report["sha256"] == weights_hash(model_folder(report["model"]))
 
 
+def test_every_report_has_its_command(maker):
+    assert {path.stem for path in RESULTS} <= set(maker.COMMANDS)
+
+
 def test_number_is_written_without_its_zero(maker):
     assert [maker.short(x) for x in (0.9588, 1.0, -0.25, 0.0)] == [".959", "1.000", "-.250", ".000"]
     assert maker.short(10.54, 1) == "10.5"

@@ -31,6 +31,10 @@ def ablate(
         str, typer.Option(help="validation for choices, test for final scores.")
     ] = "test",
     most: Most = None,
+    probes: Annotated[
+        int,
+        typer.Option(min=0, max=MAX_COUNT, help="Recordings per source for style separation."),
+    ] = 4,
 ) -> None:
     """Train every variant with several seeds, score them, write OUT/ablations.md and .json.
 
@@ -41,6 +45,8 @@ def ablate(
     deitalk ablate --data corpus/ -o runs/ablations
 
     deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
+
+    deitalk ablate --configs configs/comparison --data corpus/ -o runs/comparison --steps 300
     """
     with console().status("loading"):
         from deitalk.errors import ConfigError
@@ -54,7 +60,7 @@ def ablate(
         raise ConfigError(f"--only {sorted(unknown)[0]}: no such variant; there are {names}")
     chosen = [variant for variant in variants if not only or variant.name in only]
     with bar("ablations") as progress:
-        order = [f"{variant.name} seed{seed}" for variant in chosen for seed in range(seeds)]
+        order = [f"{variant.name} seed{seed}" for seed in range(seeds) for variant in chosen]
         table = run(
             chosen,
             data,
@@ -63,6 +69,7 @@ def ablate(
             seeds=seeds,
             split=split,
             most=most,
+            probes=probes,
             overrides=overrides or (),
             progress=lambda name, share: progress((order.index(name) + share) / len(order)),
         )

@@ -10,8 +10,10 @@ from deitalk.config.section import (
     Dilation,
     Odd,
     Optimisation,
+    Positive,
     Section,
     Width,
+    Window,
 )
 from rig import limits
 
@@ -56,7 +58,19 @@ class ModelConfig(Section):
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )
     classifier_size: Width = 64
+    decoder: Literal["convolution", "faceformer", "emotalk"] = Field(
+        default="convolution",
+        description="Eq. 7, or that of FaceFormer or EmoTalk, for comparison; these take "
+        "positions: false and intensity: false",
+    )
     decoder_channels: Width = 512
+    decoder_heads: Width = Field(default=4, description="heads of faceformer and emotalk")
+    decoder_period: Window = Field(
+        default=30, description="frames of a period of faceformer and emotalk"
+    )
+    decoder_labelled: bool = Field(
+        default=True, description="emotalk: the emotion is given; false: it is the voice's only"
+    )
     decoder_dilations: tuple[Dilation, ...] = Field(
         default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1, max_length=limits.LAYERS
     )
@@ -77,6 +91,21 @@ class ModelConfig(Section):
         """A second projection has a decoder to guide, and frames to compare with."""
         if self.kept_intensity and not (self.kept_controls and self.saliency_frames):
             raise ValueError("kept_intensity needs kept_controls and saliency_frames")
+        return self
+
+    @model_validator(mode="after")
+    def _other_decoders_stand_alone(self) -> "ModelConfig":
+        """Decoders of other papers have their own positions and their own emotion."""
+        if self.decoder == "convolution":
+            if not self.decoder_labelled:
+                raise ValueError("decoder_labelled: false is for decoder: emotalk")
+            return self
+        if self.positions or self.intensity:
+            raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
+        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls:
+            raise ValueError(f"decoder: {self.decoder} takes no causal_mel and no kept_controls")
+        if self.decoder_channels % self.decoder_heads:
+            raise ValueError("decoder_channels must be a multiple of decoder_heads")
         return self
 
     @model_validator(mode="after")
@@ -143,6 +172,9 @@ class DataConfig(Section):
         ge=0,
         le=1,
         description="share of windows from clips whose lips were measured, their speakers alike",
+    )
+    clips: Positive | None = Field(
+        default=None, description="clips taken of the training split, evenly spread; null: all"
     )
     taught_passes: int = Field(
         default=0,

@@ -114,7 +114,7 @@ class Wav2VecConfig(Section):
     )
     normalise: bool = Field(
         default=True,
-        description="every clip to unit variance, as published models expect; with `encoder`",
+        description="speech to unit variance, as published models expect; with `encoder`",
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
 

@@ -66,6 +66,14 @@ class Clip:
     """Start and stop in the take, seconds."""
 
 
+def spread_clips(clips: list[Clip], most: int | None) -> list[Clip]:
+    """At most so many of the clips, evenly spread over the list; None: all."""
+    if most is None or len(clips) <= most:
+        return clips
+    places = np.linspace(0, len(clips) - 1, most).round().astype(int)
+    return [clips[i] for i in places]
+
+
 def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
     """Rows of a dataset folder.
 

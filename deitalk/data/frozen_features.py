@@ -7,6 +7,8 @@ costs a fraction: captures can be fitted, or variants compared, in minutes.
 Letters: S samples, T rig frames, D width of the features.
 """
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -41,7 +43,7 @@ class FrozenFeatures:
     def __init__(self, name: str) -> None:
         self.name = name
         self.owner = require_model(name, DEITalk)
-        self._features: dict[Clip, NDArray[np.float16]] = {}
+        self._features: dict[Path, NDArray[np.float16]] = {}
 
     def copy_into(self, model: DEITalk) -> None:
         """Copy the frontend into `model`; no gradient reaches it there.
@@ -60,12 +62,12 @@ class FrozenFeatures:
         frontend.load_state_dict(self.owner.get_submodule("frontend").state_dict())
 
     def features(self, clip: Clip, waveform: Float32, n_frames: int) -> NDArray[np.float16]:
-        """Features of a whole clip, computed at the first call.
+        """Features of a whole clip, computed once for all clips of its recording.
 
         Parameters
         ----------
         clip : Clip
-            Key of the cache.
+            Its recording is the key of the cache.
         waveform : ndarray [shape=(S,)]
             16 kHz, level-normalised.
         n_frames : int
@@ -75,10 +77,10 @@ class FrozenFeatures:
         -------
         ndarray [shape=(T, D)]
         """
-        known = self._features.get(clip)
+        known = self._features.get(clip.audio)
         if known is None or len(known) < n_frames:
             length = n_frames * SAMPLE_RATE // FRAME_RATE
             padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
             features = self.owner.frontend.encode(torch.from_numpy(padded), n_frames)
-            known = self._features[clip] = features.numpy().astype(np.float16)
+            known = self._features[clip.audio] = features.numpy().astype(np.float16)
         return known

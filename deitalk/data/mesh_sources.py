@@ -21,7 +21,7 @@ import pandas as pd
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.config import MeshDataConfig
-from deitalk.data.clips import SPLITS, Clip, read_clips
+from deitalk.data.clips import SPLITS, Clip, read_clips, spread_clips
 from deitalk.data.mesh_folder import (
     LIPS_FILE,
     Lips,
@@ -223,10 +223,7 @@ def acted_clips(
 ) -> list[Clip]:
     """Clips of a dataset folder's split with one of the emotions, at most so many, spread."""
     clips = [c for c in read_clips(data, split) if emotions is None or c.emotion in emotions]
-    if most is None or len(clips) <= most:
-        return clips
-    places = np.linspace(0, len(clips) - 1, most).round().astype(int)
-    return [clips[i] for i in places]
+    return spread_clips(clips, most)
 
 
 def act(clip: Clip, identity: int | str, fps: float) -> tuple[Float32, Float32]:

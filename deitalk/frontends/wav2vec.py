@@ -40,8 +40,11 @@ norm of the published base model, so that a chunk's features do not depend on wh
 _ABOUT = ("_name_or_path", "architectures", "dtype", "torch_dtype", "transformers_version")
 """Keys of a checkpoint's configuration that are no shape."""
 
-COMPACT_SCALE = 10 ** (23 / 20)
-"""Scales speech at -23 dBFS to unit variance, by one factor for all clips."""
+SPEECH_SCALE = 10 ** (23 / 20)
+"""Scales speech at -23 dBFS to unit variance, as the published models expect (``do_normalize``).
+
+Deviation: they divide by the deviation of the whole input, pauses included. The level of the speech
+is known here, so that one factor serves windows of a training and whole clips alike."""
 
 
 class Wav2VecFrontend(nn.Module):
@@ -61,13 +64,12 @@ class Wav2VecFrontend(nn.Module):
     encoder : transformers.Wav2Vec2Model
     freeze_stem : bool
         Keep the convolutional stem fixed: "the TCN parameters in Wav2Vec2.0 are fixed" (§4.1).
-    input_scale : float or None
-        Factor on the waveform; None normalises every clip to zero mean and unit variance, as the
-        published models expect (``do_normalize``).
+    input_scale : float
+        Factor on the waveform.
     """
 
     def __init__(
-        self, encoder: nn.Module, *, freeze_stem: bool = True, input_scale: float | None = None
+        self, encoder: nn.Module, *, freeze_stem: bool = True, input_scale: float = SPEECH_SCALE
     ) -> None:
         super().__init__()
         self.encoder = encoder
@@ -100,7 +102,7 @@ class Wav2VecFrontend(nn.Module):
             return cls.from_pretrained(config.checkpoint, freeze_stem=config.freeze_stem)
         shape: Mapping[str, Any]
         if config.encoder or config.checkpoint == PUBLISHED:
-            shape, scale = config.encoder, None if config.normalise else 1.0
+            shape, scale = config.encoder, SPEECH_SCALE if config.normalise else 1.0
         else:
             with _one_line_errors(config.checkpoint):
                 shape, scale = _read_config(config.checkpoint)
@@ -155,7 +157,7 @@ class Wav2VecFrontend(nn.Module):
             Deviation: off, for a fixed random stem carries little information.
         """
         encoder = _new_encoder({**COMPACT, **changes})
-        return cls(encoder, freeze_stem=freeze_stem, input_scale=COMPACT_SCALE)
+        return cls(encoder, freeze_stem=freeze_stem)
 
     def described(self, config: Wav2VecConfig) -> Wav2VecConfig:
         """Configuration that builds the encoder where its checkpoint is no longer there."""
@@ -164,7 +166,7 @@ class Wav2VecFrontend(nn.Module):
         encoder: Any = self.encoder.config
         values = json.loads(encoder.to_json_string(use_diff=True))
         shape = {key: value for key, value in values.items() if key not in _ABOUT}
-        normalise = self.input_scale is None
+        normalise = self.input_scale == SPEECH_SCALE
         return config.model_copy(update={"encoder": shape, "normalise": normalise})
 
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
@@ -186,7 +188,7 @@ class Wav2VecFrontend(nn.Module):
 
     def features(self, waveform: Tensor) -> Tensor:
         """Features (B, K, D) at 50 Hz of (B, S), before interpolation."""
-        return self._encoded((waveform - self._offset(waveform)) * self._scale(waveform))
+        return self._encoded(waveform)
 
     @torch.no_grad()
     def encode(
@@ -202,8 +204,8 @@ class Wav2VecFrontend(nn.Module):
         Neighbouring chunks overlap and are cross-faded there, so that the frames at a chunk's
         edge, which lack context, count least. A clip of up to one chunk is encoded at once and
         equals `forward`. On longer ones attention spans 24 s instead of the whole clip: the
-        difference is more than rounding, but small wherever attention is local. The clip is
-        normalised as a whole, and chunks start on the stem's own grid.
+        difference is more than rounding, but small wherever attention is local. Chunks start on the
+        stem's own grid.
 
         Parameters
         ----------
@@ -227,14 +229,13 @@ class Wav2VecFrontend(nn.Module):
                 f"overlap_seconds={overlap_seconds:g}; lengthen the chunks"
             )
         device = next(self.encoder.parameters()).device
-        offset, scale = self._offset(waveform), self._scale(waveform)
         rows = torch.empty(n_frames, self.output_size, device=device)
         done = 0
         while done < n_frames:
             start = max(0, min(done - overlap, n_frames - chunk)) if done else 0
             stop = min(start + chunk, n_frames)
             first, last = self._sample_span(start, stop)
-            piece = ((waveform[first:last] - offset) * scale).unsqueeze(0).to(device)
+            piece = waveform[first:last].unsqueeze(0).to(device)
             new = self._rows(self._encoded(piece), start, stop, first_sample=first)[0]
             kept = done - overlap if done else 0
             fade = torch.arange(1, done - kept + 1, device=device).unsqueeze(1) / (overlap + 1)
@@ -244,18 +245,11 @@ class Wav2VecFrontend(nn.Module):
             progress(done / n_frames)
         return rows
 
-    def _offset(self, waveform: Tensor) -> Tensor | float:
-        return waveform.mean(-1, keepdim=True) if self.input_scale is None else 0.0
-
-    def _scale(self, waveform: Tensor) -> Tensor | float:
-        if self.input_scale is not None:
-            return self.input_scale
-        return (waveform.var(-1, correction=0, keepdim=True) + 1e-7).rsqrt()
-
     def _encoded(self, waveform: Tensor) -> Tensor:
         """Run the encoder on (B, S); what is too short for one feature is padded with zeros."""
         lacking = max(0, self.receptive_field - waveform.shape[-1])
-        output: Tensor = self.encoder(nn.functional.pad(waveform, (0, lacking))).last_hidden_state
+        padded = nn.functional.pad(waveform * self.input_scale, (0, lacking))
+        output: Tensor = self.encoder(padded).last_hidden_state
         return output
 
     def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
@@ -326,8 +320,8 @@ def _new_encoder(shape: Mapping[str, Any]) -> nn.Module:
         raise ConfigError(f"the encoder's shape is impossible: {reason}; mend it") from error
 
 
-def _read_config(name: str) -> tuple[dict[str, Any], float | None]:
-    """A checkpoint's shape, and its input scale (None: normalise each clip)."""
+def _read_config(name: str) -> tuple[dict[str, Any], float]:
+    """A checkpoint's shape, and its input scale."""
     from transformers import Wav2Vec2Config, Wav2Vec2FeatureExtractor
 
     values, _ = _cached_or_fetched(Wav2Vec2Config.get_config_dict, name)
@@ -347,7 +341,7 @@ def _read_config(name: str) -> tuple[dict[str, Any], float | None]:
             f"use {PUBLISHED}"
         )
     shape = {key: value for key, value in values.items() if key in known}
-    return shape, None if extractor.get("do_normalize", True) else 1.0
+    return shape, SPEECH_SCALE if extractor.get("do_normalize", True) else 1.0
 
 
 def _cached_or_fetched(read: Any, name: str, **options: Any) -> Any:

@@ -33,6 +33,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.wav2vec import Wav2VecFrontend
 from deitalk.frontends.windows import Encoder
+from deitalk.models.comparison import network_class
 from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
@@ -283,7 +284,8 @@ def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> 
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
-    return partial(DEITalk, config.model, controls, pretrained=False, rules=config.rules)
+    network = network_class(config.model)
+    return partial(network, config.model, controls, pretrained=False, rules=config.rules)
 
 
 def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:

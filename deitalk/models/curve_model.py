@@ -15,7 +15,7 @@ from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.network import Reading, Tracks, is_neutral, neutral_weights, read_twice
 from deitalk.models.positions import dynamic_positions
-from deitalk.models.rig_decoder import RigDecoder
+from deitalk.models.rig_decoder import RigDecoder, build_decoder
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -38,6 +38,8 @@ class Output(NamedTuple):
     """m_max [shape=(B, E)]; only where the captured curves were given."""
     speech: Tensor | None = None
     """Speech features [shape=(B, T, D)]."""
+    taught: Tensor | None = None
+    """1 for windows whose curves can be learnt from this batch, else 0 [shape=(B,)]; None: all."""
 
 
 class Analysis(NamedTuple):
@@ -91,7 +93,6 @@ class DEITalk(nn.Module):
         self.frontend = build_frontend(config.frontend, pretrained)
         size = self.frontend.output_size
         n_emotions, n_controls = len(EMOTIONS), len(self.controls.names)
-        guidance_size = config.emotion_size if config.intensity else 0
         if config.intensity:
             self.intensity = DynamicIntensity(
                 size,
@@ -105,21 +106,7 @@ class DEITalk(nn.Module):
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
-        self.decoder = RigDecoder(
-            in_size=size,
-            style_size=config.style_size,
-            guidance_size=guidance_size,
-            channels=config.decoder_channels,
-            dilations=config.decoder_dilations,
-            kernel_size=config.kernel_size,
-            n_emotions=n_emotions,
-            n_actors=len(config.actors),
-            rest=torch.tensor(self.controls.rest),
-            dropout=config.dropout,
-            residual=config.decoder_residual,
-            causal=self.is_causal,
-            kept=_mask(config.kept_controls, self.controls),
-        )
+        self.decoder = build_decoder(config, size, self.controls, causal=self.is_causal)
 
     def forward(
         self,
@@ -128,6 +115,7 @@ class DEITalk(nn.Module):
         frames: Tensor,
         total: Tensor,
         curves: Tensor | None = None,
+        voice: Tensor | None = None,
     ) -> Output:
         """Predict one batch of windows.
 
@@ -144,6 +132,8 @@ class DEITalk(nn.Module):
             Frames of the whole clip.
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
+        voice : Tensor [shape=(B, 5)] or None
+            Emotion that the voice acts; only `deitalk.models.comparison.emotalk` pairs by it.
         """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)
@@ -165,6 +155,19 @@ class DEITalk(nn.Module):
     def is_causal(self) -> bool:
         """Whether frames depend on a bounded look-ahead only (`deitalk.live`)."""
         return isinstance(self.config.frontend, CausalMelConfig)
+
+    @property
+    def rig_decoder(self) -> RigDecoder:
+        """The decoder of Eq. 7.
+
+        Raises
+        ------
+        CheckpointError
+            If the model has the decoder of another paper.
+        """
+        if not isinstance(self.decoder, RigDecoder):
+            raise CheckpointError(f"a model with decoder: {self.config.decoder} is for comparison")
+        return self.decoder
 
     @property
     def device(self) -> torch.device:
@@ -377,13 +380,6 @@ class DEITalk(nn.Module):
             )
             rows[start:stop] = decoded[0, start - first : stop - first]
         return rows
-
-
-def _mask(names: Sequence[str], controls: ControlSet) -> Tensor | None:
-    """True at the places of some controls [shape=(C,)]; None without any."""
-    if not names:
-        return None
-    return torch.tensor([name in names for name in controls.names])
 
 
 def _tracks_of(intensity: Intensity | None, row: int) -> Tracks:

@@ -5,10 +5,54 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from deitalk.config import ModelConfig
+from deitalk.emotions import EMOTIONS
 from deitalk.models.temporal_conv import TemporalConv, receptive_margin
+from rig import ControlSet
 
 
-class RigDecoder(nn.Module):
+class Decoder(nn.Module):
+    """What every decoder of curves has: DEITalk's, and those of `deitalk.models.comparison`.
+
+    Attributes
+    ----------
+    margin : int
+        Frames on either side that a frame's curves depend on.
+    style : nn.Linear or None
+        Embedding of the emotional styles; None if the decoder is not given the emotion.
+    actors : nn.Linear or None
+        Embedding of the actors, added to it.
+    output : nn.Linear
+        Last layer: `hidden` to curves.
+    """
+
+    margin: int
+    style: nn.Linear | None
+    actors: nn.Linear | None
+    output: nn.Linear
+
+    def forward(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
+        """Map a window or clip to curves (B, T, C); arguments as `RigDecoder.forward`."""
+        curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
+        return curves
+
+    def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
+        """Input of the last layer (B, T, channels); arguments as `RigDecoder.forward`."""
+        raise NotImplementedError
+
+    def styles(self, emotion: Tensor, n_frames: int) -> Tensor:
+        """Style embedding of every frame (B, T, style) from weights (B, 5 + A) or (B, T, 5 + A)."""
+        assert self.style is not None
+        if emotion.dim() == 2:
+            emotion = emotion.unsqueeze(1).expand(-1, n_frames, -1)
+        n_emotions = self.style.in_features
+        style: Tensor = self.style(emotion[..., :n_emotions])
+        if self.actors is not None and emotion.shape[-1] > n_emotions:
+            style = style + self.actors(emotion[..., n_emotions:])
+        return style
+
+
+class RigDecoder(Decoder):
     """Eight dilated convolutions; style and intensity join the features before each of them.
 
     Parameters
@@ -37,6 +81,7 @@ class RigDecoder(nn.Module):
     """
 
     is_kept: Tensor | None
+    style: nn.Linear
 
     def __init__(
         self,
@@ -159,14 +204,54 @@ class RigDecoder(nn.Module):
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         """Speech (B, D, T), and what joins it before each layer (B, style + E, T)."""
-        if emotion.dim() == 2:
-            emotion = emotion.unsqueeze(1).expand(-1, speech.shape[1], -1)
-        n_emotions = self.style.in_features
-        style = self.style(emotion[..., :n_emotions])
-        if self.actors is not None and emotion.shape[-1] > n_emotions:
-            style = style + self.actors(emotion[..., n_emotions:])
-        if guidance is None:
-            extra = style
-        else:
-            extra = torch.cat((style, guidance[..., : self.guidance_size]), dim=-1)
+        extra = self.styles(emotion, speech.shape[1])
+        if guidance is not None:
+            extra = torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
         return speech.transpose(1, 2), extra.transpose(1, 2)
+
+
+def build_decoder(
+    config: ModelConfig, in_size: int, controls: ControlSet, *, causal: bool = False
+) -> Decoder:
+    """Build the decoder that a configuration names.
+
+    Parameters
+    ----------
+    config : ModelConfig
+        Its ``decoder`` and what belongs to it.
+    in_size : int
+        Width of the speech features.
+    controls : ControlSet
+        The rig.
+    causal : bool
+        As for `RigDecoder`.
+    """
+    rest = torch.tensor(controls.rest)
+    if config.decoder != "convolution":
+        from deitalk.models.comparison.emotalk import EmoTalkDecoder
+        from deitalk.models.comparison.faceformer import FaceFormerDecoder
+
+        kind = {"faceformer": FaceFormerDecoder, "emotalk": EmoTalkDecoder}[config.decoder]
+        return kind(config, in_size, rest)
+    return RigDecoder(
+        in_size=in_size,
+        style_size=config.style_size,
+        guidance_size=config.emotion_size if config.intensity else 0,
+        channels=config.decoder_channels,
+        dilations=config.decoder_dilations,
+        kernel_size=config.kernel_size,
+        n_emotions=len(EMOTIONS),
+        n_actors=len(config.actors),
+        rest=rest,
+        dropout=config.dropout,
+        residual=config.decoder_residual,
+        causal=causal,
+        kept=_mask(config.kept_controls, controls),
+    )
+
+
+def _mask(names: Sequence[str], controls: ControlSet) -> Tensor | None:
+    """True at the places of some controls [shape=(C,)]; None without any."""
+    if not names:
+        return None
+    return torch.tensor([name in names for name in controls.names])

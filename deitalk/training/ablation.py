@@ -153,18 +153,19 @@ def _ablate(
     overrides: Sequence[str],
     progress: Progress,
 ) -> dict[str, Any]:
-    """Every run and the table, in a folder that is held."""
-    table = {}
+    """Every run and the table, in a folder that is held; one seed after another."""
+    reports: dict[str, list[dict[str, Any]]] = {variant.name: [] for variant in variants}
+    table: dict[str, Any] = {}
     frozen_features = lru_cache(FrozenFeatures)  # computed once for all runs
     options = {"data": str(data.resolve()), **options}
-    for variant in variants:
-        reports = []
-        for seed in range(seeds):
+    for seed in range(seeds):
+        for variant in variants:
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
-            reports.append(_report(folder, config, data, options, progress, frozen_features))
-        table[variant.name] = _summary(reports)
-        _write(out, table, options["split"], seeds)
+            report = _report(folder, config, data, options, progress, frozen_features)
+            reports[variant.name].append(report)
+            table[variant.name] = _summary(reports[variant.name])
+            _write(out, table, options["split"], seed + 1)
     return table
 
 

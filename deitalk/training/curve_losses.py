@@ -176,17 +176,20 @@ def total_loss(
     lips : HeadLips or None
         The head whose lips are compared; None if `config.lips` is 0.
     """
+    if output.taught is not None:
+        known = known * output.taught[:, None]
     weights = weights * (known + hold * (1 - known))[:, None]
     parts = {
         "position": position_loss(curves, output.curves, weights),
         "velocity": velocity_loss(curves, output.curves, weights),
     }
-    if output.intensity is not None and output.emotion_logits is not None:
-        if config.contrast and output.motion_embedding is not None:
-            parts["contrast"] = contrast_loss(
-                output.intensity.embedding, output.motion_embedding, config.temperature
-            )
+    if config.contrast and output.intensity is not None and output.motion_embedding is not None:
+        parts["contrast"] = contrast_loss(
+            output.intensity.embedding, output.motion_embedding, config.temperature
+        )
+    if output.emotion_logits is not None:
         parts["classification"] = classification_loss(output.emotion_logits, emotion)
+    if output.intensity is not None:
         parts["intensity"] = intensity_loss(intensity, output.intensity.strength)
     if config.contact and len(contact_controls):
         parts["contact"] = contact_loss(
@@ -251,7 +254,8 @@ class CurveLoss:
         """
         motion = batch.curves if motion is None else motion
         curves = motion if self.config.contrast else None
-        output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
+        clip = batch.frames, batch.total
+        output = network(batch.waveform, batch.emotion, *clip, curves, batch.voice)
         parts = total_loss(
             _across_processes(output),
             batch.curves,

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Config
 from deitalk.config.rig_file import read_controls
-from deitalk.data.clips import Clip, read_clips
+from deitalk.data.clips import Clip, read_clips, spread_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.data.taught import TaughtBatches, one_clip_each, write_pass
@@ -30,6 +30,7 @@ from deitalk.evaluation.validation import (
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.models.checkpoint import require_model, save_model
+from deitalk.models.comparison import network_class
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
 from deitalk.training.curve_losses import CurveLoss
@@ -121,12 +122,13 @@ class CurveTask(Task[Window]):
         self.taught: list[list[Clip]] = []
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
-        self.clips = read_clips(data, "train")
+        self.clips = spread_clips(read_clips(data, "train"), config.data.clips)
         self.validation_clips = read_clips(data, "validation")
 
     def _network(self, pretrained: bool = False) -> DEITalk:
         config = self.config
-        return DEITalk(config.model, self.controls, pretrained=pretrained, rules=config.rules)
+        build = network_class(config.model)
+        return build(config.model, self.controls, pretrained=pretrained, rules=config.rules)
 
     def build(self, device: torch.device) -> None:
         """Build the model with the weights it starts from, its teacher and the validation clips."""

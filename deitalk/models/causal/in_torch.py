@@ -104,7 +104,7 @@ def first_state(model: DEITalk, batch: int) -> TensorState:
     frontend = causal_frontend(model).first_state(batch)
     module = model.intensity if model.config.intensity else None
     saliency = frontend.level.new_zeros(batch, 0) if module is None else module.first_past(batch)
-    neutral, emotional = (model.decoder.first_past(batch) for _ in range(2))
+    neutral, emotional = (model.rig_decoder.first_past(batch) for _ in range(2))
     return TensorState(frontend, saliency, neutral, emotional)
 
 
@@ -142,7 +142,7 @@ def advance(
     plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
     plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
     both = tuple(torch.cat(pair) for pair in zip(state.neutral, state.emotional, strict=True))
-    curves, past = model.decoder.advance(
+    curves, past = model.rig_decoder.advance(
         torch.cat((speech, speech)),
         torch.cat((plain, styles)),
         None if guidance is None else torch.cat((guidance, guidance)),

@@ -115,6 +115,11 @@ class FinetuneTask(CurveTask):
         super().__init__(with_actors(config, division.train), data)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
+        if config.model.decoder != "convolution":
+            raise ConfigError(
+                f"tune.base: {config.tune.base!r} has decoder: {config.model.decoder}, which is "
+                "for comparison; fine-tune a model such as default"
+            )
         if not self.clips or not self.validation_clips:
             raise DataError(
                 f"{data}: needs clips to train on and to validate; fill the column split, or "
@@ -168,18 +173,19 @@ class FinetuneTask(CurveTask):
             )
         self.model = self._network()
         start_as(self.model, base)
-        if self.model.decoder.kept is not None and base.decoder.kept is None:
-            own = self.model.decoder.kept.state_dict().keys()
-            weights = {k: v for k, v in base.decoder.state_dict().items() if k in own}
-            self.model.decoder.kept.load_state_dict(weights)
+        decoder, given = self.model.rig_decoder, base.rig_decoder
+        if decoder.kept is not None and given.kept is None:
+            own = decoder.kept.state_dict().keys()
+            weights = {k: v for k, v in given.state_dict().items() if k in own}
+            decoder.kept.load_state_dict(weights)
         kept = self.model.intensity.kept if self.config.model.intensity else None
         if kept is not None:
             before = base.intensity.kept or base.intensity.project
             kept.load_state_dict(before.state_dict())
-        if base.decoder.actors is not None and self.model.decoder.actors is not None:
-            known = base.decoder.actors.weight
+        if given.actors is not None and decoder.actors is not None:
+            known = given.actors.weight
             with torch.no_grad():
-                self.model.decoder.actors.weight[:, : known.shape[1]] = known
+                decoder.actors.weight[:, : known.shape[1]] = known
         if tune.part != "all":
             self.frozen_features = FrozenFeatures(tune.base)
         if not self.is_same_rig:
@@ -195,7 +201,7 @@ class FinetuneTask(CurveTask):
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""
-        decoder = self.model.decoder
+        decoder = self.model.rig_decoder
         if part == "all":
             return
         self.model.requires_grad_(False)

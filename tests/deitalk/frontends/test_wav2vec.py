@@ -9,7 +9,7 @@ from transformers import HubertConfig, Wav2Vec2Config, Wav2Vec2FeatureExtractor,
 
 from deitalk.config import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.frontends.wav2vec import COMPACT_SCALE, PUBLISHED, Wav2VecFrontend
+from deitalk.frontends.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
 from tests.closeness import SHARE, assert_same
 
 TINY = {
@@ -58,12 +58,26 @@ def test_features_are_those_of_transformers(checkpoint, speech):
     frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
     model = Wav2Vec2Model.from_pretrained(checkpoint).eval()
     extractor = Wav2Vec2FeatureExtractor.from_pretrained(checkpoint)
-    values = extractor(speech.numpy() + 0.3, sampling_rate=16000, return_tensors="pt").input_values
+    level = 10 ** (-23 / 20)
+    speech = level * (speech - speech.mean()) / speech.std(correction=0)
+    values = extractor(speech.numpy(), sampling_rate=16000, return_tensors="pt").input_values
     with torch.no_grad():
         expected = model(values).last_hidden_state
-        features = frontend.features(speech[None] + 0.3)
+        features = frontend.features(speech[None])
     assert features.shape == (1, (32000 - 400) // 320 + 1, 32)
     assert_same(features, expected)
+
+
+def test_window_of_a_training_is_scaled_as_the_whole_clip(checkpoint, speech):
+    """Silence before speech, or its end, changes no scale: the stem's rows stay (§4.1 windows)."""
+    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
+    given = []
+    frontend.encoder.register_forward_pre_hook(lambda module, inputs: given.append(inputs[0][0]))
+    clip = torch.cat((torch.zeros(16_000), speech))
+    with torch.no_grad():
+        frontend(speech[None, :8000], 15)  # a window
+        frontend.encode(clip, 90)  # the clip that it is of
+    torch.testing.assert_close(given[0], given[1][16_000:24_000])
 
 
 def test_checkpoint_without_normalisation_takes_the_samples_unchanged(checkpoint, speech):
@@ -159,13 +173,13 @@ def test_compact_encoder_trains_its_stem_and_is_small(speech):
     n_parameters = sum(p.numel() for p in frontend.parameters())
     assert 6e6 < n_parameters < 7e6
     assert frontend.output_size == 256
-    assert frontend.input_scale == COMPACT_SCALE
+    assert frontend.input_scale == SPEECH_SCALE
     frontend(speech[None], 60).sum().backward()
     assert all(p.grad is not None for p in frontend.encoder.feature_extractor.parameters())
 
 
 def test_unit_variance_of_speech_at_the_normalised_level():
-    assert (10 ** (-23 / 20) * COMPACT_SCALE) == pytest.approx(1)
+    assert (10 ** (-23 / 20) * SPEECH_SCALE) == pytest.approx(1)
 
 
 def test_a_clip_of_one_chunk_is_encoded_at_once(checkpoint, speech):
@@ -246,7 +260,7 @@ def test_sizes_are_read_without_weights(checkpoint):
     (checkpoint / "model.safetensors").unlink()
     frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint)), pretrained=False)
     assert frontend.output_size == 32
-    assert frontend.input_scale is None
+    assert frontend.input_scale == SPEECH_SCALE
 
 
 def test_shape_survives_a_configuration(checkpoint):

@@ -110,7 +110,7 @@ def test_ablation_resumes_after_a_kill_and_repeats_no_finished_run(data, tmp_pat
     runs: list[str] = []
     scores = ablate(VARIANTS, data, out, **OPTIONS, progress=lambda run, _: runs.append(run))
     assert list(dict.fromkeys(runs)) == [
-        "full seed0", "full seed1", "still seed0", "still seed1"
+        "full seed0", "still seed0", "full seed1", "still seed1"
     ]  # fmt: skip
     assert scores["full"]["network"]["test"]["lpe"]["n"] == 2
     assert pd.read_csv(out / "full/seed0/development.csv")["step"].tolist() == [2], "no row twice"

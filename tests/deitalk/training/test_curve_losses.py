@@ -139,6 +139,18 @@ def test_unknown_controls_have_no_part_in_the_loss():
     assert float(nothing["position"]) == float(nothing["velocity"]) == 0
 
 
+def test_windows_that_no_voice_can_teach_have_no_part_in_the_loss():
+    output, curves, emotion, intensity = example()
+    config = LossConfig(contact=2.0)
+    both = total(config, output, curves, emotion, intensity)
+    taught = total(config, output._replace(taught=torch.ones(1)), curves, emotion, intensity)
+    assert taught == both
+    nothing = total(config, output._replace(taught=torch.zeros(1)), curves, emotion, intensity)
+    for name in ("position", "velocity", "contact"):
+        assert float(both[name]) > float(nothing[name]) == 0
+    assert nothing["classification"] == both["classification"]
+
+
 def test_contact_is_the_mean_over_clips_that_know_it():
     shut, half = torch.ones(2, 1, 1), torch.full((2, 1, 1), 0.5)
     half[1] = 0.1

@@ -325,3 +325,11 @@ train:
   steps: 4
   evaluate_every: 4
 """
+
+
+def test_some_clips_are_taken_evenly(tmp_path):
+    data = write_dataset(tmp_path / "data", 5, 1)
+    every = [clip.name for clip in CurveTask(load_config(TINY), data).clips]
+    config = load_config(TINY, ["data.clips=3"])
+    taken = [clip.name for clip in CurveTask(config, data).clips]
+    assert taken == [every[0], every[len(every) // 2], every[-1]]
