@@ -52,7 +52,7 @@ class Voice:
         self.voices.add({"voice": self.number, "do": "close"})
 
     async def next_frames(self) -> Float32:
-        """Wait for frames [shape=(n, C)].
+        """Wait for frames and their track of the head [shape=(n, C + 6)].
 
         Raises
         ------
@@ -85,8 +85,11 @@ class Voices:
         self.news = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
 
-    async def open(self, model: str) -> tuple[Voice, float]:
+    async def open(self, model: str, motion: dict[str, Any]) -> tuple[Voice, float]:
         """Begin a voice; return it and the look-ahead of its model, seconds.
+
+        ``motion`` has ``idle``, ``life``, ``look_at`` and ``seed``, as for `LiveAnimator`; a
+        seed of None is another one for each voice.
 
         Raises
         ------
@@ -99,7 +102,9 @@ class Voices:
             self.task = asyncio.create_task(self._run())
         self.number += 1
         voice = self.known[self.number] = Voice(self, self.number)
-        self.add({"voice": voice.number, "do": "open", "model": model})
+        if motion["seed"] is None:
+            motion = motion | {"seed": self.number}
+        self.add({"voice": voice.number, "do": "open", "model": model, "motion": motion})
         try:
             return voice, await voice.opened
         except BaseException:

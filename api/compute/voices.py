@@ -12,6 +12,7 @@ import numpy as np
 from api.compute.networks import causal_network
 from api.compute.order import MOST_VOICES, OUT, SAMPLES, Answer, Limits, Order
 from deitalk.live.animator import LiveAnimator
+from deitalk.postprocess.life.amounts import Life
 from rig.arrays import Float32
 
 
@@ -28,7 +29,7 @@ class Voices:
         for action in actions:
             voice, kind = int(action["voice"]), action["do"]
             if kind == "open":
-                opened[voice] = self._open(voice, action["model"], limits)
+                opened[voice] = self._open(voice, action["model"], action["motion"], limits)
             elif voice not in self.places:
                 continue
             elif kind == "feed":
@@ -45,14 +46,15 @@ class Voices:
                 self.places.pop(voice)
         return opened, self._frames()
 
-    def _open(self, voice: int, model: str, limits: Limits) -> float:
+    def _open(self, voice: int, model: str, motion: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
             network = causal_network(model, limits)
             self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, idle=False)
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)
-        self.animators[model].reset(place)
+        life = Life.of(motion["life"], motion["look_at"]) if motion["idle"] else None
+        self.animators[model].open(place, life, motion["seed"])
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds
 
@@ -61,8 +63,12 @@ class Voices:
         return self.animators[model], place
 
     def _frames(self) -> dict[int, Float32]:
+        """Curves and track of the head of each voice [shape=(n, C + 6)]."""
         read = {model: animator.read() for model, animator in self.animators.items()}
-        return {voice: read[model][place] for voice, (model, place) in self.places.items()}
+        return {
+            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
+            for voice, (model, k) in self.places.items()
+        }
 
 
 _voices = Voices()

@@ -30,6 +30,7 @@ from api.service import Service
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
+from rig.curves import HEAD
 
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0
@@ -75,7 +76,8 @@ class Session:
             stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
             await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
             return
-        voice, lookahead = await self.service.voices.open(self.start.model)
+        motion = self.start.motion()
+        voice, lookahead = await self.service.voices.open(self.start.model, motion)
         try:
             causal = CausalStream(self.start.sample_rate, self.start.encoding == "float32", voice)
             await self._serve(
@@ -94,7 +96,7 @@ class Session:
     ) -> None:
         """Read and write until one of the two ends; `hop` and `lookahead` are for the header."""
         self.stream = stream
-        await self._send(_header(folder, hop, lookahead))
+        await self._send(_header(folder, hop, lookahead, self._head_columns(folder)))
         self._change(self.start)
         self.end = monotonic() + self.service.settings.live_seconds
         reading = asyncio.create_task(self._read())
@@ -118,6 +120,9 @@ class Session:
             raise Problem(422, "the model makes no curves; use default", "model_unfit")
         return model_folder(folder)
 
+    def _head_columns(self, folder: Path) -> list[str]:
+        return [*HEAD] if self.start.head and is_causal(folder) else []
+
     async def _pass_on(self, stream: CausalStream) -> None:
         """Send the frames of a voice as they come."""
         as_json = self.start.frames == "json"
@@ -125,7 +130,16 @@ class Session:
             frames = await stream.voice.next_frames()
             begin, late = stream.come(frames)
             self.room.set()
-            await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
+            values, head = frames[:, : -len(HEAD)], frames[:, -len(HEAD) :]
+            message = frames_message(
+                begin,
+                values,
+                late,
+                FRAME_RATE,
+                as_json=as_json,
+                head=head if self.start.head else None,
+            )
+            await self._send(message)
 
     async def _read(self) -> None:
         """Take messages; none while too much sound waits."""
@@ -224,17 +238,19 @@ class Session:
             raise Problem(400, "the client does not read its frames", "client_slow") from None
 
 
-def _header(folder: Path, hop: float, lookahead: float) -> dict[str, Any]:
+def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict[str, Any]:
     about = read_about(folder)
     return {
         "type": "header",
         "names": about["controls"],
         "control_set": about["control_set"],
+        "head": head,
         "fps": FRAME_RATE,
         "lookahead_seconds": lookahead,
         "hop_seconds": hop,
         "window_seconds": WINDOW_SECONDS if lookahead == LOOKAHEAD_SECONDS else lookahead,
-        "record": "uint32 index, float32 late, float64 time, float32 values; little-endian",
+        "record": "uint32 index, float32 late, float64 time, float32 values, float32 head; "
+        "little-endian",
     }
 
 

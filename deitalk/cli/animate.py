@@ -23,6 +23,8 @@ from deitalk.cli.options import (
     IntensityCurve,
     Json,
     Language,
+    LifeFactors,
+    LookAt,
     PhonesGiven,
     Threads,
     Voice,
@@ -60,13 +62,8 @@ def animate(
     ] = None,
     digits: Digits = None,
     idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
-    life: Annotated[
-        str | None,
-        typer.Option(help="Factors on them, 0 to 2: brows=.8,head=1.2,blinks=1,gaze=.5."),
-    ] = None,
-    look_at: Annotated[
-        str, typer.Option(help="Listener's place: degrees to the character's left and up.")
-    ] = "0,0",
+    life: LifeFactors = None,
+    look_at: LookAt = "0,0",
     listen: Annotated[
         float, typer.Option(help="Seconds of living silence after the speech.")
     ] = 0.0,

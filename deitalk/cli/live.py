@@ -10,7 +10,7 @@ import typer
 
 from deitalk.cli.console import console
 from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
-from deitalk.cli.options import Backend, Emotion, Intensity
+from deitalk.cli.options import Backend, Emotion, Intensity, LifeFactors, LookAt
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -41,7 +41,10 @@ def live(
     port: Port = None,
     protocol: ProtocolName = "livelink",
     subject: Subject = "deitalk",
-    idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
+    idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
+    life: LifeFactors = None,
+    look_at: LookAt = "0,0",
+    seed: Annotated[int, typer.Option(min=0, help="Another drawing of this motion.")] = 0,
     seconds: Annotated[
         float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
     ] = None,
@@ -67,7 +70,9 @@ def live(
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.causal.network import load_causal
+    from deitalk.postprocess.life.amounts import Life
 
+    motion = Life.of(life, look_at)
     network = load_causal(model, backend=backend)
     if speech is not None:
         from deitalk.audio.load import load_audio
@@ -75,7 +80,13 @@ def live(
         waveform = load_audio(speech).waveform
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
     animator = LiveAnimator(
-        network, emotion=emotion, intensity=intensity, sample_rate=source.sample_rate, idle=idle
+        network,
+        emotion=emotion,
+        intensity=intensity,
+        sample_rate=source.sample_rate,
+        idle=idle,
+        life=motion,
+        seed=seed,
     )
     animator.feed(np.zeros(source.sample_rate, np.float32))  # the first call takes longer
     animator.reset()
@@ -120,9 +131,11 @@ def transmit(
         block = source.read(POLL_SECONDS if wait is None else min(wait, POLL_SECONDS))
         if block is not None:
             taken += len(block)
-            sender.push(animator.feed(block))
+            frames = animator.feed(block)
+            sender.push(frames, animator.head)
         sender.send_due()
-    sender.push(animator.finish(), catch_up=False)
+    frames = animator.finish()
+    sender.push(frames, animator.head, catch_up=False)
     sender.drain()
 
 
@@ -131,16 +144,19 @@ def _sender(
 ) -> "LiveSender":
     from datetime import datetime
 
+    from rig.conversion.arkit import HEAD
     from rig.livelink import LiveSender, make_protocol
 
     now = datetime.now().astimezone()
     midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
+    names = (*animator.names, *HEAD) if protocol == "json" else animator.names
     return LiveSender(
-        make_protocol(protocol, subject, animator.names),
+        make_protocol(protocol, subject, names),
         (host, port),
         animator.names,
         animator.network.controls.id,
         animator.fps,
+        sends_head=protocol == "json",
         first_frame=int((now - midnight).total_seconds() * animator.fps),
         note=console().note,
     )

@@ -62,6 +62,7 @@ def send(
     deitalk livelink send take/curves.json --protocol json --loop
     """
     from deitalk.emotions import check_intensity, parse_emotion
+    from rig.livelink.protocols import with_head
 
     check_intensity(intensity)
     parse_emotion(emotion)
@@ -70,7 +71,7 @@ def send(
     port = checked_port(host, port, protocol, subject, fps)
     curves, audio = _source(source, emotion, intensity, model)
     if protocol == "json":
-        curves = _as_rig(curves, rig)
+        curves = with_head(_as_rig(curves, rig))
     started = [_player(audio), *signals] if play else signals
     _send(curves, protocol, host, port, subject, fps, loop, started)
 

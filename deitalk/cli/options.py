@@ -64,6 +64,13 @@ PhonesGiven = Annotated[
 Language = Annotated[
     str, typer.Option(help="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …")
 ]
+LifeFactors = Annotated[
+    str | None,
+    typer.Option("--life", help="Factors on them, 0 to 2: brows=.8,head=1.2,blinks=1,gaze=.5."),
+]
+LookAt = Annotated[
+    str, typer.Option(help="Listener's place: degrees to the character's left and up.")
+]
 Most = Annotated[
     int | None,
     typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),

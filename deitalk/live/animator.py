@@ -15,8 +15,7 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import Direction, EmotionTrack
 from deitalk.errors import AudioError
 from deitalk.live import rules
-from deitalk.live.brows import RunningBrows
-from deitalk.live.idle import RunningIdle
+from deitalk.live.life import RunningLife
 from deitalk.live.rules import DueRows
 from deitalk.live.stream import Change, Stream
 from deitalk.models.causal.network import (
@@ -28,7 +27,9 @@ from deitalk.models.causal.network import (
 )
 from deitalk.models.network import chosen_actor, styles_of
 from deitalk.pipeline.arguments import whole_seed
+from deitalk.postprocess.life.amounts import Life
 from rig.arrays import Float32
+from rig.curves import HEAD
 
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
@@ -60,7 +61,11 @@ class LiveAnimator:
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
     idle : bool
-        Add blinks, small motions of the gaze, and brows on accents, if the model's rules have them.
+        Add blinks, gaze, brows, head and neck on the voice, if the model's rules have them.
+    life : str or mapping, optional
+        As for `deitalk.animate`: factors on this motion; ``head=0`` for curves without a head.
+    look_at : tuple of float
+        As for `deitalk.animate`.
     raw : bool
         The network alone, without the model's rules.
     seed : int
@@ -86,6 +91,9 @@ class LiveAnimator:
         30.
     lookahead_seconds : float
         Sound after a frame that it depends on.
+    head : array [shape=(n, 6)], or a list of them for several streams
+        Track of the head (`rig.curves.HEAD`: degrees and cm) of the frames that were given last;
+        at 0 where it is off.
     """
 
     fps = float(FRAME_RATE)
@@ -99,6 +107,8 @@ class LiveAnimator:
         intensity: float = 1.0,
         sample_rate: int = SAMPLE_RATE,
         idle: bool = True,
+        life: str | Mapping[str, float] | Life | None = None,
+        look_at: tuple[float, float] = (0.0, 0.0),
         raw: bool = False,
         seed: int = 0,
         actor: str | None = None,
@@ -112,7 +122,9 @@ class LiveAnimator:
         self.names, self.sample_rate = tuple(self.network.controls.names), sample_rate
         self.actor = chosen_actor(self.network.actors, actor)
         self.settings = RulesConfig.none() if raw else self.network.rules
-        self.idle, self.seed = idle and self.settings.idle is not None, whole_seed(seed)
+        motion = Life.of(life, look_at) if idle else None
+        self.lives = [motion] * streams
+        self.seeds = [whole_seed(seed) + k for k in range(streams)]
         direction = Direction.of(emotion, intensity)
         self._first = Change(0.0, direction.emotion, direction.intensity)
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
@@ -120,6 +132,12 @@ class LiveAnimator:
         self.state = tuple(part.copy() for part in self.network.first_state(streams))
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
+        self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
+
+    @property
+    def head(self) -> Any:
+        """Track of the head of the frames that were given last."""
+        return self._single(self.heads)
 
     def feed(self, samples: Samples | Sequence[Samples]) -> Any:
         """Take the next samples; return the frames that are known now.
@@ -172,7 +190,9 @@ class LiveAnimator:
     def read(self) -> list[Float32]:
         """Frames of every stream that are known now [shape=(n, C)], in one call of the network."""
         self._advance()
-        return [stream.collect(len(self.names)) for stream in self.streams]
+        given = [stream.collect() for stream in self.streams]
+        self.heads = [head for _, head in given]
+        return [frames for frames, _ in given]
 
     def set(
         self,
@@ -208,13 +228,16 @@ class LiveAnimator:
             put(self.state, [k], self.network.first_state(1))
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
+    def open(self, stream: int, life: Life | None, seed: int) -> None:
+        """Begin a stream again, with other motion above the mouth; None: with none."""
+        self.lives[stream], self.seeds[stream] = life, whole_seed(seed)
+        self.reset(stream)
+
     def _stream(self, number: int) -> Stream:
-        controls, idle, brows = self.network.controls, None, None
-        if self.idle and self.settings.idle is not None:
-            seed = self.seed + number
-            idle = RunningIdle(controls, self.settings.idle, seed)
-            brows = RunningBrows(controls, self.settings.idle, seed, rules.AHEAD)
-        return Stream(self.network.grid, controls, self.settings, self._first, idle, brows)
+        controls, life, motion = self.network.controls, self.lives[number], None
+        if life is not None and (idle := self.settings.idle) is not None:
+            motion = RunningLife(controls, idle, life, self.seeds[number], rules.AHEAD)
+        return Stream(self.network.grid, controls, self.settings, self._first, motion)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)

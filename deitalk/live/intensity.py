@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, sonority_db
 from deitalk.config import VoiceIntensity
 from deitalk.postprocess.voice_intensity import FAINTEST, STEEPNESS, deviation
 from rig.arrays import Bool, Float32, Float64
@@ -53,12 +53,14 @@ class Measures(NamedTuple):
     tilt: Float64
     pitch: Float64
     periodicity: Float64
+    sonority: Float64
 
     @classmethod
     def of(cls, measured: Float64) -> "Measures":
         """Take measured rows (31, n)."""
         level, bright, dark, pitch, periodicity = measured[:5]
-        return cls(level, 10 * np.log10((bright + 1e-12) / (dark + 1e-12)), pitch, periodicity)
+        tilt = 10 * np.log10((bright + 1e-12) / (dark + 1e-12))
+        return cls(level, tilt, pitch, periodicity, sonority_db(measured[5:]))
 
 
 class RunningIntensity:
@@ -90,7 +92,7 @@ class RunningIntensity:
         """
         if self.rule is None:
             return network
-        rows = zip(deviation(network), *measures, speaking, strict=True)
+        rows = zip(deviation(network), *measures[:4], speaking, strict=True)
         return np.array([self._next(*row) for row in rows], np.float32)
 
     def _next(

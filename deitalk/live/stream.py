@@ -13,14 +13,14 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.live import rules as running
 from deitalk.live.activity import AHEAD, RunningActivity
-from deitalk.live.brows import RunningBrows
-from deitalk.live.idle import RunningIdle
 from deitalk.live.intensity import Measures, RunningIntensity
+from deitalk.live.life import RunningLife
 from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
 from deitalk.models.causal.network import SpectraGrid
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
+from rig.curves import HEAD
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
@@ -80,10 +80,8 @@ class Stream:
         Rules after the network.
     change : Change
         Emotion and intensity at the start.
-    idle : RunningIdle or None
-        Blinks and gaze.
-    brows : RunningBrows or None
-        Accents of brows, lids and cheeks.
+    life : RunningLife or None
+        Blinks, gaze, brows, head and neck.
     """
 
     def __init__(
@@ -92,11 +90,9 @@ class Stream:
         controls: ControlSet,
         rules: RulesConfig,
         change: Change,
-        idle: RunningIdle | None,
-        brows: RunningBrows | None = None,
+        life: RunningLife | None,
     ) -> None:
-        self.grid, self.controls, self.settings = grid, controls, rules
-        self.idle, self.brows = idle, brows
+        self.grid, self.controls, self.settings, self.life = grid, controls, rules, life
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -109,6 +105,7 @@ class Stream:
         self.groups = self.n_measured = self.n_frames = 0
         self.n_total: int | None = None
         self.frames: list[Float32] = []
+        self.heads: list[Float32] = []
 
     def change(self, emotion: EmotionTrack | None, intensity: float | None) -> None:
         """Change emotion or intensity from the sound on that comes next; at once before any."""
@@ -174,8 +171,8 @@ class Stream:
         frames = np.arange(stop - len(neutral), stop)
         measures, speaking = self._measured(len(frames))
         voice = self.intensity.feed(network, measures, speaking)
-        if self.brows is not None:
-            self.brows.feed(measures, speaking)
+        if self.life is not None:
+            self.life.feed(measures, speaking)
         emotion, factor = self._directed(frames)
         scale, applied = factor, voice * factor
         if self.settings.voice_intensity is not None:
@@ -198,17 +195,20 @@ class Stream:
 
     def emit(self, curves: Float32, due: DueRows) -> None:
         """Take the curves of the frames that were due."""
-        if self.brows is not None:
+        head = np.zeros((len(curves), len(HEAD)), np.float32)
+        if self.life is not None:
             shown = due.own.applied * due.gates.expression
-            self.brows.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
-        if self.idle is not None:
-            self.idle.add_to(curves)
+            head = self.life.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
         self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))
+        self.heads.append(head)
 
-    def collect(self, n_controls: int) -> Float32:
-        """Frames since the last call [shape=(n, C)]."""
-        frames, self.frames = self.frames, []
-        return np.concatenate(frames) if frames else np.zeros((0, n_controls), np.float32)
+    def collect(self) -> tuple[Float32, Float32]:
+        """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
+        frames, heads = self.frames, self.heads
+        self.frames, self.heads = [], []
+        if not frames:
+            return _none(len(self.controls)), _none(len(HEAD))
+        return np.concatenate(frames), np.concatenate(heads)
 
     def _measured(self, count: int) -> tuple[Measures, Bool]:
         """Prosody of the next frames, and which of them are speech: a lone one is a click."""
@@ -238,3 +238,7 @@ class Stream:
             emotion = emotion + share[:, None] * (change.emotion.at(times) - emotion)
             intensity = intensity + share * (np.float32(change.intensity) - intensity)
         return emotion.astype(np.float32), intensity.astype(np.float32)
+
+
+def _none(count: int) -> Float32:
+    return np.zeros((0, count), np.float32)

@@ -181,7 +181,13 @@ def _shapes(raw: RigCurves) -> Float32:
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
     _turn_eyes(values, raw)
     if raw.head is not None:
-        values[:, arkit.indices(HEAD)] = raw.head[:, : len(HEAD)] / np.array(HEAD_DEGREES)
+        values[:, arkit.indices(HEAD)] = head_values(raw.head)
+    return values
+
+
+def head_values(track: Float32) -> Float32:
+    """Values of `HEAD` (T, 3) for a head track (T, 6)."""
+    values: Float32 = (track[:, : len(HEAD)] / np.array(HEAD_DEGREES)).astype(np.float32)
     return values
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arrays import Float32
-from rig.conversion.convert import convert, known_controls
-from rig.curves import RigCurves
-from rig.livelink.protocols import LiveProtocol
+from rig.conversion.convert import convert
+from rig.curves import HEAD, RigCurves
+from rig.livelink.protocols import LiveProtocol, rest_values, with_head
 from rig.livelink.sender import REST_REPEATS, Clock, connected
 
 IN_TIME = 0.95
@@ -66,6 +66,9 @@ class LiveSender:
         Frames per second.
     first_frame : int
         Number of the first frame.
+    sends_head : bool
+        Append HeadYaw, HeadPitch and HeadRoll to columns that are sent as they are; a protocol of
+        another control set has its own.
     clock : Clock, optional
         Other sources of time.
     note : callable
@@ -86,11 +89,13 @@ class LiveSender:
         fps: float,
         *,
         first_frame: int = 0,
+        sends_head: bool = False,
         clock: Clock | None = None,
         note: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.protocol, self.names, self.control_set, self.fps = protocol, names, control_set, fps
         self.address, self.first_frame, self.note = address, first_frame, note
+        self.sends_head = sends_head
         self.clock = clock or Clock()
         self.link = connected(address)
         self.waiting: deque[tuple[int, float, Float32]] = deque()
@@ -101,14 +106,14 @@ class LiveSender:
         self.n_pushed = self.n_sent = self.n_skipped = self.n_failed = 0
         self.is_lost = False
 
-    def push(self, values: Float32, *, catch_up: bool = True) -> None:
-        """Take the next frames [shape=(n, C)].
+    def push(self, values: Float32, head: Float32 | None = None, *, catch_up: bool = True) -> None:
+        """Take the next frames [shape=(n, C)] and their head track [shape=(n, 6)].
 
         Without `catch_up` they may come long before their time, as the last ones of a recording.
         """
         if not len(values):
             return
-        rows, now = self._converted(values), self.clock.now()
+        rows, now = self._converted(values, head), self.clock.now()
         for row in rows:
             self.offsets.append(now - self.n_pushed / self.fps)
             self.waiting.append((self.n_pushed, now, row))
@@ -142,11 +147,8 @@ class LiveSender:
 
     def rest(self) -> None:
         """Send the face at rest, in the frames that follow."""
-        controls = known_controls(self.control_set)
-        values = np.zeros(len(self.names), np.float32)
-        if controls is not None:
-            values = controls.rest[controls.indices(self.names)].astype(np.float32)
-        row = self._converted(values[None])[0]
+        values = rest_values(self.control_set, self.names)[None]
+        row = self._converted(values, np.zeros((1, len(HEAD)), np.float32))[0]
         for k in range(REST_REPEATS):
             self._send(self.n_pushed + k, row)
 
@@ -167,11 +169,13 @@ class LiveSender:
     def _due(self, number: int) -> float:
         return self.base + number / self.fps
 
-    def _converted(self, values: Float32) -> Float32:
+    def _converted(self, values: Float32, head: Float32 | None) -> Float32:
+        curves = RigCurves(
+            values, self.names, fps=self.fps, control_set=self.control_set, head=head
+        )
         if self.protocol.control_set in (None, self.control_set):
-            return values
+            return with_head(curves).values if self.sends_head else values
         assert self.protocol.control_set is not None
-        curves = RigCurves(values, self.names, fps=self.fps, control_set=self.control_set)
         return convert(curves, self.protocol.control_set).values
 
     def _send(self, number: int, row: Float32) -> None:

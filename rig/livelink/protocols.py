@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Protocol
@@ -13,7 +13,16 @@ import numpy as np
 from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.controls.control import NEWER_ONLY
-from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, arkit_controls, udp_order
+from rig.conversion.arkit import (
+    ARKIT_ID,
+    HEAD,
+    HEAD_DEGREES,
+    arkit_controls,
+    head_values,
+    udp_order,
+)
+from rig.conversion.convert import known_controls
+from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
 from rig.livelink import osc
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
@@ -62,7 +71,8 @@ class PropertyJson:
     Controls of the board have the names that FgControlRig looks up (its FgControlRigBPLibrary and
     FgControlRigTypes): a float the bare name, a two-dimensional one ``CTRL_C_jaw.translateX`` and
     ``.translateY``, both in the spelling of the boards up to 2023. Controls that those had not,
-    switches and multipliers are left out. The text is ASCII, as the receiver decodes Latin-1. A
+    switches and multipliers are left out. Curves of `with_head` have HeadYaw, HeadPitch and
+    HeadRoll too. The text is ASCII, as the receiver decodes Latin-1. A
     receiver takes names and order from the first datagram, so they never change.
     """
 
@@ -96,6 +106,27 @@ class PropertyJson:
         spelt = facegood_names()
         named = [(i, spelt.get(name, name)) for i, name in enumerate(self.names)]
         return [(i, name) for i, name in named if name]
+
+
+def with_head(curves: RigCurves) -> RigCurves:
+    """Curves with their head track as columns HeadYaw, HeadPitch and HeadRoll, in ARKit's values.
+
+    Curves without a track, or with such columns, stay as they are.
+    """
+    if curves.head is None or HEAD[0] in curves.names:
+        return curves
+    values = np.concatenate((curves.values, head_values(curves.head)), axis=1)
+    return replace(curves, values=values, names=(*curves.names, *HEAD))
+
+
+def rest_values(control_set: str, names: Sequence[str]) -> Float32:
+    """Values of a face at rest; 0 for names that the control set has not."""
+    controls = known_controls(control_set)
+    values = np.zeros(len(names), np.float32)
+    if controls is not None:
+        known = [i for i, name in enumerate(names) if name in controls.names]
+        values[known] = controls.rest[controls.indices([names[i] for i in known])]
+    return values
 
 
 @cache

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 
-import numpy as np
-
 from rig.arrays import Float32
-from rig.conversion.convert import convert, known_controls
+from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.livelink.protocols import LiveProtocol
+from rig.livelink.protocols import LiveProtocol, rest_values
 
 REST_REPEATS = 3
 """Packets of the face at rest at the end, since UDP may lose one."""
@@ -161,11 +159,7 @@ class _Run:
 
     def rest(self) -> None:
         """Send the face at rest, in the frames that follow."""
-        controls = known_controls(self.curves.control_set)
-        if controls is None:
-            values = np.zeros(len(self.curves.names), np.float32)
-        else:
-            values = controls.rest[controls.indices(self.curves.names)]
+        values = rest_values(self.curves.control_set, self.curves.names)
         for i in range(REST_REPEATS):
             self._send(self.index + i, values)
 

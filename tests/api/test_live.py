@@ -162,6 +162,8 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         (['{"type": "start", "emotion": "moods.csv"}'], "emotion_invalid"),
         (['{"type": "start", "model": "../x"}'], "model_unknown"),
         (['{"type": "start", "model": "sdfa"}'], "model_unfit"),
+        (['{"type": "start", "life": "nose=1"}'], "request_invalid"),
+        (['{"type": "start", "look_at": "90,0"}'], "request_invalid"),
         (['{"type": "start"}', '{"type": "jump"}'], "message_unknown"),
         (['{"type": "start"}', "[" * 4000], "message_unknown"),
         (['{"type": "start"}', "x" * 5000], "too_large"),
@@ -265,8 +267,9 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     sound = pcm(3.0)
     with live(server) as session, live(server) as other:
         for one in (session, other):
-            header = begin(one, model="tiny", emotion="happy")
+            header = begin(one, model="tiny", emotion="happy", idle=False)
             assert header["lookahead_seconds"] <= 0.2 and header["hop_seconds"] == 1 / 30
+            assert header["head"] == []
         for start in range(0, len(sound), 3000):
             session.send(sound[start : start + 3000])
             other.send(sound[start : start + 1000])
@@ -278,6 +281,34 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     animator = LiveAnimator(folder, emotion="happy", idle=False)
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
+
+
+@pytest.mark.parametrize("frames", ["binary", "json"])
+def test_head_and_life_are_those_of_live_animator(causal_server, frames):
+    server, folder = causal_server
+    sound = pcm(2.0)
+    with live(server) as session:
+        header = begin(
+            session, model="tiny", frames=frames, head=True, life="brows=.5,head=2", seed=7
+        )
+        session.send(sound)
+        session.send('{"type": "stop"}')
+        values = []
+        while True:
+            message = session.recv(60)
+            if isinstance(message, bytes):
+                values += [row for *_, row in records(message, 191)]
+            elif (found := json.loads(message))["type"] == "frames":
+                values += [frame["values"] + frame["head"] for frame in found["frames"]]
+            else:
+                break
+    assert header["head"] == ["yaw", "pitch", "roll", "x", "y", "z"]
+    animator = LiveAnimator(folder, life={"brows": 0.5, "head": 2}, seed=7)
+    expected = [np.concatenate((animator.feed(sound), animator.head), axis=1)]
+    expected.append(np.concatenate((animator.finish(), animator.head), axis=1))
+    expected = np.concatenate(expected)
+    assert expected[:, 185:].std(axis=0).min() > 0
+    np.testing.assert_allclose(np.array(values), expected, atol=2e-4)
 
 
 def test_changes_reach_a_causal_model(causal_server):

@@ -55,7 +55,7 @@ def test_curves_are_those_of_torch(server, model, tmp_path):
 def test_live_session_has_the_frames_of_live_animator(server):
     sound = pcm(1.0)
     with live(server) as session:
-        begin(session, model="live", emotion="happy")
+        begin(session, model="live", emotion="happy", idle=False)
         session.send(sound)
         session.send('{"type": "stop"}')
         found, end = frames_of(session)

@@ -3,9 +3,10 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from deitalk.config import Idle
 from deitalk.errors import DeitalkError
 from rig.errors import quoted
 
@@ -59,6 +60,10 @@ class Life:
             )
         factors = {_known(name): _factor(name, value) for name, value in life.items()}
         return cls(**factors, look_at=_direction(look_at))
+
+    def times(self, idle: Idle) -> "Life":
+        """These factors on a model's own."""
+        return replace(self, **{part: getattr(idle, part) * getattr(self, part) for part in PARTS})
 
     def __str__(self) -> str:
         return ",".join(f"{name}={getattr(self, name):g}" for name in PARTS)

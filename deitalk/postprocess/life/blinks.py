@@ -95,7 +95,7 @@ def plan_blinks(
             time = float(near[np.abs(near - time).argmin()])
         is_double = rng.random() < DOUBLE_SHARE
         for start in (time, time + rng.uniform(*DOUBLE_SECONDS)):
-            blink = _draw(max(start, blinks[-1].end if blinks else 0.0), rng)
+            blink = draw_blink(max(start, blinks[-1].end if blinks else 0.0), rng)
             if blink.end < end:
                 blinks.append(blink)
             if not is_double:
@@ -113,7 +113,8 @@ def _openings(voice: Voice, rng: np.random.Generator) -> Iterator[float]:
         yield rng.uniform(start, stop) / FRAME_RATE
 
 
-def _draw(time: float, rng: np.random.Generator) -> Blink:
+def draw_blink(time: float, rng: np.random.Generator) -> Blink:
+    """Draw the shape of a blink that begins at a time, seconds."""
     is_full = rng.random() >= INCOMPLETE_SHARE
     depth = 1.0 if is_full else float(rng.uniform(*INCOMPLETE_DEPTH))
     closing = float(np.clip(0.085 * np.exp(0.15 * rng.standard_normal()), 0.06, 0.12))

@@ -71,15 +71,15 @@ def plan_aversions(voice: Voice, rng: np.random.Generator, avoids: float = 0.0) 
     for time, share in sorted(candidates):
         start = max(time + rng.uniform(0, 0.3), 0.3)
         length = AVERSION_SECONDS[0] * np.exp(AVERSION_SECONDS[1] * rng.standard_normal())
-        is_drawn, direction = rng.random() < share, _direction(rng, avoids)
+        is_drawn, direction = rng.random() < share, draw_direction(rng, avoids)
         free = aversions[-1].stop + LEAST_BETWEEN if aversions else 0.0
         if is_drawn and start >= free and start + length < last:
             aversions.append(Aversion(start, start + float(length), *direction))
     return aversions
 
 
-def _direction(rng: np.random.Generator, avoids: float) -> tuple[float, float]:
-    """Up and to a side in thought, or down and to a side."""
+def draw_direction(rng: np.random.Generator, avoids: float) -> tuple[float, float]:
+    """Degrees to the left and up of a look up and to a side in thought, or down and to a side."""
     size = rng.uniform(*AVERSION_DEGREES)
     elevation = np.radians(rng.choice((-1.0, 1.0), p=(0.55, 0.45)) * rng.uniform(5, 50))
     sign = 1.0 if rng.random() < 0.5 * (1 + avoids) else -1.0
@@ -162,7 +162,7 @@ def _micro(n_frames: int, end: float, rng: np.random.Generator) -> Float64:
     return track
 
 
-def as_controls(degrees: Float32) -> Float32:
+def as_controls(degrees: Float32 | Float64) -> Float32:
     """Values of the controls ``eye.tx`` and ``eye.ty`` for degrees; both [shape=(T, 2)]."""
     side = degrees[:, 0] / SIDE_DEGREES
     up = degrees[:, 1] / np.where(degrees[:, 1] > 0, UP_DEGREES, DOWN_DEGREES)

@@ -28,7 +28,7 @@ from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
-NODS = (0.26, 1.3, 0.26)
+NODS = (0.26, 1.5, 0.26)
 """Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""
 NOD_SECONDS = ((0.13, 0.2), (0.15, 0.24))
 """Attack and decay."""
@@ -38,6 +38,8 @@ NOD_SHARE, DOWN_SHARE = 0.85, 0.95
 """Share of the stressed syllables with a nod, and of the nods that lower the head first."""
 LEAST_NOD, HIGH_NOD = 0.5, 0.3
 """Height of the nod of the weakest stress, and what a prominence of 1 adds to any."""
+NOD_RAISE = 0.4
+"""Pitch from which a speaker nods, degrees: about the mean of the nods."""
 LISTENING_SECONDS = 3.0
 """Silence of at least so long is a turn of the other: single and double nods, six seconds apart on
 the average (Dittmann and Llewellyn 1968)."""
@@ -58,7 +60,7 @@ BREATH_SECONDS, BREATH_CM, BREATH_DEGREES = 4.0, 0.05, 0.15
 """Period of quiet breathing, its lift, and the pitch that goes with it."""
 INHALE_CM, INHALE_DEGREES = 0.14, 0.35
 """The same in a pause of at least 0.3 s before a phrase."""
-SHIFT_CM = (0.07, 0.05, 0.1)
+SHIFT_CM, SHIFT_SECONDS = (0.07, 0.05, 0.1), 0.8
 POSTURE: dict[str, tuple[float, ...]] = {
     "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "angry": (0.0, -3.0, 0.0, 0.0, -0.1, 0.8),
@@ -110,7 +112,7 @@ def head_motion(
     motion = np.zeros((n_frames, 6))
     motion[:, :3] = _sway(voice, rng) + _nods(voice, rng)
     motion[:, 1] += _phrases(voice)
-    motion[:, 3:] = np.asarray(SHIFT_CM) * _noises(n_frames, 3, 0.8, rng)
+    motion[:, 3:] = np.asarray(SHIFT_CM) * _noises(n_frames, 3, SHIFT_SECONDS, rng)
     lift = _breath(voice, rng)
     motion[:, 4] += lift[:, 0]
     motion[:, 1] += lift[:, 1]
@@ -173,8 +175,8 @@ def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> No
 
 
 def _phrases(voice: Voice) -> Float64:
-    """Pitch of the ends and starts of phrases [shape=(T,)], degrees."""
-    pitch = np.zeros(voice.n_frames)
+    """Pitch of phrases, of their ends and of their starts [shape=(T,)], degrees."""
+    pitch = NOD_RAISE * _smooth(voice.speaking[:, None])[:, 0]
     for phrase in voice.phrases:
         longest = (phrase.stop - phrase.start) / FRAME_RATE / 2
         final = -0.5 * FINAL_DEGREES if phrase.is_question else FINAL_DEGREES

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deitalk.config import Idle
-from deitalk.postprocess.life.amounts import PARTS, Life
+from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.blinks import lid_closure, plan_blinks
 from deitalk.postprocess.life.brows import BrowEvents, move_brows, plan_brows
 from deitalk.postprocess.life.gaze import LID_SHARE, as_controls, gaze_degrees, plan_aversions
@@ -22,7 +22,7 @@ from deitalk.postprocess.life.tracks import presence
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Voice
 from rig import ControlSet
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
@@ -67,20 +67,41 @@ class TakeMotion:
         for reading, mixture in ((curves, self.mixture), (neutral, calm)):
             side, amount = self.traits.side, self.amounts.brows
             move_brows(reading, neutral, controls, self.brows, mixture, side, amount)
-            self._move_eyes(reading, controls)
-            for name, track in self.neck.items():
-                place = controls.index(name)
-                reading[:, place] += track * (1 - reading[:, place])
+            move_eyes(reading, controls, self.gaze, self.lids)
+            move_neck(reading, controls, self.neck)
 
-    def _move_eyes(self, curves: Float32, controls: ControlSet) -> None:
-        looks = as_controls(self.gaze)
-        lowered = LID_SHARE * np.maximum(-looks[:, 1], 0)
-        for place, side in enumerate("LR"):
-            lid = controls.index(f"CTRL_{side}_eye_blink.ty")
-            closure = np.maximum(self.lids[:, place], lowered)
-            curves[:, lid] += closure * (1 - curves[:, lid])
-            for axis in (0, 1):
-                curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += looks[:, axis]
+
+def move_eyes(
+    curves: Float32, controls: ControlSet, gaze: Float32 | Float64, lids: Float32 | Float64
+) -> None:
+    """Turn the eyes and close the lids, in place.
+
+    Parameters
+    ----------
+    curves : array [shape=(T, C)]
+        Changed.
+    controls : ControlSet
+        Columns, of the board.
+    gaze : array [shape=(T, 2)]
+        Degrees to the character's left and up.
+    lids : array [shape=(T, 2), range 0 to 1]
+        Closure of the left and the right lids.
+    """
+    looks = as_controls(gaze)
+    lowered = LID_SHARE * np.maximum(-looks[:, 1], 0)
+    for place, side in enumerate("LR"):
+        lid = controls.index(f"CTRL_{side}_eye_blink.ty")
+        closure = np.maximum(lids[:, place], lowered)
+        curves[:, lid] += closure * (1 - curves[:, lid])
+        for axis in (0, 1):
+            curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += looks[:, axis]
+
+
+def move_neck(curves: Float32, controls: ControlSet, neck: dict[str, Float32]) -> None:
+    """Add tracks of the neck by name [shape=(T,), range 0 to 1], in place."""
+    for name, track in neck.items():
+        place = controls.index(name)
+        curves[:, place] += track * (1 - curves[:, place])
 
 
 def plan_motion(
@@ -109,7 +130,7 @@ def plan_motion(
         Of the character; drawn from the seeds by default.
     """
     n_frames = voice.n_frames
-    amounts = Life(**{part: getattr(idle, part) * getattr(life, part) for part in PARTS})
+    amounts = life.times(idle)
     traits = traits or Traits.of(seeds.character())
     rng = seeds.generator("gaze")
     aversions = plan_aversions(voice, rng, traits.avoids)

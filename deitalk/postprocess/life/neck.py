@@ -18,7 +18,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.postprocess.life.tracks import presence, swell
 from deitalk.postprocess.life.voice import Voice
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 
 INHALE = 0.35
 INHALE_SECONDS = (0.45, 0.35)
@@ -65,11 +65,16 @@ def neck_motion(
             swallows[span] = np.maximum(swallows[span], shape)
             due = peak + LEAST_WAIT + rng.exponential(SWALLOW_EVERY - LEAST_WAIT)
     shown = amount * presence(n_frames)
-    turns = (np.maximum(np.abs(head[:, 0]) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
+    return neck_tracks(breath * shown, swallows * shown, head[:, 0])
+
+
+def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> dict[str, Float32]:
+    """Tracks by name for breath and swallowing (range 0 to 1) and the head's turn in degrees."""
+    turns = (np.maximum(np.abs(yaw) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
     tracks = {
-        BREATH: breath * shown,
-        SWALLOWS: swallows * shown,
-        TURNS[0]: turns * (head[:, 0] > 0),
-        TURNS[1]: turns * (head[:, 0] < 0),
+        BREATH: breath,
+        SWALLOWS: swallows,
+        TURNS[0]: turns * (yaw > 0),
+        TURNS[1]: turns * (yaw < 0),
     }
     return {name: track.clip(0, 1).astype(np.float32) for name, track in tracks.items()}

@@ -83,7 +83,8 @@ def test_running_level_goes_on_where_it_stopped(rng):
 
 def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True):
     n = len(level_db)
-    measures = Measures(np.asarray(level_db, float), np.zeros(n), np.zeros(n), np.ones(n))
+    zeros, ones = np.zeros(n), np.ones(n)
+    measures = Measures(np.asarray(level_db, float), zeros, zeros, ones, zeros)
     flags = np.full(n, speaking)
     return RunningIntensity(rule).feed(np.full(n, network, np.float32), measures, flags)
 

@@ -1,13 +1,15 @@
 """Frames that come as they are made: an even pace from uneven arrivals, without drift."""
 
 import errno
+import json
 
 import numpy as np
 import pytest
 
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.controls import DEFAULT_ID, default_controls
+from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
 from rig.livelink.live import MARGIN_SECONDS, MOST_SECONDS, LiveSender
-from rig.livelink.protocols import LiveLinkFace
+from rig.livelink.protocols import LiveLinkFace, PropertyJson
 from rig.livelink.sender import REST_REPEATS, Clock
 
 FPS = 30.0
@@ -121,3 +123,32 @@ def test_face_rests_at_the_end():
     run = Run()
     run.sender.rest()
     assert len(run.link.times) == REST_REPEATS
+
+
+def test_head_follows_the_columns_that_are_sent_as_they_are():
+    protocol = PropertyJson("anna", ("CTRL_C_jaw.ty", *HEAD))
+    sender = LiveSender(
+        protocol, ("127.0.0.1", 9), ("CTRL_C_jaw.ty",), DEFAULT_ID, FPS, sends_head=True
+    )
+    sender.link.close()
+    sent = sender.link = Link(lambda: 0.0)
+    texts = []
+    sent.send = lambda data: texts.append(json.loads(data)["anna"]["Properties"])
+    track = np.array([[25.0, -10.0, 5.0, 1.0, 1.0, 1.0]], np.float32)
+    sender.push(np.full((1, 1), 0.5, np.float32), track, catch_up=False)
+    sender.drain()
+    sender.rest()
+    assert {one["Name"]: one["Value"] for one in texts[0]} == {
+        "CTRL_C_jaw.translateY": 0.5, "HeadYaw": -0.5, "HeadPitch": -0.2, "HeadRoll": 0.1,
+    }  # fmt: skip
+    assert all(one["Value"] == 0 for one in texts[-1]) and len(texts) == 1 + REST_REPEATS
+
+
+def test_head_of_the_board_reaches_the_values_of_arkit():
+    names = default_controls().names
+    run = LiveSender(LiveLinkFace(), ("127.0.0.1", 9), names, DEFAULT_ID, FPS)
+    run.link.close()
+    rows = run._converted(
+        default_controls().rest[None].astype("f4"), np.full((1, 6), 10.0, np.float32)
+    )
+    np.testing.assert_allclose(rows[0, arkit_controls().indices(HEAD)], [-0.2, 0.2, 0.2], rtol=1e-5)

@@ -15,7 +15,7 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import read_take, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
-from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson
+from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, with_head
 from rig.livelink.sender import REST_REPEATS, Clock
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
@@ -342,6 +342,17 @@ def test_json_of_the_board_is_what_fg_control_rig_reads():
     assert not any(
         c.role in ("switch", "multiplier") and c.ue_control in floats for c in board.controls
     )
+
+
+def test_head_track_becomes_columns_whatever_the_rig():
+    head = np.array([[25.0, 10.0, -5.0, 0, 0, 0]], np.float32)
+    curves = RigCurves(np.zeros((1, 1), np.float32), ("a",), control_set="mine", head=head)
+    turned = with_head(curves)
+    assert turned.names == ("a", "HeadYaw", "HeadPitch", "HeadRoll")
+    np.testing.assert_allclose(turned.values, [[0, -0.5, 0.2, -0.1]], rtol=1e-6)
+    assert with_head(turned) is turned
+    still = RigCurves(np.zeros((1, 1), np.float32), ("a",))
+    assert with_head(still) is still
 
 
 def test_json_is_ascii_for_a_receiver_that_decodes_latin_1():

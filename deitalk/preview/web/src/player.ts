@@ -115,11 +115,11 @@ export class Player {
   }
 
   /** Show controls that come from elsewhere, until none are given. */
-  showLive(values?: Float32Array): void {
+  showLive(values?: Float32Array, head?: Float32Array): void {
     const isSame = !this.live === !values;
     this.live = values;
     if (!isSame) this.showFaces();
-    if (values) this.faces?.show([values]);
+    if (values) this.faces?.show([values], [head]);
     else if (!isSame) this.transport.show(this.transport.shown);
   }
 

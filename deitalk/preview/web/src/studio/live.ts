@@ -14,6 +14,8 @@ interface Frame {
   time: number;
   late: number;
   values: Float32Array;
+  /** Turn and shift of the head, where the service sends it. */
+  head?: Float32Array;
 }
 
 export class Live {
@@ -21,6 +23,8 @@ export class Live {
   private stream?: MediaStream;
   private context?: AudioContext;
   private names: string[] = [];
+  /** Numbers of a frame's head track. */
+  private headSize = 0;
   private frames: Frame[] = [];
   /** Seconds of the page's clock at which the shown sound begins; unknown while no frame waits. */
   private began?: number;
@@ -61,7 +65,7 @@ export class Live {
     const socket = (this.socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/v1/live`, protocols));
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      this.send({ type: "start", sample_rate: Math.round(rate), encoding: "float32", frames: "binary", emotion: this.emotion() });
+      this.send({ type: "start", sample_rate: Math.round(rate), encoding: "float32", frames: "binary", emotion: this.emotion(), head: true });
       this.listen();
       this.label(true);
       this.draw();
@@ -82,15 +86,20 @@ export class Live {
   }
 
   private message(given: any): void {
-    if (given.type === "header") this.names = given.names;
+    if (given.type === "header") {
+      this.names = given.names;
+      this.headSize = given.head.length;
+    }
     if (given.type === "problem") notice(given.message);
   }
 
   private receive(data: ArrayBuffer): void {
-    const view = new DataView(data), size = HEAD_BYTES + 4 * this.names.length;
+    const view = new DataView(data), { length } = this.names, count = length + this.headSize;
+    const size = HEAD_BYTES + 4 * count;
     for (let at = 0; at + size <= data.byteLength; at += size) {
-      const values = Float32Array.from(this.names, (_, k) => view.getFloat32(at + HEAD_BYTES + 4 * k, true));
-      this.frames.push({ time: view.getFloat64(at + 8, true), late: view.getFloat32(at + 4, true), values });
+      const row = Float32Array.from({ length: count }, (_, k) => view.getFloat32(at + HEAD_BYTES + 4 * k, true));
+      const values = row.subarray(0, length), head = this.headSize ? row.subarray(length) : undefined;
+      this.frames.push({ time: view.getFloat64(at + 8, true), late: view.getFloat32(at + 4, true), values, head });
     }
   }
 
@@ -110,13 +119,13 @@ export class Live {
     requestAnimationFrame(this.draw);
   };
 
-  private show({ values, late }: Frame): void {
+  private show({ values, head, late }: Frame): void {
     const { board } = this.player, row = Float32Array.from(board.rest);
     this.names.forEach((name, k) => {
       const place = board.controls.indexOf(name);
       if (place >= 0) row[place] = values[k];
     });
-    this.player.showLive(row);
+    this.player.showLive(row, head);
     $("recorded").textContent = `${late.toFixed(1)} s late`;
   }
 

@@ -1,0 +1,186 @@
+"""Motion above the mouth of a voice that has not ended: events by hand, pieces, laws."""
+
+import numpy as np
+import pytest
+
+from deitalk.config import Idle
+from deitalk.emotions import EMOTIONS
+from deitalk.live.intensity import Measures
+from deitalk.live.life import RunningLife
+from deitalk.live.tracks import RunningNoise
+from deitalk.live.voice import RunningVoice
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.brows import STEMS
+from rig import default_controls
+
+CONTROLS = default_controls()
+AHEAD = 2
+
+
+ONLY_BROWS = Life(blinks=0, gaze=0, head=0)
+
+
+def voice(frames=240, every=60):
+    """A level voice, 9 dB stronger for 0.2 s every two seconds."""
+    level = np.full(frames, -20.0)
+    for peak in range(every, frames, every):
+        level[peak - 3 : peak + 4] += 9 * np.hanning(9)[1:-1]
+    zeros = np.zeros(frames)
+    measures = Measures(level, zeros, np.full(frames, 40.0), np.ones(frames), level)
+    return measures, np.ones(frames, bool)
+
+
+def moved(
+    measures, speaking, *, piece=1000, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
+):
+    """Curves and head of a face at rest."""
+    running = RunningLife(CONTROLS, Idle(), life, seed, AHEAD)
+    count, done, out, heads = len(speaking), 0, [], []
+    mixture = np.zeros((count, len(EMOTIONS)), np.float32)
+    mixture[:, EMOTIONS.index(emotion)] = strength
+    for start in range(0, count, piece):
+        part = slice(start, start + piece)
+        running.feed(Measures(*(m[part] for m in measures)), speaking[part])
+        new = max(min(start + piece, count) - AHEAD - done, 0)
+        curves = np.zeros((new, len(CONTROLS)), np.float32)
+        heads.append(running.add_to(curves, curves.copy(), mixture[done : done + new]))
+        out.append(curves)
+        done += new
+    return np.concatenate(out), np.concatenate(heads)
+
+
+def brows(**options):
+    return moved(*voice(), **options)[0]
+
+
+def syllables(frames=900, every=12, pause=(400, 500)):
+    """A syllable of 12 dB every 0.4 s, with a pause in the middle."""
+    frame = np.arange(frames)
+    level = -20 - 6 * (1 - np.cos(2 * np.pi * frame / every))
+    speaking = (frame < pause[0]) | (frame >= pause[1])
+    level[~speaking] = -80
+    zeros = np.zeros(frames)
+    return Measures(level, zeros, np.full(frames, 40.0), np.ones(frames), level), speaking
+
+
+def column(curves, stem):
+    return curves[:, CONTROLS.index(f"CTRL_L_{stem}.ty")]
+
+
+def test_accents_are_peaks_and_known_soon_after():
+    measures, speaking = voice()
+    found = [row.accent for row in RunningVoice().feed(measures, speaking)]
+    at = np.flatnonzero(found)
+    assert len(at) == 3 and all(1 <= frame % 60 <= 4 for frame in at)
+    assert all(0 < found[frame] <= 1 for frame in at)
+
+
+def test_every_syllable_is_a_stress_and_phrases_begin_and_end():
+    measures, speaking = syllables()
+    rows = RunningVoice().feed(measures, speaking)
+    stresses = np.flatnonzero([row.stress for row in rows])
+    assert len(stresses) == pytest.approx(800 / 12, abs=3)
+    assert all(frame % 12 in (2, 3) for frame in stresses[2:-1] if not 400 <= frame < 515)
+    assert [k for k, row in enumerate(rows) if row.begins] == [0, 500]
+    assert [k for k, row in enumerate(rows) if row.ends] == [406], "0.2 s are no pause"
+    assert rows[400].pause == pytest.approx(1 / 30) and rows[501].pause == 0
+
+
+@pytest.mark.parametrize("level", [-20.0, -60.0])
+def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
+    flat, zeros = np.full(200, level), np.zeros(200)
+    measures = Measures(flat, zeros, zeros + 40, zeros + 1, flat)
+    rows = RunningVoice().feed(measures, np.full(200, level > -40))
+    assert not any(row.accent or row.stress for row in rows)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.7])
+def test_noise_has_its_spread_and_the_speed_of_the_whole_takes_noise(seconds):
+    noise = RunningNoise((2.0, 0.5), seconds, np.random.default_rng(0))
+    values = np.stack([noise.next() for _ in range(20_000)])[500:]
+    assert values.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.15)
+    speed = 30 * np.diff(values, axis=0).std(axis=0) / [2.0, 0.5]
+    assert speed == pytest.approx([2**-0.5 / seconds] * 2, rel=0.15)
+
+
+def test_pieces_give_the_same_motion():
+    spoken = syllables(240, pause=(100, 140))
+    whole, head = moved(*spoken, life=Life())
+    for piece in (1, 7):
+        curves, turned = moved(*spoken, life=Life(), piece=piece)
+        np.testing.assert_allclose(curves, whole, atol=1e-6)
+        np.testing.assert_allclose(turned, head, atol=1e-5)
+    other, turned = moved(*spoken, life=Life(), seed=1)
+    assert np.abs(other - whole).max() > 0.1 and np.abs(turned - head).max() > 0.3
+
+
+def test_motion_before_an_accent_does_not_depend_on_it():
+    """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
+    measures, speaking = voice()
+    accented = brows()
+    calm, _ = moved(measures, speaking & False)
+    np.testing.assert_array_equal(accented[:58], calm[:58])
+    assert column(accented, "brow_raiseIn")[60:100].max() > 0.03
+    assert column(calm, "brow_raiseIn").max() < 0.06
+
+
+def test_emotion_decides_what_moves():
+    sizes = {e: {s: column(brows(emotion=e), s).max() for s in STEMS} for e in EMOTIONS}
+    assert sizes["angry"]["brow_down"] > sizes["neutral"]["brow_down"] + 0.05
+    assert sizes["happy"]["eye_cheekRaise"] > sizes["neutral"]["eye_cheekRaise"] + 0.05
+    assert sizes["surprised"]["brow_raiseOut"] > sizes["neutral"]["brow_raiseOut"] + 0.02
+    still = [i for i, n in enumerate(CONTROLS.names) if not any(s in n for s in STEMS)]
+    assert not brows()[:, still].any()
+    nothing, head = moved(*voice(), life=Life(blinks=0, gaze=0, brows=0, head=0))
+    assert not nothing.any() and not head.any()
+
+
+def pitches(measures, speaking, count=8, **options):
+    """Mean pitch of the head over seeds [shape=(T,)], degrees."""
+    heads = [moved(measures, speaking, life=Life(), seed=k, **options)[1] for k in range(count)]
+    return np.mean(heads, axis=0)[:, 1]
+
+
+def test_head_is_lowest_a_fifth_of_a_second_after_syllables_and_sinks_after_phrases():
+    pitch = pitches(*syllables())
+    beats = pitch[60:396].reshape(-1, 12).mean(axis=0)
+    assert 3 <= beats.argmin() <= 8 and np.ptp(beats) > 0.4
+    assert pitch[412:426].min() < pitch[60:396].mean() - 0.1
+    assert pitch[480:498].mean() > pitch[412:426].mean() + 0.5, "ready for the next phrase"
+
+
+def test_head_and_neck_are_at_rest_at_the_start_and_hold_the_emotions_posture():
+    curves, head = moved(*syllables(), life=Life(), emotion="sad")
+    assert not head[0, :3].any() and not curves[0, CONTROLS.index("CTRL_L_eye.tx")]
+    assert head[200:390, 1].mean() < -2
+    half = moved(*syllables(), life=Life(head=0.5), emotion="sad")[1]
+    np.testing.assert_allclose(half, head / 2, atol=1e-5)
+    neck = CONTROLS.index("CTRL_neck_throatExhaleInhale.ty")
+    assert curves[410:440, neck].max() > 0.3 and curves[100:390, neck].max() == 0
+
+
+def test_intensity_0_moves_like_a_neutral_voice():
+    calm = moved(*syllables(), life=Life(), emotion="happy", strength=0.0)
+    for mine, neutral in zip(calm, moved(*syllables(), life=Life()), strict=True):
+        np.testing.assert_array_equal(mine, neutral)
+
+
+def test_eyes_turn_against_the_head_and_rest_where_they_are_told():
+    column_of = CONTROLS.index("CTRL_L_eye.tx")
+    still, (turned, head), told = (
+        moved(*syllables(), life=Life(blinks=0, **options))
+        for options in ({"head": 0}, {}, {"look_at": (20.0, 0.0)})
+    )
+    difference = turned[:, column_of] - still[0][:, column_of]
+    np.testing.assert_allclose(40 * difference, head[:, 0], atol=1e-3)
+    np.testing.assert_allclose(told[0][30:, column_of] - turned[30:, column_of], 0.5, atol=1e-4)
+
+
+def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases():
+    lid, begins = CONTROLS.index("CTRL_L_eye_blink.ty"), np.zeros(1800)
+    measures, speaking = syllables(1800, pause=(900, 960))
+    for seed in range(16):
+        closed = moved(measures, speaking, life=Life(head=0), seed=seed)[0][:, lid] > 0.4
+        begins[1 : len(closed)] += closed[1:] & ~closed[:-1]
+    assert 10 <= begins.sum() / 16 <= 26, "a minute"
+    assert begins[904:914].mean() > 2 * begins[60:900].mean()
