@@ -124,7 +124,7 @@ class RunningHead:
         total[SWALLOWS] *= 1 - self.speaks
         return total * begun(time)
 
-    def shown(self, motion: Float64, mixture: Float32, amount: float) -> tuple[Float64, Float64]:
+    def shown(self, motion: Float64, mixture: Float32, amount: Float64) -> tuple[Float64, Float64]:
         """Motion and whole track of the next frames.
 
         Parameters
