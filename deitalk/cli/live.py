@@ -4,7 +4,7 @@ import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from deitalk.errors import DeitalkError
 if TYPE_CHECKING:
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
+    from deitalk.models.causal.network import CausalNetwork
     from rig.livelink import LiveSender
     from rig.livelink.live import LiveReport
 
@@ -65,9 +66,6 @@ def live(
         raise DeitalkError("give either a recording or --mic")
     port = checked_port(host, port, protocol, subject, None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
-    import numpy as np
-
-    from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.causal.network import load_causal
     from deitalk.postprocess.life.amounts import Life
@@ -79,19 +77,10 @@ def live(
 
         waveform = load_audio(speech).waveform
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
-    animator = LiveAnimator(
-        network,
-        emotion=emotion,
-        intensity=intensity,
-        sample_rate=source.sample_rate,
-        idle=idle,
-        life=motion,
-        seed=seed,
-    )
-    animator.feed(np.zeros(source.sample_rate, np.float32))  # the first call takes longer
-    animator.reset()
-    gc.collect()
-    gc.freeze()  # a full collection of what is here now would stop the face for a tenth of a second
+    animator = _warm_animator(
+        network, source.sample_rate,
+        emotion=emotion, intensity=intensity, idle=idle, life=motion, seed=seed,
+    )  # fmt: skip
     sender = _sender(animator, protocol, host, port, subject)
     console().print(
         f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "
@@ -107,6 +96,20 @@ def live(
         if isinstance(source, Microphone):
             source.close()
     _print(sender.report())
+
+
+def _warm_animator(network: "CausalNetwork", rate: int, **options: Any) -> "LiveAnimator":
+    """An animator that has read once: the first call takes longer."""
+    import numpy as np
+
+    from deitalk.live.animator import LiveAnimator
+
+    animator = LiveAnimator(network, sample_rate=rate, **options)
+    animator.feed(np.zeros(rate, np.float32))
+    animator.reset()
+    gc.collect()
+    gc.freeze()  # a full collection of what is here now would stop the face for a tenth of a second
+    return animator
 
 
 def _print(report: "LiveReport") -> None:
