@@ -16,6 +16,7 @@ from api.compute.voices import perform_voices
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
+from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import CheckpointError
 from deitalk.models.folder import describe_model
@@ -112,7 +113,7 @@ def _recording(order: Order, limits: Limits) -> Recording:
             raise TooLarge(f"the recording lasts {stated:.0f} s; at most {most:.0f} s are read")
         if stated > now:
             raise TooLong(stated)
-        recording = read_sound(name, sound, most)
+        recording = read_sound(name, sound, most, start_seconds(data))
     if recording.duration > now:
         raise TooLong(recording.duration)
     return recording
@@ -123,15 +124,20 @@ def _write(
 ) -> list[str]:
     """Write a performance; return notes on what the file cannot hold."""
     fps = options.get("fps")
+    start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
+    notes = [note] if note else []
     if name == "take":
         folder = out.with_suffix("")
         model = options.get("model", "default")
         about = describe_model(limits["models"][model]) | {"name": model}
         settings = dict(performance.settings)
-        _zip(write_take(folder, performance, settings=settings, model=about, fps=fps), out)
-        return []
-    report = write_curves(out, performance.curves, format=name, fps=fps)
-    return [report.note] if report.note else []
+        written = write_take(
+            folder, performance, settings=settings, model=about, fps=fps, start=start
+        )
+        _zip(written, out)
+        return notes
+    report = write_curves(out, performance.curves, format=name, fps=fps, start=start)
+    return [*notes, report.note] if report.note else notes
 
 
 def _preview(

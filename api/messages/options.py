@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from deitalk.audio.original import start_of
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import EmotionError
 from rig.curves.edit import parse_gains
@@ -19,6 +20,7 @@ from rig.limits import SEED
 
 LONGEST_TEXT = 1 << 20
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
+TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}(:[0-9]{2}|\.[0-9]{1,6})?)$"
 _LABEL = re.compile(r"[A-Za-z]{1,40}")
 _PAIR = r"\s*[A-Za-z]{1,40}\s*=\s*[0-9.eE+-]{1,40}\s*"
 _WEIGHTS = re.compile(rf"{_PAIR}(?:,{_PAIR}){{0,20}}")
@@ -108,6 +110,14 @@ class AnimationOptions(MotionOptions):
     """The same, for curves."""
 
     gain: Gain = None
+    timecode: Annotated[
+        str,
+        Field(
+            pattern=TIMECODE_PATTERN,
+            description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF.",
+            examples=["recording", "10:00:00:12"],
+        ),
+    ] = "zero"
 
 
 class MeshOptions(MotionOptions):
@@ -174,6 +184,8 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
     ------
     EmotionError
         If the emotion is none.
+    DeitalkError
+        If a time code is beyond a day or its second.
     """
     given = options.model_dump(
         exclude={"emotion", "intensity_curve", "format", "wait", "webhook"}, exclude_none=True
@@ -184,6 +196,8 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
         given["intensity_curve"] = curve
     elif options.intensity_curve is not None:
         given["intensity_curve"] = _keys(options.intensity_curve, folder, "intensity")
+    if "timecode" in given:
+        start_of(given["timecode"], options.fps, None)
     if "gain" in given:
         given["gain"] = parse_gains(given["gain"])
     speaker = given.get("speaker", "")

@@ -5,6 +5,7 @@ Letters: N samples at the source's rate, n of a block, C channels.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import IO
 
@@ -15,6 +16,7 @@ from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.audio.notes import describe
 from deitalk.audio.original import start_seconds, wav_header
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 from rig.files import atomic_write
@@ -76,6 +78,11 @@ class Recording:
         """Rig frames at 30 Hz that cover the recording."""
         return frame_count(len(self.waveform))
 
+    @cached_property
+    def activity(self) -> Float32:
+        """Speech activity of each rig frame: 1 in speech, else 0."""
+        return speech_activity(self.waveform)
+
     def __repr__(self) -> str:
         count = len(self.warnings)
         notes = f", {count} note{'s' * (count != 1)}" if count else ""
@@ -120,11 +127,15 @@ def load_audio(
     """
     name, data = _name_and_data(source)
     with open_sound(name, data) as sound:
-        recording = read_sound(name, sound, max_seconds)
-    return replace(recording, start=start_seconds(name)) if data is None else recording
+        return read_sound(name, sound, max_seconds, start_seconds(name if data is None else data))
 
 
-def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) -> Recording:
+def read_sound(
+    name: str,
+    sound: SoundSource,
+    max_seconds: float = MAX_SECONDS,
+    start: float | None = None,
+) -> Recording:
     """Mix, resample and describe an open source; see `load_audio` for how and for the errors."""
     _check_header(name, sound, max_seconds)
     weights, warnings = _mixing_weights(name, sound)
@@ -132,14 +143,24 @@ def read_sound(name: str, sound: SoundSource, max_seconds: float = MAX_SECONDS) 
     for block in _finite_blocks(name, sound):
         reader.add(block, weights)
     waveform, notes = reader.finish()
-    return Recording(
+    recording = Recording(
         waveform=waveform,
         source=name,
         source_rate=sound.rate,
         channels=sound.channels,
         clipped_fraction=reader.clipped_fraction,
-        warnings=(*sound.notes, *warnings, *notes, *describe(waveform)),
+        warnings=(*sound.notes, *warnings, *notes),
+        start=start,
     )
+    return _described(recording)
+
+
+def _described(recording: Recording) -> Recording:
+    """The recording with notes on its speech, whose activity is measured once."""
+    notes = describe(recording.waveform, recording.activity)
+    described = replace(recording, warnings=(*recording.warnings, *notes))
+    vars(described)["activity"] = recording.activity
+    return described
 
 
 def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) -> None:

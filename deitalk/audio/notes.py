@@ -15,13 +15,15 @@ FAINT_DB = -60.0  # speech is recorded at -45 to -12 dBFS
 NOISE_LIKENESS = 0.5  # speakers: at most 0.43 of 150 recordings; noise that comes and goes: 0.54
 
 
-def describe(waveform: Float32) -> tuple[str, ...]:
+def describe(waveform: Float32, activity: Float32 | None = None) -> tuple[str, ...]:
     """Warnings about a recording without usable speech.
 
     Parameters
     ----------
     waveform : array (S,) float32
         16 kHz, without DC; full scale is 1.
+    activity : array (T,), optional
+        From `speech_activity`, if it is known already.
 
     Returns
     -------
@@ -32,7 +34,7 @@ def describe(waveform: Float32) -> tuple[str, ...]:
         return ("silence: no sample is above -90 dBFS, so the face stays at rest",)
     if len(waveform) < SHORT_SECONDS * SAMPLE_RATE:
         return ()
-    activity = speech_activity(waveform)
+    activity = speech_activity(waveform) if activity is None else activity
     if not activity.any():
         level = rms_db(waveform)
         kind = "sound too quiet to distinguish from noise" if level < FAINT_DB else "steady sound"

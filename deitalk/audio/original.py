@@ -7,6 +7,7 @@ that as its time code (FSoundWaveTimecodeInfo).
 Letters: n samples of a block, C channels.
 """
 
+import io
 import re
 import struct
 from collections.abc import Iterator
@@ -16,12 +17,16 @@ from typing import IO
 import numpy as np
 
 from deitalk.audio.decoding import open_sound
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.headers import MOST_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
 from rig.files import atomic_write
 
 ORIGINAL_RATE = 48_000
+ZERO, RECORDING = "zero", "recording"
+"""Time codes that are no time: none, and that of the recording."""
+NO_TIMECODE = "the recording has no time code (bext chunk of a WAV): starts at 0"
 DAY = 24 * 3600.0
 BLOCK_SAMPLES = 1 << 20
 MOST_BYTES = (1 << 32) - 1024
@@ -31,13 +36,35 @@ _BEXT_BYTES, _TIME_REFERENCE = 602, 338
 _TIMECODE = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?::(\d{2})|(\.\d+))?")
 
 
-def start_seconds(path: Path | str) -> float | None:
-    """Time of day of the first sample of a WAV file, seconds; None if the file has none."""
+def start_seconds(source: Path | str | bytes) -> float | None:
+    """Time of day of the first sample of a WAV file or its bytes, seconds; None if it has none."""
     try:
-        with open(path, "rb") as file:
+        with io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb") as file:
             return _start_of_wav(file)
     except (OSError, struct.error):
         return None
+
+
+def start_of(timecode: str, fps: float | None, recorded: float | None) -> tuple[float, str]:
+    """Time of day of the first frame, seconds, and a note (else empty).
+
+    Parameters
+    ----------
+    timecode : str
+        ``zero``, ``recording``, or a time as for `parse_timecode`.
+    fps : float, optional
+        Rate of its frames; 30 by default.
+    recorded : float, optional
+        `start_seconds` of the recording.
+
+    Raises
+    ------
+    DeitalkError
+        If the time code is none of these.
+    """
+    if timecode == RECORDING:
+        return recorded or 0.0, "" if recorded is not None else NO_TIMECODE
+    return 0.0 if timecode == ZERO else parse_timecode(timecode, fps or FRAME_RATE), ""
 
 
 def parse_timecode(text: str, fps: float) -> float:

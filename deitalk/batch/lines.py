@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 
+from deitalk.audio.original import ZERO, start_of
 from deitalk.emotions import check_intensity, parse_emotion
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import DeitalkError
@@ -16,7 +17,8 @@ from deitalk.postprocess.life.amounts import Life
 from rig import limits
 from rig.errors import quoted
 from rig.files.reading import read_bytes
-from rig.formats.table import FORMATS, writable_suffixes
+from rig.formats import checked_digits, find_format
+from rig.formats.table import FORMATS, Format, writable_suffixes
 
 TAKE = "take"
 """Name of the format that is a whole take folder."""
@@ -40,6 +42,10 @@ class Settings:
         Suffixes of the files to write, and ``take``.
     fps : float, optional
         Rate of the written curves.
+    digits : int, range 2 to 6, optional
+        Digits after the point, of the formats that have them.
+    timecode : str
+        Of the first frame: ``zero``, ``recording`` or ``HH:MM:SS:FF``.
     transcript, phones, language : str
         As for `deitalk.animate`, from a manifest alone; empty: no words, in the default language.
     idle, raw, seed, life, look_at, listen, gain
@@ -60,6 +66,8 @@ class Settings:
     look_at: str = ""
     listen: float = 0.0
     gain: str = ""
+    digits: int | None = None
+    timecode: str = ZERO
     transcript: str = ""
     phones: str = ""
     language: str = ""
@@ -148,6 +156,25 @@ def check_settings(settings: Settings) -> None:
         _parsed(settings.emotion)
     if settings.fps is not None:
         snap_fps(settings.fps)
+    start_of(settings.timecode, settings.fps, 0.0)
+    if settings.digits is not None:
+        _check_digits(settings.digits, settings.formats)
+
+
+def has_digits(suffix: str) -> bool:
+    """Whether a format of a line is written with a number of digits."""
+    return suffix == TAKE or "digits" in _written(suffix).options
+
+
+def _written(suffix: str) -> Format:
+    return find_format(Path(f"x{suffix}"), writable=True)
+
+
+@cache
+def _check_digits(digits: int, formats: tuple[str, ...]) -> None:
+    """Raise if there are too few or too many digits, or none of the formats has them."""
+    taking = any(map(has_digits, formats))
+    checked_digits(digits, None if taking else _written(formats[0]))
 
 
 @cache

@@ -10,7 +10,8 @@
     intensity_curve   edited intensity.csv of a take
     actor             who speaks: lines of one actor share a reference
     voice             reference of the actor, instead of the one that is measured
-    fps, seed, listen numbers
+    fps, digits, seed, listen   numbers
+    timecode          zero, recording or HH:MM:SS:FF
     life, look_at, gain   as for `deitalk animate`
     transcript, phones    what is said: text, or a file relative to the manifest; not both
     language          espeak-ng's voice for the words
@@ -36,7 +37,8 @@ from rig.formats.table import writable_suffixes
 
 COLUMNS = (
     "audio", "output", "formats", "emotion", "intensity", "intensity_curve", "actor", "voice",
-    "fps", "seed", "life", "look_at", "listen", "gain", "transcript", "phones", "language",
+    "fps", "digits", "timecode", "seed", "life", "look_at", "listen", "gain", "transcript",
+    "phones", "language",
 )  # fmt: skip
 _SETTINGS = tuple(name for name in COLUMNS if name not in ("audio", "output", "formats"))
 _SEPARATORS = ",;\t"
@@ -149,11 +151,13 @@ def _settings(row: Row, base: str, defaults: Settings) -> Settings:
     for name in ("intensity", "fps", "listen"):
         if cell := row.get(name):
             found[name] = number(cell, name, "column")
-    for name in ("actor", "life", "look_at", "gain", "language"):
+    for name in ("actor", "life", "look_at", "gain", "timecode", "language"):
         if text := row.get(name):
             found[name] = text
     if seed := row.get("seed"):
-        found["seed"] = whole_seed(int(seed) if seed.isdigit() else seed)
+        found["seed"] = whole_seed(int(seed) if seed.isdecimal() else seed)
+    if digits := row.get("digits"):
+        found["digits"] = int(digits) if digits.isdecimal() else digits
     settings = replace(defaults, **found)  # type: ignore[arg-type]
     check_settings(settings)
     return settings

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import finalize
 
 from deitalk.batch.journal import File
-from deitalk.batch.lines import TAKE
+from deitalk.batch.lines import TAKE, has_digits
 from deitalk.batch.messages import Order, Outcome, Target
 from deitalk.batch.storage import read_recording, upload
 from deitalk.models.network import Backend
@@ -154,6 +154,7 @@ class Performer:
     def _performed(
         self, order: Order, sound: str, shot: "Shot", reading: "Reading | None"
     ) -> Outcome:
+        from deitalk.audio.original import start_of
         from deitalk.batch.findings import findings
         from deitalk.pipeline.curves import finish
 
@@ -162,7 +163,9 @@ class Performer:
                 shot.speech.waveform, shot.weights, shot.actor, gain=shot.speech.gain
             )
         performance = finish(shot, reading)
-        folder, targets = self._write(order, performance)
+        settings = order.settings
+        start, note = start_of(settings.timecode, settings.fps, shot.recording.start)
+        folder, targets = self._write(order, performance, start)
         staged = _files(folder, targets)
         files = tuple(staged.values())
         if self.url:
@@ -174,7 +177,11 @@ class Performer:
             sound=sound,
             seconds=shot.recording.duration,
             frames=len(performance.curves),
-            warnings=(*performance.recording.warnings, *findings(performance)),
+            warnings=(
+                *performance.recording.warnings,
+                *filter(None, [note]),
+                *findings(performance),
+            ),
             stage=str(folder),
             targets=targets,
             files=files,
@@ -184,30 +191,38 @@ class Performer:
         """The model's own style of an actor, if it has one."""
         return actor if actor in self.network.actors else None
 
-    def _write(self, order: Order, performance: Any) -> tuple[Path, tuple[Target, ...]]:
+    def _write(
+        self, order: Order, performance: Any, start: float
+    ) -> tuple[Path, tuple[Target, ...]]:
+        """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
 
+        form = {"fps": order.settings.fps, "start": start}
+        digits = {"digits": order.settings.digits}
         self.count += 1
         folder = self.stage / str(self.count)
         folder.mkdir(parents=True)
         targets = []
         for place, suffix in enumerate(order.settings.formats):
             if suffix == TAKE:
-                self._write_take(folder / TAKE, order, performance)
+                self._write_take(folder / TAKE, order, performance, form | digits)
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
-                curves, fps = performance.curves, order.settings.fps
-                write_curves(folder / name, curves, fps=fps, sound=performance.sound_file)
+                given: Any = form | (digits if has_digits(suffix) else {})
+                sound = performance.sound_file
+                write_curves(folder / name, performance.curves, sound=sound, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 
-    def _write_take(self, folder: Path, order: Order, performance: Any) -> None:
+    def _write_take(
+        self, folder: Path, order: Order, performance: Any, form: dict[str, Any]
+    ) -> None:
         from deitalk.pipeline.take import write_take
 
         beside = self.stage / TAKE  # one name for all, as each has a lock
         settings = dict(performance.settings) | {"actor": order.settings.actor or None}
-        write_take(beside, performance, settings=settings, model=self.about, fps=order.settings.fps)
+        write_take(beside, performance, settings=settings, model=self.about, **form)
         os.rename(beside, folder)
 
 
@@ -215,11 +230,12 @@ def decoded(path: str, data: bytes | None) -> Any:
     """The recording of a file that was read; warnings and errors name its path."""
     from deitalk.audio.decoding import open_sound
     from deitalk.audio.load import load_audio, read_sound
+    from deitalk.audio.original import start_seconds
 
     if data is None:
         return load_audio(path)
     with open_sound(path, data) as sound:
-        return read_sound(path, sound)
+        return read_sound(path, sound, start=start_seconds(data))
 
 
 def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:

@@ -44,6 +44,8 @@ def animate_batch(
     look_at: str = "",
     listen: float = 0.0,
     gain: str = "",
+    digits: int | None = None,
+    timecode: str = "zero",
     model: str | Path = "default",
     backend: Backend = "torch",
     workers: int | None = None,
@@ -64,7 +66,8 @@ def animate_batch(
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.
-    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen, gain
+    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen, gain, digits, \
+timecode
         Of lines whose manifest does not give them; see `deitalk.batch.lines.Settings`. `formats`
         is a list such as ``"csv;take"``.
     model : str or Path
@@ -96,6 +99,7 @@ def animate_batch(
     defaults = Settings(
         emotion, intensity, actor=actor, formats=parse_formats(formats), fps=fps, idle=idle,
         raw=raw, seed=seed, life=life, look_at=look_at, listen=listen, gain=gain,
+        digits=digits, timecode=timecode,
     )  # fmt: skip
     check_settings(defaults)
     identity, count = model_identity(model, backend), _processes(workers, ray)

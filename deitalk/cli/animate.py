@@ -27,6 +27,7 @@ from deitalk.cli.options import (
     LookAt,
     PhonesGiven,
     Threads,
+    Timecode,
     Voice,
     Words,
 )
@@ -80,10 +81,7 @@ def animate(
     backend: Backend = "torch",
     device: Device = "cpu",
     threads: Threads = 1,
-    timecode: Annotated[
-        str,
-        typer.Option(help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF."),
-    ] = "zero",
+    timecode: Timecode = "zero",
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
@@ -107,8 +105,9 @@ def animate(
     is_folder = _is_folder(out)
     target = Path(out)
     inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
-    _check(target, is_folder, inputs, fps=fps, digits=digits, preview=preview, force=force)
-    given_start, extras = _given_start(timecode, fps), _extras(preview, identity)
+    form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
+    _check(target, is_folder, inputs, preview=preview, force=force, **form)
+    extras = _extras(preview, identity)
     options: dict[str, Any] = {
         "emotion": emotion,
         "actor": actor,
@@ -130,8 +129,7 @@ def animate(
     settings = options | {
         "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
     }  # fmt: skip
-    start = _start(performance.recording) if given_start is None else given_start
-    form: dict[str, Any] = {"fps": fps, "digits": digits, "start": start}
+    form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
         _write_take(target, performance, settings, model, form, extras, force=force)
     else:
@@ -154,19 +152,14 @@ def _note(performance: "Performance") -> None:
         console().note(performance.words.line)
 
 
-def _given_start(timecode: str, fps: float | None) -> float | None:
-    """Time of day of a time code, seconds; None if it is to be the recording's."""
-    from deitalk.audio.original import parse_timecode
+def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
+    """Time of day of the first frame, with a note if the recording has none."""
+    from deitalk.audio.original import start_of
 
-    named = {"zero": 0.0, "recording": None}
-    return named[timecode] if timecode in named else parse_timecode(timecode, fps or 30.0)
-
-
-def _start(recording: "Recording") -> float:
-    """Time of day of a recording, with a note if it has none."""
-    if recording.start is None:
-        console().note(f"{recording.source} has no time code (bext chunk of a WAV): starts at 0")
-    return recording.start or 0.0
+    start, note = start_of(timecode, fps, recording.start)
+    if note:
+        console().note(note)
+    return start
 
 
 def _acted(performance: "Performance", emotion: str) -> str:
@@ -193,10 +186,12 @@ def _check(
     *,
     fps: float | None,
     digits: int | None,
+    timecode: str,
     preview: bool,
     force: bool,
 ) -> None:
     """Raise for targets that cannot be written, before the recording is animated."""
+    from deitalk.audio.original import start_of
     from deitalk.errors import DeitalkError
     from deitalk.pipeline.take import KIND, check_take
     from rig.curves import snap_fps
@@ -206,6 +201,7 @@ def _check(
         snap_fps(fps)
     if digits is not None:
         checked_digits(digits, None if is_folder else find_format(out, writable=True))
+    start_of(timecode, fps, 0.0)
     if is_folder:
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
         check_take(out, source=inputs[0], force=force, inputs=inputs)

@@ -6,7 +6,7 @@ import typer
 
 from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import AnyModel, Backend, Emotion, Intensity, Json
+from deitalk.cli.options import AnyModel, Backend, Digits, Emotion, Intensity, Json, Timecode
 
 if TYPE_CHECKING:
     from deitalk.batch.report import BatchReport
@@ -28,6 +28,8 @@ def batch(
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
+    digits: Digits = None,
+    timecode: Timecode = "zero",
     idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
     raw: Annotated[
         bool, typer.Option("--raw", help="The network alone, without the model's rules.")
@@ -60,8 +62,8 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, emotion, intensity, intensity_curve, actor, voice, fps, seed, life, look_at, listen,
-    gain (docs/batch.md).
+    formats, emotion, intensity, intensity_curve, actor, voice, fps, digits, timecode, seed, life,
+    look_at, listen, gain, and words (docs/batch.md).
 
     Examples
     --------
@@ -75,7 +77,7 @@ def batch(
         report = animate_batch(
             source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
             fps=fps, idle=idle, raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
-            gain=gain,
+            gain=gain, digits=digits, timecode=timecode,
             model=model, backend=backend, workers=workers, ray=ray,  # type: ignore[arg-type]
             force=force, progress=progress,
         )  # fmt: skip

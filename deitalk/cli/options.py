@@ -38,6 +38,9 @@ Digits = Annotated[
     int | None,
     typer.Option(min=2, max=6, help="Digits after the point of csv, json and unreal.json; else 6."),
 ]
+Timecode = Annotated[
+    str, typer.Option(help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF.")
+]
 Threads = Annotated[
     int,
     typer.Option(

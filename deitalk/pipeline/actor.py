@@ -41,7 +41,7 @@ def measure_actor(
 
 def voice_strength(recording: Recording) -> float | None:
     """Strength of a recording's voice, dB above the usual; None without voice."""
-    speech = Speech.of(recording.waveform)
+    speech = Speech.of_recording(recording)
     return speech.strength if speech.prosody.voiced.any() else None
 
 

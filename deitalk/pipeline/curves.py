@@ -194,7 +194,7 @@ def prepare(
     clock.lap("model")
     factors = gain_factors(network.controls, gains)
     rules = RulesConfig.none() if raw else network.rules
-    speech = Speech.of(recording.waveform, rules.gates)
+    speech = Speech.of_recording(recording, rules.gates)
     weights = direction.emotion.at(speech.times)
     name = chosen_actor(network.actors, actor)
     moves = idle and (listen or speech.activity.any())

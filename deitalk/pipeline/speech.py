@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import frame_count, frame_times
-from deitalk.audio.load import checked_waveform
+from deitalk.audio.load import Recording, checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
@@ -56,6 +56,18 @@ class Speech:
         """
         samples = checked_waveform(waveform)
         return cls(samples, speech_activity(samples), gates)
+
+    @classmethod
+    def of_recording(cls, recording: Recording, gates: Gates | None = Gates()) -> "Speech":
+        """The same of a recording, whose activity is measured once.
+
+        Raises
+        ------
+        AudioError
+            If its waveform is not one row of finite samples.
+        """
+        samples = checked_waveform(recording.waveform)
+        return cls(samples, recording.activity, gates)
 
     @property
     def n_frames(self) -> int:

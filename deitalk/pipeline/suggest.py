@@ -116,7 +116,7 @@ def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Sugges
         If the recording cannot be read, or has less than half a second of speech.
     """
     recording = recording_of(audio, sample_rate)
-    speech = Speech.of(recording.waveform)
+    speech = Speech.of_recording(recording)
     if int((speech.activity > 0).sum()) < FEWEST_FRAMES:
         raise AudioError(
             "the recording has less than half a second of speech; no emotion can be suggested"

@@ -82,7 +82,7 @@ def animate(
     intensity : float
         Factor on the predicted intensity, 0 to 4.
     timecode : str
-        As of ``deitalk animate``: zero, recording or HH:MM:SS:FF. A service takes zero only.
+        As of ``deitalk animate``: zero, recording or HH:MM:SS:FF.
     settings : dict, optional
         As of `read_settings`.
     tick : callable
@@ -104,11 +104,11 @@ def animate(
     if not 0 <= intensity <= 4:
         raise DeitalkError(f"intensity {intensity:g} is outside 0 to 4")
     os.makedirs(os.path.dirname(os.path.abspath(folder)), exist_ok=True)
+    factor = repr(float(intensity))
     if settings["service"]:
-        if timecode != "zero":
-            raise DeitalkError("time codes need deitalk on this computer, not a service")
-        return _by_service(settings, recording, folder, emotion, intensity, tick)
-    options = ["-e", emotion, "--intensity", repr(float(intensity)), "--timecode", timecode]
+        asked = {"emotion": emotion, "intensity": factor, "timecode": timecode}
+        return _by_service(settings, recording, folder, asked, tick)
+    options = ["-e", emotion, "--intensity", factor, "--timecode", timecode]
     return _by_command([*settings["command"], "animate", recording, *options], folder, tick)
 
 
@@ -153,15 +153,13 @@ def _by_service(
     settings: dict[str, Any],
     recording: str,
     folder: str,
-    emotion: str,
-    intensity: float,
+    options: dict[str, str],
     tick: Tick,
 ) -> str:
     address = settings["service"].rstrip("/")
-    options = {"emotion": emotion, "intensity": repr(float(intensity)), "format": "unreal"}
     with open(recording, "rb") as stream:
         sound = stream.read()
-    url = f"{address}/v1/animations?{urllib.parse.urlencode(options)}"
+    url = f"{address}/v1/animations?{urllib.parse.urlencode({**options, 'format': 'unreal'})}"
     headers = {"Content-Type": "application/octet-stream"}
     headers.update({"Authorization": f"Bearer {settings['key']}"} if settings["key"] else {})
     status, body = _request(url, headers, sound, tick)

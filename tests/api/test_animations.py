@@ -9,6 +9,7 @@ import pytest
 
 from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
+from deitalk.audio.load import write_wav
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
 from tests.api.conftest import wav
@@ -96,6 +97,17 @@ def test_intensity_zero_is_neutral_and_a_curve_replaces_the_prediction(client):
     assert neutral is None or zero["curves"] == neutral
 
 
+def test_time_code_is_the_recordings_or_the_given_one(client, tmp_path):
+    write_wav(tmp_path / "a.wav", np.zeros(16_000), start=3600.0)
+    timed = {"recording": ("a.wav", (tmp_path / "a.wav").read_bytes())}
+    starts = [
+        post(client, files=files, data={"format": "unreal", "timecode": timecode})
+        for files, timecode in ((timed, "recording"), (None, "00:00:02:15"), (None, "recording"))
+    ]
+    assert [answer.json()["start"] for answer in starts] == [3600.0, 2.5, 0.0]
+    assert "no time code" in starts[2].headers["deitalk-notes"]
+
+
 def test_rate_of_the_result(client):
     answer = post(client, params={"fps": "60"}).json()
     assert answer["fps"] == 60 and answer["n_frames"] == 90
@@ -116,6 +128,8 @@ def test_rate_of_the_result(client):
         ({"model": "../../weights"}, 404, "model_unknown"),
         ({"format": "fbx"}, 400, "format_unknown"),
         ({"name": "../x"}, 422, "option_invalid"),
+        ({"timecode": "noon"}, 422, "option_invalid"),
+        ({"timecode": "10:61:00:00"}, 422, "request_invalid"),
     ],
 )
 def test_wrong_options_are_problems(client, data, status, code):

@@ -8,7 +8,7 @@ import pytest
 import soundfile
 
 from deitalk.audio.load import load_audio, write_wav
-from deitalk.audio.original import parse_timecode, start_seconds, write_original
+from deitalk.audio.original import parse_timecode, start_of, start_seconds, write_original
 from deitalk.errors import DeitalkError
 from tests.media import write_sound
 
@@ -41,6 +41,16 @@ def test_time_of_day_is_that_of_the_chunk(tmp_path, rate, hours, before):
     path = broadcast(tmp_path / "a.wav", round(hours * 3600 * rate), rate, before=before)
     assert start_seconds(path) == pytest.approx(hours * 3600)
     assert load_audio(path).start == pytest.approx(hours * 3600)
+    assert load_audio(path.read_bytes()).start == pytest.approx(hours * 3600)
+
+
+def test_start_is_zero_the_recordings_or_the_given_time():
+    assert start_of("zero", None, 7.5) == (0.0, "") and start_of("recording", 24, 7.5) == (7.5, "")
+    assert start_of("01:00:00:12", 24, 7.5) == (3600.5, "")
+    start, note = start_of("recording", None, None)
+    assert start == 0 and "no time code" in note
+    with pytest.raises(DeitalkError, match="FF below 24"):
+        start_of("01:00:00:24", 24, 7.5)
 
 
 def test_files_without_the_chunk_have_no_time_of_day(tmp_path):

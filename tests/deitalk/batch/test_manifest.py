@@ -33,6 +33,19 @@ def test_row_sets_every_column():
     )
 
 
+def test_digits_and_time_code_of_a_row_are_checked():
+    settings = only("audio,formats,digits,timecode\na.wav,csv npz,3,recording\n").settings
+    assert (settings.digits, settings.timecode) == (3, "recording")
+    for cells, words in (
+        ("csv,7,", "must be 2 to 6"),
+        ("csv,x,", "must be 2 to 6"),
+        ("npz,3,", "does not apply to npz"),
+        ("csv,,10:00", "is not HH:MM:SS:FF"),
+    ):
+        bad = only(f"audio,formats,digits,timecode\na.wav,{cells}\n")
+        assert isinstance(bad, BadLine) and words in bad.error
+
+
 @pytest.mark.parametrize(
     "text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n']
 )

@@ -10,13 +10,14 @@ import pytest
 import soundfile
 
 from deitalk import animate
+from deitalk.audio.load import write_wav
 from deitalk.batch.lines import content_hash
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.corpus.engines import espeak
 from deitalk.emotions import read_actor
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.benchmark_curves import speechlike
-from rig import read_curves
+from rig import read_curves, write_curves
 from rig.errors import TargetError
 from rig.files import changed_files
 from tests.deitalk.batch.conftest import InProcess
@@ -88,6 +89,21 @@ def test_take_folders_are_those_of_animate(run, lines):
     assert {"take.json", "audio.wav", "intensity.csv", "a.unreal.json"} <= set(os.listdir(take))
     assert changed_files(take) == []
     assert run(formats="take", fps=60).counts["unchanged"] == 3
+
+
+def test_digits_and_time_code_are_those_of_animate(run, lines, model, tmp_path):
+    write_wav(lines / "at_one.wav", speechlike(0.5), start=3600.0)
+    manifest = lines / "lines.csv"
+    manifest.write_text("audio\nat_one.wav\nc.flac\n")
+    report = run(manifest, formats="csv;livelink;npz", digits=3, timecode="recording")
+    assert report.counts["done"] == 2
+    curves = animate(lines / "at_one.wav", model=model).curves
+    write_curves(tmp_path / "a.csv", curves, digits=3)
+    assert (run.out / "at_one.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
+    assert table(run.out / "at_one.livelink.csv")[0]["Timecode"].startswith("01:00:00:00")
+    assert table(run.out / "c.livelink.csv")[0]["Timecode"].startswith("00:00:00:00")
+    first, second = (row["warnings"] for row in table(run.out / SUMMARY))
+    assert "time code" not in first and "no time code" in second
 
 
 def test_second_run_does_nothing(run, orders):

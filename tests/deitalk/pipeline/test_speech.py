@@ -1,9 +1,12 @@
 """Speech before either product: gates, both readings, and intensity from voice and direction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from deitalk.audio.voice_activity import active_level_db
+from deitalk.audio.load import load_audio, write_wav
+from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import Direction, IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
@@ -36,6 +39,23 @@ def test_gates_are_shut_in_silence_and_open_in_speech(speech):
 
 def test_sound_has_its_speech_at_the_level_of_the_training(speech):
     assert active_level_db(speech.sound, speech.activity) == pytest.approx(-23, abs=0.01)
+
+
+def test_activity_of_a_recording_is_measured_once(tmp_path, speech, monkeypatch):
+    write_wav(tmp_path / "a.wav", speech.waveform)
+    calls = []
+
+    def measured(waveform):
+        calls.append(len(waveform))
+        return speech_activity(waveform)
+
+    for module in ("load", "notes", "voice_activity"):
+        monkeypatch.setattr(f"deitalk.audio.{module}.speech_activity", measured)
+    recording = load_audio(tmp_path / "a.wav")
+    assert np.array_equal(Speech.of_recording(recording).activity, speech.activity)
+    assert len(calls) == 1
+    longer = replace(recording, waveform=np.concatenate([recording.waveform, np.zeros(16_000)]))
+    assert len(Speech.of_recording(longer).activity) == len(speech.activity) + 30
 
 
 @pytest.mark.parametrize("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])

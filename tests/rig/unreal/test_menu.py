@@ -103,10 +103,6 @@ def test_recording_is_placed_at_its_time_code(tmp_path, monkeypatch, sound, stan
     first = round(3723.5 * 24)
     (section,) = sequence.bindings[1].tracks[0].sections
     assert section.start == first and sequence.audio[0].sections[0].start == first
-    with pytest.raises(menu.DeitalkError, match="time codes need deitalk on this computer"):
-        call = menu.deitalk_call
-        call.animate(sound, str(tmp_path / "x"), timecode="recording",
-                     settings=stand_in | {"service": "http://x"})  # fmt: skip
 
 
 def test_second_emotion_replaces_the_first_at_the_same_place(
@@ -305,10 +301,12 @@ def test_service_is_called_instead_of_the_command(tmp_path, monkeypatch, sound, 
     try:
         menu.animate_audio(sound, "happy", 2)
         path, headers = Service.calls[0]
-        assert path == "/v1/animations?emotion=happy&intensity=2.0&format=unreal"
+        assert path == "/v1/animations?emotion=happy&intensity=2.0&timecode=zero&format=unreal"
         assert headers["Authorization"] == "Bearer k1" and Service.polls == 2
         assert "/Game/deitalk/line_happy" in module.assets
-        found = menu.deitalk_call.animate(sound, str(mine), settings=settings)
+        call = menu.deitalk_call
+        found = call.animate(sound, str(mine), timecode="recording", settings=settings)
+        assert "timecode=recording" in Service.calls[-1][0]
         assert found == f"{mine}.unreal.json" and os.listdir(mine) == ["notes.txt"]
         monkeypatch.setattr(Service, "refuses", True)
         with pytest.raises(menu.DeitalkError, match="the service refuses: the recording is silent"):
