@@ -47,6 +47,12 @@ class ModelConfig(Section):
         description="controls that a second decoder moves, the base's of a fine-tuned model; not "
         "in the paper",
     )
+    contact_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+        default=(),
+        max_length=limits.CONTROLS,
+        description="controls of lip contacts, which the last layer decides with a logistic "
+        "function; not in the paper",
+    )
     motion_channels: tuple[Width, ...] = Field(
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )
@@ -99,6 +105,17 @@ class LossConfig(Section):
         ge=0,
         description="weight of the lips of the embedded head, which the curves move; not in the "
         "paper",
+    )
+    range: float = Field(
+        default=0.0,
+        ge=0,
+        description="weight of how far these lips move and how fast, against the target's; not in "
+        "the paper",
+    )
+    decision: float = Field(
+        default=0.0,
+        ge=0,
+        description="weight of decided lip contacts, which a mean is not; not in the paper",
     )
     distillation: float = Field(
         default=1.0,

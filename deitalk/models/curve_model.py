@@ -15,7 +15,7 @@ from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.network import Reading, Tracks, is_neutral, neutral_weights, read_twice
 from deitalk.models.positions import dynamic_positions
-from deitalk.models.rig_decoder import RigDecoder
+from deitalk.models.rig_decoder import RigDecoder, control_mask
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -117,7 +117,8 @@ class DEITalk(nn.Module):
             dropout=config.dropout,
             residual=config.decoder_residual,
             causal=self.is_causal,
-            kept=_mask(config.kept_controls, self.controls),
+            contacts=control_mask("contact_controls", config.contact_controls, self.controls),
+            kept=control_mask("kept_controls", config.kept_controls, self.controls),
         )
 
     def forward(
@@ -376,13 +377,6 @@ class DEITalk(nn.Module):
             )
             rows[start:stop] = decoded[0, start - first : stop - first]
         return rows
-
-
-def _mask(names: Sequence[str], controls: ControlSet) -> Tensor | None:
-    """True at the places of some controls [shape=(C,)]; None without any."""
-    if not names:
-        return None
-    return torch.tensor([name in names for name in controls.names])
 
 
 def _tracks_of(intensity: Intensity | None, row: int) -> Tracks:

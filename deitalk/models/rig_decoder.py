@@ -5,7 +5,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from deitalk.errors import ConfigError
 from deitalk.models.temporal_conv import TemporalConv, receptive_margin
+from rig import ControlSet
+from rig.errors import quoted
+
+DECISION_SLOPE = 8.0
+"""Logits per unit of the last layer where it decides a contact; one half stays one half."""
 
 
 class RigDecoder(nn.Module):
@@ -31,12 +37,16 @@ class RigDecoder(nn.Module):
         Actors whose styles are added to the emotional one; they begin at 0 (not in the paper).
     causal : bool
         Deviation: a frame depends on earlier ones only, for a voice that has not ended.
+    contacts : Tensor [shape=(C,)] or None
+        True for lip contacts. Their outputs pass a logistic function, because lips meet or do not:
+        a linear layer that is torn between both gives lips that almost meet (not in the paper).
     kept : Tensor [shape=(C,)] or None
         True where another decoder of the same shape gives the curves, that of the model before its
         fine-tuning: what captures do not show stays exactly as it was (not in the paper).
     """
 
     is_kept: Tensor | None
+    is_contact: Tensor | None
 
     def __init__(
         self,
@@ -53,11 +63,13 @@ class RigDecoder(nn.Module):
         residual: bool = False,
         n_actors: int = 0,
         causal: bool = False,
+        contacts: Tensor | None = None,
         kept: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.residual = residual
         self.register_buffer("is_kept", kept, persistent=False)
+        self.register_buffer("is_contact", contacts, persistent=False)
         self.kept: RigDecoder | None = None
         if kept is not None:
             self.kept = RigDecoder(
@@ -70,6 +82,7 @@ class RigDecoder(nn.Module):
                 n_emotions=n_emotions,
                 rest=rest,
                 residual=residual,
+                contacts=contacts,
             )
         self.margin = receptive_margin(dilations, kernel_size, causal=causal)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
@@ -104,7 +117,7 @@ class RigDecoder(nn.Module):
         -------
         Tensor [shape=(B, T, C)]
         """
-        curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
+        curves = self.curves(self.hidden(speech, emotion, guidance))
         if self.kept is None or self.is_kept is None:
             return curves
         return torch.where(self.is_kept, self.kept(speech, emotion, guidance), curves)
@@ -115,6 +128,14 @@ class RigDecoder(nn.Module):
         for i, layer in enumerate(self.layers):
             x = self._joined(i, x, layer(torch.cat((x, extra), dim=1)))
         return x.transpose(1, 2)
+
+    def curves(self, hidden: Tensor) -> Tensor:
+        """Curves (..., C) of the rows (..., channels) that `hidden` gives."""
+        curves: Tensor = self.output(hidden)
+        if self.is_contact is None:
+            return curves
+        decided = torch.sigmoid(DECISION_SLOPE * (curves - 0.5))
+        return torch.where(self.is_contact, decided, curves)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span)."""
@@ -148,7 +169,7 @@ class RigDecoder(nn.Module):
             given = torch.cat((x, extra), dim=1)
             kept.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
             x = self._joined(i, x, layer(given, past[i]))
-        return self.output(x.transpose(1, 2)), tuple(kept)
+        return self.curves(x.transpose(1, 2)), tuple(kept)
 
     def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
         return (x + out) / 2**0.5 if self.residual and i else out
@@ -165,3 +186,21 @@ class RigDecoder(nn.Module):
             style = style + self.actors(emotion[..., n_emotions:])
         extra = style if guidance is None else torch.cat((style, guidance), dim=-1)
         return speech.transpose(1, 2), extra.transpose(1, 2)
+
+
+def control_mask(setting: str, names: Sequence[str], controls: ControlSet) -> Tensor | None:
+    """True at the places of the controls that a setting of the model names [shape=(C,)].
+
+    None if it names none.
+
+    Raises
+    ------
+    ConfigError
+        If a name is no control of the rig.
+    """
+    unknown = [name for name in names if name not in controls.names]
+    if unknown:
+        raise ConfigError(f"model.{setting}: {quoted(unknown[0])} is no control of the rig")
+    if not names:
+        return None
+    return torch.tensor([name in names for name in controls.names])

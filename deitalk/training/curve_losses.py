@@ -114,6 +114,10 @@ def contact_loss(target: Tensor, predicted: Tensor, known: Tensor | None = None)
 
 LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
 """Standard deviation of each lip measure of people who read aloud, on the embedded head."""
+STILL = 0.1
+"""Share of that deviation that counts as no movement."""
+CONTACT_QUANTILE = 0.75
+"""Of the contacts that sound leaves open: lips shut if one is likelier than one in four."""
 LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
 """Of `deitalk.data.lips.head.MEASURES`."""
 
@@ -138,6 +142,51 @@ def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:
     return ((square + 2 * velocity + lack) * weights).sum(dim=-1).mean()
 
 
+def range_loss(target: Tensor, predicted: Tensor) -> Tensor:
+    """Squared logarithm of how much further, and how much faster, the lips move than the target's.
+
+    Not in the paper. A mean of what may have been moves less than each of it: squared errors alone
+    give a correlation of r a range of r.
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, 6)]
+        Lip measures, cm.
+
+    Returns
+    -------
+    Tensor, scalar
+        0 for equal ranges and speeds; .48 for twice of either, for all measures.
+    """
+    floor = target.new_tensor(LIP_SPREAD_CM) * STILL
+    weights = target.new_tensor(LIP_WEIGHTS)
+    ratios = []
+    for a, b in ((target, predicted), (target.diff(dim=1), predicted.diff(dim=1))):
+        spread = [(x.var(dim=1) + floor.square()).log() / 2 for x in (a, b)]
+        ratios.append((spread[0] - spread[1]).square())
+    return ((ratios[0] + ratios[1]) * weights / weights.mean()).mean()
+
+
+def decision_loss(target: Tensor, predicted: Tensor, known: Tensor | None = None) -> Tensor:
+    """Pinball loss of the lip contacts: a decision rather than a mean.
+
+    Not in the paper. Where the sound leaves a contact open, the least squared error is its
+    probability: lips that almost meet. The least of this loss is the quantile `CONTACT_QUANTILE`
+    of the target: shut where a contact is more probable than 1 less the quantile, else open.
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, K)]
+        Contact controls.
+    known : Tensor [shape=(B, K)] or None
+        1 where the clip holds the control, else 0; None is 1 everywhere.
+    """
+    lack = target - predicted
+    cost = torch.maximum(CONTACT_QUANTILE * lack, (CONTACT_QUANTILE - 1) * lack).mean(dim=1)
+    known = torch.ones_like(cost) if known is None else known
+    return (cost * known).sum() / known.sum().clamp(min=1)
+
+
 def total_loss(
     output: Output,
     curves: Tensor,
@@ -149,6 +198,7 @@ def total_loss(
     weights: Tensor,
     hold: float = 0.0,
     contact_controls: Tensor,
+    decided: Tensor,
     lips: HeadLips | None = None,
 ) -> dict[str, Tensor]:
     """Every part, and their weighted sum as ``total`` (Eq. 8).
@@ -173,6 +223,8 @@ def total_loss(
         Weight of controls that are not known, in Eq. 12-13; no other part depends on them.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
+    decided : Tensor [shape=(K,)]
+        Indices of these and of the lower lip's bite.
     lips : HeadLips or None
         The head whose lips are compared; None if `config.lips` is 0.
     """
@@ -194,9 +246,16 @@ def total_loss(
             output.curves[..., contact_controls],
             known[:, contact_controls],
         )
+    if config.decision and len(decided):
+        parts["decision"] = decision_loss(
+            curves[..., decided], output.curves[..., decided], known[:, decided]
+        )
     if lips is not None:
         predicted = torch.where(known[:, None] > 0, output.curves, curves)
-        parts["lips"] = lip_loss(lips(curves), lips(predicted))
+        moved = lips(curves), lips(predicted)
+        parts["lips"] = lip_loss(*moved)
+        if config.range:
+            parts["range"] = range_loss(*moved)
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -235,12 +294,12 @@ class CurveLoss:
     ) -> None:
         self.config, self.teacher, self.hold = config, teacher, hold
         self.weights = control_weights(config.control_weights, controls).to(device)
-        self.contact = torch.tensor(
-            [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
-        )
-        if config.lips and controls.id != DEFAULT_ID:
+        self.contact = _places(controls, "lipsTogether").to(device)
+        self.decided = _places(controls, "lipsTogether", "lipBiteD").to(device)
+        if (config.lips or config.range) and controls.id != DEFAULT_ID:
             raise ConfigError("loss.lips: the embedded head has the board's controls only; set 0")
-        self.lips = HeadLips(build_head()).to(device) if config.lips else None
+        is_compared = config.lips or config.range
+        self.lips = HeadLips(build_head()).to(device) if is_compared else None
 
     def __call__(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
         """Every part of the loss of one batch, and their weighted sum as ``total``."""
@@ -256,6 +315,7 @@ class CurveLoss:
             weights=self.weights,
             hold=self.hold,
             contact_controls=self.contact,
+            decided=self.decided,
             lips=self.lips,
         )
         if self.teacher is not None:
@@ -263,6 +323,12 @@ class CurveLoss:
             parts["distillation"] = distance
             parts["total"] = parts["total"] + self.config.distillation * distance
         return parts
+
+
+def _places(controls: ControlSet, *parts: str) -> Tensor:
+    """Indices of the controls whose names hold one of some parts."""
+    names = controls.names
+    return torch.tensor([i for i, n in enumerate(names) if any(p in n for p in parts)])
 
 
 def _across_processes(output: Output) -> Output:

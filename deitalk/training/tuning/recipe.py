@@ -51,7 +51,10 @@ def read_recipe(
     network = load_config(folder / "config.yaml").model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
-    tree["model"] = network | (tree.get("model") or {})
+    own = tree.get("model") or {}
+    if own.get("control_set", network["control_set"]) != network["control_set"]:
+        network["contact_controls"] = []  # of the base's rig
+    tree["model"] = network | own
     if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
         tree["data"] = {"augment": True} | (tree.get("data") or {})
     return cast("FinetuneConfig", parse_config(tree))

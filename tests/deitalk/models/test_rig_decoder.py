@@ -1,15 +1,19 @@
 """Emotion-guided decoder against a loop over Eq. 7."""
 
+import math
+
 import pytest
 import torch
 from torch.nn import functional as F
 
-from deitalk.models.rig_decoder import RigDecoder
+from deitalk.errors import ConfigError
+from deitalk.models.rig_decoder import RigDecoder, control_mask
+from rig import default_controls
 
 DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
 
 
-def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12):
+def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12, contacts=None):
     torch.manual_seed(2)
     return RigDecoder(
         in_size=10,
@@ -22,6 +26,7 @@ def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12):
         rest=torch.tensor([0.0, 1.0, 0.5]),
         dropout=dropout,
         residual=residual,
+        contacts=contacts,
     )
 
 
@@ -101,3 +106,21 @@ def test_dropout_is_off_in_evaluation_mode():
     assert torch.equal(net(*data), net(*data))
     net.train()
     assert not torch.equal(net(*data), net(*data))
+
+
+def test_contacts_are_decided_by_a_logistic_function():
+    """One half stays one half, at a slope of two; other controls stay as they are."""
+    net = decoder(contacts=torch.tensor([True, False, False]))
+    hidden = torch.zeros(1, 1, 12)
+    with torch.no_grad():
+        net.output.bias.copy_(torch.tensor([0.5, 0.5, 2.0]))
+        assert net.curves(hidden).flatten().tolist() == [0.5, 0.5, 2.0]
+        net.output.bias.copy_(torch.tensor([0.6, 0.6, -1.0]))
+        expected = [1 / (1 + math.exp(-0.8)), 0.6, -1.0]
+        assert net.curves(hidden).flatten().tolist() == pytest.approx(expected)
+
+
+def test_a_setting_that_names_no_control_of_the_rig_is_refused():
+    with pytest.raises(ConfigError, match="'jaw' is no control of the rig"):
+        control_mask("contact_controls", ("jaw",), default_controls())
+    assert control_mask("contact_controls", (), default_controls()) is None

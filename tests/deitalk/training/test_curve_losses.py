@@ -15,9 +15,11 @@ from deitalk.training.curve_losses import (
     classification_loss,
     contact_loss,
     contrast_loss,
+    decision_loss,
     intensity_loss,
     lip_loss,
     position_loss,
+    range_loss,
     total_loss,
     velocity_loss,
 )
@@ -124,6 +126,7 @@ def total(config, output, curves, emotion, intensity, known=(1.0, 1.0)):
         known=torch.tensor([known]),
         weights=torch.ones(2),
         contact_controls=torch.tensor([1]),
+        decided=torch.tensor([0, 1]),
     )
 
 
@@ -192,6 +195,56 @@ def test_lip_loss_by_hand():
     # measures that do not move correlate with nothing: each lacks 1 by its weight
 
 
+def test_range_loss_by_hand():
+    """All measures move twice as far: ranges and speeds both lack log 2."""
+    torch.manual_seed(4)
+    target = 100 * torch.randn(2, 50, 6)
+    assert float(range_loss(target, target)) == 0
+    assert float(range_loss(target, target + 3)) == pytest.approx(0, abs=1e-6)
+    for twice in (2 * target, target / 2):
+        expected = 2 * math.log(2) ** 2
+        assert float(range_loss(target, twice)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_range_loss_of_a_speed_alone():
+    """The same values in another order: equal ranges, other speeds."""
+    slow = (100.0 * torch.tensor([0, 0, 1, 1, 0, 0, 1, 1.0]))[None, :, None].expand(1, 8, 6)
+    fast = (100.0 * torch.tensor([0, 1, 0, 1, 0, 1, 0, 1.0]))[None, :, None].expand(1, 8, 6)
+    speeds = [x[0, :, 0].diff().var() for x in (slow, fast)]
+    expected = (math.log(speeds[0] / speeds[1]) / 2) ** 2
+    assert float(range_loss(slow, fast)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_still_lips_have_no_range_to_reach():
+    """Movements far below those of speech count as none: the loss stays small and finite."""
+    still = torch.zeros(1, 10, 6)
+    moved = still + 1e-4 * torch.randn(1, 10, 6)
+    assert float(range_loss(still, moved)) == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("share", "best"), [(0.2, 0.0), (0.3, 1.0)])
+def test_least_decision_loss_is_open_or_shut(share, best):
+    """Of frames that are shut with some probability; a mean would be that probability."""
+    shut = (torch.arange(100) < 100 * share).float()[None, :, None]
+    costs = {
+        value: float(decision_loss(shut, torch.full_like(shut, value)))
+        for value in (0.0, share, 0.5, 1.0)
+    }
+    assert min(costs, key=lambda value: costs[value]) == best
+
+
+def test_decision_of_unknown_contacts_has_no_part():
+    shut = torch.ones(2, 5, 1)
+    value = decision_loss(shut, 0 * shut, torch.tensor([[0.0], [0.0]]))
+    assert float(value) == 0
+
+
+def test_decision_is_of_contacts_and_bites():
+    loss = CurveLoss(LossConfig(), default_controls(), torch.device("cpu"))
+    names = [default_controls().names[i] for i in loss.decided]
+    assert len(names) == 6 and sum("lipBiteD" in name for name in names) == 2
+
+
 def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
     config = LossConfig(lips=0.5, contrast=0, position=0, velocity=0)
     controls = default_controls()
@@ -209,6 +262,7 @@ def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
         known=torch.ones(2, 185),
         weights=torch.ones(185),
         contact_controls=loss.contact,
+        decided=loss.decided,
         lips=loss.lips,
     )
     assert float(parts["lips"]) > 3
