@@ -141,6 +141,12 @@ class LossConfig(Section):
         description="weight of the lips of the embedded head, which the curves move; not in the "
         "paper",
     )
+    range: float = Field(
+        default=0.0,
+        ge=0,
+        description="weight of how far and how fast these lips move, against the target's; not in "
+        "the paper",
+    )
     distillation: float = Field(
         default=1.0,
         ge=0,

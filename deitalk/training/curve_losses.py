@@ -114,6 +114,8 @@ def contact_loss(target: Tensor, predicted: Tensor, known: Tensor | None = None)
 
 LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
 """Standard deviation of each lip measure of people who read aloud, on the embedded head."""
+STILL = 0.1
+"""Share of that deviation that counts as no movement."""
 LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
 """Of `deitalk.data.lips.head.MEASURES`."""
 
@@ -136,6 +138,32 @@ def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:
     norm = (a.square().sum(dim=1) * b.square().sum(dim=1) + 1e-3).sqrt()
     lack = 1 - (a * b).sum(dim=1) / norm
     return ((square + 2 * velocity + lack) * weights).sum(dim=-1).mean()
+
+
+def range_loss(target: Tensor, predicted: Tensor) -> Tensor:
+    """Squared logarithm of how much further, and how much faster, the lips move than the target's.
+
+    Not in the paper. A mean of what may have been moves less than each of it: where the sound
+    explains a share r^2 of the motion, the least squared error has r times its range.
+
+    Parameters
+    ----------
+    target, predicted : Tensor [shape=(B, T, 6)]
+        Lip measures, cm.
+
+    Returns
+    -------
+    Tensor, scalar
+        0 for equal ranges and speeds; .96 if all measures move twice as far, and so twice as fast.
+    """
+    spread = target.new_tensor(LIP_SPREAD_CM)
+    weights = target.new_tensor(LIP_WEIGHTS)
+    least = (STILL * spread).square()
+    cost = torch.zeros_like(target[:, 0])
+    for a, b in ((target, predicted), (target.diff(dim=1), predicted.diff(dim=1))):
+        ratio = (b.var(dim=1) + least).log() - (a.var(dim=1) + least).log()
+        cost = cost + (ratio / 2).square()
+    return (cost * weights / weights.mean()).mean()
 
 
 def total_loss(
@@ -174,7 +202,7 @@ def total_loss(
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
     lips : HeadLips or None
-        The head whose lips are compared; None if `config.lips` is 0.
+        The head whose lips are compared; None if `config.lips` and `config.range` are 0.
     """
     if output.taught is not None:
         known = known * output.taught[:, None]
@@ -199,7 +227,10 @@ def total_loss(
         )
     if lips is not None:
         predicted = torch.where(known[:, None] > 0, output.curves, curves)
-        parts["lips"] = lip_loss(lips(curves), lips(predicted))
+        moved = lips(curves), lips(predicted)
+        parts["lips"] = lip_loss(*moved)
+        if config.range:
+            parts["range"] = range_loss(*moved)
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -224,8 +255,8 @@ class CurveLoss:
     Raises
     ------
     ConfigError
-        If a control weight's name is unknown, or `config.lips` is set for a rig other than the
-        board.
+        If a control weight's name is unknown, or `config.lips` or `config.range` is set for a rig
+        other than the board.
     """
 
     def __init__(
@@ -241,9 +272,12 @@ class CurveLoss:
         self.contact = torch.tensor(
             [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
         )
-        if config.lips and controls.id != DEFAULT_ID:
-            raise ConfigError("loss.lips: the embedded head has the board's controls only; set 0")
-        self.lips = HeadLips(build_head()).to(device) if config.lips else None
+        if (config.lips or config.range) and controls.id != DEFAULT_ID:
+            raise ConfigError(
+                "loss.lips, loss.range: the embedded head has the board's controls only; set 0"
+            )
+        is_compared = config.lips or config.range
+        self.lips = HeadLips(build_head()).to(device) if is_compared else None
 
     def __call__(
         self, network: nn.Module, batch: Window, motion: Tensor | None = None

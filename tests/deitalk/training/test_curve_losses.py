@@ -18,6 +18,7 @@ from deitalk.training.curve_losses import (
     intensity_loss,
     lip_loss,
     position_loss,
+    range_loss,
     total_loss,
     velocity_loss,
 )
@@ -204,8 +205,35 @@ def test_lip_loss_by_hand():
     # measures that do not move correlate with nothing: each lacks 1 by its weight
 
 
+def test_range_loss_by_hand():
+    """All measures move twice as far: ranges and speeds both lack log 2."""
+    torch.manual_seed(4)
+    target = 100 * torch.randn(2, 50, 6)
+    assert float(range_loss(target, target)) == 0
+    assert float(range_loss(target, target + 3)) == pytest.approx(0, abs=1e-6)
+    for twice in (2 * target, target / 2):
+        expected = 2 * math.log(2) ** 2
+        assert float(range_loss(target, twice)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_range_loss_of_a_speed_alone():
+    """The same values in another order: equal ranges, other speeds."""
+    slow = (100 * torch.tensor([0, 0, 1, 1, 0, 0, 1, 1.0]))[None, :, None].expand(1, 8, 6)
+    fast = (100 * torch.tensor([0, 1, 0, 1, 0, 1, 0, 1.0]))[None, :, None].expand(1, 8, 6)
+    speeds = [float(x[0, :, 0].diff().var()) for x in (slow, fast)]
+    expected = (math.log(speeds[0] / speeds[1]) / 2) ** 2
+    assert float(range_loss(slow, fast)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_still_lips_have_no_range_to_reach():
+    """Movements far below those of speech count as none: the loss stays small and finite."""
+    still = torch.zeros(1, 10, 6)
+    moved = still + 1e-4 * torch.randn(1, 10, 6)
+    assert float(range_loss(still, moved)) == pytest.approx(0, abs=1e-3)
+
+
 def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
-    config = LossConfig(lips=0.5, contrast=0, position=0, velocity=0)
+    config = LossConfig(lips=0.5, range=2, contrast=0, position=0, velocity=0)
     controls = default_controls()
     loss = CurveLoss(config, controls, torch.device("cpu"))
     rest = torch.tensor(controls.rest).float()
@@ -224,5 +252,7 @@ def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
         lips=loss.lips,
     )
     assert float(parts["lips"]) > 3
-    assert float(parts["total"]) == pytest.approx(0.5 * float(parts["lips"]))
+    expected = 0.5 * float(parts["lips"]) + 2 * float(parts["range"])
+    assert float(parts["range"]) > 1
+    assert float(parts["total"]) == pytest.approx(expected)
     assert CurveLoss(LossConfig(), controls, torch.device("cpu")).lips is None
