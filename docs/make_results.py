@@ -26,6 +26,8 @@ _ABLATE = "deitalk ablate --data corpus/ --steps 300"
 COMMANDS = {
     "default-test": f"{_EVALUATE} --data corpus/ --split test --most 90 --probes 12",
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
+    "default-lips": f"{_EVALUATE} --lips LIPS --speaker s03 --speaker s32",
+    "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
     "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=default "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
@@ -126,6 +128,51 @@ def intensity() -> str:
     return _table([["", *heads], *rows])
 
 
+MEASURES = {
+    "opening": "opening",
+    "jaw": "jaw",
+    "width": "width",
+    "upper_lip": "upper lip",
+    "lower_lip": "lower lip",
+    "corner": "corners",
+}
+"""Lip measures of people, and their headings."""
+
+
+def lips() -> str:
+    """The default model beside lips measured on people, mean over speakers."""
+    found = report("default-lips")
+    rows = [
+        ("network alone, r", "network", "r"),
+        ("as `deitalk animate` returns them, r", "animated", "r"),
+        ("loudness, r", "loudness", "r"),
+        ("range over the measured one, network alone", "network", "range"),
+        ("speed over the measured one, network alone", "network", "speed"),
+    ]
+    cells = [
+        [text, *(short(found[name]["mean"][f"{measure} {score}"], 2) for measure in MEASURES)]
+        for text, name, score in rows
+    ]
+    return _table([["", *MEASURES.values()], *cells])
+
+
+ACTED = {"high above low": 3, "rank correlation": 2}
+"""Scores of acted strengths, and their digits."""
+
+
+def acted() -> str:
+    """Order of acted strengths in the output of the default model."""
+    columns = [(group, s) for group in ("anger and joy", "sadness") for s in ACTED]
+    rows = [
+        [text, *(short(report("default-acted")[g][f"{name}: {s}"], ACTED[s]) for g, s in columns)]
+        for name, text in (
+            ("intensity", "predicted intensity over speech, `deitalk animate`"),
+            ("whole face", "distance of all curves from rest"),
+        )
+    ]
+    return _table([["26 test actors", *(f"{g}: {s}" for g, s in columns)], *rows])
+
+
 SOURCES = {
     "librispeech": "LibriSpeech",
     "speechocean-adults": "speechocean762, adults",
@@ -192,16 +239,18 @@ def commands() -> str:
 
 
 def _spread(scores: dict[str, Group], metric: str) -> str:
-    _, factor, digits = METRICS[metric]
-    if not scores[metric]["n"]:
+    (_, factor, digits), score = METRICS[metric], scores[metric]
+    if not score["n"]:
         return "–"
-    mean, sd = (factor * scores[metric][key] for key in ("mean", "sd"))
-    return f"{short(mean, digits)} ± {short(sd, digits)}"
+    mean = short(factor * score["mean"], digits)
+    return mean if score["n"] < 2 else f"{mean} ± {short(factor * score['sd'], digits)}"
 
 
 TABLES: dict[str, Callable[[], str]] = {
     "scores": scores,
     "intensity": intensity,
+    "lips": lips,
+    "acted": acted,
     "ablations": ablations,
     "comparison": comparison,
     "commands": commands,

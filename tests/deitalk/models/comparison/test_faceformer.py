@@ -4,12 +4,16 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from deitalk.config import MelConfig, ModelConfig
-from deitalk.errors import CheckpointError
+from deitalk.config import Config, MelConfig, ModelConfig
+from deitalk.errors import CheckpointError, ConfigError
+from deitalk.models.checkpoint import save_model
 from deitalk.models.comparison.biased_attention import periodic_positions
 from deitalk.models.comparison.faceformer import FaceFormerDecoder
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.tuning.task import FinetuneTask
+from tests.dataset import write_dataset
 from tests.deitalk.models.test_curve_model import MEL
+from tests.deitalk.training.conftest import recipe
 
 OWN = {
     "decoder": "faceformer",
@@ -73,7 +77,7 @@ def test_gradient_reaches_the_first_frame_through_the_later_ones():
 
 
 @torch.no_grad()
-def test_network_reads_a_clip_and_is_not_fine_tuned():
+def test_network_reads_a_clip():
     torch.manual_seed(1)
     model = DEITalk(ModelConfig(frontend=MelConfig(**MEL), **OWN)).eval()
     analysis = model.analyse(0.1 * torch.randn(16_000), 30)
@@ -81,8 +85,18 @@ def test_network_reads_a_clip_and_is_not_fine_tuned():
     curves = model.decode(analysis, emotion(1).expand(30, -1))
     expected = model.decoder(analysis.speech.unsqueeze(0), emotion(1), None)
     torch.testing.assert_close(curves, expected[0])
+
+
+def test_network_is_not_fine_tuned(tmp_path):
+    config = Config(name="other", model=ModelConfig(frontend=MelConfig(**MEL), **OWN))
+    model = DEITalk(config.model)
     with pytest.raises(CheckpointError, match="for comparison"):
         _ = model.rig_decoder
+    save_model(tmp_path / "m", model, config, {})
+    data = write_dataset(tmp_path / "data", 1, 1)
+    with pytest.raises(ConfigError, match="decoder: faceformer, which is for comparison") as caught:
+        FinetuneTask(recipe(str(tmp_path / "m")), data)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
