@@ -216,6 +216,10 @@ def lips(
     corpus_clips: Annotated[
         int, typer.Option(min=1, max=MAX_COUNT, help="Clips of the corpus.")
     ] = 1000,
+    as_rig: Annotated[
+        bool,
+        typer.Option("--as-rig", help="The measures are the curves, of the rig in OUT/rig.yaml."),
+    ] = False,
     most: Most = None,
     force: Force = False,
 ) -> None:
@@ -229,9 +233,14 @@ def lips(
     deitalk data lips grid_lips/ --validation s02 --test s03 -o lips_data/
 
     deitalk data lips grid_lips/ --corpus corpus/ -o lips_data/
+
+    deitalk data lips grid_lips/ --as-rig --most 20 -o lips_rig/
     """
     inputs = (folder,) if corpus is None else (folder, corpus)
     reserve_folder(out, kind="dataset", force=force, inputs=inputs)
+    if as_rig:
+        _write_measures(folder, out, corpus, validation, test, most, force)
+        return
     with console().status("loading"):
         from deitalk.data.lips.dataset import write_lip_dataset
         from deitalk.models.checkpoint import require_model
@@ -252,3 +261,30 @@ def lips(
             progress=progress,
         )
     emit(as_line(f"{out}: {count} clips"))
+
+
+def _write_measures(
+    folder: Path,
+    out: Path,
+    corpus: Path | None,
+    validation: list[str] | None,
+    test: list[str] | None,
+    most: int | None,
+    force: bool,
+) -> None:
+    """Write the measures as curves of a rig of their own."""
+    from deitalk.data.lips.own_rig import write_measure_dataset
+
+    if corpus is not None:
+        raise DeitalkError("--corpus: its curves are of the board; leave out --as-rig")
+    with bar("writing") as progress:
+        count = write_measure_dataset(
+            folder,
+            out,
+            validation=validation or (),
+            test=test or (),
+            most=most,
+            force=force,
+            progress=progress,
+        )
+    emit(as_line(f"{out}: {count} clips; {out / 'rig.yaml'}: their controls"))

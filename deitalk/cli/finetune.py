@@ -102,17 +102,13 @@ def _print_scores(scores: dict[str, dict[str, float]]) -> None:
 
 
 def _write_page(out: Path) -> None:
-    """Play a held-out clip: captured, before and after, side by side."""
+    """Play a held-out clip: captured, before and after, side by side or as lines."""
     from deitalk.errors import MissingError
     from deitalk.evaluation.captures.comparison import COMPARED
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
-    from rig import read_curves
-    from rig.controls import DEFAULT_ID
 
     folder, page = out / COMPARED, out / f"{COMPARED}.html"
-    if read_curves(folder / "capture.npz").control_set != DEFAULT_ID:
-        return  # the page's head has the board's controls
     names = ("capture", "before", "after")
     paths = [folder / f"{name}.npz" for name in names if (folder / f"{name}.npz").is_file()]
     try:

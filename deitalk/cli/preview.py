@@ -51,13 +51,14 @@ def preview(
     from deitalk.preview.warnings import find_warnings
 
     others = versus or []
-    targets = [out] if out else _beside(source)
-    for note in check_needs(targets, backend):  # type: ignore[arg-type]
-        console().note(note)
+    shown = [load_source(path) for path in others]
+    shown = [load_source(source, audio, phones), *shown]
+    targets = [out] if out else _beside(source)[: None if shown[0].is_board else 1]
+    if shown[0].is_board:
+        for note in check_needs(targets, backend):  # type: ignore[arg-type]
+            console().note(note)
     for target in targets:
         reserve_file(target, force=force, inputs=(source, audio, phones, *others))
-    shown = [load_source(source, audio, phones)]
-    shown += [load_source(other) for other in others]
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
     for target in targets:

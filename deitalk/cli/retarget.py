@@ -49,7 +49,8 @@ def retarget(
 
     A mesh with shapes of the names of ARKit, Live Link Face, ICT-FaceKit or MetaHuman is driven
     by name. A single neutral mesh of any topology, mouth closed and eyes open, gets the shapes of
-    the embedded head, laid over it by landmarks.
+    the embedded head, laid over it by landmarks. Curves of a rig of your own drive the shapes of
+    their names.
 
     Examples
     --------
@@ -57,13 +58,13 @@ def retarget(
 
     deitalk retarget take/ --mesh scan.obj --landmarks scan.json -o out.glb
     """
-    from rig import read_curves
+    from rig.formats import read_known_or_own
     from rig.retarget.retarget_files import retarget_curves
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping))
-    curves = read_curves(curves_of(take))
+    curves = read_known_or_own(curves_of(take))
     with console().status("retargeting"):
         report = retarget_curves(
             curves,

@@ -42,6 +42,13 @@ class TuneConfig(Section):
         description="share of windows shown in an emotion that no capture has: the captured "
         "curves, changed as the base's",
     )
+    anonymous: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="share of windows shown without their actor: what a stranger gets is the mean "
+        "of the actors",
+    )
     contact_rules: Literal["auto", "base", "recipe"] = Field(
         default="auto",
         description="rules of lip contacts: the base's, or those of the section `rules`; auto is "

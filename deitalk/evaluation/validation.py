@@ -114,14 +114,21 @@ class ValidationSet:
             "jaw_r": rs[0],
             "mean_r": _mean(rs),
         }
-        speaking = speech_activity(example.waveform)[: len(target)] > 0
-        known = np.isfinite(example.intensity) & speaking
+        known = np.isfinite(example.intensity) & speaking_frames(example)
         row["intensity_r"] = (
             correlation(example.intensity[known], strength[known])
             if strength is not None and known.any()
             else float("nan")
         )
         return row
+
+
+def speaking_frames(example: Example) -> Bool:
+    """Frames with speech [shape=(T,)]; a last frame that is begun only has none."""
+    speaking = np.zeros(len(example.curves), bool)
+    found = speech_activity(example.waveform)[: len(speaking)]
+    speaking[: len(found)] = found > 0
+    return speaking
 
 
 def knows_contact(known: Bool, controls: ControlSet) -> bool:

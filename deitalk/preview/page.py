@@ -4,8 +4,6 @@ The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``ap
 beside this file; this module inserts the data.
 """
 
-import base64
-import io
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.errors import MissingError
+from deitalk.preview.curves_page import write_curves_page
 from deitalk.preview.pack import pack, pack_bytes
-from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.source import (
+    PreviewError,
+    PreviewSource,
+    check_board,
+    load_source,
+    sound_as_wav,
+)
 from deitalk.preview.warnings import find_warnings
 from rig.curves import EMOTIONS
 from rig.face import build_head
@@ -41,6 +46,8 @@ def render_page(
     force: bool = False,
 ) -> Path:
     """Write a page that opens offline and plays a take, or several side by side.
+
+    Curves of a rig other than the board are shown as lines, without a head.
 
     Parameters
     ----------
@@ -68,15 +75,18 @@ def render_page(
     if out.suffix.lower() not in (".html", ".htm"):
         raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a page is a .html file")
     check_file(out, force=force)
-    player = _player()
     if not isinstance(sources, list):
         is_loaded = isinstance(sources, PreviewSource)
         sources = [sources if is_loaded else load_source(sources, audio)]  # type: ignore[list-item, arg-type]
     if not 1 <= len(sources) <= MAX_TAKES:
         raise PreviewError(f"{len(sources)} takes; a page shows 1 to {MAX_TAKES}")
+    if not all(source.is_board for source in sources):
+        write_curves_page(sources, out)
+        return out
+    player = _player()
     blocks = [_block("head", _packed_head(identity))]
     blocks += [_block(f"take-{k}", _packed_take(take)) for k, take in enumerate(sources)]
-    blocks += [_block(f"audio-{k}", _audio(take)) for k, take in enumerate(sources)]
+    blocks += [_block(f"audio-{k}", sound_as_wav(take)) for k, take in enumerate(sources)]
     page = player.replace(_SLOT, "\n".join(blocks))
     with atomic_write(out) as beside:
         beside.write_text(page, encoding="utf-8")
@@ -97,6 +107,7 @@ def render_studio(identity: int | str | Identity = 0) -> str:
 
 def pack_source(source: PreviewSource) -> bytes:
     """Return the arrays of a take and its recording, for a page that is open already."""
+    check_board(source)
     arrays, facts = _take_arrays(source)
     arrays["audio"] = np.round(np.clip(source.samples, -1, 1) * 32767).astype(np.int16)
     return pack_bytes(arrays, facts | {"sampleRate": source.sample_rate}, level=_QUICK)
@@ -160,14 +171,3 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
         "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip
     return arrays, facts
-
-
-def _audio(source: PreviewSource) -> str:
-    """The recording as WAV, base64; empty without one."""
-    import soundfile
-
-    if not source.sample_rate:
-        return ""
-    buffer = io.BytesIO()
-    soundfile.write(buffer, source.samples, source.sample_rate, format="WAV", subtype="PCM_16")
-    return base64.b64encode(buffer.getvalue()).decode()

@@ -1,5 +1,7 @@
 """Input of a preview: curves, their recording, and the neutral reading if it is known."""
 
+import base64
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +10,10 @@ import numpy as np
 from deitalk.audio.decoding import open_sound
 from deitalk.data.clips import read_phones
 from deitalk.errors import DeitalkError
-from rig import RigCurves, default_controls, read_curves
+from rig import RigCurves, default_controls
 from rig.arrays import Float32
+from rig.controls import DEFAULT_ID
+from rig.formats import read_known_or_own
 
 MAX_SECONDS = 1800.0
 MAX_AUDIO_BYTES = 500_000_000
@@ -31,12 +35,13 @@ class PreviewSource:
     ----------
     title : str
     curves : RigCurves
-        All 185 controls, with emotion and intensity if they are known.
+        All 185 controls of the board, with emotion and intensity if they are known; or those of
+        another rig (`is_board` is false), which are shown as curves alone.
     samples : ndarray [shape=(S,)], float32
         The recording, mono, -1..1; empty without one.
     sample_rate : int
         Hz; 0 without a recording.
-    neutral : ndarray [shape=(T, 185)] or None
+    neutral : ndarray [shape=(T, C)] or None
         The neutral reading of the same speech.
     phones : tuple of (start, end, name)
         Seconds and ARPABET names, where they are known.
@@ -53,6 +58,11 @@ class PreviewSource:
     def audio_seconds(self) -> float:
         """Length of the recording; 0 without one."""
         return len(self.samples) / self.sample_rate if self.sample_rate else 0.0
+
+    @property
+    def is_board(self) -> bool:
+        """Whether the curves move the head of a preview."""
+        return self.curves.control_set == DEFAULT_ID
 
 
 def load_source(
@@ -85,7 +95,7 @@ def load_source(
         raise PreviewError(f"{source} does not exist; name a take folder or a file of curves")
     if source.is_dir():
         return _load_take(source, audio, phones)
-    curves = _on_the_board(read_curves(source))
+    curves = _read(source)
     samples, rate = (np.zeros(0, np.float32), 0) if audio is None else _read_audio(Path(audio))
     return _checked(PreviewSource(source.stem, curves, samples, rate, None, _read_phones(phones)))
 
@@ -94,12 +104,12 @@ def _load_take(folder: Path, audio: Path | str | None, phones: Path | str | None
     path = folder / "curves.json"
     if not path.is_file():
         raise PreviewError(f"{folder} has no curves.json; name a folder that deitalk animate wrote")
-    curves = _on_the_board(read_curves(path))
+    curves = _read(path)
     recording = Path(audio) if audio is not None else folder / "audio.wav"
     samples, rate = _read_audio(recording)
     neutral = None
     if (folder / "neutral.npz").is_file():
-        neutral = _on_the_board(read_curves(folder / "neutral.npz")).values
+        neutral = _read(folder / "neutral.npz").values
         if neutral.shape != curves.values.shape:
             raise PreviewError(
                 f"neutral.npz has {len(neutral)} frames and curves.json {len(curves)}; "
@@ -119,10 +129,36 @@ def _read_phones(path: Path | str | None) -> Phones:
     return tuple(read_phones(Path(path)))
 
 
-def _on_the_board(curves: RigCurves) -> RigCurves:
-    """The curves with all 185 controls in the board's order."""
-    names = default_controls().names
-    return curves if curves.names == names else curves.select(names)
+def _read(path: Path) -> RigCurves:
+    """Curves with all 185 controls in the board's order, or those of a user's own rig."""
+    curves, names = read_known_or_own(path), default_controls().names
+    is_ready = curves.control_set != DEFAULT_ID or curves.names == names
+    return curves if is_ready else curves.select(names)
+
+
+def check_board(source: PreviewSource) -> None:
+    """Refuse curves of a rig that has no head here.
+
+    Raises
+    ------
+    PreviewError
+    """
+    if not source.is_board:
+        raise PreviewError(
+            f"{source.title} is of the rig {source.curves.control_set}, which has no head here; "
+            "a page (.html) shows its curves, `deitalk retarget --mesh` moves your own face"
+        )
+
+
+def sound_as_wav(source: PreviewSource) -> str:
+    """The recording as WAV, base64; empty without one."""
+    import soundfile
+
+    if not source.sample_rate:
+        return ""
+    buffer = io.BytesIO()
+    soundfile.write(buffer, source.samples, source.sample_rate, format="WAV", subtype="PCM_16")
+    return base64.b64encode(buffer.getvalue()).decode()
 
 
 def _read_audio(path: Path) -> tuple[Float32, int]:

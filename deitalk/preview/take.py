@@ -25,7 +25,7 @@ def check_preview(folder: Path) -> tuple[str, ...]:
 def add_preview(
     folder: Path, performance: Performance, identity: int | str | Identity = 0
 ) -> dict[str, str]:
-    """Write ``preview.html`` and ``preview.mp4`` into a take folder.
+    """Write ``preview.html`` and ``preview.mp4`` into a take folder; of another rig the page alone.
 
     Parameters
     ----------
@@ -49,6 +49,8 @@ def add_preview(
         neutral=performance.neutral.values,
     )
     render_page(source, folder / "preview.html", identity=identity)
+    if not source.is_board:
+        return {"preview.html": "sound and every curve in one page"}
     render_video(source, folder / "preview.mp4", identity=identity)
     return {
         "preview.html": "face, sound and every curve in one page; the intensity can be dragged",

@@ -7,7 +7,7 @@ import numpy as np
 
 from deitalk.preview.encoding import find_encoder, write_mp4
 from deitalk.preview.panel import Panel, label
-from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.source import PreviewError, PreviewSource, check_board, load_source
 from rig.arrays import AnyFloat
 from rig.curves import EMOTIONS
 from rig.face import build_head
@@ -75,6 +75,7 @@ def render_video(
         raise PreviewError(f"view {second_view!r} is unknown; use one of {', '.join(VIEWS)}")
     encoder = find_encoder()
     shown = source if isinstance(source, PreviewSource) else load_source(source, audio)
+    check_board(shown)
     frames = draw_frames(shown, identity=identity, second_view=second_view, backend=backend)
     with atomic_write(out) as beside:
         write_mp4(

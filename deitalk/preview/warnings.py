@@ -29,7 +29,12 @@ class Finding(NamedTuple):
 
 
 def find_warnings(source: PreviewSource) -> list[Finding]:
-    """Bilabials that do not close, and curves that are early or late, in order of time."""
+    """Bilabials that do not close, and curves that are early or late, in order of time.
+
+    Curves of a rig other than the board have neither jaw nor lips of a known name, and no warnings.
+    """
+    if not source.is_board:
+        return []
     return sorted([*offset_warnings(source), *bilabial_warnings(source)])
 
 

@@ -46,7 +46,7 @@ def convert(curves: RigCurves, control_set: str) -> RigCurves:
     if to_raw is None or from_raw is None:
         raise ControlError(
             f"no conversion from control set {curves.control_set!r} to {control_set!r}; "
-            f"known: {', '.join(KNOWN)}"
+            f"known: {', '.join(KNOWN)}; keep a rig of your own as .csv, .json or .npz"
         )
     return from_raw(to_raw(curves))
 

@@ -101,6 +101,15 @@ def read_curves(
     return curves if wanted is None else convert(curves, wanted)
 
 
+def read_known_or_own(path: Path | str) -> RigCurves:
+    """Read curves as channels of the MetaHuman board, or of a user's own rig as they are.
+
+    Errors are those of `read_curves`.
+    """
+    curves = read_curves(path, control_set=None)
+    return curves if known_controls(curves.control_set) is None else convert(curves, DEFAULT_ID)
+
+
 def write_curves(
     path: Path | str,
     curves: RigCurves,

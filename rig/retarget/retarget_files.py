@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
 from rig.mesh.glb import WeightAnimation, write_glb
@@ -69,7 +70,8 @@ def retarget_curves(
     Parameters
     ----------
     curves : RigCurves
-        Board, raw or ARKit curves.
+        Board, raw or ARKit curves, or those of a user's own rig, which drive the shapes of their
+        names.
     mesh : Path or str
         A blendshape set (GLB with morph targets, folder of OBJ, NPZ) or one neutral mesh (OBJ, PLY,
         GLB, NPZ without shapes).
@@ -92,6 +94,8 @@ def retarget_curves(
     """
     mesh = Path(mesh)
     check_out(out)
+    if known_controls(curves.control_set) is None:
+        return _drive_by_name(curves, mesh, out)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
         return _drive_glb(curves, mesh, out, mapping)
     shapes = read_shapes(mesh)
@@ -233,6 +237,38 @@ def _drive_glb(
         fit = poses.weights(curves)
     animate_glb(mesh, Path(out), fit.names, WeightAnimation(fit.weights, curves.fps))
     return _driven(out, fit, poses, len(curves))
+
+
+def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str) -> RetargetReport:
+    """Drive the shapes that have the names of a user's own controls, in any case of letters."""
+    is_kept = mesh.suffix.lower() == ".glb" and check_out(out) == "glb"
+    shapes = None if is_kept else read_shapes(mesh)
+    names = morph_names(mesh) if shapes is None else shapes.names
+    columns = {name.lower(): i for i, name in enumerate(curves.names)}
+    driven = {name: columns[name.lower()] for name in names if name.lower() in columns}
+    if not driven:
+        raise FormatError(
+            f"{mesh.name}: none of its {len(names)} shapes has the name of a control of "
+            f"{curves.control_set}, such as {curves.names[0]}; name the shapes as the controls"
+        )
+    if shapes is None:
+        weights = curves.values[:, list(driven.values())]
+        animate_glb(mesh, Path(out), tuple(driven), WeightAnimation(weights, curves.fps))
+    else:
+        weights = np.zeros((len(curves), len(names)), np.float32)
+        for place, name in enumerate(names):
+            if name in driven:
+                weights[:, place] = curves.values[:, driven[name]]
+        _write(out, shapes, weights, curves.fps)
+    used = set(driven.values())
+    idle = [
+        name for i, name in enumerate(curves.names) if i not in used and np.ptp(curves.values[:, i])
+    ]
+    more = " ..." if len(idle) > 4 else ""
+    notes = (f"no shape for {len(idle)} controls that move ({', '.join(idle[:4])}{more})",)
+    return RetargetReport(
+        Path(out), "blendshapes", len(driven), len(curves), None, notes if idle else ()
+    )
 
 
 def _fit(

@@ -88,12 +88,12 @@ def write_lip_dataset(
         If `out` may not be written.
     """
     lips = HeadLips(build_head())
-    clips = _first(read_lips(folder, lips.eye_distance), most)
-    _check_speakers(folder, clips, (*validation, *test))
+    clips = first_clips(read_lips(folder, lips.eye_distance), most)
+    check_speakers(folder, clips, (*validation, *test))
     acted = [] if corpus is None else _spread(corpus, corpus_clips)
     if acted and {clip.speaker for clip in clips} <= {*validation, *test}:
         raise DataError(f"{folder}: no speaker is left to train on; hold out fewer")
-    _check_names([*clips, *acted])
+    check_names([*clips, *acted])
     inputs = (folder,) if corpus is None else (folder, corpus)
     total = len(clips) + len(acted)
     with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
@@ -114,7 +114,8 @@ def write_lip_dataset(
     return total
 
 
-def _check_speakers(folder: Path, clips: Sequence[LipClip], names: Sequence[str]) -> None:
+def check_speakers(folder: Path, clips: Sequence[LipClip], names: Sequence[str]) -> None:
+    """Refuse names that no clip's speaker has."""
     speakers = {clip.speaker for clip in clips}
     for name in names:
         if name not in speakers:
@@ -122,7 +123,7 @@ def _check_speakers(folder: Path, clips: Sequence[LipClip], names: Sequence[str]
             raise DataError(f"{folder}: no speaker {quoted(name)}; has {known}")
 
 
-def _check_names(clips: Sequence[LipClip | Clip]) -> None:
+def check_names(clips: Sequence[LipClip | Clip]) -> None:
     """Names become file names: plain ones, each once."""
     names = [clip.name for clip in clips]
     for name in names:
@@ -133,7 +134,7 @@ def _check_names(clips: Sequence[LipClip | Clip]) -> None:
             raise DataError(f"clip {quoted(name)} appears {count} times; names must differ")
 
 
-def _first(clips: Sequence[LipClip], most: int | None) -> list[LipClip]:
+def first_clips(clips: Sequence[LipClip], most: int | None) -> list[LipClip]:
     """At most so many clips of every speaker."""
     count: dict[str, int] = {}
     chosen = []

@@ -13,7 +13,6 @@ import numpy as np
 import soundfile
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.clip_scores import loudness
@@ -27,6 +26,7 @@ from deitalk.evaluation.validation import (
     lips_together,
     load_example,
     predict,
+    speaking_frames,
 )
 from deitalk.figures.before_after import Shown, draw_before_after
 from deitalk.figures.canvas import can_draw
@@ -190,7 +190,7 @@ def _intensity(model: DEITalk, captures: CaptureSet) -> dict[str, float]:
     rs = []
     for example in captures.examples:
         strength = predict(model, example)[1]
-        known = np.isfinite(example.intensity) & (speech_activity(example.waveform) > 0)
+        known = np.isfinite(example.intensity) & speaking_frames(example)
         if strength is not None and known.any():
             rs.append(correlation(example.intensity[known], strength[known]))
     return {"intensity_r": _mean(rs)} if np.isfinite(rs).any() else {}

@@ -278,10 +278,21 @@ class FinetuneTask(CurveTask):
     def loss(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
         """Every part of the loss, and their weighted sum (Eq. 8)."""
         learnt = torch.from_numpy(self.learnt).to(batch.known)
-        batch = batch._replace(known=batch.known * learnt)
+        batch = batch._replace(
+            known=batch.known * learnt, emotion=self._partly_anonymous(batch.emotion)
+        )
         if not self.is_same_rig:
             return self._loss(network, batch)
         return self._loss(network, *self._completed(batch))
+
+    def _partly_anonymous(self, emotion: Tensor) -> Tensor:
+        """The styles, in `TuneConfig.anonymous` of the windows without an actor."""
+        if emotion.shape[1] == len(EMOTIONS):
+            return emotion
+        hidden = torch.rand(len(emotion)) < self.config.tune.anonymous
+        keeps = torch.ones_like(emotion)
+        keeps[hidden.to(emotion.device), len(EMOTIONS) :] = 0
+        return emotion * keeps
 
     @torch.no_grad()
     def _completed(self, batch: Window) -> tuple[Window, Tensor]:

@@ -289,6 +289,20 @@ def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path):
     assert batch.emotion.shape == (4, 7) and (batch.emotion[:, 5:].sum(dim=1) == 1).all()
 
 
+def test_some_windows_are_shown_without_their_actor(base, data, tmp_path):
+    """A stranger then has the mean of the actors."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str)
+    table.assign(speaker=["a", "b"] * 3).to_csv(folder / "clips.csv", index=False)
+    styles = torch.eye(7)[[5] * 200] + torch.eye(7)[[0] * 200]
+    for share in (0.0, 0.3, 1.0):
+        task = FinetuneTask(recipe(base, f"tune.anonymous={share}"), folder)
+        given = task._partly_anonymous(styles)
+        assert (given[:, 0] == 1).all()
+        assert (given[:, 5] == 0).float().mean() == pytest.approx(share, abs=0.12)
+
+
 def test_settings_that_are_not_named_are_those_of_the_recipe(base):
     """The model's default too is a section: its settings are the base's."""
     whole = read_recipe(None, base=base)

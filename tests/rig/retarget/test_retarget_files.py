@@ -107,6 +107,30 @@ def test_compressed_glb_is_driven_by_name(tmp_path, shapes, curves):
         retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.npz")
 
 
+@pytest.mark.parametrize("suffix", [".glb", ".npz"])
+def test_curves_of_a_rig_of_the_user_drive_the_shapes_of_their_names(tmp_path, suffix):
+    """In any case of letters; other shapes stay, and a control without a shape is named."""
+    square = TriMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+    deltas = np.zeros((3, 3, 3), np.float32)
+    deltas[0, :, 1], deltas[1, :, 2], deltas[2, :, 0] = 1, 2, 5
+    mesh = ShapeSet(square, ("Jaw_Open", "other", "wide"), deltas)
+    write_glb(tmp_path / "face.glb", mesh)
+    values = np.array([[0.5, 0.1, 0.3], [1, 0.2, 0]], np.float32)
+    own = RigCurves(values, ("wide", "jaw_open", "blink"), fps=30, control_set="mine@1")
+    report = retarget_curves(own, tmp_path / "face.glb", tmp_path / f"out{suffix}")
+    assert (report.shapes, report.way, report.lost) == (2, "blendshapes", None)
+    assert report.notes == ("no shape for 1 controls that move (blink)",)
+    expected = [[0.1, 0, 0.5], [0.2, 0, 1]]
+    if suffix == ".glb":
+        np.testing.assert_allclose(glb_weights(tmp_path / "out.glb"), expected)
+    else:
+        moved = np.load(tmp_path / "out.npz")["vertices"] - square.vertices
+        np.testing.assert_allclose(moved[:, 0], [[2.5, 0.1, 0], [5, 0.2, 0]], atol=1e-6)
+    named = RigCurves(values, ("a", "b", "c"), fps=30, control_set="mine@1")
+    with pytest.raises(FormatError, match=r"none of its 3 shapes has the name of a control of"):
+        retarget_curves(named, tmp_path / "face.glb", tmp_path / f"no{suffix}")
+
+
 def test_unknown_shapes_and_missing_curves_are_reported(tmp_path, curves):
     shapes = ShapeSet(MESH, ("jawOpen", "Key 7"), np.ones((2, 4, 3)))
     write_glb(tmp_path / "a.glb", shapes)
