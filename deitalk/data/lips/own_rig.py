@@ -122,12 +122,12 @@ def _write(stage: Path, clip: LipClip, start: float) -> dict[str, str]:
 
 def _known(clip: LipClip) -> Bool:
     """Frames with all measures [shape=(T,)]."""
-    known: Bool = np.isfinite(clip.measures).all(axis=1)
-    return known
+    return np.asarray(np.isfinite(clip.measures).all(axis=1), bool)
 
 
 def _bridged(clip: LipClip) -> Float32:
     """Measures with lines over gaps [shape=(T, M)], held beyond the ends."""
     known, frames = _known(clip), np.arange(len(clip.measures))
     columns = [np.interp(frames, frames[known], column[known]) for column in clip.measures.T]
-    return np.clip(np.stack(columns, axis=1), -LARGEST_CM, LARGEST_CM).astype(np.float32)
+    values = np.clip(np.stack(columns, axis=1), -LARGEST_CM, LARGEST_CM)
+    return np.asarray(values, np.float32)
