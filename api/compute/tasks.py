@@ -60,6 +60,8 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     performance = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = list(performance.recording.warnings)
+    if performance.words is not None and performance.words.fits:
+        notes.append(performance.words.line)
     if is_video or options["format"] in ("page", "packed"):
         _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
     else:
@@ -78,7 +80,16 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
         progress=progress,
         **direction,
         **_drawing(options),
+        **_words(options, limits),
     )
+
+
+def _words(options: dict[str, Any], limits: Limits) -> dict[str, Any]:
+    """Arguments of `animate` on what is said: files of the order."""
+    files = {name: Path(options[name]) for name in ("transcript", "phones") if name in options}
+    if files and limits["backend"] == "onnx":
+        raise CheckpointError("words need torch; this service has the backend onnx")
+    return files | {"language": options["language"]} if files else {}
 
 
 def _drawing(options: dict[str, Any]) -> dict[str, Any]:
@@ -191,6 +202,7 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 
     network = model_of(options.get("model", "default"), limits)
     direction = _direction(options)
+    direction |= _words(options, limits)
     if isinstance(network, DEITalk):
         direction |= _drawing(options)
     performance = animate_mesh(

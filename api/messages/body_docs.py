@@ -15,6 +15,8 @@ DESCRIPTIONS = {
     "mapping": "Meaning of your own shape names: .csv.",
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
+    "transcript": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
+    "phones": "Phones as .txt, .csv (start, end, phone) or .TextGrid; or the text of the option.",
 }
 
 

@@ -21,6 +21,7 @@ from api.messages.options import LONGEST_TEXT
 from rig.errors import quoted
 
 Options = TypeVar("Options", bound=BaseModel)
+WORDS_SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
 KEY_SUFFIXES = (".csv", ".tsv", ".json", ".yaml", ".yml")
 FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "recording": (RECORDING, ()),
@@ -30,6 +31,8 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "mapping": ("mapping", (".csv",)),
     "emotion": ("emotion", KEY_SUFFIXES),
     "intensity_curve": ("intensity", KEY_SUFFIXES),
+    "transcript": ("transcript", WORDS_SUFFIXES),
+    "phones": ("phones", WORDS_SUFFIXES),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")

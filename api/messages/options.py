@@ -21,6 +21,8 @@ from rig.limits import SEED
 LONGEST_TEXT = 1 << 20
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}(:[0-9]{2}|\.[0-9]{1,6})?)$"
+_WRITTEN = ("transcript", "phones")
+"""Options whose text becomes a file of the order, so that no text is taken for a path."""
 _LABEL = re.compile(r"[A-Za-z]{1,40}")
 _PAIR = r"\s*[A-Za-z]{1,40}\s*=\s*[0-9.eE+-]{1,40}\s*"
 _WEIGHTS = re.compile(rf"{_PAIR}(?:,{_PAIR}){{0,20}}")
@@ -90,6 +92,27 @@ class MotionOptions(BaseModel):
     listen: Annotated[
         float, Field(ge=0, le=600, description="Seconds of living silence after the speech.")
     ] = 0.0
+    transcript: Annotated[
+        str | None,
+        Field(
+            max_length=LONGEST_TEXT,
+            description="What is said: its closures are met where the sound agrees; a note where "
+            "it does not.",
+            examples=["My promise is big."],
+        ),
+    ] = None
+    phones: Annotated[
+        str | None,
+        Field(
+            max_length=LONGEST_TEXT,
+            description="The same as phones, ARPABET or IPA.",
+            examples=["M AY | P R AA M AH S"],
+        ),
+    ] = None
+    language: Annotated[
+        str,
+        Field(pattern="^[A-Za-z0-9-]{2,32}$", description="espeak-ng's voice for the words."),
+    ] = "en-us"
     raw: Annotated[bool, Field(description="The network alone, without the model's rules.")] = False
     format: Annotated[
         str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
@@ -188,7 +211,8 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
         If a time code is beyond a day or its second.
     """
     given = options.model_dump(
-        exclude={"emotion", "intensity_curve", "format", "wait", "webhook"}, exclude_none=True
+        exclude={*_WRITTEN, "emotion", "intensity_curve", "format", "wait", "webhook"},
+        exclude_none=True,
     )
     sent = {name.partition(".")[0]: name for name in files}
     given["emotion"] = sent.get("emotion") or _emotion(options.emotion, folder)
@@ -198,6 +222,13 @@ def order_options(options: MotionOptions, folder: Path, files: set[str]) -> dict
         given["intensity_curve"] = _keys(options.intensity_curve, folder, "intensity")
     if "timecode" in given:
         start_of(given["timecode"], options.fps, None)
+    for name in _WRITTEN:
+        text = getattr(options, name)
+        if name in sent:
+            given[name] = sent[name]
+        elif text is not None:
+            given[name] = f"{name}.txt"
+            (folder / given[name]).write_text(text, encoding="utf-8", errors="replace")
     if "gain" in given:
         given["gain"] = parse_gains(given["gain"])
     speaker = given.get("speaker", "")

@@ -31,7 +31,7 @@ from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
-SPEECH = ("recording", "emotion", "intensity_curve")
+SPEECH = ("recording", "emotion", "intensity_curve", "transcript", "phones")
 
 
 @router.post(

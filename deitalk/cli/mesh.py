@@ -13,8 +13,11 @@ from deitalk.cli.options import (
     Intensity,
     IntensityCurve,
     Json,
+    Language,
     MeshOut,
+    PhonesGiven,
     Voice,
+    Words,
 )
 from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
@@ -47,6 +50,9 @@ def mesh(
     fps: Annotated[
         float | None, typer.Option(help="Frames per second; an SDFA model has its own.")
     ] = None,
+    transcript: Words = None,
+    phones: PhonesGiven = None,
+    language: Language = "en-us",
     device: Device = "cpu",
     force: Force = False,
     as_json: Json = False,
@@ -69,7 +75,9 @@ def mesh(
     deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
     """
     reserve_mesh(
-        out, force=force, inputs=(speech, emotion, intensity_curve, voice, mesh, landmarks)
+        out,
+        force=force,
+        inputs=(speech, emotion, intensity_curve, voice, mesh, landmarks, transcript, phones),
     )
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
@@ -86,6 +94,8 @@ def mesh(
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
         options = settings | {"speaker": who, "fps": fps, "device": device, "progress": progress}
+        if transcript is not None or phones is not None:
+            options |= {"transcript": transcript, "phones": phones, "language": language}
         if mesh is None:
             performance = animate_mesh(speech, **options)
             performance.save(out, force=force)

@@ -54,6 +54,7 @@ NO_EMOTION = (
     "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk model such as "
     "default"
 )
+NO_WORDS = "words move the curves of a DEITalk model such as default; a mesh model takes none"
 
 
 def animate_mesh(
@@ -89,7 +90,7 @@ def animate_mesh(
         Called with the share of the work that is done, 0 to 1.
     **options
         More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, listen, gain,
-        seed.
+        seed, transcript, phones, language.
 
     Returns
     -------
@@ -110,6 +111,8 @@ def animate_mesh(
     recording = recording_of(audio, sample_rate)
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
     if isinstance(network, MeshModel):
+        if options.get("transcript") is not None or options.get("phones") is not None:
+            raise CheckpointError(NO_WORDS)
         return _by_gradients(network.eval(), recording, speaker, fps, direction, progress)
     act = partial(animate, recording, emotion, intensity=intensity, progress=progress, **options)
     return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
@@ -217,13 +220,14 @@ def _by_curves(
     rate = float(FRAME_RATE) if fps is None else fps
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
-    curves = act(model=network).curves
+    acted = act(model=network)
+    curves = acted.curves
     return MeshPerformance(
         TriMesh(head.mesh.vertices, head.mesh.faces),
         head.pose((curves if fps is None else curves.resample(fps)).values),
         rate,
         UNIT_MM,
-        recording,
+        acted.recording,
         head_landmarks(head),
         srgb_to_linear(head.mesh.colors),
     )
@@ -295,7 +299,7 @@ def retarget_speech(
         As for `rig.retarget.retarget_files.retarget_curves`.
     **options
         More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle,
-        life, look_at, listen, seed.
+        life, look_at, listen, seed, transcript, phones, language.
 
     Returns
     -------

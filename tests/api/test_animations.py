@@ -6,10 +6,15 @@ import zipfile
 
 import numpy as np
 import pytest
+import soundfile
 
 from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
+<<<<<<< HEAD
 from deitalk.audio.load import write_wav
+=======
+from deitalk.corpus.engines import espeak
+>>>>>>> cd0f510 (Words in the service, the studio and deitalk mesh)
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
 from tests.api.conftest import wav
@@ -29,6 +34,51 @@ def test_curves_equal_those_of_the_library(client, tmp_path):
     found = read_curves(tmp_path / "curves.npz")
     assert found.names == expected.names and found.fps == expected.fps
     assert np.abs(found.values - expected.values).max() < 1e-5
+
+
+@pytest.fixture(scope="module")
+def spoken():
+    """A line of espeak-ng as WAV, and its words."""
+    said = "Bob may bring my map."
+    buffer = io.BytesIO()
+    sound = espeak.synthesise(said).waveform
+    soundfile.write(buffer, sound, 16_000, format="WAV", subtype="FLOAT")
+    return buffer.getvalue(), said
+
+
+def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken, tmp_path):
+    sound, said = spoken
+    files = {"recording": ("a.wav", sound)}
+    answer = post(client, files=files, data={"transcript": said, "format": "npz"})
+    assert answer.status_code == 200, answer.text
+    assert "the words fit the sound" in json.loads(answer.headers["deitalk-notes"])[-1]
+    (tmp_path / "curves.npz").write_bytes(answer.content)
+    expected = animate(sound, transcript=said).curves.values
+    np.testing.assert_allclose(read_curves(tmp_path / "curves.npz").values, expected, atol=1e-5)
+    timed = b"start,end,word\n0,0.3,Bob\n"
+    answer = post(client, files=files | {"transcript": ("w.CSV", timed)})
+    assert answer.status_code == 200, answer.text
+    wrong = post(client, files=files, data={"phones": "S IY S IY T UW N S IY K AA T AA"})
+    assert "do not fit" in json.loads(wrong.headers["deitalk-notes"])[-1]
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        ({"transcript": "a", "phones": "AA"}, "both given"),
+        ({"transcript": "a", "language": "xx"}, "no voice of espeak-ng"),
+        ({"transcript": "?!"}, "no word"),
+        ({"transcript": "a", "raw": "true"}, "raw"),
+    ],
+)
+def test_wrong_words_are_problems(client, data, text):
+    answer = post(client, data=data)
+    assert answer.status_code == 422 and text in answer.json()["message"], answer.text
+
+
+def test_words_are_a_text_and_no_path(client, spoken):
+    answer = post(client, files={"recording": ("a.wav", spoken[0])}, data={"transcript": "w.csv"})
+    assert answer.status_code == 200, answer.text
 
 
 def test_raw_body_and_form_give_the_same(client):
@@ -151,6 +201,11 @@ def test_wrong_bodies_are_problems(client):
     assert statuses == {
         "noise": 422, "none": 422, "type": 415, "empty": 422, "route": 404, "method": 405
     }  # fmt: skip
+
+
+def test_mesh_models_take_no_words(client):
+    answer = post(client, "/v1/meshes", data={"model": "sdfa", "phones": "AA B AA"})
+    assert answer.status_code == 422 and "a mesh model takes none" in answer.json()["message"]
 
 
 def test_mesh_of_a_recording(client):

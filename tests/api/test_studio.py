@@ -104,6 +104,8 @@ def edit(tab) -> None:
         tab.keyboard.press("ArrowUp")
     tab.get_by_role("slider", name="Gain of mouth").fill("0.5")
     tab.get_by_role("slider", name="Motion of brows").fill("2")
+    tab.get_by_role("textbox", name="What is said").fill("Bob's promise")
+    tab.get_by_role("textbox", name="What is said").press("Enter")
     time.sleep(0.5)  # until the page has begun to animate again
     is_quiet(tab)
 
@@ -127,11 +129,14 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
         given.value.path()
         until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
         assert "--gain mouth=0.5" in tab.inner_text("#notice")
+        assert "--transcript 'Bob'\\''s promise' --language en-us" in tab.inner_text("#notice")
         assert tab.complaints == []
         assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
     edits = (
         "--life",
         "brows=2",
+        "--transcript",
+        "Bob's promise",
         "--emotion",
         tmp_path / "emotion.csv",
         "--intensity-curve",

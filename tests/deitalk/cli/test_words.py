@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import soundfile
 from typer.testing import CliRunner
@@ -67,3 +68,15 @@ def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
     assert missed and "p of 'map'" in missed[-1] and "(0.00 of 0.9)" in missed[-1]
     with pytest.raises(DataError, match="no recording to compare the words with"):
         raise run("validate", tmp_path / "b.npz", "--transcript", said).exception
+
+
+def test_mesh_meets_words_and_tells_a_misfit(line, tmp_path):
+    said = ("--phones", "B AA B | M EY | B R IH NG | M AY | M AE P")
+    assert run("mesh", line, "-o", tmp_path / "a.npz").exit_code == 0
+    assert run("mesh", line, "-o", tmp_path / "b.npz", *said).exit_code == 0
+    plain, met = (np.load(tmp_path / f"{name}.npz")["vertices"] for name in "ab")
+    assert plain.shape == met.shape and np.abs(plain - met).max() > 0.01
+    wrong = run("mesh", line, "-o", tmp_path / "c.npz", "--phones", "S IY S IY T UW N S IY K AA")
+    assert wrong.exit_code == 0 and "the words do not fit the sound" in wrong.output
+    refused = run("mesh", line, "-o", tmp_path / "d.npz", "--model", "sdfa", *said)
+    assert "a mesh model takes none" in str(refused.exception)

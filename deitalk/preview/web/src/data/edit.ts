@@ -21,9 +21,12 @@ export interface Edit {
   readonly muted: readonly string[];
   /** Factors on the idle motion of brows, head, blinks and gaze; 1 where none is given. */
   readonly life: Readonly<Record<string, number>>;
+  /** What is said, and the language in which it is pronounced; no words where it is empty. */
+  readonly words: string;
+  readonly language: string;
 }
 
-export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {} };
+export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {}, words: "", language: "en-us" };
 export const MAX_FACTOR = 4;
 export const MAX_GAIN = 2;
 

@@ -47,7 +47,12 @@ export function emotionCsv(edit: Edit, source: Source): string {
 /** Arguments of an edit beside emotion and intensity. */
 export function optionsOf(source: Source, edit: Edit): Record<string, string> {
   const life = Object.entries(edit.life).filter(([, factor]) => factor !== 1).map(([part, factor]) => `${part}=${factor}`);
-  return life.length ? { ...source.options, life: life.join(",") } : source.options;
+  const words = edit.words?.trim();
+  return {
+    ...source.options,
+    ...(life.length ? { life: life.join(",") } : {}),
+    ...(words ? { transcript: words, language: edit.language || "en-us" } : {}),
+  };
 }
 
 /** An argument as the command line spells it. */
@@ -55,7 +60,7 @@ export function optionOf(name: string, value: string): string {
   const option = `--${name.replace("_", "-")}`;
   if (value === "true" || value === "True") return name === "idle" ? "" : option;
   if (value === "false" || value === "False") return name === "idle" ? "--no-idle" : "";
-  return `${option} ${value}`;
+  return `${option} ${/^[\w.,=:/-]*$/.test(value) ? value : `'${value.replace(/\s+/g, " ").replace(/'/g, `'\\''`)}'`}`;
 }
 
 /** A name that the service takes for a file. */

@@ -28,7 +28,8 @@ const SAVE_MS = 200;
 const JOB_SECONDS = 60;
 
 /** Whether two edits need the same curves of the network. */
-const isSameReading = (a: Edit, b?: Edit) => a.keys === b?.keys && a.life === b?.life;
+const isSameReading = (a: Edit, b?: Edit) =>
+  a.keys === b?.keys && a.life === b?.life && a.words === b?.words && a.language === b?.language;
 
 export class Studio {
   private session?: Session;

@@ -14,6 +14,8 @@ const REBUILD_MS = 250;
 const ZOOM_STEP = 0.7;
 /** Parts of the idle motion that `deitalk animate --life` scales. */
 const LIFE = ["brows", "head", "blinks", "gaze"];
+/** Fields of what is said. */
+const WORDS = ["words", "language"] as const;
 
 export class Workbench {
   readonly emotion: EmotionLane;
@@ -38,6 +40,7 @@ export class Workbench {
     this.lanes = new CurveLanes($("curves"), span, controls, seek);
     this.regions = new Regions($("regions"), regions, history);
     this.life = LIFE.map((name) => this.lifeSlider(name));
+    this.bindWords();
     bindSearch(controls, (name) => this.lanes.add(name));
     this.bindEdits();
     this.bindZoom();
@@ -60,6 +63,7 @@ export class Workbench {
     $<HTMLButtonElement>("redo").disabled = !history.canRedo;
     this.regions.show();
     this.life.forEach((show) => show());
+    for (const name of WORDS) $<HTMLInputElement>(name).value = history.edit[name] ?? "";
     if (!take) return;
     for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
     $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
@@ -103,12 +107,20 @@ export class Workbench {
     return show;
   }
 
+  /** What is said is taken when the field is left, or by Enter. */
+  private bindWords(): void {
+    for (const name of WORDS) {
+      const field = $<HTMLInputElement>(name);
+      field.addEventListener("change", () => this.history.change({ [name]: field.value.trim() }));
+    }
+  }
+
   private bindEdits(): void {
     const { history } = this;
     $("undo").addEventListener("click", () => history.undo());
     $("redo").addEventListener("click", () => history.redo());
     addEventListener("keydown", (event) => {
-      if (!(event.ctrlKey || event.metaKey) || (event.target as HTMLElement).matches("input[type=search], input[type=number]")) return;
+      if (!(event.ctrlKey || event.metaKey) || (event.target as HTMLElement).matches("input[type=search], input[type=number], input[type=text]")) return;
       const key = event.key.toLowerCase();
       if (key !== "z" && key !== "y") return;
       event.preventDefault();
