@@ -47,6 +47,10 @@ def convert(
         str,
         typer.Option(help="Controls of csv, json, npz: board, raw, arkit, as-is; of glb: arkit."),
     ] = "board",
+    identity: Annotated[
+        str | None,
+        typer.Option(help="Head of a glb: female, male, child, or a name or number of `face`."),
+    ] = None,
     list_formats: Annotated[
         bool, typer.Option("--list-formats", help="Print the formats and exit.")
     ] = False,
@@ -65,7 +69,7 @@ def convert(
 
     deitalk convert MySlate_1_iPhone.csv shapes.csv --rig arkit
 
-    deitalk convert take/ face.glb --rig arkit
+    deitalk convert take/ face.glb --rig arkit --identity child
     """
     from rig import read_curves, write_curves
     from rig.controls import DEFAULT_ID
@@ -77,7 +81,7 @@ def convert(
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
-    wanted = _control_set(rig, target, to)
+    wanted, head = _control_set(rig, target, to), _head(identity)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         curves = curves.slice_seconds(start, end)
@@ -87,7 +91,9 @@ def convert(
     if wanted is not None:
         curves = to_set(curves, wanted)
     sound = source / "audio.wav" if (source / "audio.wav").is_file() else ""
-    report = write_curves(target, curves, format=to, fps=fps, digits=digits, sound=sound)
+    report = write_curves(
+        target, curves, format=to, fps=fps, digits=digits, sound=sound, identity=head
+    )
     _report(report, as_json)
 
 
@@ -110,6 +116,15 @@ def _control_set(rig: str, target: Path, to: str | None) -> str | None:
             "leave it out, or write csv, json, npz, or for arkit glb"
         )
     return None
+
+
+def _head(identity: str | None) -> str | None:
+    """Name of an embedded head, or None; raises for an unknown one before anything is read."""
+    if identity is None:
+        return None
+    from rig.face.identity import resolve_identity
+
+    return resolve_identity(identity).name
 
 
 def _edited(

@@ -119,6 +119,7 @@ def write_curves(
     digits: int | None = None,
     sound: Path | str = "",
     start: float = 0.0,
+    identity: int | str | None = None,
 ) -> WriteReport:
     """Write curves to a file, whole or not at all; values outside their ranges are clamped.
 
@@ -140,6 +141,9 @@ def write_curves(
     start : float
         Time of day of the first frame, seconds, for formats with time codes (Live Link Face, Unreal
         JSON).
+    identity : int or str, optional
+        Number or name of the embedded head in a GLB, of `rig.face.IDENTITIES` or ``female``,
+        ``male`` or ``child``; head 0 by default.
 
     Returns
     -------
@@ -150,7 +154,7 @@ def write_curves(
     ------
     FormatError
         If the format is unknown, there are no frames, the digits are out of range or the format
-        has none, or the file cannot be written.
+        has none, it shows no head, or the file cannot be written.
     """
     path = Path(path)
     chosen = find_format(path, format, writable=True)
@@ -158,6 +162,13 @@ def write_curves(
     given: dict[str, object] = {"sound": os.path.abspath(sound) if sound else "", "start": start}
     if digits is not None:
         given["digits"] = checked_digits(digits, chosen)
+    if identity is not None:
+        if "identity" not in chosen.options:
+            raise FormatError(
+                f"identity={quoted(identity)} does not apply to {chosen.name}; it does to glb",
+                parameter="identity",
+            )
+        given["identity"] = identity
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:

@@ -14,19 +14,20 @@ from rig.mesh.glb import RigidMotion, WeightAnimation, write_glb
 from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head
 
 
-def write(path: Path, curves: RigCurves) -> None:
+def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     """Write one mesh in metres, y up, facing +z, and one animation of its weights and its node.
 
     ARKit's curves become weights of shapes with Apple's names, and of four correctives.
 
     The head track turns and shifts the whole mesh about the joint of skull and spine.
+    `identity` is a number or name of an embedded head.
     """
     if curves.control_set == ARKIT_ID:
         from rig.retarget.arkit_head import write_animation
 
-        write_animation(path, curves, motion=_motion(curves))
+        write_animation(path, curves, identity, motion=_motion(curves))
         return
-    rig, colours = morph_head()
+    rig, colours = morph_head(identity)
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
     write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours)
 

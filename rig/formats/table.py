@@ -71,10 +71,10 @@ class Format:
     options: tuple[str, ...] = ()
 
 
-def _write_glb(path: Path, curves: RigCurves) -> None:
+def _write_glb(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     from rig.formats import glb  # the head is built for files that show it
 
-    glb.write(path, curves)
+    glb.write(path, curves, identity)
 
 
 def _write_usd(path: Path, curves: RigCurves) -> None:
@@ -228,6 +228,7 @@ FORMATS: tuple[Format, ...] = (
         (".glb",),
         "our head with morph targets and their animation; --rig arkit: ARKit's 52 names",
         write=_write_glb,
+        options=("identity",),
         control_set=DEFAULT_ID,
         also=(ARKIT_ID,),
         tracks=("head",),

@@ -120,9 +120,13 @@ def arkit_weights(curves: RigCurves) -> Float32:
 
 
 def write_animation(
-    path: Path | str, curves: RigCurves, *, motion: RigidMotion | None = None
+    path: Path | str,
+    curves: RigCurves,
+    identity: int | str = 0,
+    *,
+    motion: RigidMotion | None = None,
 ) -> None:
-    """Write the first embedded head with an animation of its ARKit shapes.
+    """Write an embedded head with an animation of its ARKit shapes.
 
     Parameters
     ----------
@@ -130,13 +134,15 @@ def write_animation(
         The ``.glb``.
     curves : RigCurves
         Of ARKit.
+    identity : int or str
+        Number or name of the head.
     motion : RigidMotion, optional
         Of the head as a whole, in metres.
     """
     from rig.face import build_head
 
     animation = WeightAnimation(arkit_weights(curves), curves.fps, motion=motion)
-    write_head(path, build_head(0), animation=animation)
+    write_head(path, build_head(identity), animation=animation)
 
 
 def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | None = None) -> Morphs:

@@ -14,13 +14,13 @@ METRES_PER_CM = 0.01
 
 
 @lru_cache(maxsize=1)
-def morph_head(identity: int = 0) -> tuple[BakedRig, Float64]:
+def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
     """Return the head baked to morph targets, in cm, and its linear vertex colours.
 
     Parameters
     ----------
-    identity : int
-        One of the embedded heads.
+    identity : int or str
+        Number or name of an embedded head.
 
     Returns
     -------

@@ -154,6 +154,23 @@ def test_glb_of_arkit_curves_has_apples_names_and_their_weights(arkit_path):
     assert np.linalg.norm(shown - closed, axis=1).max() < 2e-4
 
 
+def test_glb_has_the_head_that_is_asked_for(tmp_path):
+    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib")
+    curves = RigCurves(
+        np.zeros((1, 61), np.float32), arkit_controls().names, control_set=arkit_controls().id
+    )
+    for identity in (0, "child"):
+        write_curves(tmp_path / "a.glb", curves, identity=identity)
+        glb = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+        place = glb.meshes[0].primitives[0].attributes.POSITION
+        found = accessor(glb, glb.binary_blob(), place)
+        assert np.abs(100 * found - build_head(identity).mesh.vertices).max() < 0.03
+    with pytest.raises(RigError, match="nobody"):
+        write_curves(tmp_path / "b.glb", curves, identity="nobody")
+    with pytest.raises(FormatError, match="does not apply to csv; it does to glb"):
+        write_curves(tmp_path / "a.csv", rest_curves(2), identity="child")
+
+
 def test_glb_obeys_the_container_rules(glb_path):
     data = glb_path.read_bytes()
     magic, version, length = struct.unpack_from("<4sII", data)
