@@ -10,11 +10,8 @@ import soundfile
 
 from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
-<<<<<<< HEAD
 from deitalk.audio.load import write_wav
-=======
 from deitalk.corpus.engines import espeak
->>>>>>> cd0f510 (Words in the service, the studio and deitalk mesh)
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
 from tests.api.conftest import wav
