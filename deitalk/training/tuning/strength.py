@@ -78,18 +78,14 @@ def expression_axes(
         lip controls, which speech moves away from it, do not count. An emotion that differs
         from neutral by less than `LEAST_SEPARATION` is left out.
     """
-    groups: dict[tuple[str, str], list[Material]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[Clip]] = defaultdict(list)
     for clip in clips:
-        groups[clip.speaker, clip.emotion].append(load_material(clip, controls))
+        groups[clip.speaker, clip.emotion].append(clip)
     found = {}
     for (actor, emotion), takes in groups.items():
         if emotion == NEUTRAL:
             continue
-        neutral = groups.get((actor, NEUTRAL), [])
-        places = learnt & np.all([take.known for take in [*takes, *neutral]], axis=0)
-        if not neutral:
-            places[controls.subset("lip")] = False
-        axis = _axis(takes, neutral, controls, places)
+        axis = _axis(takes, groups.get((actor, NEUTRAL), []), controls, learnt)
         if axis is not None:
             found[actor, emotion] = axis
     return found
@@ -136,25 +132,43 @@ def label_intensity(
 
 
 def _axis(
-    takes: Sequence[Material], neutral: Sequence[Material], controls: ControlSet, places: Bool
+    takes: Sequence[Clip], neutral: Sequence[Clip], controls: ControlSet, learnt: Bool
 ) -> ExpressionAxis | None:
-    """Axis of some takes from others, or from the rest; None if they are too alike."""
-    mean, variance = _moments(takes)
-    before, spread = _moments(neutral) if neutral else (controls.rest.astype(float), variance)
+    """Axis of some clips from others, or from the rest; None if they are too alike."""
+    mean, variance, known = _moments(takes, controls)
+    before, spread, known_before = (
+        _moments(neutral, controls) if neutral else (controls.rest.astype(float), variance, known)
+    )
+    places = learnt & known & known_before
+    if not neutral:
+        places[controls.subset("lip")] = False
     weights = places * (mean - before) / ((variance + spread) / 2 + MOVING**2)
-    shown = np.concatenate([_projected(take, weights) for take in takes])
-    calm = [_projected(take, weights) for take in neutral] or [np.full(1, before @ weights)]
-    still = np.concatenate(calm)
+    shown = _projections(takes, controls, weights)
+    still = _projections(neutral, controls, weights) if neutral else np.full(1, before @ weights)
     deviation = np.sqrt((shown.var() + (still.var() if neutral else shown.var())) / 2)
     if shown.mean() - still.mean() < LEAST_SEPARATION * max(deviation, 1e-9):
         return None
     return ExpressionAxis(weights, float(still.mean()), float(np.quantile(shown, FULL)))
 
 
-def _moments(takes: Sequence[Material]) -> tuple[Float64, Float64]:
-    """Mean and variance of every control over all frames [shape=(C,)]."""
-    values = np.concatenate([take.values for take in takes]).astype(np.float64)
-    return values.mean(axis=0), values.var(axis=0)
+def _moments(clips: Sequence[Clip], controls: ControlSet) -> tuple[Float64, Float64, Bool]:
+    """Mean and variance of every control, and whether all clips know it [shape=(C,)]."""
+    count, total, square = 0, np.zeros(len(controls)), np.zeros(len(controls))
+    known = np.ones(len(controls), bool)
+    for clip in clips:
+        material = load_material(clip, controls)
+        values = material.values.astype(np.float64)
+        count += len(values)
+        total += values.sum(axis=0)
+        square += np.square(values).sum(axis=0)
+        known &= material.known
+    mean = total / max(count, 1)
+    return mean, np.maximum(square / max(count, 1) - np.square(mean), 0), known
+
+
+def _projections(clips: Sequence[Clip], controls: ControlSet, weights: Float64) -> Float64:
+    """Smoothed projections of the frames of all clips."""
+    return np.concatenate([_projected(load_material(clip, controls), weights) for clip in clips])
 
 
 def _projected(material: Material, weights: Float64) -> Float64:
