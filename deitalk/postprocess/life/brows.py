@@ -33,9 +33,9 @@ STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squi
 ACCENTS: dict[str, tuple[float, ...]] = {
     "neutral": (0.13, 0.11, 0.0, 0.0, 0.02, 0.02, -0.03),
     "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.08, 0.03),
-    "happy": (0.02, 0.08, 0.0, 0.0, 0.12, 0.20, 0.03),
-    "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.08, 0.04),
-    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.15, -0.16),
+    "happy": (0.02, 0.08, 0.0, 0.0, 0.15, 0.28, 0.03),
+    "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.13, 0.04),
+    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.20, -0.16),
 }
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
