@@ -17,6 +17,7 @@ RESULTS = DOCS / "results"
 DOCUMENTS = (
     DOCS.parent / "MODEL_CARD.md",
     DOCS / "ablations.md",
+    DOCS / "comparison.md",
     RESULTS / "README.md",
 )
 _TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
@@ -227,6 +228,7 @@ def _variants(name: str, variants: dict[str, str], prediction: str, title: str) 
         rows = [
             [shown, *(_spread(table[variant][prediction][source], m) for m in METRICS)]
             for variant, shown in variants.items()
+            if variant in table
         ]
         parts.append(_table([[f"{text}, {title}", *heads], *rows]))
     return parts
