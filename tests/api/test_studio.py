@@ -15,7 +15,7 @@ from tests.api.server import ROOT
 from tests.browser import chromium, lateness, needs_player
 
 SECONDS = 2.0
-UNTIL_SECONDS = 180
+UNTIL_SECONDS = 300
 
 
 @pytest.fixture(scope="module")
