@@ -146,7 +146,7 @@ def check_board(source: PreviewSource) -> None:
     if not source.is_board:
         raise PreviewError(
             f"{source.title} is of the rig {source.curves.control_set}, which has no head here; "
-            "a page (.html) shows its curves, `deitalk retarget --mesh` moves your own face"
+            "a page (.html) shows its curves, `deitalk retarget` moves your own face"
         )
 
 
