@@ -40,6 +40,8 @@ HEADER_BYTES = MIB
 """First line of a CSV, header of a PLY file or of model.safetensors."""
 STREAM_BYTES = 2 * GIB
 """Recording given as bytes or as a file object: it is held in memory."""
+VIDEO_BYTES = 64 * GIB
+"""Video of a face, read picture by picture: two hours of a phone's 4K."""
 
 # Archives and sparse files
 
@@ -80,6 +82,8 @@ TRANSCRIPT_WORDS = 150_000
 """Words, or phones with times, of a transcript: three hours of fast speech have 120,000 phones."""
 TRACK_COLUMNS = 256
 """Columns of an emotion or intensity table; a take's has 10."""
+VIDEO_PIXELS = 2**26
+"""Pixels of one picture of a video; 8K has 2**25."""
 
 # Meshes
 

@@ -27,7 +27,11 @@ def commands() -> list[list[str]]:
     """Lines of the page's blocks that begin with ``deitalk data``."""
     blocks = re.findall(r"```\n(.*?)```", PAGE, re.S)
     lines = [line for block in blocks for line in block.splitlines()]
-    return [shlex.split(line)[1:] for line in lines if line.startswith("deitalk data ")]
+    return [
+        shlex.split(line)[1:]
+        for line in lines
+        if line.startswith("deitalk data ") and "talk.mp4" not in line
+    ]
 
 
 @pytest.fixture

@@ -198,8 +198,8 @@ class _FFmpegSource:
                 "r",
                 format=self.demuxer,
                 container_options={"codec_whitelist": ",".join(sorted(_DECODERS))},
-                io_open=_refuse,
-                **_lenient(av.__version__),
+                io_open=refuse_other,
+                **lenient(av.__version__),
             ) as container:
                 yield container
         except (av.FFmpegError, OSError, MemoryError, OverflowError) as error:
@@ -288,7 +288,7 @@ def _seconds(packet: "Packet[AudioStream]") -> float:
     return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
 
 
-def _lenient(version: str) -> dict[str, Any]:
+def lenient(version: str) -> dict[str, Any]:
     """Arguments for PyAV to open a file whose tags are not UTF-8; 19 needs none."""
     return {"metadata_errors": "replace"} if int(version.partition(".")[0]) < 19 else {}
 
@@ -318,6 +318,6 @@ class _OnlyRead:
         self.read, self.seek, self.tell = file.read, file.seek, file.tell
 
 
-def _refuse(url: str, flags: int, options: dict[str, str]) -> Any:
+def refuse_other(url: str, flags: int, options: dict[str, str]) -> Any:
     """Callback of FFmpeg for opening another file: always an error."""
     raise PermissionError("it refers to another file")

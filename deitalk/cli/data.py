@@ -44,7 +44,8 @@ def _group() -> None:
 @app.command("import")
 def import_(
     sources: Annotated[
-        list[Path], typer.Argument(help="Files of captured curves, or folders of takes.")
+        list[Path],
+        typer.Argument(help="Files of captured curves, videos of a face, or folders of takes."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder.")],
     actor: Annotated[str | None, typer.Option(help="Actor of all takes.")] = None,
@@ -90,7 +91,7 @@ def import_(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    r"""Write a dataset folder of captured takes: iPhone, MetaHuman Animator, Audio2Face, any rig.
+    r"""Write a dataset folder of captured takes: iPhone, video, MetaHuman Animator, any rig.
 
     Live Link Face takes are read as the app leaves them (CSV beside .mov). Takes are cut in pauses
     into clips; every clip lists the controls that its source can know. Sources, labels and faults:
@@ -99,6 +100,8 @@ def import_(
     Examples
     --------
     deitalk data import takes/ --actor anna -o anna_data/
+
+    deitalk data import talk.mp4 --actor anna -o anna_data/
 
     deitalk data import takes/ --pattern "(?P<actor>\w+?)_(?P<emotion>\w+?)_" -o data/
 

@@ -24,7 +24,12 @@ from deitalk.data.captures.reports import (
     skipped_files,
     warnings_of,
 )
-from deitalk.data.captures.segments import LONGEST_SECONDS, Span, cut_at_silences
+from deitalk.data.captures.segments import (
+    LONGEST_SECONDS,
+    Span,
+    cut_at_silences,
+    within_captured,
+)
 from deitalk.data.captures.sources import Source, find_sound, find_takes
 from deitalk.data.captures.splits import Piece, check_way, divide
 from deitalk.data.captures.take import CapturedCurves, read_capture
@@ -70,7 +75,7 @@ def import_captures(
     Parameters
     ----------
     sources : sequence of Path
-        Files of curves, or folders of them, with the recordings beside.
+        Files of curves with the recordings beside, videos, or folders of them.
     out : Path
         Dataset folder.
     labels : Labelling
@@ -120,13 +125,19 @@ def import_captures(
     with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)
         for done, source in enumerate(takes):
+
+            def of_take(share: float, done: int = done) -> None:
+                progress((done + share) / len(takes))
+
             try:
-                capture = read_capture(source.curves, mapping=table, rig=rig, fps=fps)
+                capture = read_capture(
+                    source.curves, mapping=table, rig=rig, fps=fps, progress=of_take
+                )
                 sound = load_audio(find_sound(source, capture.audio, audio, takes))
                 writer.take(source, labels.of(source), capture, sound)
             except UserError as error:
                 faults.append(error)
-            progress((done + 1) / len(takes))
+            of_take(1.0)
         if faults:
             raise _fault(faults, len(takes))
         splits = writer.finish(split_by)
@@ -188,6 +199,8 @@ class _Writer:
             speaking, prosody.level, seconds, longest=self.longest,
             keep_listening=self.keep_listening,
         )  # fmt: skip
+        if capture.seen is not None:
+            spans = within_captured(spans, capture.seen, curves.fps)
         name = self._name(source)
         for number, span in enumerate(spans, 1):
             self._clip(name, f"{name}_{number:03d}", span, labels, capture, sound)
@@ -235,8 +248,9 @@ class _Writer:
         peak = max(float(np.abs(samples).max(initial=0)), 1.0)
         soundfile.write(self.stage / audio, samples / peak, SAMPLE_RATE, subtype="PCM_16")
         margin = round(MARGIN_SECONDS * curves.fps)
-        begin = max(first - margin, 0)
-        write_curves(self.stage / target, curves.slice_frames(begin, last + margin))
+        rows = capture.around(first, last, margin)
+        begin = rows.start
+        write_curves(self.stage / target, curves.slice_frames(rows.start, rows.stop))
         self.pieces.append(Piece(labels.actor, labels.emotion, take, start, stop, labels.split))
         self.rows.append(
             {

@@ -71,6 +71,24 @@ def cut_at_silences(
     return _padded([(group[0][0], group[-1][1]) for group in groups], seconds)
 
 
+def within_captured(spans: Sequence[Span], seen: Bool, fps: float) -> list[Span]:
+    """Parts of spans in which every frame was captured, of at least `SHORTEST_SECONDS`.
+
+    Parameters
+    ----------
+    spans : sequence of (start, stop)
+        Seconds.
+    seen : array of bool [shape=(T,)]
+        Frames that were captured.
+    fps : float
+        Frames per second.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(np.int8), [0]])))
+    runs = (edges / fps).reshape(-1, 2).tolist()
+    parts = [(max(a, start), min(b, stop)) for a, b in spans for start, stop in runs]
+    return [(a, b) for a, b in parts if b - a >= SHORTEST_SECONDS]
+
+
 def _runs(active: Bool) -> list[Span]:
     """Seconds of every run of speech."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))

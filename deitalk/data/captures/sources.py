@@ -3,6 +3,8 @@
 A Live Link Face take is a folder as the app leaves it: ``<Slate>_<Take>_<Device>.csv`` beside a
 ``.mov`` of the same name. Of a calibrated take the ``_cal`` file is read, not ``_raw``; the
 ``_neutral`` file, ``frame_log.csv`` and the app's JSON files are no takes.
+
+A video is a take of its own where it is given by name, or its folder holds no curves.
 """
 
 from collections.abc import Sequence
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deitalk.data.captures.take import kind_of
+from deitalk.data.video.decode import VIDEOS
 from deitalk.errors import DataError
 from rig.errors import UserError
 from rig.formats.table import FORMATS
@@ -18,8 +21,8 @@ from rig.formats.wide_csv import read_header
 
 CURVES = (".csv", ".json", ".npz", ".txt")
 SOUNDS = (
-    ".wav", ".flac", ".mov", ".mp4", ".m4a", ".mp3", ".ogg", ".opus", ".aac", ".webm", ".mkv",
-    ".aif", ".aiff", ".wma",
+    ".wav", ".flac", ".mov", ".mp4", ".m4v", ".m4a", ".mp3", ".ogg", ".opus", ".aac", ".webm",
+    ".mkv", ".aif", ".aiff", ".wma",
 )  # fmt: skip
 """Recordings and videos with sound, the best kind first."""
 SIDE_FILES = (
@@ -53,7 +56,7 @@ def find_takes(
     Parameters
     ----------
     sources : sequence of Path
-        Files of curves, or folders that are searched to any depth.
+        Files of curves, videos, or folders that are searched to any depth.
     columns : set of str or None
         Names of another rig: tables that have some of them are the takes.
 
@@ -80,11 +83,11 @@ def find_takes(
         files = [p for p in sorted(source.rglob("*")) if _may_hold_curves(p, source)]
         curves = [p for p in files if _holds_curves(p, columns)]
         skipped += [p for p in files if p not in set(curves)]
-        chosen = _one_a_take(curves)
+        chosen = _one_a_take(curves) or (_videos(source) if columns is None else [])
         if not chosen:
             raise DataError(
-                f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves; for "
-                "another rig give `mapping`, a table",
+                f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves and no "
+                "video; for another rig give `mapping`, a table",
                 parameter="mapping",
             )
         takes += [Source(path, _place(path, source.parent)) for path in chosen]
@@ -145,12 +148,23 @@ def _sounds(folder: Path, *, deep: bool = False) -> list[Path]:
     return sorted(p for p in paths if p.suffix.lower() in SOUNDS and p.is_file())
 
 
+def _videos(top: Path) -> list[Path]:
+    """Videos of a folder, to any depth."""
+    return [
+        path
+        for path in sorted(top.rglob("*"))
+        if path.suffix.lower() in VIDEOS and not _is_hidden(path, top) and path.is_file()
+    ]
+
+
+def _is_hidden(path: Path, top: Path) -> bool:
+    return any(part.startswith(".") for part in path.relative_to(top).parts)
+
+
 def _may_hold_curves(path: Path, top: Path) -> bool:
-    hidden = any(part.startswith(".") for part in path.relative_to(top).parts)
     known = path.suffix.lower() in CURVES and path.name.lower() not in SIDE_FILES
-    return (
-        known and not hidden and not _without_suffix(path).endswith("_neutral") and path.is_file()
-    )
+    is_neutral = _without_suffix(path).endswith("_neutral")
+    return known and not _is_hidden(path, top) and not is_neutral and path.is_file()
 
 
 def _holds_curves(path: Path, columns: AbstractSet[str] | None) -> bool:

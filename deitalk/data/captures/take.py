@@ -3,7 +3,7 @@
 Whatever a source has no column for is not known: zeros in its place are no measurement.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,10 @@ import numpy as np
 
 from deitalk.data.captures.columns import NamedCurves, describe_columns, read_named
 from deitalk.data.captures.mapping import Mapping
+from deitalk.data.video.decode import VIDEOS
 from deitalk.errors import DataError
 from rig import ControlSet, RigCurves, default_controls, read_curves
+from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert
@@ -42,10 +44,21 @@ class CapturedCurves:
     known: tuple[str, ...]
     """Controls that the source can know."""
     kind: str
-    """livelink, arkit, board, raw, emoface, mapped, unreal or rig."""
+    """livelink, arkit, board, raw, emoface, mapped, unreal, video or rig."""
     audio: str = ""
     """Name of the recording, where the file has one."""
     notes: tuple[str, ...] = ()
+    seen: Bool | None = None
+    """Frames that were captured [shape=(T,)]; None: all."""
+
+    def around(self, first: int, last: int, margin: int) -> slice:
+        """Frames from first to last (excluded) and a margin on both sides, as far as captured."""
+        start, stop = max(first - margin, 0), min(last + margin, len(self.curves))
+        if self.seen is None:
+            return slice(start, stop)
+        lost = np.flatnonzero(~self.seen)
+        start = max([start, *(lost[lost < first] + 1).tolist()])
+        return slice(start, min([stop, *lost[lost >= last].tolist()]))
 
 
 def read_capture(
@@ -54,6 +67,7 @@ def read_capture(
     mapping: Mapping | None = None,
     rig: ControlSet | None = None,
     fps: float | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> CapturedCurves:
     """Read a file of captured curves: the face of a take as channels of the board, or of a rig.
 
@@ -61,18 +75,23 @@ def read_capture(
     ----------
     path : Path
         Live Link Face, board, raw, RigMapper, ARKit or Audio2Face CSV; JSON and NPZ of curves;
-        what the script inside Unreal exports; EmoFace text; with `mapping` any table of curves.
+        what the script inside Unreal exports; EmoFace text; a video of a face, or the landmarks
+        measured on one; with `mapping` any table of curves.
     mapping : Mapping or None
         Of another rig's curves to the board.
     rig : ControlSet or None
         Another rig, whose curves stay as they are.
     fps : float or None
         Of files without a rate.
+    progress : callable
+        Given the share of a video that is read.
 
     Raises
     ------
     DataError, rig.errors.RigError
         One line: what is wrong with the file and where.
+    MissingError
+        For a video without MediaPipe.
     """
     if rig is not None:
         return _of_rig(path, rig, fps)
@@ -81,6 +100,8 @@ def read_capture(
     kind = kind_of(path)
     if kind == "livelink":
         return _live_link(path)
+    if kind == "video":
+        return _filmed(path, progress)
     if kind == "emoface":
         return CapturedCurves(read_curves(path, fps=fps), emoface_txt.columns(), "emoface")
     if kind == "unreal":
@@ -98,6 +119,8 @@ def kind_of(path: Path) -> str | None:
     Names of columns are not compared for JSON and NPZ.
     """
     suffix = path.suffix.lower()
+    if suffix in VIDEOS:
+        return "video"
     if suffix == ".csv":
         header = read_header(path)
         form = format_of_header(header)
@@ -119,7 +142,8 @@ def kind_of(path: Path) -> str | None:
             columns = stream.readline(1 << 16).count(b",") + 1
         return "emoface" if columns == len(emoface_txt.columns()) else None
     if suffix == ".npz":
-        return "curves" if "schema" in read_npz(path) else "table"
+        data = read_npz(path)
+        return "video" if "landmarks" in data else "curves" if "schema" in data else "table"
     return None
 
 
@@ -130,6 +154,20 @@ def _live_link(path: Path) -> CapturedCurves:
     present = [name for name in take.names if name in controls]
     notes = _check_columns(path, take.names, controls, present)
     return _from_set(path, curves, "livelink", present=present, notes=notes)
+
+
+def _filmed(path: Path, progress: Callable[[float], None]) -> CapturedCurves:
+    from deitalk.data.video.detector import track_face
+    from deitalk.data.video.filmed import filmed_curves
+    from deitalk.data.video.landmarks import read_landmarks
+
+    is_video = path.suffix.lower() in VIDEOS
+    filmed = filmed_curves(
+        track_face(path, progress) if is_video else read_landmarks(path), str(path)
+    )
+    return CapturedCurves(
+        filmed.curves, filmed.known, "video", notes=filmed.notes, seen=filmed.seen
+    )
 
 
 def _table(path: Path, curves: NamedCurves) -> CapturedCurves:

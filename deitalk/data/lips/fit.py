@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.lips.head import MEASURES, HeadLips
+from deitalk.data.lips.head import HeadLips
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
@@ -92,9 +92,9 @@ def fit_curves(
 ) -> Tensor:
     """Curves near a prediction whose lips on the head do what was measured.
 
-    Bounded least squares by Gauss-Newton steps: every frame minimises the squared errors of the
-    measures over `TOLERANCE_CM` plus the squared moves of the controls over `LOOSENESS`. Since
-    both sides of the face are measured together, they move alike.
+    Every frame minimises the squared errors of the measures over `TOLERANCE_CM` plus the squared
+    moves of the controls over `LOOSENESS` (`nearest_curves`). Since both sides of the face are
+    measured together, they move alike.
 
     Parameters
     ----------
@@ -114,14 +114,55 @@ def fit_curves(
     Tensor [shape=(T, C)]
         Within the ranges of the controls.
     """
+    return nearest_curves(
+        prior,
+        measures,
+        lips,
+        looseness(controls, kept),
+        torch.tensor(TOLERANCE_CM),
+        controls,
+    )
+
+
+def nearest_curves(
+    prior: Tensor,
+    measures: Tensor,
+    face: HeadLips,
+    loose: Tensor,
+    tolerance: Tensor,
+    controls: ControlSet,
+) -> Tensor:
+    """Curves nearest a prior with which a head does what was measured.
+
+    Bounded least squares by Gauss-Newton steps.
+
+    Parameters
+    ----------
+    prior : Tensor [shape=(T, C)]
+        What the measures leave open stays as it is.
+    measures : Tensor [shape=(T, M)]
+        Displacements from rest, cm; rows with NaN leave the frame as in the prior.
+    face : HeadLips
+        The head; its `displacements` are the measures of curves.
+    loose : Tensor [shape=(C,)]
+        How far controls readily move; 0 keeps one.
+    tolerance : Tensor [shape=(M,)], cm
+        Error of each measure that costs as much as a control moved by its looseness.
+    controls : ControlSet
+        Columns of `prior`.
+
+    Returns
+    -------
+    Tensor [shape=(T, C)]
+        Within the ranges of the controls.
+    """
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    loose = looseness(controls, kept).square()
-    noise = torch.diag(torch.tensor(TOLERANCE_CM).square())
+    loose, noise = loose.square(), torch.diag(tolerance.square())
     known = torch.isfinite(measures).all(dim=1, keepdim=True)
     wanted = torch.where(known, measures, 0.0)
     curves, free = prior, torch.ones_like(prior)
     for _ in range(ITERATIONS):
-        given, slope = _linearised(lips, curves)
+        given, slope = _linearised(face, curves)
         slope = slope * free[:, None]
         back = (slope @ (curves - prior)[..., None])[..., 0]
         moved = slope * loose
@@ -133,13 +174,14 @@ def fit_curves(
     return curves
 
 
-def _linearised(lips: HeadLips, curves: Tensor) -> tuple[Tensor, Tensor]:
-    """Displacements (T, M) of the lips by curves, and their slopes (T, M, C)."""
+def _linearised(face: HeadLips, curves: Tensor) -> tuple[Tensor, Tensor]:
+    """Displacements (T, M) of a head by curves, and their slopes (T, M, C)."""
     with torch.enable_grad():
         point = curves.detach().requires_grad_(True)
-        given = lips.displacements(point)
+        given = face.displacements(point)
+        last = given.shape[1] - 1
         slopes = [
-            torch.autograd.grad(given[:, i].sum(), point, retain_graph=i + 1 < len(MEASURES))[0]
-            for i in range(len(MEASURES))
+            torch.autograd.grad(given[:, i].sum(), point, retain_graph=i < last)[0]
+            for i in range(last + 1)
         ]
     return given.detach(), torch.stack(slopes, dim=1)

@@ -11,6 +11,7 @@ clearance between lips and teeth, which moves the lips mostly forward.
 Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,8 @@ class HeadLips(nn.Module):
     ----------
     head : Head
         An embedded head.
+    more : sequence of int
+        Vertices of its skin that `points` moves too.
 
     Attributes
     ----------
@@ -56,14 +59,14 @@ class HeadLips(nn.Module):
     central: Tensor
     rest: Tensor
 
-    def __init__(self, head: Head) -> None:
+    def __init__(self, head: Head, more: Sequence[int] = ()) -> None:
         super().__init__()
         arrays, facts = head_arrays(head)
         marks = head_landmarks(head)
         rim = int(facts["sealRim"])
         self.n_pairs = arrays["seal.upper"].shape[1]
         points = [*arrays["seal.upper"][rim], *arrays["seal.lower"][rim]]
-        points += [marks[name] for name in _POINTS]
+        points += [*(marks[name] for name in _POINTS), *more]
         self._inputs = {name: k for k, name in enumerate(facts["inputs"])}
         gains = np.zeros((2 * len(facts["controls"]), len(self._inputs)))
         gains[arrays["bind.control"], arrays["bind.input"]] = arrays["bind.gain"]
@@ -131,13 +134,8 @@ class HeadLips(nn.Module):
         Tensor [shape=(..., M), cm]
             `MEASURES`.
         """
-        both = torch.cat((curves.clamp(min=0), (-curves).clamp(min=0)), dim=-1)
-        inputs = both @ self.gains
-        moved = self.neutral + (inputs @ self.shapes).reshape(*curves.shape[:-1], -1, 3)
-        moved = self._open(moved, inputs)
-        upper, lower = moved[..., : self.n_pairs, :], moved[..., self.n_pairs : -len(_POINTS), :]
-        upper, lower = self._seal(upper, lower, inputs)
-        left, right, chin, nose = moved[..., -len(_POINTS) :, :].unbind(-2)
+        upper, lower, others = self.points(self.inputs(curves))
+        left, right, chin, nose = others.unbind(-2)
         upper = (upper * self.central[:, None]).sum(-2)
         lower = (lower * self.central[:, None]).sum(-2)
         measures = (
@@ -149,6 +147,18 @@ class HeadLips(nn.Module):
             (nose - (left + right) / 2)[..., 1],
         )
         return torch.stack(measures, dim=-1)
+
+    def inputs(self, curves: Tensor) -> Tensor:
+        """Inputs of the head [shape=(..., K)]; arguments as `forward`."""
+        both = torch.cat((curves.clamp(min=0), (-curves).clamp(min=0)), dim=-1)
+        return both @ self.gains
+
+    def points(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Upper and lower rim (..., P, 3), and corners, chin, nose base and `more` (..., N, 3)."""
+        moved = self.neutral + (inputs @ self.shapes).reshape(*inputs.shape[:-1], -1, 3)
+        moved = self._open(moved, inputs)
+        upper, lower = moved[..., : self.n_pairs, :], moved[..., self.n_pairs : 2 * self.n_pairs, :]
+        return *self._seal(upper, lower, inputs), moved[..., 2 * self.n_pairs :, :]
 
     def displacements(self, curves: Tensor) -> Tensor:
         """Measures less those of the face at rest [shape=(..., M), cm]; arguments as `forward`."""

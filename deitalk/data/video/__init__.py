@@ -1,0 +1,1 @@
+"""Videos of a speaking person to rig curves: landmarks, measures, curves that repeat them."""

@@ -1,0 +1,122 @@
+"""Face landmarks of a video by MediaPipe's face mesh (the extra ``video``).
+
+The wheels of MediaPipe up to 0.10.21, for Python 3.11 and 3.12, bring the model; later ones do not.
+"""
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deitalk.data.video.decode import read_pictures
+from deitalk.data.video.landmarks import N_POINTS, USED, FaceTrack, pixels
+from deitalk.errors import MissingError
+from rig.arrays import Float32
+from rig.face.render.picture import Picture
+
+MOST_FACES = 4
+LARGER = 1.3
+"""Size over the followed face's from which on another face takes its place."""
+_OTHERWISE = "or import a file of its landmarks (docs/finetuning.md#a-video)"
+
+Progress = Callable[[float], None]
+
+
+def track_face(path: Path, progress: Progress = lambda share: None) -> FaceTrack:
+    """Landmarks of the largest face of a video.
+
+    Parameters
+    ----------
+    path : Path
+        A video (`deitalk.data.video.decode.VIDEOS`).
+    progress : callable
+        Given the share done.
+
+    Returns
+    -------
+    FaceTrack
+        At the times of the pictures, at most 30 a second.
+
+    Raises
+    ------
+    MissingError
+        Without MediaPipe, or with a version that brings no model.
+    DataError
+        If the video cannot be read.
+    """
+    mesh = _face_mesh()
+    points: list[Float32] = []
+    times: list[float] = []
+    several = 0
+    held: Float32 | None = None
+    try:
+        for seconds, picture, share in read_pictures(path):
+            faces = _faces(mesh, picture)
+            held = _chosen(faces, held)
+            several += len(faces) > 1
+            points.append(np.full((len(USED), 3), np.nan, np.float32) if held is None else held)
+            times.append(seconds)
+            progress(share)
+    finally:
+        mesh.close()
+    return FaceTrack(np.stack(points), np.array(times), _notes(points, several))
+
+
+def _face_mesh() -> Any:
+    """MediaPipe's face mesh with irises."""
+    os.environ.setdefault("GLOG_minloglevel", "2")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import mediapipe
+    except ImportError as error:
+        raise MissingError(
+            f"a video needs MediaPipe ({error}); pip install 'deitalk[video]' with Python 3.11 or "
+            f"3.12, {_OTHERWISE}"
+        ) from None
+    solutions = getattr(mediapipe, "solutions", None)
+    if solutions is None:
+        raise MissingError(
+            f"MediaPipe {mediapipe.__version__} brings no model of faces; pip install "
+            f"'mediapipe<0.10.22' with Python 3.11 or 3.12, {_OTHERWISE}"
+        )
+    return solutions.face_mesh.FaceMesh(max_num_faces=MOST_FACES, refine_landmarks=True)
+
+
+def _faces(mesh: Any, picture: Picture) -> list[Float32]:
+    """Points (P, 3) in pixels of every face in a picture."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = mesh.process(picture).multi_face_landmarks or []
+    size = (picture.shape[1], picture.shape[0])
+    return [
+        pixels([(point.x, point.y, point.z) for point in face.landmark[: N_POINTS[0]]], size)
+        for face in found
+    ]
+
+
+def _chosen(faces: list[Float32], held: Float32 | None) -> Float32 | None:
+    """The largest face; the one nearest to the face before, unless another is much larger."""
+    if not faces:
+        return None
+    sizes = [_size(face) for face in faces]
+    largest = int(np.argmax(sizes))
+    if held is None:
+        return faces[largest]
+    away = [float(np.linalg.norm(face.mean(axis=0)[:2] - held.mean(axis=0)[:2])) for face in faces]
+    nearest = int(np.argmin(away))
+    return faces[largest if sizes[largest] > LARGER * sizes[nearest] else nearest]
+
+
+def _size(face: Float32) -> float:
+    """Largest side of the points in the picture, pixels."""
+    return float(np.ptp(face[:, :2], axis=0).max())
+
+
+def _notes(points: list[Float32], several: int) -> tuple[str, ...]:
+    if not several:
+        return ()
+    return (f"several faces in {several / len(points):.0%} of the frames, the largest is taken",)
