@@ -157,7 +157,7 @@ def _gaze(track: FaceTrack, gap_share: Float64, seen: Bool, face: HeadFace) -> F
         outer, inner = (track.at(corner)[:, :2] for corner in LIDS[side]["corners"])
         width = np.linalg.norm(outer - inner, axis=1, keepdims=True)
         places.append((track.at(IRIS[side])[:, :2] - (outer + inner) / 2) / width)
-    moved = np.mean(places, axis=0, dtype=np.float64)
+    moved: Float64 = np.asarray(np.mean(places, axis=0, dtype=np.float64))
     looking = seen & (gap_share.min(axis=1) > BLINK_SHARE)
     if not looking.any():
         return None
