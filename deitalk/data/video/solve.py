@@ -41,7 +41,7 @@ TOLERANCE_CM = {
     "lower_lid": 0.08,
 }
 """Error of a measure that costs as much as a control moved by its looseness, by parts of names:
-the detector places the rims of lips and lids well, the chin and the outer edges of the lips less."""
+the detector places the rims of lips and lids well, chin and outer edges of the lips less so."""
 USUAL_TOLERANCE_CM = 0.04
 CHUNK = 1000
 """Frames that are solved at a time."""
