@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.arguments import MAX_SEED
 from deitalk.cli.console import console
 from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
 from deitalk.cli.options import Backend, Emotion, Intensity, LifeFactors, LookAt
@@ -45,7 +46,9 @@ def live(
     idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
     life: LifeFactors = None,
     look_at: LookAt = "0,0",
-    seed: Annotated[int, typer.Option(min=0, help="Another drawing of this motion.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MAX_SEED, help="Another drawing of this motion.")
+    ] = 0,
     seconds: Annotated[
         float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
     ] = None,

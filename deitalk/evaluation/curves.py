@@ -74,8 +74,10 @@ def evaluate(
     Raises
     ------
     DataError
-        If the split is empty, or there is no such noise.
+        If the split is empty, there is no such noise, or there is one but no probe.
     """
+    if noise and not probes:
+        raise DataError("probes=0: noise is added to the probed recordings; set 1 or more")
     noises = read_noises(noise) if noise else []
     beside = None if captured is None else captured_smoothness(captured, model.controls)
     chosen = {name: _spread(group, most) for name, group in _groups(data, split).items()}

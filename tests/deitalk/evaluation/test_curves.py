@@ -115,6 +115,12 @@ def test_an_empty_split_is_refused(tmp_path):
         evaluate(SimpleNamespace(controls=default_controls()), folder)
 
 
+def test_noise_without_a_probe_is_refused(tmp_path):
+    """Noise is added to the probed recordings: without one nothing would be reported."""
+    with pytest.raises(DataError, match="probes=0: noise is added"):
+        evaluate(load_model(), tmp_path, noise="pink", probes=0)
+
+
 def test_groups_by_source_language_and_age(tmp_path):
     folder = write_dataset(tmp_path, 0, 6)
     table = pd.read_csv(folder / "clips.csv")
