@@ -25,7 +25,7 @@ PAGE = (ROOT / "docs/finetuning.md").read_text(encoding="utf-8")
 
 def commands() -> list[list[str]]:
     """Lines of the page's blocks that begin with ``deitalk data``."""
-    blocks = re.findall(r"```\n(.*?)```", PAGE, re.S)
+    blocks = re.findall(r"^```\w*\n(.*?)^```", PAGE, re.S | re.M)
     lines = [line for block in blocks for line in block.splitlines()]
     return [
         shlex.split(line)[1:]

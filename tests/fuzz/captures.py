@@ -16,7 +16,8 @@ def _table_seeds(folder: Path) -> list[Seed]:
     frames = [{"time": i / 30, "blendShapes": dict(zip(names, row, strict=True))}
               for i, row in enumerate(rows)]  # fmt: skip
     np.savez(folder / "c.npz", names=names, values=np.array(rows), fps=30.0)
-    mesh = np.full((20, 478, 3), 0.5, np.float32)
+    mesh = np.random.default_rng(0).uniform(0.3, 0.7, (478, 3)).astype(np.float32)
+    mesh = np.repeat(mesh[None], 20, axis=0)
     np.savez_compressed(folder / "m.npz", landmarks=mesh, size=np.array([720, 1280]), fps=30.0)
     listed = {
         "names": names,

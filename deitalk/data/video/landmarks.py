@@ -28,6 +28,8 @@ N_POINTS = (478, 468)
 """With irises and without."""
 LEAST_RATE = 12.0
 """Frames per second from which on lips can be followed."""
+FACE_PIXELS = (1e-3, 1e6)
+"""Least width and height of a face, and how far a point of it may be from the picture's origin."""
 GAP_SECONDS = 0.1
 """Time without a face that is bridged; of slower videos two and a half frames."""
 LEAST_SECONDS = 0.5
@@ -72,6 +74,8 @@ def _numbers(tree: Any) -> list[int]:
 USED = tuple(sorted(set(_numbers((BROWS, LIDS, IRIS, CORNERS, RIMS, MIDDLE, RIGID)))))
 """Points that are kept of the mesh."""
 PLACE = {number: place for place, number in enumerate(USED)}
+_FACE = [place for number, place in PLACE.items() if number not in IRIS.values()]
+"""All points but those of the irises, which not every detector finds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +139,15 @@ def read_landmarks(path: Path) -> FaceTrack:
         raise DataError(f"{path}: landmarks must be floating-point numbers, not {mesh.dtype}")
     if size is None or size.shape != (2,) or not (np.asarray(size, np.float64) > 0).all():
         raise DataError(f"{path}: needs size, width and height of the picture in pixels")
-    return FaceTrack(pixels(mesh, size), _times(path, data, len(mesh)))
+    points = pixels(mesh, size)
+    points[~_has_face(points[:, _FACE])] = np.nan
+    return FaceTrack(points, _times(path, data, len(mesh)))
+
+
+def _has_face(points: Float32) -> Bool:
+    """Frames whose points (n, P, 3) are finite and spread as a face's [shape=(n,)]."""
+    near = np.where(np.abs(points) <= FACE_PIXELS[1], points, np.nan)  # NaN stays
+    return np.asarray((np.ptp(near[..., :2], axis=1) >= FACE_PIXELS[0]).all(axis=1))
 
 
 def _times(path: Path, data: dict[str, Any], n_frames: int) -> Float64:
@@ -174,8 +186,7 @@ def at_rig_frames(track: FaceTrack, where: str) -> tuple[FaceTrack, Bool]:
     DataError
         If the face is in no or few frames, or the rate is too low.
     """
-    body = [place for number, place in PLACE.items() if number not in IRIS.values()]
-    seen: Bool = np.asarray(np.isfinite(track.points[:, body]).all(axis=(1, 2)))
+    seen: Bool = np.asarray(np.isfinite(track.points[:, _FACE]).all(axis=(1, 2)))
     times = track.times[seen]
     if track.rate < LEAST_RATE:
         raise DataError(

@@ -73,10 +73,9 @@ def test_mirrored_points_are_each_others():
 
 
 def arrays(**changes):
-    good = {
-        "landmarks": np.full((20, 478, 3), 0.5, np.float32), "size": np.array([720, 1280]),
-        "fps": 30.0,
-    }  # fmt: skip
+    mesh = np.full((20, 478, 3), 0.5, np.float32)
+    mesh[:, 200:] = 0.25
+    good = {"landmarks": mesh, "size": np.array([720, 1280]), "fps": 30.0}
     return {k: v for k, v in (good | changes).items() if v is not None}
 
 
@@ -85,6 +84,16 @@ def test_file_of_landmarks_is_in_pixels(tmp_path):
     track = read_landmarks(tmp_path / "a.npz")
     np.testing.assert_allclose(track.points[3, 0], [360, 640, 360])
     np.testing.assert_allclose(track.times[:2], [0, 1 / 30])
+
+
+@pytest.mark.parametrize("value", [0.5, 1e30])
+def test_frame_whose_points_are_no_face_is_one_without_a_face(tmp_path, value):
+    """All points in one place, or far outside any picture."""
+    given = arrays()
+    given["landmarks"][7] = value
+    np.savez(tmp_path / "a.npz", **given)
+    seen = np.isfinite(read_landmarks(tmp_path / "a.npz").points).all(axis=(1, 2))
+    assert list(np.flatnonzero(~seen)) == [7]
 
 
 @pytest.mark.parametrize(
