@@ -26,7 +26,7 @@ MOST = 2.5
 
 
 class Mean:
-    """Mean that forgets.
+    """Running mean whose older values count less and less.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ from rig.arrays import Bool
 SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
 """Share of a new frame in level and pitch, which smooths over a syllable, and in the sonority."""
 LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
-"""What the loudest sonority, from which `SONORITY_DB` counts, forgets in a frame."""
+"""Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
 
 
 class VoiceRow(NamedTuple):

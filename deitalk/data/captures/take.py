@@ -1,4 +1,4 @@
-"""One file of a capture to board channels, with those that its source can know.
+"""One file of a capture to board channels, with those that its source determines.
 
 Whatever a source has no column for is not known: zeros in its place are no measurement.
 """

@@ -48,7 +48,7 @@ CHUNK = 1000
 
 
 def shown_controls(controls: ControlSet, *, gaze: bool) -> tuple[str, ...]:
-    """Controls that landmarks can know: no tongue, teeth, lip bite or cheeks."""
+    """Controls that landmarks determine: no tongue, teeth, lip bite or cheeks."""
     return tuple(
         name
         for name in controls.names

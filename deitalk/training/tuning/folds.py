@@ -9,6 +9,7 @@ Of minutes of captures one test take says little, and depends on which. Each fol
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from deitalk.errors import DataError
 from deitalk.evaluation.report import as_json, table
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.task import finetune
+from rig.errors import quoted
 from rig.files import begin_folder, claim, replace_recorded
 
 KINDS = ("takes", "actors")
@@ -63,7 +65,8 @@ def tune_folds(
     Raises
     ------
     DataError
-        If `kind` is another, or there are fewer than two takes or actors; and as `finetune`.
+        If `kind` is another, there are fewer than two takes or actors, or two of them would have
+        one folder; and as `finetune`.
     """
     if kind not in KINDS:
         raise DataError(f"`folds={kind}` must be one of {', '.join(KINDS)}", parameter="folds")
@@ -72,6 +75,7 @@ def tune_folds(
         raise DataError(
             f"{data}: folds of {kind} need two; here is {names[0]} alone", parameter="folds"
         )
+    _check_folders(data, names)
     with claim(out):
         begin_folder(out, kind=KIND)
         reports = {
@@ -99,6 +103,19 @@ def _fold(
     finetune(fold, data, folder, resume=resume, progress=progress)
     report: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return report
+
+
+def _check_folders(data: Path, names: Sequence[str]) -> None:
+    """Names that differ in case or signs only would share a run folder, and its scores."""
+    first: dict[str, str] = {}
+    for name in names:
+        other = first.setdefault(_as_file(name).lower(), name)
+        if other != name:
+            raise DataError(
+                f"{data}: {quoted(other)} and {quoted(name)} would have one folder of runs; "
+                "rename one",
+                parameter="folds",
+            )
 
 
 def _as_file(name: str) -> str:

@@ -1,6 +1,7 @@
 """Takes left out in turn."""
 
 import json
+import shutil
 
 import pandas as pd
 import pytest
@@ -9,6 +10,7 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
+from deitalk.training.tuning.folds import tune_folds
 from deitalk.training.tuning.task import FinetuneTask
 from tests.dataset import JAW, write_dataset
 from tests.deitalk.training.conftest import recipe
@@ -61,6 +63,18 @@ def test_means_are_those_of_the_folds(base, two_takes, tmp_path):
     assert again.exit_code == 0 and again.stdout == done.stdout
     with pytest.raises(DataError, match="holds a run already"):
         CliRunner().invoke(app, [*command, "--folds", "takes"], catch_exceptions=False)
+
+
+def test_takes_of_one_folder_are_refused_before_any_training(base, two_takes, tmp_path):
+    """Both would be ``a_1``: the second fold would report the scores of the first."""
+    shutil.copytree(two_takes, tmp_path / "data")
+    path = tmp_path / "data/clips.csv"
+    table = pd.read_csv(path, dtype=str)
+    table["take"] = table["take"].map({"a": "a 1", "b": "A:1"})
+    table.to_csv(path, index=False)
+    with pytest.raises(DataError, match="'A:1' and 'a 1' would have one folder"):
+        tune_folds(recipe(base), tmp_path / "data", tmp_path / "out", "takes")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
