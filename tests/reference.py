@@ -24,7 +24,7 @@ TOLERANCE = 1e-5
 def outputs() -> dict[str, np.ndarray]:
     """Curves (T, 185) and intensity (T,) of the curve models, vertices (T, V, 3) of the others."""
     found = {}
-    for model in ("default", "compact"):
+    for model in ("default", "live"):
         for emotion in ("happy", "neutral"):
             performance = animate(SAMPLE, emotion, model=model)
             found[f"{model}/{emotion}/curves"] = performance.curves.values

@@ -44,7 +44,7 @@ def takes(tmp_path, monkeypatch) -> Path:
         folder = tmp_path / "takes" / f"20260311_{name}"
         folder.mkdir(parents=True)
         soundfile.write(tmp_path / "speech.wav", wave, 16_000)
-        curves = animate(tmp_path / "speech.wav", emotion, model=load_model("compact")).curves
+        curves = animate(tmp_path / "speech.wav", emotion, model=load_model("live")).curves
         write_curves(folder / f"{name}_iPhone.csv", curves, format="livelink")
         write_sound(folder / f"{name}_iPhone.mov", wave[:, None], 16_000, picture=True)
         (folder / "take.json").write_text("{}")

@@ -34,7 +34,7 @@ def mesh(
     intensity_curve: IntensityCurve = None,
     voice: Voice = None,
     model: Annotated[
-        str, typer.Option(help="default, compact, mesh_head, sdfa, or a model folder.")
+        str, typer.Option(help="default, mesh_head, sdfa, or a model folder.")
     ] = "default",
     speaker: Annotated[
         str,

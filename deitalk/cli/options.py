@@ -26,9 +26,9 @@ Voice = Annotated[
     Path | None,
     typer.Option(help="Usual voice of the actor, from `deitalk actor build`."),
 ]
-Model = Annotated[str, typer.Option(help="default, compact, live, or a model folder.")]
+Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
-    str, typer.Option("--model", help="default, compact, live, a model folder, or an .onnx file.")
+    str, typer.Option("--model", help="default, live, a model folder, or an .onnx file.")
 ]
 Backend = Annotated[
     str, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.")

@@ -1,4 +1,4 @@
-"""Conformer encoder over a mel spectrogram: the compact frontend (not in the papers).
+"""Conformer encoder over a mel spectrogram (not in the papers).
 
 A mel spectrogram takes the place of wav2vec 2.0's convolutional stem, which needs thousands of
 hours of audio to learn its filters; the blocks of its conformer variant (Gulati et al. 2020) take

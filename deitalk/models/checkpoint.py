@@ -92,7 +92,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     Parameters
     ----------
     name_or_path : str or Path
-        ``default``, ``compact``, ``sdfa``, ``mesh_head``, or a folder that `save_model` wrote.
+        ``default``, ``live``, ``sdfa``, ``mesh_head``, or a folder that `save_model` wrote.
     device : str
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
 

@@ -43,7 +43,7 @@ def post(server, path, **options):
         return client.post(path, files={"recording": ("a.wav", SPEECH)}, params=options)
 
 
-@pytest.mark.parametrize("model", ["default", "compact"])
+@pytest.mark.parametrize("model", ["default"])
 def test_curves_are_those_of_torch(server, model, tmp_path):
     answer = post(server, "/v1/animations", emotion="happy", model=model, format="npz")
     assert answer.is_success, answer.text

@@ -151,7 +151,7 @@ class CurveGraph(nn.Module):
         else:
             raise CheckpointError(
                 "only models with a mel or conformer frontend and an intensity module are "
-                "exported, such as default, compact and live"
+                "exported, such as default and live"
             )
         self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
         size = model.frontend.output_size

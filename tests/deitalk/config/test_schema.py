@@ -43,7 +43,7 @@ def test_every_file_loads_under_its_name(path):
 
 
 def test_files_are_the_expected_ones():
-    expected = {"compact", "deitalk", "mel", "sdfa_encoder", "tiny"}
+    expected = {"conformer", "deitalk", "mel", "sdfa_encoder", "tiny"}
     assert expected <= {path.stem for path in FILES}
 
 
@@ -99,24 +99,21 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
     assert unlike <= set(kind.model_fields)
 
 
-@pytest.mark.parametrize(
-    ("recipe", "model"), [("measured_lips", "default"), ("compact", "compact")]
-)
-def test_embedded_weights_fit_their_recipe(recipe, model):
-    embedded = FOLDER.parent / "deitalk/models/weights" / model / "config.yaml"
-    assert load_config(FOLDER / f"{recipe}.yaml").model == load_config(embedded).model
+def test_embedded_weights_fit_their_recipe():
+    embedded = FOLDER.parent / "deitalk/models/weights/default/config.yaml"
+    assert load_config(FOLDER / "measured_lips.yaml").model == load_config(embedded).model
 
 
-def test_compact_fits_its_teacher():
+def test_conformer_fits_its_teacher():
     """The default's data and loss; the layers after the frontend can start from its weights."""
-    mel, compact = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "compact"))
+    mel, conformer = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "conformer"))
     unlike = {"distillation"}
-    assert compact.loss.model_dump(exclude=unlike) == mel.loss.model_dump(exclude=unlike)
-    assert compact.data == mel.data
-    assert compact.train.teacher == "default"
-    decoders = [c.model.model_dump(exclude={"frontend"}) for c in (mel, compact)]
+    assert conformer.loss.model_dump(exclude=unlike) == mel.loss.model_dump(exclude=unlike)
+    assert conformer.data == mel.data
+    assert conformer.train.teacher == "default"
+    decoders = [c.model.model_dump(exclude={"frontend"}) for c in (mel, conformer)]
     assert decoders[0] == decoders[1]
-    assert compact.model.frontend.hidden_size == 2 * mel.model.frontend.time_hidden
+    assert conformer.model.frontend.hidden_size == 2 * mel.model.frontend.time_hidden
 
 
 @pytest.mark.parametrize(

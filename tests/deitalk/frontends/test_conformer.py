@@ -12,7 +12,7 @@ from deitalk.frontends import build_frontend
 from deitalk.frontends.conformer import CONTEXT_FRAMES, SEGMENT_FRAMES, ConformerFrontend
 from tests.closeness import assert_same
 
-COMPACT = Path(__file__).resolve().parents[3] / "configs" / "compact.yaml"
+CONFORMER = Path(__file__).resolve().parents[3] / "configs" / "conformer.yaml"
 SMALL = {"n_mels": 16, "stem_channels": 12, "hidden_size": 16, "heads": 2, "intermediate_size": 24}
 
 
@@ -109,7 +109,7 @@ def test_every_weight_gets_a_gradient():
 
 
 def test_compact_is_built_from_its_file():
-    config = load_config(COMPACT)
+    config = load_config(CONFORMER)
     built = build_frontend(config.model.frontend)
     assert isinstance(built, ConformerFrontend)
     assert built.output_size == config.model.frontend.hidden_size

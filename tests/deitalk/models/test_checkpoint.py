@@ -107,7 +107,7 @@ def test_describing_a_model_imports_no_torch(folder):
 def test_load_model_rejects_a_folder_without_a_model(tmp_path):
     refused(tmp_path, "no model there .*name a folder or one of")
     refused("no-such-model", "no-such-model: no model there")
-    assert set(embedded_models()) == {"default", "compact", "live", "sdfa", "mesh_head"}
+    assert set(embedded_models()) == {"default", "live", "sdfa", "mesh_head"}
     for name in embedded_models():
         assert model_folder(name).is_dir()
 
@@ -174,7 +174,7 @@ def test_load_model_rejects_weights_beyond_the_limit(folder, monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("default", DEITalk), ("compact", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
+    [("default", DEITalk), ("live", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
 )
 def test_embedded_models_load_as_their_kind(name, kind):
     if name not in embedded_models():

@@ -76,9 +76,9 @@ def test_save_rejects_a_suffix_that_is_none(tmp_path, happy, name):
 
 
 def test_save_names_the_model_it_was_given(tmp_path, happy):
-    named = replace(happy, model="compact")
+    named = replace(happy, model="live")
     about = json.loads((named.save(tmp_path / "take") / "take.json").read_text())
-    assert about["model"]["name"] == "compact" and len(about["model"]["sha256"]) == 64
+    assert about["model"]["name"] == "live" and len(about["model"]["sha256"]) == 64
 
 
 @pytest.mark.parametrize(

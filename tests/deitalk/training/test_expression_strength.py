@@ -99,10 +99,10 @@ def test_intensity_is_learnt_from_captured_motion(captures, tmp_path):
     What no capture shows is moved exactly as before, though the guidance of the rest changed.
     """
     steps = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
-    config = recipe("compact", *steps, "data.window_frames=96")
+    config = recipe("default", *steps, "data.window_frames=96")
     scores = finetune(config, captures, tmp_path / "run")
     assert scores["after"]["intensity_r"] > max(0.5, scores["before"]["intensity_r"] + 0.5)
-    tuned, model = load_model(tmp_path / "run" / "last"), load_model("compact")
+    tuned, model = load_model(tmp_path / "run" / "last"), load_model("default")
     assert tuned.config.kept_intensity and not model.config.kept_intensity
     example = load_example(read_clips(captures, "validation")[0], CONTROLS)
     before, after = (predict(network, example)[0] for network in (model, tuned))

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(
 def takes(tmp_path_factory) -> Path:
     """Two takes with silence around: one in time, one 6 frames late; the jaw rests at 0.08."""
     folder = tmp_path_factory.mktemp("takes")
-    model = load_model("compact")
+    model = load_model("live")
     for name, late in (("amiable", 0.0), ("promise", LATE)):
         speech = load_audio(ROOT / f"docs/samples/{name}.flac").waveform
         quiet = 1e-4 * np.random.default_rng(0).standard_normal(40_000).astype(np.float32)

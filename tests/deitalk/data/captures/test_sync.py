@@ -69,7 +69,7 @@ def test_still_and_short_clips_tell_nothing():
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_planted_offsets_are_found_to_a_third_of_a_frame():
     """Curves of another model and emotion, with noise, stand for captures."""
-    reference, other = load_model("default"), load_model("compact")
+    reference, other = load_model("default"), load_model("live")
     rng = np.random.default_rng(0)
     found = []
     for name in ("amiable", "promise"):
@@ -103,7 +103,7 @@ def test_offset_of_another_rig_is_found_by_its_components(rng):
     """Mixtures of another model's curves under other names stand for another rig."""
     recording = load_audio(ROOT / "docs/samples/amiable.flac")
     predicted = animate(recording, "neutral", model=load_model("default")).curves
-    face = animate(recording, "neutral", model=load_model("compact")).curves
+    face = animate(recording, "neutral", model=load_model("live")).curves
     mixed = face.values @ rng.normal(size=(len(face.names), 12)).astype(np.float32)
     names = tuple(f"puppet_{i}" for i in range(12))
     puppet = RigCurves(mixed, names, fps=face.fps, control_set="puppet@1")
