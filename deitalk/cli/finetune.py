@@ -12,12 +12,20 @@ if TYPE_CHECKING:
     from deitalk.config import FinetuneConfig
 
 
+NONE = "none"
+"""Instead of a base model: its network with random weights."""
+
+
 def finetune(
     data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
-    base: Annotated[str, typer.Option("--from", help="Model to tune: default or a folder.")] = (
-        "default"
-    ),
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            help=f"Model to tune: default or a folder; {NONE}: random weights, to compare.",
+        ),
+    ] = None,
     recipe: Annotated[
         Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
     ] = None,
@@ -54,6 +62,8 @@ def finetune(
     deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
 
     deitalk finetune my_captures/ --folds takes -o runs/folds
+
+    deitalk finetune my_captures/ --from none -o runs/from_nothing
     """
     given = {
         "model.control_set": rig,
@@ -61,12 +71,16 @@ def finetune(
         "tune.corpus": rehearse,
         "tune.leave_out": leave_out,
     }
+    if base == NONE:
+        given["tune.start"] = "random"
     changes = [f"{key}={value}" for key, value in given.items() if value is not None]
     with console().status("loading"):
         from deitalk.training.tuning.recipe import read_recipe
         from deitalk.training.tuning.task import finetune as tune
 
-        settings = read_recipe(recipe, [*changes, *(overrides or ())], base=base)
+        settings = read_recipe(
+            recipe, [*changes, *(overrides or ())], base=None if base == NONE else base
+        )
     if folds is not None:
         _tune_folds(settings, data, out, folds, resume=resume)
         return

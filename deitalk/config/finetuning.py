@@ -3,7 +3,7 @@
 A recipe has no ``model`` section: the network is that of the base model.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,6 +20,11 @@ class TuneConfig(Section):
     part: Literal["head", "decoder", "adapters", "all"] = Field(
         default="decoder",
         description="the last layer; the decoder; changes of low rank of it; every weight",
+    )
+    start: Literal["base", "random"] = Field(
+        default="base",
+        description="weights before the first step: the base's, or random ones of the same "
+        "network, all of which learn, to compare with",
     )
     rank: Annotated[int, Field(ge=1, le=limits.WIDTH)] = Field(
         default=8, description="of the changes that `adapters` learns"
@@ -66,6 +71,12 @@ class TuneConfig(Section):
     leave_out: str | None = Field(
         default=None, description="take or actor that is tested on and never trained on"
     )
+
+    @model_validator(mode="after")
+    def _learns_random_weights(self) -> Self:
+        if self.start == "random" and self.part != "all":
+            raise ValueError(f"start=random learns every weight; part={self.part} must be all")
+        return self
 
 
 class FinetuneConfig(Config):

@@ -5,7 +5,7 @@ each control is predicted by a line fitted on them. All curves are those of the 
 before any rule. Letters: T frames, C controls.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ def write_comparison(
     train: Sequence[Clip],
     *,
     are_unseen: bool,
+    about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write ``report.md``, ``report.json`` and, if it can be drawn, ``report.png``.
 
@@ -72,6 +73,8 @@ def write_comparison(
         The clips that the baselines are fitted on.
     are_unseen : bool
         Whether the clips have no part in the choice of the weights either.
+    about : mapping or None
+        What the report is to state about the run.
 
     Returns
     -------
@@ -88,6 +91,7 @@ def write_comparison(
             scores[name] |= _intensity(model, captures)
     scores["capture"] = _own(captures)
     report = {
+        **(about or {}),
         "clips": len(captures.examples),
         "choose_the_weights_too": not are_unseen,
         "moving_controls": int(captures.pose.moving.sum()),
@@ -201,7 +205,8 @@ def _own(captures: CaptureSet) -> dict[str, float]:
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {name: _mean([row[name] for row in rows if name in row]) for name in _steps_of(rows)}
     curves = [example.curves for example in captures.examples]
-    return {"error_of_mean_pose": 0.0, "range": 1.0, **own, **_closures(curves, captures)}
+    still = {"error_of_mean_pose": 0.0, "error_at_best_gain": 0.0}
+    return {**still, "range": 1.0, **own, **_closures(curves, captures)}
 
 
 def _controls(curves: dict[str, list[Float32]], captures: CaptureSet) -> dict[str, Any]:
@@ -271,7 +276,9 @@ def _markdown(report: dict[str, Any]) -> str:
         *table("", report["scores"]),
         "",
         "`error_of_mean_pose`: squared error over that of the mean pose of the training captures "
-        "(1: as good as a still face). `mean_r`: Pearson's r, mean over clips and moving controls. "
+        "(1: as good as a still face). `error_at_best_gain`: the same with each control scaled and "
+        "shifted at best: what timing and shape leave. `mean_r`: Pearson's r, mean over clips and "
+        "moving controls. "
         "`range`: standard deviation over the captured one, median. `lpe`, `epe`: squared control "
         "units, lips and upper face. `jerk_per_speed`: 1/s².",
         "",

@@ -102,24 +102,43 @@ class CaptureSet:
         -------
         dict
             ``error_of_mean_pose``: squared error of all moving and known controls over that of the
-            mean pose; ``mean_r``: Pearson's r, mean over clips and such controls; ``range``: the
-            predicted standard deviation over the captured one, median; ``score``: 1 less the
-            first, the larger the better.
+            mean pose; ``error_at_best_gain``: the same where each predicted control has the
+            factor, at least 0, and the offset with which its error on these examples is least: what
+            timing and shape leave; ``mean_r``: Pearson's r, mean over clips and such controls;
+            ``range``: the predicted standard deviation over the captured one, median; ``score``:
+            1 less the first, the larger the better.
         """
-        error, still, rs, ranges = 0.0, 0.0, [], []
-        for example, curves in zip(self.examples, predicted, strict=True):
-            for place in np.flatnonzero(self.pose.moving & example.known):
-                target, given = example.curves[:, place], curves[: len(example.curves), place]
+        error, left, still, rs, ranges = 0.0, 0.0, 0.0, [], []
+        for place in np.flatnonzero(self.pose.moving):
+            pairs = [
+                (example.curves[:, place], curves[: len(example.curves), place])
+                for example, curves in zip(self.examples, predicted, strict=True)
+                if example.known[place]
+            ]
+            rs += [_r(*pair) for pair in pairs]
+            ranges += [_range(*pair) for pair in pairs]
+            if pairs:
+                target, given = (np.concatenate(values) for values in zip(*pairs, strict=True))
                 error += float(np.square(target - given).sum())
                 still += float(np.square(target - self.pose.values[place]).sum())
-                is_still = given.std() < STILL
-                rs.append(float("nan") if is_still else correlation(target, given))
-                ranges.append(float(given.std() / target.std()) if target.std() > 1e-3 else np.nan)
+                unexplained = 1 - max(np.nan_to_num(_r(target, given)), 0) ** 2
+                left += float(np.square(target - target.mean()).sum() * unexplained)
         finite = [r for r in rs if np.isfinite(r)]
         share = error / still if still > 0 else float("nan")
         return {
             "error_of_mean_pose": share,
+            "error_at_best_gain": left / still if still > 0 else float("nan"),
             "mean_r": float(np.mean(finite)) if finite else float("nan"),
             "range": float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else float("nan"),
             "score": 1 - share if np.isfinite(share) else 0.0,
         }
+
+
+def _r(target: Float32, given: Float32) -> float:
+    """Pearson's r; NaN of a prediction that does not move."""
+    return float("nan") if given.std() < STILL else correlation(target, given)
+
+
+def _range(target: Float32, given: Float32) -> float:
+    """The predicted standard deviation over the captured one; NaN of a still target."""
+    return float(given.std() / target.std()) if target.std() > DEAD else float("nan")

@@ -21,7 +21,7 @@ from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.report import as_json, table
 from deitalk.training.trainer import Progress, silent
-from deitalk.training.tuning.task import finetune
+from deitalk.training.tuning.task import ABOUT, finetune
 from rig.errors import quoted
 from rig.files import begin_folder, claim, replace_recorded
 
@@ -59,8 +59,9 @@ def tune_folds(
     Returns
     -------
     dict
-        ``mean``: scores of each system, means over the folds; ``folds``: the tuned model's by fold;
-        ``controls``: scores of each control that moves, means over the folds.
+        ``base``, ``start``, ``part``, ``base_sha256``: what was tuned; ``mean``: scores of each
+        system, means over the folds; ``folds``: the tuned model's by fold; ``controls``: scores of
+        each control that moves, means over the folds.
 
     Raises
     ------
@@ -125,9 +126,11 @@ def _as_file(name: str) -> str:
 
 def _joined(reports: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Means over the folds, and the tuned model's scores of each."""
+    first = next(iter(reports.values()))
     scores = [report["scores"] for report in reports.values()]
     controls = [report["controls"] for report in reports.values()]
     return {
+        **{name: first[name] for name in (*ABOUT, "base_sha256")},
         "mean": _means(scores),
         "folds": {name: report["scores"]["after"] for name, report in reports.items()},
         "controls": _means(controls),

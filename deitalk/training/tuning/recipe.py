@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from rig.arrays import Bool
 CONTACT_RULES = ("sharpen_contacts", "keep_contacts", "limit_contact_speed")
 """Rules of a model that act on its lip contacts."""
 
+NO_TEACHER: dict[str, Any] = {"part": "all", "hold": 0.0, "rehearsal": 0.0}
+"""Settings of `TuneConfig` where weights begin as random ones."""
+
 INTENSITY_LOSS = {"contrast": 0.1, "classification": 0.1, "intensity": 20.0}
 """Weights of Eq. 8 where intensity is learnt: those of the paper, and of the base's training."""
 
@@ -28,7 +31,8 @@ def read_recipe(
 ) -> FinetuneConfig:
     """Settings of a recipe, with the network of the base model.
 
-    Where the frontend learns too, windows are augmented unless the recipe says otherwise.
+    Where the frontend learns too, windows are augmented unless the recipe says otherwise. With
+    random weights at the start all learn, and the base is no teacher, unless the recipe says so.
 
     Parameters
     ----------
@@ -50,6 +54,8 @@ def read_recipe(
     tune = tree.setdefault("tune", {})
     if base is not None:
         tune["base"] = base
+    if tune.get("start") == "random":
+        tune |= NO_TEACHER | tune
     folder = model_folder(str(tune.get("base", "default")))
     network = load_config(folder / "config.yaml").model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:

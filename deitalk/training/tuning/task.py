@@ -27,6 +27,7 @@ from deitalk.evaluation.validation import load_example
 from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import model_folder, weights_hash
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.distillation import start_as
@@ -45,6 +46,8 @@ from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, la
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
+ABOUT = ("base", "start", "part")
+"""Settings that a report states; the run's config.yaml has all."""
 RIDGE = 1000.0
 """Of the first fit of a new last layer, squared units of its input."""
 
@@ -88,7 +91,15 @@ def finetune(
         CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
         task.clips,
         are_unseen=task.has_test,
+        about=_about(config),
     )
+
+
+def _about(config: FinetuneConfig) -> dict[str, Any]:
+    """The base and the start of a run, for its report."""
+    tune = config.tune
+    facts = {name: getattr(tune, name) for name in ABOUT}
+    return facts | {"base_sha256": weights_hash(model_folder(tune.base))}
 
 
 class FinetuneTask(CurveTask):
@@ -172,6 +183,23 @@ class FinetuneTask(CurveTask):
                 "no curves of it to rehearse; set it to null"
             )
         self.model = self._network()
+        if tune.start == "base":
+            self._start_as(base)
+        if tune.part != "all":
+            self.frozen_features = FrozenFeatures(tune.base)
+        if not self.is_same_rig:
+            self._fit_last_layer()
+        self._choose(tune.part)
+        moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
+        self.frozen = self.model.state_dict().keys() - moving
+        self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
+        self.validation_set = CaptureSet.of(
+            self.validation_clips, self.controls, self.pose, self.learnt
+        )
+        self.shown = shown_examples(self.validation_clips, self.controls)
+
+    def _start_as(self, base: DEITalk) -> None:
+        """Begin with the base's weights, also of what it goes on to move."""
         start_as(self.model, base)
         decoder, given = self.model.rig_decoder, base.rig_decoder
         if decoder.kept is not None and given.kept is None:
@@ -186,18 +214,6 @@ class FinetuneTask(CurveTask):
             known = given.actors.weight
             with torch.no_grad():
                 decoder.actors.weight[:, : known.shape[1]] = known
-        if tune.part != "all":
-            self.frozen_features = FrozenFeatures(tune.base)
-        if not self.is_same_rig:
-            self._fit_last_layer()
-        self._choose(tune.part)
-        moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
-        self.frozen = self.model.state_dict().keys() - moving
-        self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
-        self.validation_set = CaptureSet.of(
-            self.validation_clips, self.controls, self.pose, self.learnt
-        )
-        self.shown = shown_examples(self.validation_clips, self.controls)
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""

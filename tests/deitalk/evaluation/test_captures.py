@@ -39,7 +39,26 @@ def test_error_is_1_for_the_mean_pose_and_0_for_the_capture(captures):
     half = [(a + b) / 2 for a, b in zip(targets, still, strict=True)]
     middle = captures.score_curves(half)
     assert middle["error_of_mean_pose"] == pytest.approx(0.25, abs=1e-4)
+    assert middle["error_at_best_gain"] == pytest.approx(0, abs=1e-6)
     assert middle["range"] == pytest.approx(0.5) and middle["mean_r"] == pytest.approx(1)
+
+
+def test_best_gain_leaves_what_is_not_correlated(captures):
+    """1 - r² of the spread around the own mean; curves that move against the capture explain 0."""
+    targets = [example.curves for example in captures.examples]
+    joined = np.concatenate(targets)[:, captures.pose.moving].astype(np.float64)
+    spread = np.square(joined - joined.mean(axis=0)).sum()
+    still = np.square(joined - captures.pose.values[captures.pose.moving]).sum()
+    against = captures.score_curves([1 - target for target in targets])
+    assert against["error_at_best_gain"] == pytest.approx(spread / still)
+    noise = np.random.default_rng(0).normal(0, joined.std(axis=0).max(), joined.shape)
+    given = np.concatenate(targets)
+    given[:, captures.pose.moving] = noisy = 0.3 + 2 * (joined + noise)
+    r = np.array([np.corrcoef(a, b)[0, 1] for a, b in zip(joined.T, noisy.T, strict=True)])
+    expected = ((1 - r**2) * np.square(joined - joined.mean(axis=0)).sum(axis=0)).sum() / still
+    places = np.cumsum([len(target) for target in targets])[:-1]
+    found = captures.score_curves(np.split(given, places))
+    assert found["error_at_best_gain"] == pytest.approx(expected, rel=1e-3)
 
 
 def test_unknown_controls_do_not_count(captures):

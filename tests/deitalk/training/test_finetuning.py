@@ -90,6 +90,25 @@ def test_all_weights_learn_with_the_frontend(base, data, tmp_path):
     assert any(name.startswith("frontend") for name in changed(base, tmp_path / "run" / "last"))
 
 
+def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path):
+    """No weight is the base's, all learn, and its report states so."""
+    command = ["finetune", str(data), "--from", "none", "-o", f"{tmp_path}/run"]
+    sets = ("train.steps=2", "train.evaluate_every=2", "train.batch_size=2", "train.seed=5")
+    for override in (f"tune.base={base}", *sets, "data.window_frames=32", "data.augment=false"):
+        command += ["--set", override]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    model, given = load_model(tmp_path / "run/last"), load_model(base)
+    assert model.config == given.config
+    pairs = zip(model.named_parameters(), given.parameters(), strict=True)
+    same = [n for (n, p), q in pairs if p.dim() > 1 and torch.isclose(p, q, rtol=0.1).all()]
+    assert same == []
+    report = json.loads((tmp_path / "run/report.json").read_text())
+    assert (report["base"], report["start"], report["part"]) == (base, "random", "all")
+    with pytest.raises(ConfigError, match="start=random learns every weight; part=head"):
+        recipe(base, "tune.start=random", "tune.part=head")
+
+
 def test_what_captures_do_not_know_stays_as_the_base_has_it(base, data, tmp_path):
     """No clip knows more than the jaw; the columns of the lips are far from the base's."""
     folder = tmp_path / "data"
