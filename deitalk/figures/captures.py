@@ -12,6 +12,8 @@ from rig.arrays import Float32, Float64
 
 MOST_TAKES = 12
 MOST_CONTROLS = 30
+LEAST_SHOWN_MS = 67.0
+"""Height of an axis of lags, two frames: on less every take would look scattered."""
 
 
 class TakeLags(NamedTuple):
@@ -43,9 +45,18 @@ def draw_lags(takes: Sequence[TakeLags], path: Path) -> None:
             left.set_ylabel(take.name, fontsize=7)
             right.plot(take.centres, take.peaks, ".", color="C0")
             right.plot(take.centres, take.line, color="C3", lw=1)
+            right.set_ylim(*shown_lags(np.concatenate([take.peaks, take.line])))
             right.set_ylabel("lag, ms", fontsize=7)
         axes[-1][0].set_xlabel("lag of the curves, ms")
         axes[-1][1].set_xlabel("time in the take, s")
+
+
+def shown_lags(lags: Float64) -> tuple[float, float]:
+    """Ends of an axis with all lags around its middle, `LEAST_SHOWN_MS` long at the least."""
+    finite = lags[np.isfinite(lags)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    half = max(1.1 * (high - low), LEAST_SHOWN_MS) / 2
+    return (low + high) / 2 - half, (low + high) / 2 + half
 
 
 def draw_rests(poses: Mapping[str, Float32], controls: ControlSet, path: Path) -> None:

@@ -4,8 +4,10 @@ The wheels of MediaPipe up to 0.10.21, for Python 3.11 and 3.12, bring the model
 """
 
 import os
+import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ from rig.face.render.picture import Picture
 MOST_FACES = 4
 LARGER = 1.3
 """Size over the followed face's from which on another face takes its place."""
+_STDERR = 2
+_PYTHONS = "with Python 3.11 or 3.12 (this is {}.{})".format(*sys.version_info)
 _OTHERWISE = "or import a file of its landmarks (docs/finetuning.md#a-video)"
 
 Progress = Callable[[float], None]
@@ -74,16 +78,38 @@ def _face_mesh() -> Any:
             import mediapipe
     except ImportError as error:
         raise MissingError(
-            f"a video needs MediaPipe ({error}); pip install 'deitalk[video]' with Python 3.11 or "
-            f"3.12, {_OTHERWISE}"
+            f"a video needs MediaPipe ({error}); pip install 'deitalk[video]' {_PYTHONS}, "
+            f"{_OTHERWISE}"
         ) from None
     solutions = getattr(mediapipe, "solutions", None)
     if solutions is None:
         raise MissingError(
             f"MediaPipe {mediapipe.__version__} brings no model of faces; pip install "
-            f"'mediapipe<0.10.22' with Python 3.11 or 3.12, {_OTHERWISE}"
+            f"'mediapipe<0.10.22' {_PYTHONS}, {_OTHERWISE}"
         )
-    return solutions.face_mesh.FaceMesh(max_num_faces=MOST_FACES, refine_landmarks=True)
+    with _without_native_logs():
+        mesh = solutions.face_mesh.FaceMesh(max_num_faces=MOST_FACES, refine_landmarks=True)
+        mesh.process(np.zeros((64, 64, 3), np.uint8))  # its threads log until the first result
+    return mesh
+
+
+@contextmanager
+def _without_native_logs() -> Iterator[None]:
+    """Drop what native code writes to the process's standard error, lines about its delegates."""
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    try:
+        kept = os.dup(_STDERR)
+    except OSError:  # a program without a standard error
+        yield
+        return
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), _STDERR)
+    try:
+        yield
+    finally:
+        os.dup2(kept, _STDERR)
+        os.close(kept)
 
 
 def _faces(mesh: Any, picture: Picture) -> list[Float32]:

@@ -133,8 +133,9 @@ class FinetuneTask(CurveTask):
             )
         if not self.clips or not self.validation_clips:
             raise DataError(
-                f"{data}: needs clips to train on and to validate; fill the column split, or "
-                "import the takes with `deitalk data import`"
+                f"{data}: has {len(self.clips)} clips to train on and "
+                f"{len(self.validation_clips)} to validate, needs one of each; import longer or "
+                "more takes, or fill the column split"
             )
         self.has_test = bool(division.test)
         self.test_clips = division.test or self.validation_clips

@@ -19,7 +19,7 @@ from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError, ConfigError
+from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
@@ -88,6 +88,15 @@ def test_all_weights_learn_with_the_frontend(base, data, tmp_path):
     assert not recipe(base, "tune.part=all", "data.augment=false").data.augment
     finetune(config, data, tmp_path / "run")
     assert any(name.startswith("frontend") for name in changed(base, tmp_path / "run" / "last"))
+
+
+def test_captures_too_short_for_a_clip_to_validate_are_refused(base, data, tmp_path):
+    folder = tmp_path / "short"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(split="train")
+    table.to_csv(folder / "clips.csv", index=False)
+    with pytest.raises(DataError, match=f"has {len(table)} clips to train on and 0 to validate"):
+        finetune(recipe(base), folder, tmp_path / "run")
 
 
 def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path):

@@ -16,7 +16,8 @@ pytestmark = pytest.mark.slow
 CONTROLS = default_controls()
 
 
-def test_open_mouth_shut_eyes_and_a_missing_face_are_seen(tmp_path):
+def test_open_mouth_shut_eyes_and_a_missing_face_are_seen(tmp_path, capfd):
+    """And nothing of MediaPipe's own logs is printed."""
     pytest.importorskip("mediapipe", reason="needs deitalk[video]")
     head = build_head()
     rest = np.asarray(CONTROLS.rest, np.float64)
@@ -33,3 +34,4 @@ def test_open_mouth_shut_eyes_and_a_missing_face_are_seen(tmp_path):
     lids = track.at(*LIDS["L"]["lower"])[:, 1] - track.at(*LIDS["L"]["upper"])[:, 1]
     assert gap[10] > gap[4] + 15 and lids[16] < 0.5 * lids[4]
     assert not np.isfinite(track.points[-1]).any()
+    assert capfd.readouterr().err == ""
