@@ -18,7 +18,6 @@ from deitalk.cli.options import (
     Digits,
     Emotion,
     Force,
-    Identity,
     Intensity,
     IntensityCurve,
     Json,
@@ -30,8 +29,10 @@ from deitalk.cli.options import (
     Timecode,
     Voice,
     Words,
+    WrittenIdentity,
 )
 from deitalk.cli.paths import reserve_file, reserve_folder
+from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,7 +86,7 @@ def animate(
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page and a review video to the take.")
     ] = False,
-    identity: Identity = "0",
+    identity: WrittenIdentity = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -106,7 +107,7 @@ def animate(
     target = Path(out)
     inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
-    _check(target, is_folder, inputs, preview=preview, force=force, **form)
+    _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
     extras = _extras(preview, identity)
     options: dict[str, Any] = {
         "emotion": emotion,
@@ -133,7 +134,7 @@ def animate(
     if is_folder:
         _write_take(target, performance, settings, model, form, extras, force=force)
     else:
-        _write_file(target, performance, form)
+        _write_file(target, performance, form | {"identity": identity})
     _note(performance)
     if as_json:
         emit_json(_summary(target, performance, settings))
@@ -188,15 +189,16 @@ def _check(
     digits: int | None,
     timecode: str,
     preview: bool,
+    identity: str | None,
     force: bool,
 ) -> None:
     """Raise for targets that cannot be written, before the recording is animated."""
     from deitalk.audio.original import start_of
-    from deitalk.errors import DeitalkError
     from deitalk.pipeline.take import KIND, check_take
     from rig.curves import snap_fps
     from rig.formats import checked_digits, find_format
 
+    _check_head(out, is_folder, preview, identity)
     if fps is not None:
         snap_fps(fps)
     if digits is not None:
@@ -211,6 +213,23 @@ def _check(
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
     reserve_file(out, force=force, inputs=inputs)
+
+
+def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
+    """Raise for an unknown head, and for one that nothing would show."""
+    from rig.face.identity import resolve_identity
+    from rig.formats import checked_identity, find_format
+
+    if identity is None:
+        return
+    resolve_identity(identity)
+    if not is_folder:
+        checked_identity(identity, find_format(out, writable=True))
+    elif not preview:
+        raise DeitalkError(
+            f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
+            f"{out} shows none: add --preview, or leave it out"
+        )
 
 
 def _preview_notes(out: Path) -> tuple[str, ...]:
@@ -309,13 +328,13 @@ def _write_take(
     write_take(out, performance, settings=settings, model=about, force=force, extras=extras, **form)
 
 
-def _extras(preview: bool, identity: str) -> "tuple[Extra, ...]":
+def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
     if not preview:
         return ()
     from deitalk.preview.take import add_preview
     from rig.face.identity import resolve_identity
 
-    return (partial(add_preview, identity=resolve_identity(identity)),)
+    return (partial(add_preview, identity=resolve_identity(identity or 0)),)
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:

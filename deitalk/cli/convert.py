@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import Digits, Force, Json
+from deitalk.cli.options import Digits, Force, Json, WrittenIdentity
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
 
@@ -47,10 +47,7 @@ def convert(
         str,
         typer.Option(help="Controls of csv, json, npz: board, raw, arkit, as-is; of glb: arkit."),
     ] = "board",
-    identity: Annotated[
-        str | None,
-        typer.Option(help="Head of a glb: female, male, child, or a name or number of `face`."),
-    ] = None,
+    identity: WrittenIdentity = None,
     list_formats: Annotated[
         bool, typer.Option("--list-formats", help="Print the formats and exit.")
     ] = False,

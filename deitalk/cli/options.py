@@ -84,6 +84,14 @@ Identity = Annotated[
         help="Head: female, male, child, or a number or name of `deitalk face identities`."
     ),
 ]
+WrittenIdentity = Annotated[
+    str | None,
+    typer.Option(
+        "--identity",
+        help="Head of a GLB, a USD or --preview: female, male, child, or one of `deitalk face "
+        "identities`.",
+    ),
+]
 Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
 MeshOut = Annotated[
     str,

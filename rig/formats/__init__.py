@@ -142,7 +142,7 @@ def write_curves(
         Time of day of the first frame, seconds, for formats with time codes (Live Link Face, Unreal
         JSON).
     identity : int or str, optional
-        Number or name of the embedded head in a GLB, of `rig.face.IDENTITIES` or ``female``,
+        Number or name of the embedded head in a GLB or USD, of `rig.face.IDENTITIES` or ``female``,
         ``male`` or ``child``; head 0 by default.
 
     Returns
@@ -163,12 +163,7 @@ def write_curves(
     if digits is not None:
         given["digits"] = checked_digits(digits, chosen)
     if identity is not None:
-        if "identity" not in chosen.options:
-            raise FormatError(
-                f"identity={quoted(identity)} does not apply to {chosen.name}; it does to glb",
-                parameter="identity",
-            )
-        given["identity"] = identity
+        given["identity"] = checked_identity(identity, chosen)
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
@@ -202,6 +197,23 @@ def checked_digits(digits: int, chosen: Format | None = None) -> int:
             parameter="digits",
         )
     return digits
+
+
+def checked_identity(identity: int | str, chosen: Format) -> int | str:
+    """Head that a file of the format can show.
+
+    Raises
+    ------
+    FormatError
+        If the format shows none.
+    """
+    if "identity" not in chosen.options:
+        taking = ", ".join(format.name for format in FORMATS if "identity" in format.options)
+        raise FormatError(
+            f"identity={quoted(identity)} does not apply to {chosen.name}; it does to {taking}",
+            parameter="identity",
+        )
+    return identity
 
 
 def _recognised(path: Path, chosen: Format) -> Format:

@@ -77,10 +77,10 @@ def _write_glb(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     glb.write(path, curves, identity)
 
 
-def _write_usd(path: Path, curves: RigCurves) -> None:
+def _write_usd(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     from rig.formats import usd
 
-    usd.write(path, curves)
+    usd.write(path, curves, identity)
 
 
 def _read_usd(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
@@ -241,6 +241,7 @@ FORMATS: tuple[Format, ...] = (
         _write_usd,
         DEFAULT_ID,
         tracks=("head",),
+        options=("identity",),
     ),
 )
 

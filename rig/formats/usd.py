@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.arrays import AnyFloat, Float32
+from rig.arrays import AnyFloat, Float32, Float64
 from rig.controls import ControlSet
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
@@ -20,6 +20,7 @@ from rig.errors import FormatError
 from rig.face.turn import matrices
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
+from rig.mesh.shapes import ShapeSet
 from rig.retarget.morph_head import METRES_PER_CM, morph_head
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
@@ -27,9 +28,13 @@ HEAD_TRACK = "custom:deitalk_head"
 STILL_CM = 1e-3
 
 
-def write(path: Path, curves: RigCurves) -> None:
-    """Write a SkelRoot with mesh, blend shapes and animation; cm, y up, a time code per frame."""
+def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
+    """Write a SkelRoot with mesh, blend shapes and animation; cm, y up, a time code per frame.
+
+    `identity` is a number or name of an embedded head.
+    """
     pxr = _pxr()
+    rig, colours = morph_head(identity)
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_CM)
@@ -40,7 +45,7 @@ def write(path: Path, curves: RigCurves) -> None:
     root = pxr.UsdSkel.Root.Define(stage, "/head")
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = _skeleton(pxr, stage)
-    mesh, shapes = _mesh(pxr, stage, skeleton)
+    mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, colours)
     animation = pxr.UsdSkel.Animation.Define(stage, "/head/animation")
     animation.CreateBlendShapesAttr(shapes)
     pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets(
@@ -48,9 +53,9 @@ def write(path: Path, curves: RigCurves) -> None:
     )
     pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim()).CreateBlendShapesAttr(shapes)
     weights = animation.CreateBlendShapeWeightsAttr()
-    rows = morph_head()[0].weights(curves)
+    rows = rig.weights(curves)
     _samples(pxr, weights, rows)
-    box = pxr.Vt.Vec3fArray.FromNumpy(_extent(rows))
+    box = pxr.Vt.Vec3fArray.FromNumpy(_extent(rig.shapes, rows))
     mesh.CreateExtentAttr(box)
     root.CreateExtentAttr(box)
     raw = board_to_raw(curves)
@@ -132,10 +137,11 @@ def _head(path: Path, prim: Any, n_frames: int, stage: Any) -> Float32 | None:
     return np.stack(rows)
 
 
-def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
+def _mesh(
+    pxr: Any, stage: Any, skeleton: Any, head: ShapeSet, colours: Float64
+) -> tuple[Any, list[str]]:
     """Define the mesh with a blend shape prim per morph target; return it and their names."""
-    rig, colours = morph_head()
-    neutral = rig.shapes.neutral
+    neutral = head.neutral
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/head/face")
     vectors, integers = pxr.Vt.Vec3fArray.FromNumpy, pxr.Vt.IntArray.FromNumpy
     mesh.CreatePointsAttr(vectors(neutral.vertices.astype(np.float32)))
@@ -152,7 +158,7 @@ def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
     ones = pxr.Vt.FloatArray.FromNumpy(np.ones(len(joints), np.float32))
     binding.CreateJointWeightsPrimvar(False, 1).Set(ones)
     shapes, targets = [], []
-    for name, delta in zip(rig.shapes.names, rig.shapes.deltas, strict=True):
+    for name, delta in zip(head.names, head.deltas, strict=True):
         token = pxr.Tf.MakeValidIdentifier(name)
         shape = pxr.UsdSkel.BlendShape.Define(stage, f"/head/face/{token}")
         moving = np.flatnonzero(np.linalg.norm(delta, axis=1) > STILL_CM).astype(np.int32)
@@ -164,15 +170,14 @@ def _mesh(pxr: Any, stage: Any, skeleton: Any) -> tuple[Any, list[str]]:
     return mesh, shapes
 
 
-def _extent(weights: AnyFloat) -> Float32:
+def _extent(head: ShapeSet, weights: AnyFloat) -> Float32:
     """Return a box around the head in all frames [shape=(2, 3)], cm.
 
     Each vertex moves at most by the sum of its shapes at their greatest weights of the clip.
     """
-    shapes = morph_head()[0].shapes
-    low = shapes.neutral.vertices.astype(np.float64)
+    low = head.neutral.vertices.astype(np.float64)
     high = low.copy()
-    for weight, delta in zip(weights.max(axis=0), shapes.deltas, strict=True):
+    for weight, delta in zip(weights.max(axis=0), head.deltas, strict=True):
         if weight > 0:
             low += weight * np.minimum(delta, 0)
             high += weight * np.maximum(delta, 0)

@@ -1,8 +1,11 @@
 """Heads on the command line."""
 
+import pytest
+import soundfile
 from typer.testing import CliRunner
 
 from deitalk.cli import app
+from deitalk.evaluation.benchmark_curves import speechlike
 from rig.face import IDENTITIES
 from rig.face.identity import ROLES
 
@@ -23,3 +26,23 @@ def test_unknown_identity_is_an_error_before_the_take_is_made(tmp_path):
     assert result.exit_code != 0
     assert "female, male, child" in str(result.exception) + result.output
     assert not (tmp_path / "take").exists()
+
+
+@pytest.mark.parametrize("out", ["take/", "a.csv"])
+def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
+    command = ["animate", "docs/samples/amiable.flac", "--identity", "child"]
+    result = CliRunner().invoke(app, [*command, "-o", f"{tmp_path}/{out}"])
+    assert result.exit_code != 0
+    assert "usd" in (error := str(result.exception)) and "\n" not in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_animate_writes_the_head_that_is_asked_for(tmp_path, monkeypatch):
+    def write(path, curves, identity=0):
+        path.write_text(str(identity))
+
+    monkeypatch.setattr("rig.formats.usd.write", write)
+    soundfile.write(tmp_path / "a.wav", speechlike(1.0), 16_000)
+    command = ["animate", f"{tmp_path}/a.wav", "-o", f"{tmp_path}/a.usda", "--identity", "child"]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert (tmp_path / "a.usda").read_text() == "child"

@@ -167,7 +167,7 @@ def test_glb_has_the_head_that_is_asked_for(tmp_path):
         assert np.abs(100 * found - build_head(identity).mesh.vertices).max() < 0.03
     with pytest.raises(RigError, match="nobody"):
         write_curves(tmp_path / "b.glb", curves, identity="nobody")
-    with pytest.raises(FormatError, match="does not apply to csv; it does to glb"):
+    with pytest.raises(FormatError, match="does not apply to csv; it does to glb, usd"):
         write_curves(tmp_path / "a.csv", rest_curves(2), identity="child")
 
 
@@ -229,6 +229,20 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     assert Gf
     error = np.linalg.norm(np.asarray(points) - posed(curves)[2], axis=-1)
     assert error.max() < 0.15  # cm
+
+
+def test_usd_has_the_head_that_is_asked_for(tmp_path):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    from pxr import Usd, UsdGeom
+
+    path = tmp_path / "child.usda"
+    write_curves(path, rest_curves(1), identity="child")
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/head/face"))
+    child = build_head("child").mesh.vertices
+    assert np.abs(np.array(mesh.GetPointsAttr().Get()) - child).max() < 1e-3
+    low, high = np.array(mesh.GetExtentAttr().Get())
+    assert np.abs(low - child.min(axis=0)).max() < 0.1 > np.abs(high - child.max(axis=0)).max()
 
 
 def test_usd_turns_its_root_with_the_head_track_and_reads_it_back(tmp_path):
