@@ -37,6 +37,8 @@ from deitalk.postprocess.life.head import (
     STIR_SECONDS,
     SWAY,
     SWAY_SECONDS,
+    VIGOUR,
+    VIGOUR_SECONDS,
     draw_nod,
 )
 from deitalk.postprocess.life.neck import (
@@ -63,7 +65,9 @@ CHANNELS = 8
 """The columns of `rig.curves.HEAD`, breath and swallowing of the neck."""
 _LIVELY = np.array([LIVELINESS[name] for name in EMOTIONS])
 _POSTURE = np.array([POSTURE[name] for name in EMOTIONS])
-_SLOW = np.array([SWAY_SECONDS] * 3 + [STIR_SECONDS] * 3 + [SHIFT_SECONDS] * 3 + [1.5])
+_SLOW = np.array(
+    [SWAY_SECONDS] * 3 + [STIR_SECONDS] * 3 + [SHIFT_SECONDS] * 3 + [1.5, VIGOUR_SECONDS]
+)
 
 
 class RunningHead:
@@ -80,11 +84,12 @@ class RunningHead:
     def __init__(self, traits: Traits, rng: np.random.Generator) -> None:
         self.traits = traits
         self.events, noise = rng.spawn(2)
-        self.noise = RunningNoise((*SWAY, *STIR, *SHIFT_CM, 0.6), _SLOW, noise)
+        self.noise = RunningNoise((*SWAY, *STIR, *SHIFT_CM, 0.6, VIGOUR), _SLOW, noise)
         self.swells = RunningSwells(CHANNELS)
         self.phase = 2 * math.pi * self.events.random()
         self.swallows_at = self.events.exponential(SWALLOW_EVERY)
         self.nods_at: float | None = None
+        self.vigour = 1.0
         self.speaks = self.ready = 0.0
         """Share of speech in the last frames, and of the raise in a pause, 0 to 1."""
         self.is_speaking = self.is_ready = False
@@ -94,7 +99,7 @@ class RunningHead:
         """Begin the events of a frame."""
         if row.stress:
             nod = draw_nod(row.stress, row.prominence, self.events)
-            turn = np.pad(nod.degrees, (0, CHANNELS - 3))
+            turn = np.pad(self.vigour * nod.degrees, (0, CHANNELS - 3))
             self.swells.begin(time, (nod.attack, 0.0, nod.decay), turn)
         if row.ends:
             self._begin(time, FINAL_SECONDS, {PITCH: FINAL_DEGREES})
@@ -113,8 +118,9 @@ class RunningHead:
         self.speaks += (self.is_speaking - self.speaks) / (POSTURE_SECONDS * FRAME_RATE)
         self.ready += (self.is_ready - self.ready) / (READY_SECONDS * FRAME_RATE)
         noise = self.noise.next()
+        self.vigour = math.exp(noise[10])
         total = self.swells.at(time)
-        total[:3] += (noise[:3] + noise[3:6]) * (QUIET + (1 - QUIET) * self.speaks)
+        total[:3] += (self.vigour * noise[:3] + noise[3:6]) * (QUIET + (1 - QUIET) * self.speaks)
         total[3:6] += noise[6:9]
         quiet = math.sin(self.phase + 2 * math.pi * time / BREATH_SECONDS + noise[9])
         quiet *= 1 - 0.7 * self.speaks

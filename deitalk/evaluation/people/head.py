@@ -12,6 +12,8 @@ level reversed in time, the chance level. Where the folder states the words, the
 the stressed syllables (`deitalk.evaluation.people.stress`). A tracker also takes a moving chin for
 a nod, so that the readers' is an upper bound.
 
+How regular the nods are is that of `deitalk.evaluation.people.nods`.
+
 Letters: T frames at 30 per second, n measures at 25.
 """
 
@@ -28,6 +30,8 @@ from deitalk.audio.load import load_audio
 from deitalk.data.lips.measured import RATE, PoseClip, read_poses
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
+from deitalk.evaluation.people.nods import MEASURES as NODS
+from deitalk.evaluation.people.nods import measure_nods
 from deitalk.evaluation.people.stress import stress_track
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
@@ -83,7 +87,8 @@ def evaluate_head(folder: Path, most: int = 24, mover: Mover = move_head) -> dic
     dict
         ``measured range``, ``range``, ``measured speed`` and ``speed``: degrees (5th to 95th
         percentile) and degrees per second (root mean square) of yaw, pitch and roll, median over
-        recordings, mean over speakers; ``measured correlation``, ``correlation``: of pitch with
+        recordings, mean over speakers; ``measured nods``, ``nods``: of all recordings of a
+        speaker, mean over speakers; ``measured correlation``, ``correlation``: of pitch with
         each of `SOUNDS`, NaN where the words are not known.
 
     Raises
@@ -100,6 +105,8 @@ def evaluate_head(folder: Path, most: int = 24, mover: Mover = move_head) -> dic
             measures = np.median([_measures(head, rate) for head in found], axis=0)
             rows.setdefault(f"{label}range", []).append(measures[:3])
             rows.setdefault(f"{label}speed", []).append(measures[3:])
+            nods = measure_nods([head[:, 1] for head in found], rate)
+            rows.setdefault(f"{label}nods", []).append(nods)
         pairs = list(enumerate(heads))
         rows.setdefault("measured correlation", []).append(_correlations(pairs, RATE, reader))
         rows.setdefault("correlation", []).append(_correlations(ours, 30.0, reader))
@@ -183,18 +190,23 @@ def _profile(pitch: Float64, sound: Float64) -> list[float]:
 
 
 def as_markdown(report: dict[str, list[float]]) -> str:
-    """The report as two tables."""
+    """The report as three tables."""
     columns: dict[str, dict[str, str]] = {"readers": {}, "here": {}, "ratio": {}}
     for what, unit in (("range", "°"), ("speed", "°/s")):
         pairs = zip(AXES, report[f"measured {what}"], report[what], strict=True)
         for axis, theirs, ours in pairs:
             for column, value in zip(columns.values(), (theirs, ours, ours / theirs), strict=True):
                 column[f"{what} of {axis}, {unit}"] = f"{value:.2f}"
+    regular = {
+        who: {n: f"{v:.2f}" for n, v in zip(NODS, report[name], strict=True)}
+        for who, name in (("readers", "measured nods"), ("here", "nods"))
+    }
     shares = {
         who: {s: f"{v:.2f}" for s, v in zip(SOUNDS, report[name], strict=True) if np.isfinite(v)}
         for who, name in (("readers", "measured correlation"), ("here", "correlation"))
     }
-    lines = [*table("head", columns), "", *table("pitch of the head and", shares)]
+    lines = [*table("head", columns), "", *table("nods", regular)]
+    lines += ["", *table("pitch of the head and", shares)]
     return "\n".join(lines) + "\n"
 
 

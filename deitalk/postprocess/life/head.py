@@ -28,14 +28,20 @@ from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
-NODS = (0.26, 1.5, 0.26)
+NODS = (0.26, 1.7, 0.26)
 """Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""
 NOD_SECONDS = ((0.13, 0.2), (0.15, 0.24))
 """Attack and decay."""
-NOD_LAG, NOD_SPREAD = 0.03, 0.02
+NOD_LAG, NOD_SPREAD = 0.03, 0.015
 """Seconds from the peak of the syllable to the lowest point, and their standard deviation."""
-NOD_SHARE, DOWN_SHARE = 0.85, 0.95
-"""Share of the stressed syllables with a nod, and of the nods that lower the head first."""
+NOD_SHARE, ASIDE_SHARE, UP_SHARE = (0.78, 0.2), 0.06, 0.05
+"""Share of the stressed syllables with a nod: of the weakest, and more of the strongest. Of these
+the share that turns or tilts the head instead (McClave 2000), and that raises it."""
+TURN, TURN_SECONDS = ((2.2, 0.4, 0.5), (0.5, 0.4, 1.7)), ((0.35, 0.6), (0.5, 1.0))
+"""Yaw, pitch and roll of a full turn and of a full tilt; attack and decay."""
+VIGOUR, VIGOUR_SECONDS = 0.35, 1.6
+"""A speaker moves the head in phases: standard deviation of the logarithm of the factor on nods and
+slow turns, and the sigma of the Gaussian that its noise is smoothed with."""
 LEAST_NOD, HIGH_NOD = 0.5, 0.3
 """Height of the nod of the weakest stress, and what a prominence of 1 adds to any."""
 NOD_RAISE = 0.4
@@ -44,8 +50,8 @@ LISTENING_SECONDS = 3.0
 """Silence of at least so long is a turn of the other: single and double nods, six seconds apart on
 the average (Dittmann and Llewellyn 1968)."""
 LISTENING_DEGREES = (0.8, 1.6)
-SWAY, SWAY_SECONDS = (0.28, 0.8, 0.2), 0.7
-STIR, STIR_SECONDS = (0.48, 0.35, 0.32), 0.14
+SWAY, SWAY_SECONDS = (0.25, 0.7, 0.2), 0.7
+STIR, STIR_SECONDS = (0.46, 0.28, 0.3), 0.14
 """Standard deviation of slow and of quick turns, yaw, pitch and roll in degrees, and the sigma of
 the Gaussian that their noise is smoothed with."""
 QUIET = 0.5
@@ -110,7 +116,8 @@ def head_motion(
     """
     n_frames = voice.n_frames
     motion = np.zeros((n_frames, 6))
-    motion[:, :3] = _sway(voice, rng) + _nods(voice, rng)
+    vigour = np.exp(VIGOUR * slow_noise(n_frames, VIGOUR_SECONDS, rng))
+    motion[:, :3] = _sway(voice, vigour, rng) + _nods(voice, vigour, rng)
     motion[:, 1] += _phrases(voice)
     motion[:, 3:] = np.asarray(SHIFT_CM) * _noises(n_frames, 3, SHIFT_SECONDS, rng)
     lift = _breath(voice, rng)
@@ -126,22 +133,22 @@ def head_motion(
     return (motion * shown).astype(np.float32), posture.astype(np.float32)
 
 
-def _sway(voice: Voice, rng: np.random.Generator) -> Float64:
+def _sway(voice: Voice, vigour: Float64, rng: np.random.Generator) -> Float64:
     """Slow and quick turns, smaller in pauses [shape=(T, 3)]."""
     speaking = _smooth(voice.speaking[:, None])
     slow = np.asarray(SWAY) * _noises(voice.n_frames, 3, SWAY_SECONDS, rng)
     quick = np.asarray(STIR) * _noises(voice.n_frames, 3, STIR_SECONDS, rng)
-    return (slow + quick) * (QUIET + (1 - QUIET) * speaking)
+    return (slow * vigour[:, None] + quick) * (QUIET + (1 - QUIET) * speaking)
 
 
-def _nods(voice: Voice, rng: np.random.Generator) -> Float64:
+def _nods(voice: Voice, vigour: Float64, rng: np.random.Generator) -> Float64:
     """Nods of stressed syllables, and in long silences [shape=(T, 3)], degrees."""
     nods = np.zeros((voice.n_frames, 3))
     for stress in voice.stresses:
         nod = draw_nod(stress.strength, float(voice.prominence[stress.frame]), rng)
         peak = stress.frame / FRAME_RATE + nod.lag
         span, shape = swell(voice.n_frames, peak, nod.attack, nod.decay)
-        nods[span] += shape[:, None] * nod.degrees
+        nods[span] += vigour[stress.frame] * shape[:, None] * nod.degrees
     for start, stop in voice.pauses(LISTENING_SECONDS):
         time = start / FRAME_RATE + rng.exponential(LISTENING_SECONDS)
         while time < stop / FRAME_RATE - 1:
@@ -162,16 +169,29 @@ def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> No
     prominence : float
         Level and pitch of the syllable, as in `Voice`.
     rng : numpy.random.Generator
-        Gives seven numbers, whatever they are.
+        Gives nine numbers, whatever they are.
     """
     lag = NOD_LAG + NOD_SPREAD * rng.standard_normal()
-    attack, decay = (float(rng.uniform(*seconds)) for seconds in NOD_SECONDS)
     height = LEAST_NOD + (1 - LEAST_NOD) * strength
-    height *= (1 + HIGH_NOD * min(max(prominence, 0.0), 2.0)) * rng.uniform(0.6, 1.4)
-    kind, aside = rng.random(), rng.standard_normal(2)
-    sign = -1.0 if kind < NOD_SHARE * DOWN_SHARE else 0.7
-    turn = np.array([aside[0], sign, aside[1]])
-    return Nod(lag, attack, decay, height * (kind < NOD_SHARE) * np.asarray(NODS) * turn)
+    height *= (1 + HIGH_NOD * min(max(prominence, 0.0), 2.0)) * rng.uniform(0.5, 1.5)
+    height *= rng.random() < NOD_SHARE[0] + NOD_SHARE[1] * strength
+    quick, slow, kind = rng.random(3)
+    aside = rng.standard_normal(2)
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    is_aside = kind < ASIDE_SHARE
+    attack, decay = (
+        low + share * (high - low)
+        for (low, high), share in zip(
+            TURN_SECONDS if is_aside else NOD_SECONDS, (quick, slow), strict=True
+        )
+    )
+    if is_aside:
+        yaw, pitch, roll = TURN[int(kind < ASIDE_SHARE / 2)]
+        degrees = np.array([sign * yaw, -pitch, sign * roll])
+    else:
+        up = 0.7 if kind > 1 - UP_SHARE else -1.0
+        degrees = np.asarray(NODS) * np.array([aside[0], up, aside[1]])
+    return Nod(lag, attack, decay, height * degrees)
 
 
 def _phrases(voice: Voice) -> Float64:

@@ -11,6 +11,7 @@ from deitalk.corpus.engines import espeak
 from deitalk.corpus.phone_alphabets import stressed_vowel
 from deitalk.errors import DataError
 from deitalk.evaluation.people.head import TOLERANCE, as_markdown, evaluate_head, main, ratios
+from deitalk.evaluation.people.nods import find_nods, measure_nods
 from deitalk.evaluation.people.stress import stress_track, stressed_times
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit
@@ -54,6 +55,26 @@ def test_ratios_are_those_of_the_motion(folder, gain):
     np.testing.assert_allclose(report["measured range"][0], 2 * 2.7, rtol=0.1)
     assert report["measured correlation"][0] == pytest.approx(report["correlation"][0], abs=0.1)
     assert "| range of yaw, ° |" in as_markdown(report)
+
+
+def test_nods_are_found_where_the_head_is_lowest():
+    """Dips of 1, 2 and .1 degrees at 2, 4 and 5 s, with a rise to 3 between the first two."""
+    times = np.arange(0, 8, 0.04)
+    marks = [(0, 0), (2, -1), (3, 3), (4, 1), (4.6, 1.4), (5, 1.3), (8, 3)]
+    pitch = np.interp(times, *np.transpose(marks))
+    found, depths = find_nods(pitch, 25)
+    np.testing.assert_allclose(found, [2, 4], atol=0.1)
+    np.testing.assert_allclose(depths, [1, 2], atol=0.25)  # the tips are smoothed
+
+
+def test_even_nods_have_no_spread_and_uneven_ones_have():
+    times = np.arange(0, 8, 0.04)
+    even = np.cos(2 * np.pi * times)
+    rate, depth, *spreads = measure_nods([even, even], 25)
+    assert rate == pytest.approx(1, abs=0.13) and depth == pytest.approx(1.9, abs=0.1)
+    assert max(spreads) < 0.05
+    uneven = even * np.exp(np.sin(2 * np.pi * times / 5))
+    assert measure_nods([uneven], 25)[2] > 0.3
 
 
 def test_stress_is_espeaks_and_its_time_the_sounds():

@@ -5,9 +5,10 @@ import pytest
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
+from deitalk.evaluation.people.nods import find_nods
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS, plan_brows
-from deitalk.postprocess.life.head import draw_nod, head_motion
+from deitalk.postprocess.life.head import NOD_SECONDS, draw_nod, head_motion
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
@@ -172,13 +173,36 @@ def test_head_rises_before_a_phrase_and_is_low_at_its_end():
 
 
 def test_nods_are_deeper_on_stronger_and_higher_syllables():
-    def depth(strength, prominence):
-        draws = [draw_nod(strength, prominence, np.random.default_rng(i)) for i in range(200)]
-        return -np.mean([nod.degrees[1] for nod in draws])
+    def drawn(strength, prominence):
+        return [draw_nod(strength, prominence, np.random.default_rng(i)) for i in range(200)]
 
-    assert depth(1.0, 0.0) == pytest.approx(2 * depth(0.0, 0.0))
+    def depth(strength, prominence):
+        return -np.mean([nod.degrees[1] for nod in drawn(strength, prominence)])
+
+    strong, weak = drawn(1.0, 0.0), drawn(0.0, 0.0)
+    pairs = [(a.degrees[1], b.degrees[1]) for a, b in zip(strong, weak, strict=True)]
+    assert all(a == pytest.approx(2 * b) for a, b in pairs if b)
+    assert sum(b == 0 for _, b in pairs) > sum(a == 0 for a, _ in pairs)  # fewer on weak ones
     assert depth(0.5, 1.0) == pytest.approx(1.3 * depth(0.5, 0.0))
     assert depth(0.5, -3.0) == depth(0.5, 0.0)
+
+
+def test_some_stresses_turn_or_tilt_the_head_more_slowly():
+    draws = [draw_nod(1.0, 0.0, np.random.default_rng(i)) for i in range(600)]
+    turns = [nod for nod in draws if nod.attack > NOD_SECONDS[0][1]]
+    assert 0.02 < len(turns) / len(draws) < 0.12
+    aside = np.array([nod.degrees for nod in turns if nod.degrees.any()])
+    assert (np.abs(aside[:, [0, 2]]).max(axis=1) > 2 * np.abs(aside[:, 1])).all()
+    assert 0.2 < (aside[:, 0] > 0).mean() < 0.8  # to both sides
+
+
+def test_nods_of_one_voice_come_in_phases():
+    """Depths on an even beat of equal stresses spread more than those of single nods."""
+    beat = tuple(Accent(frame, 1.0) for frame in range(90, 8910, 30))
+    voice = Voice(9000, np.zeros(9000, np.float32), (), (Phrase(60, 8940, False),), beat)
+    head = head_motion(voice, Traits(), np.zeros((9000, 5), np.float32), np.random.default_rng(2))
+    _, depths = find_nods(head[0][:, 1].astype(np.float64), 30)
+    assert 0.5 < depths.std() / depths.mean() < 0.9
 
 
 @pytest.mark.parametrize(
