@@ -2,28 +2,33 @@
 
 The causal form of `deitalk.postprocess.life.brows`. An accent is known a frame or two after its
 peak (`deitalk.live.voice`); the look-ahead of the curves makes up for that, and the brows begin to
-rise near the accent instead of before it. Questions, which end with their rise, are not known in
-time.
+rise near the accent instead of before it. A frown comes half a second into a pause, whenever that
+ends. Questions, which end with their rise, are not known in time.
 
 Letters: n frames of a call, K stems of control names.
 """
 
 import numpy as np
 
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.live.tracks import RunningNoise, RunningSwells, begun
 from deitalk.live.voice import VoiceRow
 from deitalk.postprocess.life.brows import (
-    ATTACK_SECONDS,
-    DECAY_SECONDS,
     DRIFT,
     DRIFT_SECONDS,
-    EVENT_SIDE,
-    HOLD_SECONDS,
-    TAKEN_SHARE,
+    FROWN_PAUSE,
+    STILL_SHARE,
     BrowEvents,
+    BrowMove,
+    draw_accent,
+    draw_frown,
 )
 from deitalk.postprocess.life.traits import Traits
 from rig.arrays import Float64
+
+ACCENTS, FROWNS = slice(0, 2), slice(2, 4)
+SWELLS = 4
+"""Accents and frowns, each on the left and the right."""
 
 
 class RunningBrows:
@@ -38,31 +43,35 @@ class RunningBrows:
     """
 
     def __init__(self, traits: Traits, rng: np.random.Generator) -> None:
-        self.traits, self.swells = traits, RunningSwells(2)
+        self.traits, self.swells = traits, RunningSwells(SWELLS)
         self.events, drift = rng.spawn(2)
         self.drift = RunningNoise(DRIFT, DRIFT_SECONDS, drift)
+        self.is_still = False
+        """Whether the phrase has no accents of the brows."""
 
     def begin(self, row: VoiceRow, time: float) -> None:
-        """Begin the motion of a frame's accent, if it has one."""
-        if not row.accent:
-            return
-        is_taken = self.events.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * row.accent
-        spans = (ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS)
-        attack, hold, decay = (float(self.events.uniform(*span)) for span in spans)
-        height = (0.25 + 0.75 * row.accent) * self.events.uniform(0.7, 1.2)
-        uneven = EVENT_SIDE * self.events.standard_normal()
-        uneven = self.traits.side + float(np.clip(uneven, -0.15, 0.15))
-        if is_taken:
-            sides = height * np.array([1 + uneven / 2, 1 - uneven / 2])
-            self.swells.begin(time, (attack, hold, decay), sides)
+        """Begin the motion of a frame's accent, and the frown of a pause."""
+        if row.begins:
+            self.is_still = bool(self.events.random() < STILL_SHARE)
+        if row.accent:
+            move = draw_accent(row.accent, self.traits.side, self.events)
+            if not self.is_still:
+                self._begin(time, move, ACCENTS)
+        if round(row.pause * FRAME_RATE) == round(FROWN_PAUSE * FRAME_RATE):
+            self._begin(time, draw_frown(self.traits.side, self.events), FROWNS)
+
+    def _begin(self, time: float, move: BrowMove, places: slice) -> None:
+        heights = np.zeros(SWELLS)
+        heights[places] = move.sides
+        self.swells.begin(time, (move.attack, move.hold, move.decay), heights)
 
     def at(self, time: float) -> Float64:
-        """Swells of the left and the right, and the drift of each stem [shape=(2 + K,)]."""
-        shown = begun(time)
-        accents = self.traits.brow_range * (1 - np.exp(-self.swells.at(time)))
-        return np.concatenate((accents, self.drift.next())) * shown
+        """Swells of accents and frowns, and the drift of each stem [shape=(4 + K,)]."""
+        swells = self.traits.brow_range * (1 - np.exp(-self.swells.at(time)))
+        return np.concatenate((swells, self.drift.next())) * begun(time)
 
 
 def brow_events(rows: Float64) -> BrowEvents:
-    """Events of consecutive frames (n, 2 + K)."""
-    return BrowEvents(rows[:, :2], np.zeros(len(rows)), rows[:, 2:])
+    """Events of consecutive frames (n, 4 + K)."""
+    drift = rows[:, SWELLS:]
+    return BrowEvents(rows[:, ACCENTS], rows[:, FROWNS], np.zeros(len(rows)), drift)

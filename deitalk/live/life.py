@@ -10,7 +10,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Idle
-from deitalk.live.brows import RunningBrows, brow_events
+from deitalk.live.brows import SWELLS, RunningBrows, brow_events
 from deitalk.live.eyes import RunningEyes
 from deitalk.live.head import BREATH, SWALLOWS, RunningHead
 from deitalk.live.intensity import Measures
@@ -28,7 +28,7 @@ from rig.curves import HEAD
 
 PART = 3
 """Of the stream's seed: the random numbers of this motion."""
-_EYES, _BROWS, _HEAD = 4, 2 + len(STEMS), 8
+_EYES, _BROWS, _HEAD = 4, SWELLS + len(STEMS), 8
 
 
 class RunningLife:

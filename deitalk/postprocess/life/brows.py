@@ -8,7 +8,9 @@
   (Ekman 1979; Ekman, Friesen and Hager 2002).
 - Onsets of 150 to 400 ms and slower offsets, as of spontaneous brow raises and smiles (Schmidt,
   Cohn and Tian 2003).
-- Sides differ by 10 to 15 %, by the character and from event to event (`traits.ASYMMETRY`).
+- Sides differ by 10 to 15 %, by the character and from event to event (`traits.ASYMMETRY`); a few
+  raises are of one brow, more often the stronger one. Some phrases have none at all.
+- Brows knit in thought, in a pause before a phrase (Ekman 1979; Goodwin and Goodwin 1986).
 
 An expression is held no longer as a plateau: it swells with accents and yields between them.
 
@@ -39,6 +41,8 @@ ACCENTS: dict[str, tuple[float, ...]] = {
 }
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
+FROWN = (0.0, 0.0, 0.16, 0.12, 0.05, 0.0, 0.02)
+"""The same of a full frown of thought."""
 DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.006)
 """Standard deviation of the slow drift of a calm face."""
 DRIFT_SECONDS = 0.9
@@ -46,8 +50,16 @@ LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.05
 ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.15, 0.4), (0.05, 0.2), (0.45, 1.0)
 TAKEN_SHARE = (0.3, 0.6)
 """Share of the accents with a motion: of the weakest, and more of the strongest."""
-EVENT_SIDE = 0.06
-"""Standard deviation of the difference of the sides in an event."""
+EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15
+"""Standard deviation and limit of the difference of the sides in an event."""
+ALONE_SHARE, OTHER_BROW = 0.12, 0.2
+"""Share of the accents that raise one brow, and how far the other one follows."""
+STILL_SHARE = 0.2
+"""Share of the phrases without accents of the brows."""
+FROWN_SHARE, FROWN_PAUSE, FROWN_LEAD = 0.35, 0.5, 0.15
+"""Share of the pauses with a frown, the shortest such pause, and its peak before the phrase; s."""
+FROWN_SECONDS, FROWN_HEIGHT = ((0.3, 0.5), (0.15, 0.5), (0.5, 0.9)), (0.5, 1.0)
+"""Attack, hold and decay."""
 HELD_SIDE = 0.25
 """Share of a character's difference of the sides in an expression that is held."""
 SWELL = 0.4
@@ -62,27 +74,81 @@ class BrowEvents(NamedTuple):
 
     accents: Float64
     """Swells of the accents on the left and the right [shape=(T, 2), range 0 to 1]."""
+    frowns: Float64
+    """The same of frowns of thought."""
     question: Float64
     """Swell of the questions [shape=(T,), range 0 to 1]."""
     drift: Float64
     """Slow noise of each stem [shape=(T, K)], control units."""
 
 
+class BrowMove(NamedTuple):
+    """Swell of an accent or a frown."""
+
+    attack: float
+    hold: float
+    decay: float
+    """Seconds."""
+    sides: Float64
+    """Heights on the left and the right [shape=(2,)]; 0 where there is none."""
+
+
+def draw_accent(strength: float, side: float, rng: np.random.Generator) -> BrowMove:
+    """Draw the motion of an accent.
+
+    Parameters
+    ----------
+    strength : float, range 0 to 1
+        Of the accent.
+    side : float
+        How much stronger the character's left side is.
+    rng : numpy.random.Generator
+        Gives eight numbers, whatever they are.
+    """
+    is_taken = rng.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * strength
+    attack, hold, decay = (
+        float(rng.uniform(*span)) for span in (ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS)
+    )
+    height = (0.25 + 0.75 * strength) * rng.uniform(0.7, 1.2)
+    sides = _uneven(side, rng)
+    alone, place = rng.random(2)
+    if alone < ALONE_SHARE:
+        is_stronger = place < 0.7
+        sides[int((side >= 0) == is_stronger)] *= OTHER_BROW
+    return BrowMove(attack, hold, decay, is_taken * height * sides)
+
+
+def draw_frown(side: float, rng: np.random.Generator) -> BrowMove:
+    """Draw the frown of a pause; its height is 0 in most."""
+    is_taken = rng.random() < FROWN_SHARE
+    attack, hold, decay = (float(rng.uniform(*span)) for span in FROWN_SECONDS)
+    height = rng.uniform(*FROWN_HEIGHT)
+    return BrowMove(attack, hold, decay, is_taken * height * _uneven(side, rng))
+
+
+def _uneven(side: float, rng: np.random.Generator) -> Float64:
+    """Factors on the left and the right side in an event [shape=(2,)]."""
+    event = float(np.clip(EVENT_SIDE * rng.standard_normal(), -MOST_UNEVEN, MOST_UNEVEN))
+    return 1 + np.array([0.5, -0.5]) * (side + event)
+
+
 def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEvents:
     """Draw the motion of a take; the emotion does not matter."""
     n_frames = voice.n_frames
-    swells = np.zeros((n_frames, 2))
+    swells, frowns, question = np.zeros((n_frames, 2)), np.zeros((n_frames, 2)), np.zeros(n_frames)
+    still = [phrase for phrase in voice.phrases if rng.random() < STILL_SHARE]
     for accent in voice.accents:
-        is_taken = rng.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * accent.strength
+        move = draw_accent(accent.strength, traits.side, rng)
         peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()
-        times = (rng.uniform(*span) for span in (ATTACK_SECONDS, DECAY_SECONDS, HOLD_SECONDS))
-        span, shape = swell(n_frames, peak, *times)
-        height = (0.25 + 0.75 * accent.strength) * rng.uniform(0.7, 1.2)
-        uneven = traits.side + np.clip(EVENT_SIDE * rng.standard_normal(), -0.15, 0.15)
-        if is_taken:
-            sides = np.array([1 + uneven / 2, 1 - uneven / 2])
-            swells[span] += height * shape[:, None] * sides
-    question = np.zeros(n_frames)
+        span, shape = swell(n_frames, peak, move.attack, move.decay, move.hold)
+        if not any(phrase.start <= accent.frame < phrase.stop for phrase in still):
+            swells[span] += shape[:, None] * move.sides
+    for start, stop in voice.pauses(FROWN_PAUSE):
+        move = draw_frown(traits.side, rng)
+        if start and stop < n_frames:
+            peak = stop / FRAME_RATE - FROWN_LEAD - move.hold
+            span, shape = swell(n_frames, peak, move.attack, move.decay, move.hold)
+            frowns[span] += shape[:, None] * move.sides
     for phrase in voice.phrases:
         if phrase.is_question:
             span, shape = swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
@@ -91,6 +157,7 @@ def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEv
     drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
     return BrowEvents(
         traits.brow_range * (1 - np.exp(-swells)) * shown[:, None],
+        traits.brow_range * (1 - np.exp(-frowns)) * shown[:, None],
         np.minimum(question, 1) * shown,
         np.asarray(DRIFT) * drift * shown[:, None],
     )
@@ -140,6 +207,7 @@ def move_brows(
         columns = [controls.index(f"CTRL_{letter}_{stem}.ty") for stem in STEMS]
         held = neutral[:, columns]
         values = np.clip(held + (curves[:, columns] - held) * breath[:, None], _LEAST, 1)
-        motion = np.clip(gains * swells[:, None] + calm, -1, 1)
+        thought = amount * events.frowns[:, place, None] * np.asarray(FROWN)
+        motion = np.clip(gains * swells[:, None] + thought + calm, -1, 1)
         room = np.where(motion > 0, 1 - values, values - _LEAST)
         curves[:, columns] = values + motion * room

@@ -14,7 +14,7 @@ import numpy as np
 from rig.arrays import Float32
 
 PARTS = ("traits", "blinks", "gaze", "brows", "head", "neck")
-ASYMMETRY = 0.12
+ASYMMETRY = 0.15
 """How much stronger one side of a character moves than the other, at most: spontaneous faces are
 asymmetric by 10 to 15 % (Skinner and Mullen 1991; Borod et al. 1998)."""
 
@@ -75,7 +75,7 @@ class Traits:
         sign = rng.choice((-1.0, 1.0))
         return cls(
             blink_interval=float(np.exp(rng.normal(0, 0.15))),
-            side=float(sign * rng.uniform(0.5, 1) * ASYMMETRY),
+            side=float(sign * rng.uniform(2 / 3, 1) * ASYMMETRY),
             brow_range=float(rng.uniform(0.88, 1.12)),
             head_range=float(rng.uniform(0.92, 1.08)),
             avoids=float(rng.uniform(-0.6, 0.6)),

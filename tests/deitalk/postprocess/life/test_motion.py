@@ -7,7 +7,13 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.people.nods import find_nods
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.brows import STEMS, plan_brows
+from deitalk.postprocess.life.brows import (
+    STEMS,
+    BrowEvents,
+    draw_accent,
+    move_brows,
+    plan_brows,
+)
 from deitalk.postprocess.life.head import NOD_SECONDS, draw_nod, head_motion
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
@@ -121,6 +127,41 @@ def test_brows_rise_in_150_to_400_ms_and_fall_more_slowly():
         assert peak == pytest.approx(90 - 2, abs=6)  # 60 ms before the accent, or held
         assert 0.08 <= (peak - rise) / 30 <= 0.42
         assert fall - peak > peak - rise
+
+
+def test_a_few_raises_are_of_one_brow_more_often_the_stronger():
+    """Sides of the others differ by no more than the character's and the event's difference."""
+    sides = np.array([draw_accent(1.0, 0.12, np.random.default_rng(i)).sides for i in range(800)])
+    taken = sides[sides.any(axis=1)]
+    ratio = taken.min(axis=1) / taken.max(axis=1)
+    alone = ratio < 0.3
+    assert 0.06 < alone.mean() < 0.18
+    assert ratio[~alone].min() > 0.74
+    assert 0.55 < (taken[alone, 0] > taken[alone, 1]).mean() < 0.85
+
+
+def test_brows_knit_before_some_phrases_and_stay_still_in_some():
+    phrases = (Phrase(30, 120, False), Phrase(150, 270, False))
+    voice = Voice(330, np.zeros(330, np.float32), (Accent(200, 1.0),), phrases)
+    plans = [plan_brows(voice, Traits(), np.random.default_rng(i)) for i in range(80)]
+    knit = [plan.frowns for plan in plans if plan.frowns.any()]
+    assert 0.2 < len(knit) / 80 < 0.5
+    for frown in knit:
+        assert 120 < frown[:, 0].argmax() <= 150  # in the pause, before the phrase
+    assert 0.55 < np.mean([plan.accents.any() for plan in plans]) < 0.85
+    still = voice._replace(phrases=(Phrase(30, 270, False),))
+    assert not plan_brows(still, Traits(), np.random.default_rng(0)).frowns.any()
+
+
+def test_frown_lowers_and_knits_the_brows_of_a_neutral_face():
+    none = np.zeros((60, 2))
+    frowns = np.full((60, 2), [0.5, 0.4])
+    events = BrowEvents(none, frowns, np.zeros(60), np.zeros((60, len(STEMS))))
+    curves = np.tile(CONTROLS.rest, (60, 1)).astype(np.float32)
+    move_brows(curves, curves.copy(), CONTROLS, events, shown("neutral")[:60], 0.0, 1.0)
+    assert of(curves, "brow_down")[30] == pytest.approx(0.08, abs=1e-3)
+    assert of(curves, "brow_down", "R")[30] == pytest.approx(0.064, abs=1e-3)
+    assert of(curves, "brow_lateral")[30] > 0.05 > of(curves, "brow_raiseIn")[30]
 
 
 def test_question_lifts_the_brows():

@@ -85,4 +85,4 @@ def test_character_is_the_same_in_two_recordings_of_an_actor():
     nobody = [Traits.of(Seeds.of(sound, "", 0).character()) for sound in sounds]
     assert named[0] == named[1]
     assert nobody[0] != nobody[1]
-    assert 0.5 * ASYMMETRY <= abs(named[0].side) <= ASYMMETRY
+    assert 2 / 3 * ASYMMETRY <= abs(named[0].side) <= ASYMMETRY
