@@ -1,29 +1,33 @@
 """Emotion suggested from a voice: neutral, angry, happy or sad, with its probability.
 
-A linear map of the speech features of `default`, mean and spread over the speech, at any gain;
-fitted to what raters of acted speech named from the voice alone, and to readers as neutral
-(`deitalk.training.suggestion`). It suggests and never imposes: where no emotion is probable enough,
-the suggestion is neutral. Surprise was not among the raters' answers and is never suggested. Not in
-the paper, where the emotion is given. Letters: T frames, D features, K windows.
+A linear map of the speech features of `default`, mean and spread over the speech, and of the manner
+of the voice (`deitalk.pipeline.manner`), at any gain; fitted to what raters of acted speech named
+from the voice alone, and to readers as neutral (`deitalk.training.suggestion`). Probabilities are
+those of four equally frequent emotions. It suggests and never imposes: where no emotion is probable
+enough, the suggestion is neutral. Surprise was not among the raters' answers and is never
+suggested. Not in the paper, where the emotion is given. Letters: T frames, D features, M numbers of
+the manner.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.prosody import Prosody
 from deitalk.emotions import EMOTIONS, EmotionTrack
 from deitalk.errors import AudioError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.manner import manner
 from deitalk.pipeline.speech import Speech
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Float32, Float64
 
 MODEL = "default"
 """Whose features the map was fitted to."""
@@ -34,6 +38,8 @@ SURE = 0.75
 WINDOW_SECONDS, HOP_SECONDS = 3.0, 1.0
 """Of the track; a window has at least `FEWEST_FRAMES` of speech."""
 FEWEST_FRAMES = 15
+FURTHEST = 5.0
+"""Standard deviations from the mean; what lies further counts as this."""
 
 
 @dataclass(frozen=True)
@@ -61,41 +67,68 @@ class Suggestion:
 
 
 class EmotionMap:
-    """Mean and spread of speech features to probabilities: multinomial logistic regression.
+    """Numbers of a voice to probabilities: multinomial logistic regression.
 
     Parameters
     ----------
     weights : mapping of str to array
-        ``mean``, ``spread`` [shape=(2 D,)], ``weight`` [shape=(4, 2 D)], ``bias`` [shape=(4,)].
+        ``mean``, ``spread`` [shape=(2 D + M,)], ``weight`` [shape=(4, 2 D + M)], ``bias``
+        [shape=(4,)].
     """
 
     def __init__(self, weights: Mapping[str, Float32]) -> None:
         self.weights = weights
 
-    def probabilities(self, features: Float32) -> Float64:
+    def probabilities(self, numbers: Float32) -> Float64:
         """Probability of each of `NAMED` [shape=(4,)].
 
         Parameters
         ----------
-        features : array [shape=(2 D,)]
-            From `pooled`.
+        numbers : array [shape=(2 D + M,)]
+            From `VoiceFrames.numbers`.
         """
         w = self.weights
-        score = w["weight"] @ ((features - w["mean"]) / w["spread"]) + w["bias"]
+        score = w["weight"] @ standardised(numbers, w["mean"], w["spread"]) + w["bias"]
         odds = np.exp(np.asarray(score, np.float64) - score.max())
         return np.asarray(odds / odds.sum(), np.float64)
 
 
-def pooled(features: Float32, speaking: Bool) -> Float32:
-    """Mean and standard deviation over the frames with speech [shape=(2 D,)]."""
-    rows = features[speaking]
-    return np.concatenate((rows.mean(axis=0), rows.std(axis=0)))
+def standardised(numbers: Float32, mean: Float32, spread: Float32) -> Float32:
+    """Standard deviations from the mean, limited to `FURTHEST`."""
+    limited: Float32 = np.clip((numbers - mean) / spread, -FURTHEST, FURTHEST)
+    return limited
 
 
-def speech_features(network: DEITalk, speech: Speech) -> tuple[Float32, Bool]:
-    """Features of a recording [shape=(T, D)] and the frames with speech [shape=(T,)]."""
-    analysis = network.analyse(torch.tensor(speech.sound), speech.n_frames)
-    return analysis.speech.cpu().numpy(), speech.activity > 0
+class VoiceFrames(NamedTuple):
+    """What the map is given of a recording, or of a window of it, before it is pooled."""
+
+    features: Float32
+    """Speech features of the network [shape=(T, D)]."""
+    prosody: Prosody
+    activity: Float32
+    """1 in speech, else 0 [shape=(T,)]."""
+
+    @classmethod
+    def of(cls, network: DEITalk, speech: Speech) -> "VoiceFrames":
+        """Measure a recording."""
+        analysis = network.analyse(torch.tensor(speech.sound), speech.n_frames)
+        return cls(analysis.speech.cpu().numpy(), speech.prosody, speech.activity)
+
+    def window(self, frames: slice) -> "VoiceFrames":
+        """Some of the frames."""
+        prosody = Prosody._make(track[frames] for track in self.prosody)
+        return VoiceFrames(self.features[frames], prosody, self.activity[frames])
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether there is speech enough to suggest an emotion."""
+        return int((self.activity > 0).sum()) >= FEWEST_FRAMES
+
+    def numbers(self) -> Float32:
+        """Mean and spread of the features over the speech, and its manner [shape=(2 D + M,)]."""
+        spoken = self.features[self.activity > 0]
+        pooled = (spoken.mean(axis=0), spoken.std(axis=0), manner(self.prosody, self.activity))
+        return np.concatenate(pooled)
 
 
 def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Suggestion:
@@ -121,13 +154,13 @@ def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Sugges
         raise AudioError(
             "the recording has less than half a second of speech; no emotion can be suggested"
         )
-    features, speaking = speech_features(require_model(MODEL, DEITalk), speech)
+    frames = VoiceFrames.of(require_model(MODEL, DEITalk), speech)
     found = emotion_map()
-    whole = found.probabilities(pooled(features, speaking))
+    whole = found.probabilities(frames.numbers())
     return Suggestion(
         NAMED[_chosen(whole)],
         {name: float(p) for name, p in zip(NAMED, whole, strict=True)},
-        _track(found, features, speaking),
+        _track(found, frames),
     )
 
 
@@ -137,20 +170,21 @@ def _chosen(probabilities: Float64) -> int:
     return best if probabilities[best] >= SURE else 0
 
 
-def _track(found: EmotionMap, features: Float32, speaking: Bool) -> EmotionTrack:
+def _track(found: EmotionMap, frames: VoiceFrames) -> EmotionTrack:
     """Keys at the centres of windows; windows without speech have none."""
     length, hop = (round(s * FRAME_RATE) for s in (WINDOW_SECONDS, HOP_SECONDS))
+    n_frames = len(frames.activity)
     times, rows = [], []
-    for start in range(0, max(len(features) - length, 0) + hop, hop):
-        window = slice(start, start + length)
-        if speaking[window].sum() < FEWEST_FRAMES:
+    for start in range(0, max(n_frames - length, 0) + hop, hop):
+        window = frames.window(slice(start, start + length))
+        if not window.is_enough:
             continue
-        probabilities = found.probabilities(pooled(features[window], speaking[window]))
+        probabilities = found.probabilities(window.numbers())
         row = np.zeros(len(EMOTIONS))
         best = _chosen(probabilities)
         row[EMOTIONS.index(NAMED[best])] = probabilities[best] if best else 1.0
         row[EMOTIONS.index("neutral")] += 1 - row.sum()
-        times.append((start + min(start + length, len(features))) / 2 / FRAME_RATE)
+        times.append((start + min(start + length, n_frames)) / 2 / FRAME_RATE)
         rows.append(row)
     if not times:
         times, rows = [0.0], [np.eye(len(EMOTIONS))[EMOTIONS.index("neutral")]]

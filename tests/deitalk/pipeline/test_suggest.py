@@ -7,13 +7,35 @@ import pytest
 import soundfile
 from typer.testing import CliRunner
 
+from deitalk.audio.prosody import BANDS
 from deitalk.cli import app
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.pipeline import suggest
-from deitalk.pipeline.suggest import NAMED, SURE, EmotionMap, emotion_map, pooled, suggest_emotion
-from deitalk.training.suggestion import Voices, fit, score
+from deitalk.pipeline.manner import SIZE, manner
+from deitalk.pipeline.speech import Speech
+from deitalk.pipeline.suggest import (
+    FEWEST_FRAMES,
+    FURTHEST,
+    NAMED,
+    SURE,
+    EmotionMap,
+    VoiceFrames,
+    emotion_map,
+    suggest_emotion,
+)
+from deitalk.training.suggestion import (
+    ASKED,
+    Label,
+    Voices,
+    cooled,
+    cross_validate,
+    fit,
+    label_of,
+    predict,
+    score,
+)
 
 
 def test_map_is_a_softmax_of_standardised_features():
@@ -30,39 +52,153 @@ def test_map_is_a_softmax_of_standardised_features():
     np.testing.assert_allclose(found.probabilities(np.array([3.0], np.float32)), expected)
 
 
-def test_pooling_leaves_silence_out():
-    features = np.array([[1.0, 5], [3, 5], [100, 100]], np.float32)
-    np.testing.assert_allclose(pooled(features, np.array([True, True, False])), [2, 5, 1, 0])
+def test_map_limits_numbers_far_from_the_mean():
+    weights = {
+        "mean": np.zeros(1, np.float32),
+        "spread": np.ones(1, np.float32),
+        "weight": np.array([[1.0], [0], [0], [0]], np.float32),
+        "bias": np.zeros(4, np.float32),
+    }
+    found = EmotionMap(weights)
+    far, limit = (found.probabilities(np.array([v], np.float32)) for v in (1000, FURTHEST))
+    np.testing.assert_array_equal(far, limit)
 
 
-def voices(seed: int = 0) -> Voices:
-    """Four classes on four axes; readers in a place of their own."""
+def frames_of(sound) -> VoiceFrames:
+    """A recording whose speech features are the frames' numbers."""
+    speech = Speech.of(sound)
+    features = np.repeat(np.arange(speech.n_frames, dtype=np.float32)[:, None], 2, axis=1)
+    return VoiceFrames(features, speech.prosody, speech.activity)
+
+
+def test_silence_and_gain_change_no_number():
+    sound = speechlike(2.0)
+    frames = frames_of(sound)
+    numbers = frames.numbers()
+    spoken = np.flatnonzero(frames.activity)
+    assert numbers[:2] == pytest.approx(spoken.mean()) and len(numbers) == 4 + SIZE
+    np.testing.assert_allclose(frames_of(0.25 * sound).numbers(), numbers, rtol=0.02, atol=0.02)
+    padded = frames._replace(features=np.where(frames.activity[:, None] > 0, frames.features, 1e6))
+    np.testing.assert_array_equal(padded.numbers(), numbers)
+
+
+def test_manner_tells_pitch_and_its_range():
+    """A steady voice of 200 Hz, and one that glides over an octave around it."""
+    time = np.arange(32_000) / 16_000
+    voices = []
+    for octaves in (0.0, 0.5):
+        phase = np.cumsum(200 * 2 ** (octaves * np.sin(2 * np.pi * time))) / 16_000
+        sound = sum(np.sin(2 * np.pi * k * phase) / k for k in range(1, 12))
+        voices.append(Speech.of((0.1 * sound).astype(np.float32)))
+    first = 3 * BANDS
+    said = [(v.prosody, np.ones(v.n_frames, np.float32)) for v in voices]
+    steady, gliding = (manner(*voice)[first : first + 14] for voice in said)
+    assert steady[2] == pytest.approx(12, abs=0.3) and abs(steady[5]) < 0.3
+    assert gliding[2] == pytest.approx(12, abs=1) and gliding[5] == pytest.approx(12, abs=1.5)
+
+
+def test_window_is_what_a_recording_of_its_own_frames_has():
+    frames = frames_of(speechlike(3.0))
+    part = frames.window(slice(20, 70))
+    assert len(part.prosody.level) == len(part.features) == 50 and part.features[0, 0] == 20
+    assert not frames.window(slice(0, FEWEST_FRAMES - 1)).is_enough
+
+
+@pytest.mark.parametrize(
+    ("vote", "asked", "majority", "shares"),
+    [
+        ("S", "SAD", 3, (0, 0, 0, 1)),
+        ("N", "SAD", 0, (1 - ASKED, 0, 0, ASKED)),
+        ("N", "DIS", 0, (1, 0, 0, 0)),
+        ("H:N", "DIS", -1, (0.5, 0, 0.5, 0)),
+        ("D", "ANG", -1, (0, 1, 0, 0)),
+    ],
+)
+def test_label_is_the_majority_and_the_rest_the_emotion_asked(vote, asked, majority, shares):
+    label = label_of(vote, asked)
+    assert label.majority == majority and label.shares == pytest.approx(shares)
+    assert (label.weight == 1) == (majority >= 0)
+
+
+def test_clips_that_tell_nothing_of_the_four_have_no_label():
+    assert label_of("D", "FEA") is None
+
+
+def voices(seed: int = 0, shuffled: bool = False) -> Voices:
+    """Four classes on four axes; readers in a place of their own; 30 speakers, 6 for tests."""
     rng = np.random.default_rng(seed)
     classes = np.concatenate((np.repeat(np.arange(4), 60), np.zeros(60, int)))
     features = rng.normal(size=(300, 6)).astype(np.float32)
     features[np.arange(300), classes] += 8
     features[240:, 5] += 8
-    splits = ["train", "validation", "test"] * 100
-    return Voices(features, classes, splits, [i >= 240 for i in range(300)])
+    if shuffled:
+        classes = rng.permutation(classes)
+    labels = [Label(k, tuple(np.eye(4)[k]), 1.0) for k in classes.tolist()]
+    speakers = [str(i % 30) for i in range(300)]
+    splits = ["test" if i % 5 == 0 else "train" if i % 5 < 3 else "validation" for i in range(300)]
+    return Voices(features, labels, speakers, splits, [i >= 240 for i in range(300)])
 
 
 def test_fit_tells_classes_of_unseen_voices_and_readers_are_neutral():
-    found = fit(voices())
-    scores = score(found, voices(1), "test")
+    fitted, unseen = voices(), voices(1)
+    found = fit(fitted, fitted.having("validation"))
+    scores = score(predict(found, unseen.numbers), unseen, "test")
     assert scores["unweighted recall"] > 0.85
     assert scores["anger against sadness"] > 0.95
     assert scores["readers neutral"] == 1
-    assert scores["right"] > scores["probability"] - 0.1
-    mixed = voices()
-    rng = np.random.default_rng(5)
-    shuffled = mixed._replace(classes=rng.permutation(mixed.classes))
-    assert score(fit(shuffled), mixed, "test")["unweighted recall"] < 0.45
+    mixed = voices(shuffled=True)
+    p = predict(fit(mixed, mixed.having("validation")), unseen.numbers)
+    assert score(p, unseen, "test")["unweighted recall"] < 0.45
+
+
+def test_cross_validation_leaves_the_speaker_out():
+    """Each speaker's clips are at a place of their own, which tells nothing of another's."""
+    given = voices(shuffled=True)
+    places = np.array([int(name) for name in given.speakers])
+    numbers = np.eye(30, dtype=np.float32)[places] * 8
+    labels = [Label(k % 4, tuple(np.eye(4)[k % 4]), 1.0) for k in places.tolist()]
+    told = given._replace(numbers=numbers, labels=labels, are_readers=[False] * 300)
+    p, _ = cross_validate(told)
+    fitted = told.having("validation")
+    assert np.isnan(p[~fitted]).all() and np.isfinite(p[fitted]).all()
+    assert score(p, told, "validation")["unweighted recall"] < 0.6
+    known = predict(fit(told, fitted), told.numbers)
+    assert score(known, told, "validation")["unweighted recall"] > 0.9
+
+
+def test_temperature_makes_probabilities_true():
+    """Three of ten labels are drawn anew: the most probable class is right in .7 + .3 / 4."""
+    rng = np.random.default_rng(3)
+    given = voices()
+    drawn = [
+        int(rng.integers(4)) if rng.random() < 0.3 else label.majority for label in given.labels
+    ]
+    noisy = given._replace(labels=[Label(k, tuple(np.eye(4)[k]), 1.0) for k in drawn])
+    p, temperature = cross_validate(noisy)
+    scores = score(p, noisy, "validation")
+    assert scores["calibration error"] < 0.12
+    found = fit(noisy, noisy.having("validation"))
+    warm, sharp = (
+        predict(cooled(found, t), noisy.numbers).max(axis=1).mean()
+        for t in (2 * temperature, temperature)
+    )
+    assert warm < sharp
+
+
+def test_calibration_error_is_the_distance_of_probability_and_frequency():
+    """Always .9 sure of the right class and right half the time: .4."""
+    given = voices()
+    truth = given.majorities
+    said = np.where(np.arange(300) % 2, truth, (truth + 1) % 4)
+    p = np.full((300, 4), 0.1 / 3)
+    p[np.arange(300), said] = 0.9
+    assert score(p, given, "validation")["calibration error"] == pytest.approx(0.4, abs=0.02)
 
 
 def test_embedded_map_fits_the_features_of_default():
     from deitalk.models.checkpoint import load_model
 
-    width = 2 * load_model(suggest.MODEL).frontend.output_size
+    width = 2 * load_model(suggest.MODEL).frontend.output_size + SIZE
     assert {name: value.shape for name, value in emotion_map().weights.items()} == {
         "mean": (width,), "spread": (width,), "weight": (4, width), "bias": (4,)
     }  # fmt: skip
