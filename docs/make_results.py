@@ -29,6 +29,8 @@ COMMANDS = {
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
     "default-lips": f"{_EVALUATE} --lips LIPS --speaker s03 --speaker s32",
     "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
+    "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
+    "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
     "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=default "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
@@ -157,6 +159,42 @@ def lips() -> str:
     return _table([["", *MEASURES.values()], *cells])
 
 
+LIVE: dict[str, tuple[str, int]] = {
+    "bilabials found": ("bilabial_hits_at_5_percent", 3),
+    "bilabial AUC, windows": ("bilabial_window_auc", 3),
+    "found closures held at .9 for two frames": ("found_bilabials_held_at_0.9", 2),
+    "shut on other sounds": ("shut_on_other_sounds", 3),
+    "jaw r against the tables": ("jaw_r", 3),
+    "mean r of twelve articulation channels": ("articulation_r", 3),
+}
+"""Scores of `live` beside `default`, and their digits."""
+
+
+def live() -> str:
+    """The live model / the default model by the same command, and both beside measured lips."""
+    groups = {
+        name: (report("live-test")["groups"][name], report("default-test")["groups"][name])
+        for name in SOURCES
+    }
+    rows = [
+        [text, *(" / ".join(short(g[key], digits) for g in both) for both in groups.values())]
+        for text, (key, digits) in LIVE.items()
+    ]
+    speech = _table([["`live` / `default`", *(SOURCES[name] for name in groups)], *rows])
+    found = report("live-lips"), report("default-lips")
+    people = [
+        [
+            text,
+            *(
+                " / ".join(short(r["animated"]["mean"][f"{m} {key}"], 2) for r in found)
+                for m in MEASURES
+            ),
+        ]
+        for text, key in (("r", "r"), ("range over the measured one", "range"))
+    ]
+    return speech + "\n" + _table([["lips of people", *MEASURES.values()], *people])
+
+
 ACTED = {"high above low": 3, "rank correlation": 2}
 """Scores of acted strengths, and their digits."""
 
@@ -252,6 +290,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "scores": scores,
     "intensity": intensity,
     "lips": lips,
+    "live": live,
     "acted": acted,
     "ablations": ablations,
     "comparison": comparison,
