@@ -39,6 +39,8 @@ NOD_SHARE, ASIDE_SHARE, UP_SHARE = (0.78, 0.2), 0.06, 0.05
 the share that turns or tilts the head instead (McClave 2000), and that raises it."""
 TURN, TURN_SECONDS = ((2.2, 0.4, 0.5), (0.5, 0.4, 1.7)), ((0.35, 0.6), (0.5, 1.0))
 """Yaw, pitch and roll of a full turn and of a full tilt; attack and decay."""
+MOST_ASIDE = 1.2
+"""Height of the largest turn or tilt."""
 VIGOUR, VIGOUR_SECONDS = 0.35, 1.6
 """A speaker moves the head in phases: standard deviation of the logarithm of the factor on nods and
 slow turns, and the sigma of the Gaussian that its noise is smoothed with."""
@@ -187,7 +189,7 @@ def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> No
     )
     if is_aside:
         yaw, pitch, roll = TURN[int(kind < ASIDE_SHARE / 2)]
-        degrees = np.array([sign * yaw, -pitch, sign * roll])
+        degrees = np.array([sign * yaw, -pitch, sign * roll]) / max(height / MOST_ASIDE, 1)
     else:
         up = 0.7 if kind > 1 - UP_SHARE else -1.0
         degrees = np.asarray(NODS) * np.array([aside[0], up, aside[1]])

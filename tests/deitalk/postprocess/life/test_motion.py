@@ -14,7 +14,7 @@ from deitalk.postprocess.life.brows import (
     move_brows,
     plan_brows,
 )
-from deitalk.postprocess.life.head import NOD_SECONDS, draw_nod, head_motion
+from deitalk.postprocess.life.head import MOST_ASIDE, NOD_SECONDS, TURN, draw_nod, head_motion
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
@@ -215,7 +215,8 @@ def test_head_rises_before_a_phrase_and_is_low_at_its_end():
 
 def test_nods_are_deeper_on_stronger_and_higher_syllables():
     def drawn(strength, prominence):
-        return [draw_nod(strength, prominence, np.random.default_rng(i)) for i in range(200)]
+        draws = [draw_nod(strength, prominence, np.random.default_rng(i)) for i in range(200)]
+        return [nod for nod in draws if nod.attack <= NOD_SECONDS[0][1]]  # no turns
 
     def depth(strength, prominence):
         return -np.mean([nod.degrees[1] for nod in drawn(strength, prominence)])
@@ -235,6 +236,9 @@ def test_some_stresses_turn_or_tilt_the_head_more_slowly():
     aside = np.array([nod.degrees for nod in turns if nod.degrees.any()])
     assert (np.abs(aside[:, [0, 2]]).max(axis=1) > 2 * np.abs(aside[:, 1])).all()
     assert 0.2 < (aside[:, 0] > 0).mean() < 0.8  # to both sides
+    most = max(abs(degrees) for turn in TURN for degrees in turn)
+    loud = [draw_nod(1.0, 2.0, np.random.default_rng(i)) for i in range(600)]
+    assert max(np.abs(nod.degrees[0]) for nod in loud) <= MOST_ASIDE * most + 1e-6
 
 
 def test_nods_of_one_voice_come_in_phases():
