@@ -1,5 +1,6 @@
 """`deitalk finetune`: a model tuned on captures."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,7 +74,7 @@ def finetune(
     }
     if base == NONE:
         given["tune.start"] = "random"
-    changes = [f"{key}={value}" for key, value in given.items() if value is not None]
+    changes = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
     with console().status("loading"):
         from deitalk.training.tuning.recipe import read_recipe
         from deitalk.training.tuning.task import finetune as tune

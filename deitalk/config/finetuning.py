@@ -3,7 +3,7 @@
 A recipe has no ``model`` section: the network is that of the base model.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -71,12 +71,6 @@ class TuneConfig(Section):
     leave_out: str | None = Field(
         default=None, description="take or actor that is tested on and never trained on"
     )
-
-    @model_validator(mode="after")
-    def _learns_random_weights(self) -> Self:
-        if self.start == "random" and self.part != "all":
-            raise ValueError(f"start=random learns every weight; part={self.part} must be all")
-        return self
 
 
 class FinetuneConfig(Config):

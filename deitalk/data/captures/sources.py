@@ -15,7 +15,7 @@ from pathlib import Path
 from deitalk.data.captures.take import kind_of
 from deitalk.data.video.decode import VIDEOS
 from deitalk.errors import DataError
-from rig.errors import UserError
+from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS
 from rig.formats.wide_csv import read_header
 
@@ -84,6 +84,11 @@ def find_takes(
         curves = [p for p in files if _holds_curves(p, columns)]
         skipped += [p for p in files if p not in set(curves)]
         chosen = _one_a_take(curves) or (_videos(source) if columns is None else [])
+        if not chosen and columns is not None:
+            raise DataError(
+                f"{source} holds no takes: no file of {', '.join(CURVES)} has a column of the map "
+                f"or rig, such as {quoted(min(columns))}"
+            )
         if not chosen:
             raise DataError(
                 f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves and no "

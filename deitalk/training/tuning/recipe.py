@@ -46,7 +46,8 @@ def read_recipe(
     Raises
     ------
     ConfigError
-        If the recipe is of another kind, or as for `load_config`.
+        If the recipe is of another kind, a part of random weights is to be tuned, or as for
+        `load_config`.
     CheckpointError
         If there is no such base model.
     """
@@ -56,6 +57,8 @@ def read_recipe(
         tune["base"] = base
     if tune.get("start") == "random":
         tune |= NO_TEACHER | tune
+        if tune["part"] != "all":
+            raise ConfigError(f"tune.part={tune['part']}: random weights all learn; leave it out")
     folder = model_folder(str(tune.get("base", "default")))
     network = load_config(folder / "config.yaml").model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:

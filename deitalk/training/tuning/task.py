@@ -43,6 +43,7 @@ from deitalk.training.tuning.recipe import (
     with_captured_intensity,
 )
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
+from rig.errors import ControlError
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
@@ -140,7 +141,7 @@ class FinetuneTask(CurveTask):
         self.has_test = bool(division.test)
         self.test_clips = division.test or self.validation_clips
         self.learnt = learnt_controls(config, self.controls)
-        self.pose: MeanPose = mean_pose(self.clips, self.controls, self.learnt)
+        self.pose = self._mean_pose(data)
         if is_same_rig(config):
             captured = self.learnt & self.pose.alive
             config = with_base_parts(config, self.controls, self.learnt, captured)
@@ -150,6 +151,16 @@ class FinetuneTask(CurveTask):
         self.axes = self._axes()
         if self.axes:
             self.config = with_captured_intensity(self.config)
+
+    def _mean_pose(self, data: Path) -> MeanPose:
+        try:
+            return mean_pose(self.clips, self.controls, self.learnt)
+        except ControlError as error:
+            raise DataError(
+                f"{data}: curves of another rig than {self.controls.id}; give `rig`, its file "
+                f"({error})",
+                parameter="rig",
+            ) from None
 
     def _axes(self) -> dict[tuple[str, str], ExpressionAxis]:
         """The captured expressions from which intensity is learnt."""

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.cli import app
+from deitalk.cli.console import name_option
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
@@ -90,6 +91,12 @@ def test_all_weights_learn_with_the_frontend(base, data, tmp_path):
     assert any(name.startswith("frontend") for name in changed(base, tmp_path / "run" / "last"))
 
 
+def test_curves_of_another_rig_without_its_file_are_refused(base, foreign, tmp_path):
+    with pytest.raises(DataError, match="curves of another rig than metahuman-185@mh4") as caught:
+        finetune(recipe(base), foreign, tmp_path / "run")
+    assert "give --rig, its file" in name_option(caught.value)
+
+
 def test_captures_too_short_for_a_clip_to_validate_are_refused(base, data, tmp_path):
     folder = tmp_path / "short"
     shutil.copytree(data, folder)
@@ -114,7 +121,7 @@ def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path
     assert same == []
     report = json.loads((tmp_path / "run/report.json").read_text())
     assert (report["base"], report["start"], report["part"]) == (base, "random", "all")
-    with pytest.raises(ConfigError, match="start=random learns every weight; part=head"):
+    with pytest.raises(ConfigError, match="part=head: random weights all learn"):
         recipe(base, "tune.start=random", "tune.part=head")
 
 

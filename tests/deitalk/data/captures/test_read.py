@@ -149,6 +149,9 @@ def test_folder_without_takes_is_refused(tmp_path):
         find_takes([tmp_path])
     with pytest.raises(DataError, match="does not exist"):
         find_takes([tmp_path / "x"])
+    (tmp_path / "a.csv").write_text("time,jaw\n0,0\n0.1,1\n")
+    with pytest.raises(DataError, match="has a column of the map or rig, such as 'chin'"):
+        find_takes([tmp_path], {"lip", "chin"})
 
 
 def test_values_out_of_range_are_clamped_and_noted(tmp_path):
