@@ -1,7 +1,7 @@
 """Write the tables of documents from the results of commands: ``make docs``.
 
 ``docs/results/*.json`` are reports as `deitalk evaluate -o` writes them, of the weights whose hash
-they hold, and ``ablations.json`` of `deitalk ablate`. A table stands between
+they hold, of `deitalk ablate` and of `deitalk finetune --folds`. A table stands between
 ``<!-- table NAME -->`` and ``<!-- end -->``.
 """
 
@@ -18,12 +18,15 @@ DOCUMENTS = (
     DOCS.parent / "MODEL_CARD.md",
     DOCS / "ablations.md",
     DOCS / "comparison.md",
+    DOCS / "finetuning.md",
     RESULTS / "README.md",
 )
 _TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 _EVALUATE = "deitalk evaluate default"
 _ABLATE = "deitalk ablate --data corpus/ --steps 300"
+_TUNE = "deitalk finetune"
+_SHORT = "-o OUT --set train.steps=100 --set train.batch_size=4 --set train.evaluate_every=50"
 COMMANDS = {
     "default-test": f"{_EVALUATE} --data corpus/ --split test --most 90 --probes 12",
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
@@ -38,8 +41,10 @@ COMMANDS = {
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
+    "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
 }
-"""What writes each report of ``docs/results``; `deitalk ablate` writes its ``ablations.json``."""
+"""What writes each report of ``docs/results``, `deitalk ablate` as its ``ablations.json`` and
+`deitalk finetune --folds` as its ``folds.json``."""
 
 COLUMNS = (
     ("LibriSpeech", "default-test", "librispeech"),
@@ -272,6 +277,50 @@ def _variants(name: str, variants: dict[str, str], prediction: str, title: str) 
     return parts
 
 
+FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
+"""Scores of a fine-tuning on what it never saw."""
+FACEGOOD = {
+    "tuned": "facegood",
+}
+"""Heading and report of fine-tunings on the same takes."""
+FACEGOOD_JAW = "mouth_stretch_c"
+
+
+def facegood() -> str:
+    """A rig of its own, each take left out in turn; then the error of every fold."""
+    reports = {head: report(name) for head, name in FACEGOOD.items()}
+    systems = {head: found["mean"]["after"] for head, found in reports.items()}
+    jaws = [found["controls"][FACEGOOD_JAW]["after_r"] for found in reports.values()]
+    means = _systems(systems | _baselines(reports["tuned"]))
+    means.append([f"r of `{FACEGOOD_JAW}`", *map(short, jaws), "–", "–"])
+    return f"{_table(means)}\n{_by_fold(reports)}"
+
+
+def _baselines(found: Group) -> dict[str, Group]:
+    return {name: found["mean"][name] for name in ("loudness", "mean pose")}
+
+
+def _systems(systems: dict[str, Group]) -> list[list[str]]:
+    """Scores down, systems across."""
+    rows = [[f"`{s}`", *(_known(scores[s]) for scores in systems.values())] for s in FOLDS]
+    return [["mean of the folds", *systems], *rows]
+
+
+def _by_fold(reports: dict[str, Group]) -> str:
+    """Error of each fold, with the hash of the weights that it began with."""
+    rows = [
+        [head, *(_known(scores[FOLDS[0]]) for scores in found["folds"].values())]
+        for head, found in reports.items()
+    ]
+    first = next(iter(reports.values()))
+    title = f"`{FOLDS[0]}`, from weights {first['base_sha256'][:8]}…"
+    return _table([[title, *first["folds"]], *rows])
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else short(value)
+
+
 def commands() -> str:
     """The command of each report."""
     rows = [[f"`{name}.json`", f"`{command}`"] for name, command in COMMANDS.items()]
@@ -294,6 +343,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "acted": acted,
     "ablations": ablations,
     "comparison": comparison,
+    "facegood": facegood,
     "commands": commands,
 }
 
