@@ -32,6 +32,8 @@ COMMANDS = {
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
     "default-lips": f"{_EVALUATE} --lips LIPS --speaker s03 --speaker s32",
     "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
+    "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 --noise NOISE",
+    "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
     "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
     "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
@@ -162,6 +164,46 @@ def lips() -> str:
         for text, name, score in rows
     ]
     return _table([["", *MEASURES.values()], *cells])
+
+
+def noise() -> str:
+    """Closures and jaw in two noises outside the training."""
+    rows = [
+        [
+            level,
+            short(score["bilabial_window_auc"]),
+            short(score["bilabial_hits_at_5_percent"], 2),
+            short(score["jaw_r"], 2),
+        ]
+        for level, score in report("default-noise")["noise"].items()
+    ]
+    return _table([["speech to noise", "bilabial AUC", "bilabials found", "jaw r"], *rows])
+
+
+WIDENED = ("angry", "happy", "sad", "surprised")
+
+
+def styles() -> str:
+    """How much styles differ, and how far lips move in each."""
+    groups = list(SOURCES)
+    apart, wide = report("default-test")["styles"], report("default-validation")["styles"]
+    rows = [
+        [
+            "distance of the two nearest styles / spread within a style",
+            *(short(min(x["separation"] for x in apart[g]["styles"].values()), 1) for g in groups),
+        ]
+    ]
+    rows += [
+        [
+            f"{emotion}: range of the lips / the neutral one, intensity 1 (predicted intensity)",
+            *(
+                f"{short(x['range_strong'], 2)} ({short(x['range'], 2)})"
+                for x in (wide[g]["styles"][emotion] for g in groups)
+            ),
+        ]
+        for emotion in WIDENED
+    ]
+    return _table([["", *(SOURCES[name] for name in groups)], *rows])
 
 
 LIVE: dict[str, tuple[str, int]] = {
@@ -339,6 +381,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "scores": scores,
     "intensity": intensity,
     "lips": lips,
+    "noise": noise,
+    "styles": styles,
     "live": live,
     "acted": acted,
     "ablations": ablations,

@@ -9,6 +9,7 @@ import pytest
 from deitalk.models.folder import embedded_models, model_folder, weights_hash
 
 ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 RESULTS = sorted((ROOT / "docs/results").glob("*.json"))
 
 
@@ -65,10 +66,13 @@ def test_number_is_written_without_its_zero(maker):
 
 
 def test_readme_has_the_scores_of_the_card(maker):
-    line = next(
-        row
-        for row in (ROOT / "README.md").read_text().splitlines()
-        if row.startswith("| `default`")
-    )
-    auc = maker.report("default-test")["groups"]["librispeech"]["bilabial_window_auc"]
-    assert f"bilabial AUC {maker.short(auc)};" in line
+    rows = {
+        name: next(row for row in README.splitlines() if row.startswith(f"| `{name}`"))
+        for name in ("default", "live")
+    }
+    for name, row in rows.items():
+        auc = maker.report(f"{name}-test")["groups"]["librispeech"]["bilabial_window_auc"]
+        lips = maker.report(f"{name}-lips")["animated"]["mean"]
+        opening, jaw = (maker.short(lips[f"{measure} r"], 2) for measure in ("opening", "jaw"))
+        assert f"bilabial AUC {maker.short(auc)};" in row
+        assert f"opening {opening}, jaw {jaw}" in row
