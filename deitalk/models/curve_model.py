@@ -287,7 +287,7 @@ class DEITalk(nn.Module):
         Parameters
         ----------
         waveform : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
+            16 kHz, level-normalised; or the frontend's features of it [shape=(T, D)].
         n_frames : int
             Rig frames T of the clip.
         progress : callable
@@ -295,7 +295,9 @@ class DEITalk(nn.Module):
         gain : float
             Factor that normalises the waveform's level, if that is not done.
         """
-        if isinstance(self.frontend, MelFrontend):
+        if waveform.ndim == 2:
+            speech = waveform
+        elif isinstance(self.frontend, MelFrontend):
             speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
         else:
             speech = self.frontend.encode(waveform * gain, n_frames, progress=progress)

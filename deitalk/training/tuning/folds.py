@@ -9,7 +9,8 @@ Of minutes of captures one test take says little, and depends on which. Each fol
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from deitalk.config import FinetuneConfig
 from deitalk.data.captures.splits import names_of
 from deitalk.data.clips import read_clips
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import DataError
 from deitalk.evaluation.report import as_json, table
 from deitalk.training.trainer import Progress, silent
@@ -77,10 +79,12 @@ def tune_folds(
             f"{data}: folds of {kind} need two; here is {names[0]} alone", parameter="folds"
         )
     _check_folders(data, names)
+    features = None if config.tune.part == "all" else FrozenFeatures(config.tune.base)
+    run = partial(finetune, data=data, resume=resume, frozen_features=features)
     with claim(out):
         begin_folder(out, kind=KIND)
         reports = {
-            name: _fold(config, data, out, name, resume, _part(progress, place, len(names)))
+            name: _fold(run, config, out, name, _part(progress, place, len(names)))
             for place, name in enumerate(names)
         }
         result = _joined(reports)
@@ -95,13 +99,13 @@ def _part(progress: Progress, done: int, folds: int) -> Progress:
 
 
 def _fold(
-    config: FinetuneConfig, data: Path, out: Path, name: str, resume: bool, progress: Progress
+    run: Callable[..., Any], config: FinetuneConfig, out: Path, name: str, progress: Progress
 ) -> dict[str, Any]:
     """Report of one fold, as ``report.json`` has it."""
     folder = out / _as_file(name)
     tune = config.tune.model_copy(update={"leave_out": name})
     fold = config.model_copy(update={"tune": tune})
-    finetune(fold, data, folder, resume=resume, progress=progress)
+    run(fold, out=folder, progress=progress)
     report: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return report
 

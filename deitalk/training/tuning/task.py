@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -61,6 +62,7 @@ def finetune(
     resume: bool = False,
     tensorboard: bool = False,
     progress: Progress = silent,
+    frozen_features: FrozenFeatures | None = None,
 ) -> dict[str, Any]:
     """Tune a model, then compare it with the base on held-out clips.
 
@@ -72,6 +74,8 @@ def finetune(
         Dataset folder of captures.
     out, resume, tensorboard, progress
         As for `deitalk.training.trainer.run_training`.
+    frozen_features : FrozenFeatures or None
+        Features of the base for several runs on the same clips.
 
     Returns
     -------
@@ -83,7 +87,7 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
-    task = FinetuneTask(config, data)
+    task = FinetuneTask(config, data, frozen_features)
     run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
     return write_comparison(
         out,
@@ -111,6 +115,8 @@ class FinetuneTask(CurveTask):
     config : FinetuneConfig
     data : Path
         Dataset folder.
+    frozen_features : FrozenFeatures or None
+        As for `finetune`.
 
     Raises
     ------
@@ -122,9 +128,12 @@ class FinetuneTask(CurveTask):
 
     config: FinetuneConfig
 
-    def __init__(self, config: FinetuneConfig, data: Path) -> None:
+    def __init__(
+        self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
+    ) -> None:
         division = divide_clips(read_clips(data), config.tune.leave_out)
-        super().__init__(with_actors(config, division.train), data)
+        actors = with_actors(config, division.train)
+        super().__init__(actors, data, frozen_features=frozen_features)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
         if config.model.decoder != "convolution":
@@ -198,7 +207,7 @@ class FinetuneTask(CurveTask):
         if tune.start == "base":
             self._start_as(base)
         if tune.part != "all":
-            self.frozen_features = FrozenFeatures(tune.base)
+            self.frozen_features = self.frozen_features or FrozenFeatures(tune.base)
         if not self.is_same_rig:
             self._fit_last_layer()
         self._choose(tune.part)
@@ -257,7 +266,11 @@ class FinetuneTask(CurveTask):
         for clip in self.clips:
             example = load_example(clip, self.controls)
             n_frames = len(example.curves)
-            analysis = model.analyse(torch.from_numpy(example.waveform), n_frames)
+            sound = example.waveform
+            if self.frozen_features is not None:
+                features = self.frozen_features.features(clip, sound, n_frames)
+                sound = features[:n_frames].astype(np.float32)
+            analysis = model.analyse(torch.from_numpy(sound), n_frames)
             style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
             inputs.append(model.describe(analysis, style))
             targets.append(torch.from_numpy(example.curves))
