@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -13,7 +14,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
-from deitalk.models.network import Reading, Tracks, is_neutral, neutral_weights, read_twice
+from deitalk.models.network import Reading, Tracks, neutral_and_acted
 from deitalk.models.positions import dynamic_positions
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
 from rig import ControlSet, default_controls
@@ -189,12 +190,9 @@ class DEITalk(nn.Module):
     ) -> Reading:
         """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
         analysis = self.analyse(torch.from_numpy(sound), len(weights), progress, gain)
-
-        def decode(weights: Float32) -> Float32:
-            styles = self.styles(torch.from_numpy(weights).to(self.device), actor)
-            return self.decode(analysis, styles).cpu().numpy()
-
-        return Reading(*read_twice(decode, weights), analysis.tracks)
+        styles = self.styles(torch.from_numpy(np.stack(neutral_and_acted(weights))), actor)
+        readings = list(self.decode(analysis, styles.to(self.device)).cpu().numpy())
+        return Reading(readings[0], readings[-1], analysis.tracks)
 
     def reads_together(self, n_frames: int) -> bool:
         """Whether `read_together` takes recordings of so many frames."""
@@ -232,23 +230,16 @@ class DEITalk(nn.Module):
             torch.arange(total, device=self.device).expand(len(sounds), -1),
             torch.full((len(sounds),), total, device=self.device),
         )
-        guidance = intensity.guidance if intensity else None
-
-        def decode(weights: Sequence[Float32], rows: list[int]) -> list[Float32]:
-            styles = [
-                self.styles(torch.from_numpy(w).to(self.device), actors[row])
-                for w, row in zip(weights, rows, strict=True)
-            ]
-            within = None if guidance is None else guidance[rows]
-            return list(self.decoder(placed[rows], torch.stack(styles), within).cpu().numpy())
-
-        neutral = decode([neutral_weights(total)] * len(sounds), list(range(len(sounds))))
-        acted = [row for row, w in enumerate(weights) if not is_neutral(w)]
-        curves = decode([weights[row] for row in acted], acted) if acted else []
-        emotional = dict(zip(acted, curves, strict=True))
+        wanted = [(i, w) for i, each in enumerate(weights) for w in neutral_and_acted(each)]
+        styles = torch.stack([self.styles(torch.from_numpy(w), actors[i]) for i, w in wanted])
+        guidance, of = intensity.guidance if intensity else None, [i for i, _ in wanted]
+        curves = self.decoder.readings(placed, styles.to(self.device), guidance, of).cpu().numpy()
+        found: list[list[Float32]] = [[] for _ in sounds]
+        for i, rows in zip(of, curves, strict=True):
+            found[i].append(rows)
         return [
-            Reading(neutral[row], emotional.get(row, neutral[row]), _tracks_of(intensity, row))
-            for row in range(len(sounds))
+            Reading(readings[0], readings[-1], _tracks_of(intensity, i))
+            for i, readings in enumerate(found)
         ]
 
     def styles(self, emotion: Tensor, actor: str) -> Tensor:
@@ -256,17 +247,17 @@ class DEITalk(nn.Module):
 
         Parameters
         ----------
-        emotion : Tensor [shape=(T, 5)]
+        emotion : Tensor [shape=(..., 5)]
             Weights of the emotional styles.
         actor : str
             One of ``config.actors``; any other is nobody, whose style the base model had.
 
         Returns
         -------
-        Tensor [shape=(T, 5 + actors)]
+        Tensor [shape=(..., 5 + actors)]
         """
         chosen = emotion.new_tensor([float(name == actor) for name in self.config.actors])
-        return torch.cat((emotion, chosen.expand(len(emotion), -1)), dim=-1)
+        return torch.cat((emotion, chosen.expand(*emotion.shape[:-1], -1)), dim=-1)
 
     def place(self, speech: Tensor, frames: Tensor, total: Tensor) -> Tensor:
         """Add the dynamic positional encoding (Eq. 3)."""
@@ -344,14 +335,15 @@ class DEITalk(nn.Module):
         ----------
         analysis : Analysis
             Of the whole clip.
-        emotion : Tensor [shape=(T, 5) or (T, 5 + actors)]
-            Weights of the emotional styles, and of the actors (`styles`), frame by frame.
+        emotion : Tensor [shape=(T, 5 or 5 + actors) or (R, T, 5 or 5 + actors)]
+            Weights of the emotional styles, and of the actors (`styles`), frame by frame; R
+            readings of one speech take less time together.
 
         Returns
         -------
-        Tensor [shape=(T, C)]
+        Tensor [shape=(T, C) or (R, T, C)]
         """
-        return self._by_pieces(self.decoder, analysis, emotion, len(self.controls.names))
+        return self._by_pieces(self.decoder.readings, analysis, emotion, len(self.controls.names))
 
     @torch.no_grad()
     def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
@@ -361,27 +353,29 @@ class DEITalk(nn.Module):
 
         Returns
         -------
-        Tensor [shape=(T, decoder_channels)]
+        Tensor [shape=(T, decoder_channels) or (R, T, decoder_channels)]
         """
         width = self.config.decoder_channels
-        return self._by_pieces(self.decoder.hidden, analysis, emotion, width)
+        return self._by_pieces(self.decoder.hidden_readings, analysis, emotion, width)
 
     def _by_pieces(
         self, decode: Callable[..., Tensor], analysis: Analysis, emotion: Tensor, width: int
     ) -> Tensor:
-        total = len(analysis.speech)
-        rows = analysis.speech.new_empty(total, width, dtype=torch.float32)
+        total, emotions = len(analysis.speech), emotion if emotion.dim() == 3 else emotion[None]
+        shape = len(emotions), total, width
+        rows = analysis.speech.new_empty(shape, dtype=torch.float32)
         for first, last, start, stop in _pieces(total, self.decoder.margin):
             frames = torch.arange(first, last, device=rows.device).unsqueeze(0)
             speech = analysis.speech[first:last].float().unsqueeze(0)
             guidance = analysis.guidance
             decoded = decode(
                 self.place(speech, frames, frames.new_tensor([total])),
-                emotion[first:last].unsqueeze(0),
+                emotions[:, first:last],
                 None if guidance is None else guidance[first:last].float().unsqueeze(0),
+                [0] * len(emotions),
             )
-            rows[start:stop] = decoded[0, start - first : stop - first]
-        return rows
+            rows[:, start:stop] = decoded[:, start - first : stop - first]
+        return rows if emotion.dim() == 3 else rows[0]
 
 
 def _tracks_of(intensity: Intensity | None, row: int) -> Tracks:

@@ -6,7 +6,7 @@ Runtime. This module imports neither.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from rig.errors import quoted
 
 Backend: TypeAlias = Literal["torch", "onnx"]
 BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
-Rows = TypeVar("Rows")
 
 
 class Tracks(NamedTuple):
@@ -175,18 +174,16 @@ def is_neutral(weights: Float32) -> bool:
     return not (weights[:, _NEUTRAL] < 1).any()
 
 
-def read_twice(decode: Callable[[Float32], Rows], weights: Float32) -> tuple[Rows, Rows]:
-    """Neutral and emotional reading of one speech; one and the same if all weights are neutral.
+def neutral_and_acted(weights: Float32) -> tuple[Float32, ...]:
+    """Weights of the neutral reading of a speech, and of the emotional one if it is another.
 
     Parameters
     ----------
-    decode : callable
-        Maps emotion weights (T, 5) to rows (T, ...): curves, or features of a mesh head.
     weights : array [shape=(T, 5)]
         Emotion of each frame.
     """
-    neutral = decode(neutral_weights(len(weights)))
-    return neutral, neutral if is_neutral(weights) else decode(weights)
+    neutral = neutral_weights(len(weights))
+    return (neutral,) if is_neutral(weights) else (neutral, weights)
 
 
 _NEUTRAL = EMOTIONS.index("neutral")

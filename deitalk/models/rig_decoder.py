@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from deitalk.config import ModelConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.models.temporal_conv import TemporalConv, receptive_margin
+from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin
 from rig import ControlSet
 
 
@@ -39,6 +39,38 @@ class Decoder(nn.Module):
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer (B, T, channels); arguments as `RigDecoder.forward`."""
         raise NotImplementedError
+
+    @torch.no_grad()
+    def hidden_readings(
+        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
+    ) -> Tensor:
+        """Input of the last layer for several readings, without gradients.
+
+        Parameters
+        ----------
+        speech : Tensor [shape=(B, T, D)]
+            With its positional encoding added.
+        emotions : Tensor [shape=(R, T, 5 + A)]
+            Of each reading, as for `RigDecoder.forward`.
+        guidance : Tensor [shape=(B, T, E)] or None
+            As for `RigDecoder.forward`.
+        of : sequence of int
+            Place in the batch of the speech of each reading.
+
+        Returns
+        -------
+        Tensor [shape=(R, T, channels)]
+        """
+        rows = list(of)
+        return self.hidden(speech[rows], emotions, None if guidance is None else guidance[rows])
+
+    @torch.no_grad()
+    def readings(
+        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
+    ) -> Tensor:
+        """Curves (R, T, C) of several readings; arguments as `hidden_readings`."""
+        curves: Tensor = self.output(self.hidden_readings(speech, emotions, guidance, of))
+        return curves
 
     def styles(self, emotion: Tensor, n_frames: int) -> Tensor:
         """Style embedding of every frame (B, T, style) from weights (B, 5 + A) or (B, T, 5 + A)."""
@@ -153,8 +185,23 @@ class RigDecoder(Decoder):
         curves: Tensor = self.output(self.hidden(speech, emotion, guidance))
         if self.kept is None or self.is_kept is None:
             return curves
-        theirs = guidance if guidance is None else guidance[..., -self.guidance_size :]
+        theirs = self._of_kept(guidance)
         return torch.where(self.is_kept, self.kept(speech, emotion, theirs), curves)
+
+    @torch.no_grad()
+    def readings(
+        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
+    ) -> Tensor:
+        """Curves (R, T, C) of several readings; arguments as `hidden_readings`."""
+        curves = super().readings(speech, emotions, guidance, of)
+        if self.kept is None or self.is_kept is None:
+            return curves
+        theirs = self._of_kept(guidance)
+        return torch.where(self.is_kept, self.kept.readings(speech, emotions, theirs, of), curves)
+
+    def _of_kept(self, guidance: Tensor | None) -> Tensor | None:
+        """Guidance of the kept decoder."""
+        return guidance if guidance is None else guidance[..., -self.guidance_size :]
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
@@ -162,6 +209,44 @@ class RigDecoder(Decoder):
         for i, layer in enumerate(self.layers):
             x = self._joined(i, x, layer(torch.cat((x, extra), dim=1)))
         return x.transpose(1, 2)
+
+    @torch.no_grad()
+    def hidden_readings(
+        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
+    ) -> Tensor:
+        """Input of the last layer for several readings, by products of matrices.
+
+        What readings share, speech and intensity in each layer, is computed once. Arguments as
+        `Decoder.hidden_readings`.
+        """
+        layers = [layer for layer in self.layers if isinstance(layer, TemporalConv)]
+        (batch, length, width), channels = speech.shape, self.output.in_features
+        gap, size = max(layer.reach for layer in layers), channels + self.style.out_features
+        given = JoinedRows(batch, length, width + self.guidance_size, gap, speech)
+        given.rows[..., :width] = speech
+        if guidance is not None:
+            given.rows[..., width:] = guidance[..., : self.guidance_size]
+        shared = JoinedRows(batch, length, channels, gap, speech)
+        x, out = (JoinedRows(len(of), length, size, gap, speech) for _ in range(2))
+        x.rows[..., channels:] = out.rows[..., channels:] = self.styles(emotions, length)
+        # Columns: x has those of the layer before, then the style; a layer's weights have guidance
+        # after them. Nothing comes before the first layer but speech.
+        for i, layer in enumerate(layers):
+            before = channels if i else width
+            style = before + self.style.out_features
+            shared.inner()[:] = layer.conv.bias
+            if not i:
+                layer.add_products(shared.inner(), given, slice(width), slice(width))
+            layer.add_products(shared.inner(), given, slice(width, None), slice(style, None))
+            out.rows[..., :channels] = shared.rows[list(of)]
+            rows = out.inner()[:, :channels]
+            own = slice(None) if i else slice(channels, None)
+            layer.add_products(rows, x, own, slice(0 if i else before, style))
+            rows.relu_()
+            rows.copy_(self._joined(i, x.inner()[:, :channels], rows))
+            out.gaps[..., :channels] = 0
+            x, out = out, x
+        return x.rows[..., :channels]
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span)."""

@@ -30,7 +30,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
-from deitalk.models.network import read_twice
+from deitalk.models.network import neutral_and_acted
 from deitalk.pipeline.arguments import check_progress, whole_seed
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
@@ -198,12 +198,10 @@ def _head_coefficients(
 ) -> Iterator[Coefficients]:
     network = model.encoder.network
     analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
-
-    def describe(weights: Float32) -> torch.Tensor:
-        return network.describe(analysis, torch.from_numpy(weights).to(network.device))
-
-    readings = read_twice(describe, direction.emotion.at(speech.times))
+    weights = np.stack(neutral_and_acted(direction.emotion.at(speech.times)))
+    described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
     scale = measure_intensities(speech, analysis.tracks, direction).scale
+    readings = described[0], described[-1]
     return model.coefficients(
         *readings, torch.from_numpy(scale), torch.from_numpy(speech.shown), speaker
     )

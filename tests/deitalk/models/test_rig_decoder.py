@@ -9,7 +9,7 @@ from deitalk.models.rig_decoder import RigDecoder
 DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
 
 
-def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12):
+def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12, **options):
     torch.manual_seed(2)
     return RigDecoder(
         in_size=10,
@@ -22,6 +22,7 @@ def decoder(guidance_size=4, residual=False, dropout=0.0, channels=12):
         rest=torch.tensor([0.0, 1.0, 0.5]),
         dropout=dropout,
         residual=residual,
+        **options,
     )
 
 
@@ -101,3 +102,42 @@ def test_dropout_is_off_in_evaluation_mode():
     assert torch.equal(net(*data), net(*data))
     net.train()
     assert not torch.equal(net(*data), net(*data))
+
+
+@pytest.mark.parametrize("options", [{}, {"causal": True}, {"residual": True, "n_actors": 2}])
+@pytest.mark.parametrize("guidance_size", [0, 4])
+def test_readings_equal_the_forward_pass_of_each(options, guidance_size):
+    """Three readings of two speeches; clips shorter and longer than the reach of the kernels."""
+    net = decoder(guidance_size=guidance_size, **options).eval()
+    with torch.no_grad():
+        net.output.weight.normal_()
+    of = [0, 1, 1]
+    for frames in (1, 5, 40):
+        speech = torch.randn(2, frames, 10)
+        guidance = torch.randn(2, frames, guidance_size) if guidance_size else None
+        emotions = torch.rand(3, frames, 5 + options.get("n_actors", 0))
+        found = net.readings(speech, emotions, guidance, of)
+        given = guidance if guidance is None else guidance[of]
+        torch.testing.assert_close(found, net(speech[of], emotions, given), atol=1e-5, rtol=1e-5)
+
+
+def test_readings_of_kept_controls_are_those_of_the_kept_decoder():
+    net = decoder(kept=torch.tensor([True, False, False])).eval()
+    with torch.no_grad():
+        for layer in (net.output, net.kept.output):
+            layer.weight.normal_()
+    speech, guidance = torch.randn(1, 20, 10), torch.randn(1, 20, 8)
+    emotions = torch.rand(2, 20, 5)
+    found = net.readings(speech, emotions, guidance, [0, 0])
+    twice = speech.expand(2, -1, -1), emotions, guidance.expand(2, -1, -1)
+    torch.testing.assert_close(found, net(*twice), atol=1e-5, rtol=1e-5)
+
+
+def test_readings_follow_changed_weights():
+    net = decoder().eval()
+    speech, emotion, guidance = inputs(20)
+    given = speech, emotion.unsqueeze(1).expand(-1, 20, -1), guidance
+    net.readings(*given, [0])
+    with torch.no_grad():
+        net.layers[3].conv.weight.mul_(2)
+    torch.testing.assert_close(net.readings(*given, [0]), net(*given), atol=1e-5, rtol=1e-5)
