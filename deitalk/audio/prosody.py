@@ -129,7 +129,8 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
     low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
     piece = waveform[max(low, 0) : high].astype(np.float64)
     piece = np.pad(piece, (max(-low, 0), high - low - max(-low, 0) - len(piece)))
-    return measure_windows(piece[(centres - centres[0])[:, None] + np.arange(WINDOW)])
+    windows = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)
+    return measure_windows(windows[centres - centres[0]])
 
 
 def measure_windows(windows: Float64) -> Float64:

@@ -63,12 +63,12 @@ class SpectralGathering(nn.Module):
         self.convolve = nn.Sequential(
             FrequencyConv(3, first, 3, padding=1),
             nn.BatchNorm2d(first),
+            nn.MaxPool2d((2, 1)),  # before the activation, which rises: the same, with half of it
             nn.LeakyReLU(0.2),
-            nn.MaxPool2d((2, 1)),
             FrequencyConv(first, second, 3, padding=1),
             nn.BatchNorm2d(second),
-            nn.LeakyReLU(0.2),
             nn.MaxPool2d((2, 1)),
+            nn.LeakyReLU(0.2),
             FrequencyConv(second, third, 1),
             nn.BatchNorm2d(third),
             nn.LeakyReLU(0.2),

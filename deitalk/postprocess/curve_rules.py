@@ -7,7 +7,7 @@ Each rule has its numbers in `deitalk.config.rules`, and changes nothing where i
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -290,5 +290,12 @@ class Expression:
         return speaks
 
     def _named(self, *parts: str) -> NDArray[np.intp]:
-        names = self.controls.names
-        return np.array([i for i, n in enumerate(names) if any(p in n for p in parts)], np.intp)
+        return _places(self.controls.names, parts)
+
+
+@lru_cache(maxsize=64)
+def _places(names: tuple[str, ...], parts: tuple[str, ...]) -> NDArray[np.intp]:
+    """Places of the names that hold one of some parts; not to be changed."""
+    places = np.array([i for i, n in enumerate(names) if any(p in n for p in parts)], np.intp)
+    places.setflags(write=False)
+    return places

@@ -31,11 +31,10 @@ def gaussian_smooth(
     """
     radius = int(TRUNCATE * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
     if ends == "zero":
-        padded = np.pad(values, radius)
-    else:
-        padded = np.pad(values, radius, mode="symmetric")
-    return np.convolve(padded, kernel / kernel.sum(), mode="valid")
+        return np.convolve(values, kernel)[radius : radius + len(values)]
+    return np.convolve(np.pad(values, radius, mode="symmetric"), kernel, mode="valid")
 
 
 def sliding_maximum(values: Float32, size: int) -> Float32:

@@ -227,6 +227,8 @@ def test_pieces_of_any_length_give_the_whole_clip(settings, piece_frames, monkey
     whole = sum(model._frames(waveform, 0, n_frames, shift) for shift in model.shifts)[0]
     monkeypatch.setattr(whole_clip, "PIECE_FRAMES", piece_frames)
     assert_same(model.encode(waveform[0], n_frames), whole / len(model.shifts))
+    monkeypatch.setattr(whole_clip, "ONE_PIECE_FRAMES", 0)
+    assert_same(model.encode(waveform[0], n_frames), whole / len(model.shifts))
 
 
 @torch.no_grad()
@@ -235,6 +237,7 @@ def test_long_clips_keep_half_precision_between_layers(monkeypatch):
     waveform = noise(3.0)
     exact = model.encode(waveform[0], 90)
     monkeypatch.setattr(whole_clip, "EXACT_FRAMES", 89)
+    monkeypatch.setattr(whole_clip, "ONE_PIECE_FRAMES", 0)
     rounded = model.encode(waveform[0], 90)
     spread = float(exact.max() - exact.min())
     assert 0 < float((rounded - exact).abs().max()) < 1e-3 * spread
