@@ -234,6 +234,7 @@ class RigDecoder(Decoder):
         for i, layer in enumerate(layers):
             before = channels if i else width
             style = before + self.style.out_features
+            assert layer.conv.bias is not None
             shared.inner()[:] = layer.conv.bias
             if not i:
                 layer.add_products(shared.inner(), given, slice(width), slice(width))
