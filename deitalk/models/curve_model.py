@@ -23,8 +23,8 @@ from rig.arrays import Float32
 DECODE_FRAMES = 1024
 """Rig frames decoded at once on a long clip (34 s)."""
 
-TOGETHER_FRAMES = 600
-"""Most rig frames of recordings that are read together (20 s); longer ones gain nothing."""
+TOGETHER_FRAMES = 375
+"""Most rig frames of recordings that are read together (12.5 s); longer ones gain nothing."""
 
 
 class Output(NamedTuple):
@@ -190,6 +190,10 @@ class DEITalk(nn.Module):
     ) -> Reading:
         """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
         analysis = self.analyse(torch.from_numpy(sound), len(weights), progress, gain)
+        return self._acted(analysis, weights, actor)
+
+    def _acted(self, analysis: Analysis, weights: Float32, actor: str) -> Reading:
+        """Both readings of a clip."""
         styles = self.styles(torch.from_numpy(np.stack(neutral_and_acted(weights))), actor)
         readings = list(self.decode(analysis, styles.to(self.device)).cpu().numpy())
         return Reading(readings[0], readings[-1], analysis.tracks)
@@ -225,21 +229,9 @@ class DEITalk(nn.Module):
             row[: len(sound)] = torch.from_numpy(sound)
         speech = self.frontend.encode_together(waveforms.to(self.device), total)
         intensity = self.intensity(speech) if self.config.intensity else None
-        placed = self.place(
-            speech,
-            torch.arange(total, device=self.device).expand(len(sounds), -1),
-            torch.full((len(sounds),), total, device=self.device),
-        )
-        wanted = [(i, w) for i, each in enumerate(weights) for w in neutral_and_acted(each)]
-        styles = torch.stack([self.styles(torch.from_numpy(w), actors[i]) for i, w in wanted])
-        guidance, of = intensity.guidance if intensity else None, [i for i, _ in wanted]
-        curves = self.decoder.readings(placed, styles.to(self.device), guidance, of).cpu().numpy()
-        found: list[list[Float32]] = [[] for _ in sounds]
-        for i, rows in zip(of, curves, strict=True):
-            found[i].append(rows)
         return [
-            Reading(readings[0], readings[-1], _tracks_of(intensity, i))
-            for i, readings in enumerate(found)
+            self._acted(_analysis_of(speech, intensity, row), weights[row], actors[row])
+            for row in range(len(sounds))
         ]
 
     def styles(self, emotion: Tensor, actor: str) -> Tensor:
@@ -372,17 +364,17 @@ class DEITalk(nn.Module):
                 self.place(speech, frames, frames.new_tensor([total])),
                 emotions[:, first:last],
                 None if guidance is None else guidance[first:last].float().unsqueeze(0),
-                [0] * len(emotions),
             )
             rows[:, start:stop] = decoded[:, start - first : stop - first]
         return rows if emotion.dim() == 3 else rows[0]
 
 
-def _tracks_of(intensity: Intensity | None, row: int) -> Tracks:
-    """Saliency and strength of one recording of several."""
+def _analysis_of(speech: Tensor, intensity: Intensity | None, row: int) -> Analysis:
+    """Analysis of one recording of several."""
     if intensity is None:
-        return Tracks(None, None)
-    return Tracks(intensity.saliency[row].cpu().numpy(), intensity.strength[row].cpu().numpy())
+        return Analysis(speech[row], None, None, None)
+    rows = intensity.guidance[row], intensity.saliency[row], intensity.strength[row]
+    return Analysis(speech[row], *rows)
 
 
 def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:

@@ -41,35 +41,30 @@ class Decoder(nn.Module):
         raise NotImplementedError
 
     @torch.no_grad()
-    def hidden_readings(
-        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
-    ) -> Tensor:
-        """Input of the last layer for several readings, without gradients.
+    def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+        """Input of the last layer for several readings of one speech, without gradients.
 
         Parameters
         ----------
-        speech : Tensor [shape=(B, T, D)]
+        speech : Tensor [shape=(1, T, D)]
             With its positional encoding added.
         emotions : Tensor [shape=(R, T, 5 + A)]
             Of each reading, as for `RigDecoder.forward`.
-        guidance : Tensor [shape=(B, T, E)] or None
+        guidance : Tensor [shape=(1, T, E)] or None
             As for `RigDecoder.forward`.
-        of : sequence of int
-            Place in the batch of the speech of each reading.
 
         Returns
         -------
         Tensor [shape=(R, T, channels)]
         """
-        rows = list(of)
-        return self.hidden(speech[rows], emotions, None if guidance is None else guidance[rows])
+        size = len(emotions), -1, -1
+        shared = None if guidance is None else guidance.expand(size)
+        return self.hidden(speech.expand(size), emotions, shared)
 
     @torch.no_grad()
-    def readings(
-        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
-    ) -> Tensor:
-        """Curves (R, T, C) of several readings; arguments as `hidden_readings`."""
-        curves: Tensor = self.output(self.hidden_readings(speech, emotions, guidance, of))
+    def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+        """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
+        curves: Tensor = self.output(self.hidden_readings(speech, emotions, guidance))
         return curves
 
     def styles(self, emotion: Tensor, n_frames: int) -> Tensor:
@@ -189,15 +184,13 @@ class RigDecoder(Decoder):
         return torch.where(self.is_kept, self.kept(speech, emotion, theirs), curves)
 
     @torch.no_grad()
-    def readings(
-        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
-    ) -> Tensor:
-        """Curves (R, T, C) of several readings; arguments as `hidden_readings`."""
-        curves = super().readings(speech, emotions, guidance, of)
+    def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+        """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
+        curves = super().readings(speech, emotions, guidance)
         if self.kept is None or self.is_kept is None:
             return curves
         theirs = self._of_kept(guidance)
-        return torch.where(self.is_kept, self.kept.readings(speech, emotions, theirs, of), curves)
+        return torch.where(self.is_kept, self.kept.readings(speech, emotions, theirs), curves)
 
     def _of_kept(self, guidance: Tensor | None) -> Tensor | None:
         """Guidance of the kept decoder."""
@@ -211,23 +204,21 @@ class RigDecoder(Decoder):
         return x.transpose(1, 2)
 
     @torch.no_grad()
-    def hidden_readings(
-        self, speech: Tensor, emotions: Tensor, guidance: Tensor | None, of: Sequence[int]
-    ) -> Tensor:
-        """Input of the last layer for several readings, by products of matrices.
+    def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+        """Input of the last layer for several readings of one speech, by products of matrices.
 
-        What readings share, speech and intensity in each layer, is computed once. Arguments as
+        What they share, speech and in each layer intensity, is computed once. Arguments as
         `Decoder.hidden_readings`.
         """
         layers = [layer for layer in self.layers if isinstance(layer, TemporalConv)]
-        (batch, length, width), channels = speech.shape, self.output.in_features
+        (_, length, width), channels = speech.shape, self.output.in_features
         gap, size = max(layer.reach for layer in layers), channels + self.style.out_features
-        given = JoinedRows(batch, length, width + self.guidance_size, gap, speech)
+        given = JoinedRows(1, length, width + self.guidance_size, gap, speech)
         given.rows[..., :width] = speech
         if guidance is not None:
             given.rows[..., width:] = guidance[..., : self.guidance_size]
-        shared = JoinedRows(batch, length, channels, gap, speech)
-        x, out = (JoinedRows(len(of), length, size, gap, speech) for _ in range(2))
+        shared = JoinedRows(1, length, channels, gap, speech)
+        x, out = (JoinedRows(len(emotions), length, size, gap, speech) for _ in range(2))
         x.rows[..., channels:] = out.rows[..., channels:] = self.styles(emotions, length)
         # Columns: x has those of the layer before, then the style; a layer's weights have guidance
         # after them. Nothing comes before the first layer but speech.
@@ -239,7 +230,7 @@ class RigDecoder(Decoder):
             if not i:
                 layer.add_products(shared.inner(), given, slice(width), slice(width))
             layer.add_products(shared.inner(), given, slice(width, None), slice(style, None))
-            out.rows[..., :channels] = shared.rows[list(of)]
+            out.rows[..., :channels] = shared.rows
             rows = out.inner()[:, :channels]
             own = slice(None) if i else slice(channels, None)
             layer.add_products(rows, x, own, slice(0 if i else before, style))
