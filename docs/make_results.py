@@ -44,9 +44,11 @@ COMMANDS = {
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
+    "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
+    "--from none --set train.learning_rate=1e-3",
 }
 """What writes each report of ``docs/results``, `deitalk ablate` as its ``ablations.json`` and
-`deitalk finetune --folds` as its ``folds.json``."""
+`deitalk finetune` as its ``report.json``, with ``--folds`` as its ``folds.json``."""
 
 COLUMNS = (
     ("LibriSpeech", "default-test", "librispeech"),
@@ -321,42 +323,36 @@ def _variants(name: str, variants: dict[str, str], prediction: str, title: str) 
 
 FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
 """Scores of a fine-tuning on what it never saw."""
-FACEGOOD = {
-    "tuned": "facegood",
-}
-"""Heading and report of fine-tunings on the same takes."""
 FACEGOOD_JAW = "mouth_stretch_c"
 
 
 def facegood() -> str:
     """A rig of its own, each take left out in turn; then the error of every fold."""
-    reports = {head: report(name) for head, name in FACEGOOD.items()}
-    systems = {head: found["mean"]["after"] for head, found in reports.items()}
-    jaws = [found["controls"][FACEGOOD_JAW]["after_r"] for found in reports.values()]
-    means = _systems(systems | _baselines(reports["tuned"]))
-    means.append([f"r of `{FACEGOOD_JAW}`", *map(short, jaws), "–", "–"])
-    return f"{_table(means)}\n{_by_fold(reports)}"
+    found = report("facegood")
+    mean, folds = found["mean"], found["folds"]
+    jaw = short(found["controls"][FACEGOOD_JAW]["after_r"])
+    systems = {"tuned": mean["after"]} | _baselines(mean)
+    means = [*_systems("mean of the folds", systems), [f"r of `{FACEGOOD_JAW}`", jaw, "–", "–"]]
+    title = f"`{FOLDS[0]}`, from weights {found['base_sha256'][:8]}…"
+    errors = ["tuned", *(_known(scores[FOLDS[0]]) for scores in folds.values())]
+    return f"{_table(means)}\n{_table([[title, *folds], errors])}"
 
 
-def _baselines(found: Group) -> dict[str, Group]:
-    return {name: found["mean"][name] for name in ("loudness", "mean pose")}
+def from_nothing() -> str:
+    """A left-out take: the tuned model, and its network from random weights on the same data."""
+    take, found = "2_01", report("facegood-nothing")["scores"]
+    systems = {"tuned": report("facegood")["folds"][take], "from nothing": found["after"]}
+    return _table(_systems(f"{take} left out", systems | _baselines(found)))
 
 
-def _systems(systems: dict[str, Group]) -> list[list[str]]:
+def _baselines(scores: dict[str, Group]) -> dict[str, Group]:
+    return {name: scores[name] for name in ("loudness", "mean pose")}
+
+
+def _systems(title: str, systems: dict[str, Group]) -> list[list[str]]:
     """Scores down, systems across."""
     rows = [[f"`{s}`", *(_known(scores[s]) for scores in systems.values())] for s in FOLDS]
-    return [["mean of the folds", *systems], *rows]
-
-
-def _by_fold(reports: dict[str, Group]) -> str:
-    """Error of each fold, with the hash of the weights that it began with."""
-    rows = [
-        [head, *(_known(scores[FOLDS[0]]) for scores in found["folds"].values())]
-        for head, found in reports.items()
-    ]
-    first = next(iter(reports.values()))
-    title = f"`{FOLDS[0]}`, from weights {first['base_sha256'][:8]}…"
-    return _table([[title, *first["folds"]], *rows])
+    return [[title, *systems], *rows]
 
 
 def _known(value: float | None) -> str:
@@ -388,6 +384,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "ablations": ablations,
     "comparison": comparison,
     "facegood": facegood,
+    "from-nothing": from_nothing,
     "commands": commands,
 }
 
