@@ -27,6 +27,9 @@ from rig.controls import DEFAULT_ID
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
 """Parts of the names of controls that blinks and gaze move, whatever the emotion."""
+LOWER_LID = 0.14
+"""Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
+the nose (Evinger, Manning and Sibony 1991); amount by eye."""
 MOST_SHOWN = 1.5
 """Intensity above which accents and posture grow no more."""
 
@@ -93,6 +96,8 @@ def move_eyes(
         lid = controls.index(f"CTRL_{side}_eye_blink.ty")
         closure = np.maximum(lids[:, place], lowered)
         curves[:, lid] += closure * (1 - curves[:, lid])
+        squint = controls.index(f"CTRL_{side}_eye_squintInner.ty")
+        curves[:, squint] += LOWER_LID * lids[:, place] * (1 - curves[:, squint])
         for axis in (0, 1):
             curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += looks[:, axis]
 

@@ -15,7 +15,7 @@ from deitalk.postprocess.life.brows import (
     plan_brows,
 )
 from deitalk.postprocess.life.head import MOST_ASIDE, NOD_SECONDS, TURN, draw_nod, head_motion
-from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.motion import LOWER_LID, move_eyes, plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
@@ -87,6 +87,14 @@ def test_a_part_that_is_off_changes_no_other(part):
     kept = "brow_raiseIn" if part == "blinks" else "eye_blink"
     difference = np.abs(of(whole, kept) - of(without, kept))
     assert np.median(difference) < 0.02
+
+
+def test_blinks_draw_the_lower_lids_up():
+    curves = np.tile(CONTROLS.rest, (3, 1)).astype(np.float32)
+    lids = np.array([[0, 0], [1, 0.5], [0, 0]], np.float32)
+    move_eyes(curves, CONTROLS, np.array([[0.0, 0], [0, 0], [0, -20]]), lids)
+    np.testing.assert_allclose(of(curves, "eye_squintInner"), [0, LOWER_LID, 0], atol=1e-6)
+    np.testing.assert_allclose(of(curves, "eye_squintInner", "R")[1], LOWER_LID / 2, atol=1e-6)
 
 
 def test_neutral_brows_are_calm_and_alive():
