@@ -11,6 +11,7 @@
 import asyncio
 import json
 import logging
+from ipaddress import ip_address
 from time import monotonic, perf_counter
 from typing import Any
 from urllib.parse import urlsplit
@@ -24,6 +25,9 @@ from api.settings import Settings, is_loopback
 STUDIO_PATH = "/"
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", STUDIO_PATH)
 """Answered without a key and without a count: they tell nothing about anyone's work."""
+PROBE_PATHS = ("/healthz", "/readyz")
+"""Balancers and the container itself get these by the service's address, which is none of `hosts`;
+another site's page has a name."""
 MOST_HEADERS = 100
 HEADER_BYTES = 16 * 1024
 SUBPROTOCOL, KEY_SUBPROTOCOL = "deitalk", "deitalk.key."
@@ -85,7 +89,9 @@ class Guard:
                 headers={"Connection": "close"},
             )  # fmt: skip
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        self._check_host(headers.get(b"host", ""))
+        host = headers.get(b"host", "")
+        if not (scope["path"] in PROBE_PATHS and _is_address(host)):
+            self._check_host(host)
         if scope["path"] != STUDIO_PATH:  # a link of another site may open it
             self._check_origin(headers)
         if scope["path"] in OPEN_PATHS:
@@ -105,7 +111,7 @@ class Guard:
             raise Problem(415, "send the body without Content-Encoding")
 
     def _check_host(self, host: str) -> None:
-        name = (urlsplit(f"//{host}").hostname or "").lower() if _is_plain(host) else ""
+        name = _hostname(host)
         if name in self.hosts or (is_loopback(name) and self.settings.is_local):
             return
         if self.settings.keys and not self.settings.hosts:
@@ -183,8 +189,22 @@ def _key(headers: dict[bytes, str]) -> str | None:
     return None
 
 
-def _is_plain(host: str) -> bool:
-    return len(host) <= 255 and all(c.isalnum() or c in ".:[]-_" for c in host)
+def _hostname(host: str) -> str:
+    """Name or address of a Host header, without its port; empty if it is malformed."""
+    if len(host) > 255 or not all(c.isalnum() or c in ".:[]-_" for c in host):
+        return ""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:  # a bracket without the other
+        return ""
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ip_address(_hostname(host))
+    except ValueError:
+        return False
+    return True
 
 
 def _netloc(origin: str) -> str:

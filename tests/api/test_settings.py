@@ -1,5 +1,6 @@
 """Settings, keys, rates and formats without a server."""
 
+import asyncio
 import json
 import re
 import threading
@@ -19,6 +20,7 @@ from api.guard.middleware import Guard
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
 from api.messages.options import weights_of
+from api.metrics import Metrics
 from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
@@ -165,6 +167,36 @@ def test_hosts_of_loopback_are_known_by_every_spelling(tmp_path):
     for host in ("evil.example", "", "localhost.evil.example", "a b", "1" * 300):
         with pytest.raises(Problem):
             guard._check_host(host)
+
+
+async def _answer(guard, path, host):
+    """Status of a request; 200 where the guard passes it on."""
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "http", "method": "GET", "path": path, "state": {}}
+    await guard(scope | {"headers": [(b"host", host.encode())]}, None, send)
+    return sent[0]["status"] if sent else 200
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
+def test_probes_ask_by_address_where_the_service_has_a_name(tmp_path, host):
+    """The container's own check, and that of a balancer."""
+
+    async def passed(scope, receive, send):
+        pass
+
+    entry = {"name": "farm", "sha256": digest_of("dk_key"), "scopes": ["animate"]}
+    settings = Settings(host="0.0.0.0", data=tmp_path, keys=[entry], hosts=["voice.example"])
+    guard = Guard(passed, settings, Metrics())
+    for path in ("/healthz", "/readyz"):
+        assert asyncio.run(_answer(guard, path, host)) == 200
+        assert asyncio.run(_answer(guard, path, "voice.example")) == 200
+        for other in ("evil.example", "", "[x", "1.2.3.4.evil.example"):
+            assert asyncio.run(_answer(guard, path, other)) == 403
+    assert asyncio.run(_answer(guard, "/v1/models", host)) == 403
 
 
 def test_command_writes_the_schema(tmp_path):
