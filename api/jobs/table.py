@@ -114,7 +114,10 @@ def open_database(url: str) -> Engine:
     engine = sql.create_engine(url, pool_pre_ping=True)
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _tune_sqlite)
-    METADATA.create_all(engine)
+    try:
+        METADATA.create_all(engine)
+    except sql.exc.DBAPIError:  # another server that starts now made the table after the look
+        METADATA.create_all(engine)
     return engine
 
 

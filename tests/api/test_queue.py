@@ -8,11 +8,12 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sql
 
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
-from api.jobs.table import open_database
+from api.jobs.table import JOBS, METADATA, open_database
 from api.settings import SCOPES
 from tests.api.conftest import wav
 from tests.api.server import free_port, serving
@@ -72,6 +73,27 @@ def _exists(name: str) -> bool:
     except KeyError:
         return False
     return True
+
+
+def test_servers_that_start_together_share_a_new_table(database):
+    """The second one makes the table between the first one's look and its own making."""
+    engines = [sql.create_engine(database)]
+    JOBS.drop(engines[0], checkfirst=True)
+
+    def meanwhile(*given, **more):
+        if len(engines) == 1:
+            engines.append(sql.create_engine(database))
+            METADATA.create_all(engines[1])
+
+    sql.event.listen(JOBS, "before_create", meanwhile)
+    try:
+        engines.append(open_database(database))
+    finally:
+        sql.event.remove(JOBS, "before_create", meanwhile)
+    assert len(engines) == 3
+    assert all(sql.inspect(engine).has_table(JOBS.name) for engine in engines)
+    for engine in engines:
+        engine.dispose()
 
 
 def test_two_queues_share_jobs_without_doubling_one(database):
