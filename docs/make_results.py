@@ -27,6 +27,8 @@ _EVALUATE = "deitalk evaluate default"
 _ABLATE = "deitalk ablate --data corpus/ --steps 300"
 _TUNE = "deitalk finetune"
 _SHORT = "-o OUT --set train.steps=100 --set train.batch_size=4 --set train.evaluate_every=50"
+LIP_SPEAKERS = ("s03", "s32")
+"""Measured speakers from whom no embedded model learnt."""
 COMMANDS = {
     "default-test": f"{_EVALUATE} --data corpus/ --split test --most 90 --probes 12",
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
@@ -46,6 +48,12 @@ COMMANDS = {
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
     "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
     "--from none --set train.learning_rate=1e-3",
+    **{
+        f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
+        f"--leave-out {speaker} -o OUT --set train.steps=60 --set train.batch_size=4 "
+        "--set train.evaluate_every=30"
+        for speaker in LIP_SPEAKERS
+    },
 }
 """What writes each report of ``docs/results``, `deitalk ablate` as its ``ablations.json`` and
 `deitalk finetune` as its ``report.json``, with ``--folds`` as its ``folds.json``."""
@@ -338,6 +346,22 @@ def facegood() -> str:
     return f"{_table(means)}\n{_table([[title, *folds], errors])}"
 
 
+def captured_lips() -> str:
+    """Measured lips as a rig, speakers left out; with the r of every measure."""
+    systems, rs = {}, []
+    for speaker in LIP_SPEAKERS:
+        found = report(f"captured-lips-{speaker}")
+        systems[f"{speaker}, tuned"] = found["scores"]["after"]
+        systems[f"{speaker}, loudness"] = found["scores"]["loudness"]
+        rs.append([found["controls"][name]["after_r"] for name in MEASURES])
+    title = f"left out, from weights {found['base_sha256'][:8]}…"
+    rows = [
+        [f"r of the {name}", *(cell for r in values for cell in (short(r), "–"))]
+        for name, values in zip(MEASURES.values(), zip(*rs, strict=True), strict=True)
+    ]
+    return _table([*_systems(title, systems), *rows])
+
+
 def from_nothing() -> str:
     """A left-out take: the tuned model, and its network from random weights on the same data."""
     take, found = "2_01", report("facegood-nothing")["scores"]
@@ -385,6 +409,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "comparison": comparison,
     "facegood": facegood,
     "from-nothing": from_nothing,
+    "captured-lips": captured_lips,
     "commands": commands,
 }
 
