@@ -36,6 +36,7 @@ COMMANDS = {
     "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
     "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 --noise NOISE",
     "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
+    "default-speed": "deitalk benchmark --json",
     "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
     "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "

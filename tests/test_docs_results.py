@@ -76,3 +76,5 @@ def test_readme_has_the_scores_of_the_card(maker):
         opening, jaw = (maker.short(lips[f"{measure} r"], 2) for measure in ("opening", "jaw"))
         assert f"bilabial AUC {maker.short(auc)};" in row
         assert f"opening {opening}, jaw {jaw}" in row
+    speed = maker.report("default-speed")["clip"]["rtf_cpu"]
+    assert f"real-time factor {maker.short(speed)}" in rows["default"]
