@@ -33,9 +33,10 @@ def benchmark(
         _table_4(threads, repeats, as_json=as_json)
         return
     from deitalk.evaluation import benchmark_curves as measures
+    from deitalk.models.folder import describe_model
 
     lengths = (60.0, 600.0, 3600.0) if memory else ()
-    result: dict[str, Any] = {"model": model}
+    result: dict[str, Any] = {"model": model, "sha256": describe_model(model)["sha256"]}
     with bar("measuring") as progress:
         total = 2 + len(lengths)
         result["machine"] = measures.machine()

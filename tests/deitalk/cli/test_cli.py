@@ -226,6 +226,7 @@ def test_benchmark_prints_stages_and_the_numbers_of_the_paper(model):
     assert {"audio", "model", "network", "expression"} == set(result["clip"]["stages"])
     assert result["clip"]["rtf_cpu"] == pytest.approx(result["clip"]["cpu_seconds"])
     assert result["table_4_clip"]["clip_seconds"] == 5.1
+    assert re.fullmatch("[0-9a-f]{64}", result["sha256"])
 
 
 def test_every_command_has_help_and_is_on_its_page():
