@@ -45,9 +45,18 @@ class Performer:
         Where files are uploaded to; empty: they stay staged.
     backend : str
         ``torch`` or ``onnx``.
+    device : str
+        Where the network is, as for `deitalk.models.network.load_network`.
     """
 
-    def __init__(self, model: str, stage: str, url: str = "", backend: Backend = "torch") -> None:
+    def __init__(
+        self,
+        model: str,
+        stage: str,
+        url: str = "",
+        backend: Backend = "torch",
+        device: str = "cpu",
+    ) -> None:
         from deitalk.models.folder import describe_model
         from deitalk.models.network import is_onnx, load_network
 
@@ -55,7 +64,7 @@ class Performer:
             import torch
 
             torch.set_num_threads(1)
-        self.network: Any = load_network(model, backend=backend)
+        self.network: Any = load_network(model, backend=backend, device=device)
         self.about = describe_model(model)
         if not stage:
             stage = mkdtemp(prefix="deitalk-batch-")

@@ -24,6 +24,7 @@ from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url
 from deitalk.errors import DeitalkError
+from deitalk.models.devices import check_device, require_device
 from deitalk.models.network import Backend
 from rig.errors import TargetError
 
@@ -48,6 +49,7 @@ def animate_batch(
     timecode: str = "zero",
     model: str | Path = "default",
     backend: Backend = "torch",
+    device: str = "cpu",
     workers: int | None = None,
     ray: str | None = None,
     force: bool = False,
@@ -74,6 +76,8 @@ timecode
         Name or folder of a curve model, or an ``.onnx`` file.
     backend : str
         ``torch``, or ``onnx`` for ONNX Runtime.
+    device : str
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``: where the networks of all processes are.
     workers : int, optional
         Processes; by default one for each processor of this machine, or of the cluster.
     ray : str, optional
@@ -102,18 +106,27 @@ timecode
         digits=digits, timecode=timecode,
     )  # fmt: skip
     check_settings(defaults)
+    _check_device(device, ray)
     identity, count = model_identity(model, backend), _processes(workers, ray)
     plan = read_source(source, out, defaults)
     with _opened(out, source, force=force) as outputs:
         outputs.begin()
         batch = Batch(plan.lines, outputs, identity)
-        make = partial(Performer, str(model), outputs.stage, outputs.url, backend)
+        make = partial(Performer, str(model), outputs.stage, outputs.url, backend, device)
         with _pool(count, make, ray) as pool:
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)
         _write_tables(outputs, batch.rows)
     notes = (*_unused(plan.unused), *batch.notes)
     return BatchReport(batch.rows, str(out), monotonic() - began, notes)
+
+
+def _check_device(device: str, ray: str | None) -> None:
+    """Refuse a device that this machine lacks; those of a cluster are checked there."""
+    if device == "cpu" or ray is not None:
+        check_device(device)
+    else:
+        require_device(device)
 
 
 def _processes(workers: int | None, ray: str | None) -> int | None:

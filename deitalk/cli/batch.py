@@ -6,7 +6,16 @@ import typer
 
 from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import AnyModel, Backend, Digits, Emotion, Intensity, Json, Timecode
+from deitalk.cli.options import (
+    AnyModel,
+    Backend,
+    Device,
+    Digits,
+    Emotion,
+    Intensity,
+    Json,
+    Timecode,
+)
 
 if TYPE_CHECKING:
     from deitalk.batch.report import BatchReport
@@ -47,6 +56,7 @@ def batch(
     gain: Annotated[
         str, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
     ] = "",
+    device: Device = "cpu",
     workers: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
@@ -78,7 +88,7 @@ def batch(
             source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
             fps=fps, idle=idle, raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
             gain=gain, digits=digits, timecode=timecode,
-            model=model, backend=backend, workers=workers, ray=ray,  # type: ignore[arg-type]
+            model=model, backend=backend, device=device, workers=workers, ray=ray,  # type: ignore[arg-type]
             force=force, progress=progress,
         )  # fmt: skip
     for note in report.notes:

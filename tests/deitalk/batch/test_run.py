@@ -15,7 +15,7 @@ from deitalk.batch.lines import content_hash
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.corpus.engines import espeak
 from deitalk.emotions import read_actor
-from deitalk.errors import CheckpointError, DataError
+from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.evaluation.benchmark_curves import speechlike
 from rig import read_curves, write_curves
 from rig.errors import TargetError
@@ -353,6 +353,8 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         ({"formats": ""}, ValueError, "no format"),
         ({"emotion": "hapy"}, ValueError, "hapy"),
         ({"backend": "jax"}, ValueError, "torch or onnx"),
+        ({"device": "cuda:99"}, DeitalkError, r"torch finds \w+ CUDA device"),
+        ({"device": "gpu", "ray": "local"}, DeitalkError, "cuda:N"),
         ({"life": "nose=1"}, ValueError, "nose"),
         ({"listen": 1e9}, ValueError, "0 to 600"),
     ],
