@@ -36,6 +36,8 @@ COMMANDS = {
     "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
     "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 --noise NOISE",
     "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
+    "wav2vec": "deitalk evaluate runs/wav2vec/best --data corpus/ --split test --most 12 "
+    "--probes 0",
     "default-speed": "deitalk benchmark --json",
     "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
     "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
@@ -311,6 +313,33 @@ def ablations() -> str:
     return "\n".join((*alone, *ruled))
 
 
+WAV2VEC: dict[str, tuple[str, int]] = {
+    "bilabial AUC": ("bilabial_window_auc", 3),
+    "bilabials found": ("bilabial_hits_at_5_percent", 2),
+    "AUC of loudness": ("loudness_bilabial_window_auc", 3),
+    "jaw r": ("jaw_r", 3),
+    "jaw r of loudness": ("loudness_jaw_r", 3),
+    "mean r": ("articulation_r", 3),
+}
+"""Scores of a small wav2vec 2.0 and of loudness, and their digits."""
+
+
+def wav2vec() -> str:
+    """A small wav2vec 2.0 trained end to end, the network alone, beside loudness."""
+    found = report("wav2vec")
+    rows = [
+        [
+            title,
+            *(
+                short({**found["groups"][name], **found["network"][name]}[key], digits)
+                for key, digits in WAV2VEC.values()
+            ),
+        ]
+        for name, title in SOURCES.items()
+    ]
+    return _table([["test speakers", *WAV2VEC], *rows])
+
+
 def comparison() -> str:
     """DEITalk beside other networks, alone (DEITalk Table 1)."""
     return "\n".join(_variants("comparison", SYSTEMS, "network", "the network alone"))
@@ -408,6 +437,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "acted": acted,
     "ablations": ablations,
     "comparison": comparison,
+    "wav2vec": wav2vec,
     "facegood": facegood,
     "from-nothing": from_nothing,
     "captured-lips": captured_lips,

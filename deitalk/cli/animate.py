@@ -217,11 +217,11 @@ def _check(
 
 def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
     """Raise for an unknown head, and for one that nothing would show."""
+    if identity is None:
+        return
     from rig.face.identity import resolve_identity
     from rig.formats import checked_identity, find_format
 
-    if identity is None:
-        return
     resolve_identity(identity)
     if not is_folder:
         checked_identity(identity, find_format(out, writable=True))
