@@ -27,7 +27,7 @@ EDGE_FRAMES = 6
 
 
 def manner(prosody: Prosody, activity: Float32) -> Float32:
-    """Numbers that tell how a voice speaks [shape=(M,)].
+    """Measure the manner of a voice [shape=(M,)].
 
     Parameters
     ----------

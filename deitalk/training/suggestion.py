@@ -108,7 +108,7 @@ def _fold(speaker: str) -> int:
 
 
 def label_of(vote: str, asked: str) -> Label | None:
-    """Label of an actor's clip; None if it tells nothing of `NAMED`.
+    """Label of an actor's clip; None if neither the vote nor the emotion asked is in `NAMED`.
 
     Parameters
     ----------

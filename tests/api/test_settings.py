@@ -182,7 +182,7 @@ async def _answer(guard, path, host):
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
-def test_probes_ask_by_address_where_the_service_has_a_name(tmp_path, host):
+def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, host):
     """The container's own check, and that of a balancer."""
 
     async def passed(scope, receive, send):

@@ -70,18 +70,7 @@ class HeadFace(HeadLips):
         self.iris_radius = float(facts["eyeRadius"])
 
     def forward(self, curves: Tensor) -> Tensor:
-        """Measure curves.
-
-        Parameters
-        ----------
-        curves : Tensor [shape=(..., C)]
-            Values of the default controls.
-
-        Returns
-        -------
-        Tensor [shape=(..., M), cm]
-            `MEASURES`.
-        """
+        """Measure curves (..., C) as `HeadLips.forward`, by `MEASURES` of this module (..., M)."""
         inputs = self.inputs(curves)
         upper, lower, others = self.points(inputs)
         left, right, chin, nose, top, bottom = others[..., :6, :].unbind(-2)

@@ -37,7 +37,7 @@ def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
     assert not list(tmp_path.iterdir())
 
 
-def test_animate_writes_the_head_that_is_asked_for(tmp_path, monkeypatch):
+def test_animate_writes_the_given_head(tmp_path, monkeypatch):
     def write(path, curves, identity=0):
         path.write_text(str(identity))
 

@@ -99,9 +99,11 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
     assert unlike <= set(kind.model_fields)
 
 
-def test_embedded_weights_fit_their_recipe():
-    embedded = FOLDER.parent / "deitalk/models/weights/default/config.yaml"
-    assert load_config(FOLDER / "measured_lips.yaml").model == load_config(embedded).model
+@pytest.mark.parametrize(("recipe", "model"), [("measured_lips", "default"), ("live_lips", "live")])
+def test_embedded_weights_fit_their_recipe(recipe, model):
+    embedded = load_config(FOLDER.parent / "deitalk/models/weights" / model / "config.yaml")
+    wanted = load_config(FOLDER / f"{recipe}.yaml")
+    assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
 
 
 def test_conformer_fits_its_teacher():
