@@ -155,6 +155,16 @@ def test_animate_loads_no_slow_package_but_torch(tmp_path, out):
     assert done.stdout.splitlines()[-1] == "LOADED []"
 
 
+def test_animate_by_onnx_loads_no_settings_of_trainings(tmp_path):
+    """They are the classes of pydantic that take longest to build; the rules are read without."""
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    code = ANIMATE.format(sample=SAMPLE, out=str(tmp_path / "take"), slow={"torch", "scipy"})
+    code = code.replace('"-e"', '"--backend", "onnx", "-e"')
+    done = run(code + "print('deitalk.config.curves' in sys.modules)")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-2:] == ["LOADED []", "False"]
+
+
 def test_server_of_the_service_reads_no_model_and_no_torch():
     """Its workers do; a start takes seconds less, and the process 250 MB."""
     done = run("import sys, api.serving; print({'torch', 'librosa'} & set(sys.modules))")

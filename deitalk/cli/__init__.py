@@ -106,6 +106,7 @@ def main() -> None:
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
     that Ctrl-C, SIGTERM or SIGHUP stopped, otherwise 1.
     """
+    gc.set_threshold(10_000)  # imports make many objects and few cycles to search for
     escape_what_cannot_be_encoded()
     try:
         install()

@@ -103,8 +103,8 @@ def animate(
 
     deitalk animate speech.wav --transcript "My promise is big." -o take/
     """
-    is_folder = _is_folder(out)
-    target = Path(out)
+    _limit_blas(threads)
+    target, is_folder = Path(out), _is_folder(out)
     inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
@@ -143,6 +143,11 @@ def animate(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"{_acted(performance, options['emotion'])}"
     )
+
+
+def _limit_blas(threads: int) -> None:
+    """Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
 
 
 def _note(performance: "Performance") -> None:

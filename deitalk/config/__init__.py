@@ -4,21 +4,25 @@ A YAML file in ``configs/`` holds only what differs. Modules take plain numbers;
 of networks and trainings read these classes, and the rules after the network theirs.
 """
 
-from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
-from deitalk.config.finetuning import FinetuneConfig, TuneConfig
-from deitalk.config.frontends import (
-    CausalMelConfig,
-    ConformerConfig,
-    DEITalkFeaturesConfig,
-    KarrasConfig,
-    MelConfig,
-    SDFAMelConfig,
-    VocaConfig,
-    Wav2VecConfig,
-)
-from deitalk.config.load import AnyConfig, load_config, parse_config
-from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
-from deitalk.config.rules import Gates, Idle, KeepContacts, RulesConfig, VoiceIntensity
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
+    from deitalk.config.finetuning import FinetuneConfig, TuneConfig
+    from deitalk.config.frontends import (
+        CausalMelConfig,
+        ConformerConfig,
+        DEITalkFeaturesConfig,
+        KarrasConfig,
+        MelConfig,
+        SDFAMelConfig,
+        VocaConfig,
+        Wav2VecConfig,
+    )
+    from deitalk.config.load import AnyConfig, load_config, parse_config
+    from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
+    from deitalk.config.rules import Gates, Idle, KeepContacts, RulesConfig, VoiceIntensity
 
 __all__ = [
     "AnyConfig",
@@ -49,3 +53,29 @@ __all__ = [
     "load_config",
     "parse_config",
 ]
+
+_HOMES = {
+    "curves": ("Config", "DataConfig", "LossConfig", "ModelConfig", "TrainConfig"),
+    "finetuning": ("FinetuneConfig", "TuneConfig"),
+    "frontends": (
+        "CausalMelConfig",
+        "ConformerConfig",
+        "DEITalkFeaturesConfig",
+        "KarrasConfig",
+        "MelConfig",
+        "SDFAMelConfig",
+        "VocaConfig",
+        "Wav2VecConfig",
+    ),
+    "load": ("AnyConfig", "load_config", "parse_config"),
+    "mesh": ("MeshDataConfig", "MeshTrainConfig", "SDFAConfig", "SDFAModelConfig"),
+    "rules": ("Gates", "Idle", "KeepContacts", "RulesConfig", "VoiceIntensity"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a class at its first use: rules without the settings of networks and trainings."""
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"deitalk.config.{home}"), name)
+    raise AttributeError(f"module 'deitalk.config' has no attribute {name!r}")

@@ -4,24 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import (
-    ValidationError,
-)
-
 from deitalk.config.curves import Config
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
+from deitalk.config.section import checked
 from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
-from rig.errors import quoted, shorten
+from rig.errors import quoted
 
 AnyConfig = Config | SDFAConfig
 
 
 _KINDS: dict[str, type[AnyConfig]] = {"sdfa": SDFAConfig, "finetune": FinetuneConfig}
-_PROBLEMS = 5
-"""Largest number of problems in one message."""
 
 
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
@@ -37,24 +32,7 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
     ConfigError
         With the key, the value and the rule of every problem, in one line.
     """
-    try:
-        kind = _KINDS.get(str(tree.get("kind")), Config)
-        return kind.model_validate(tree)
-    except ValidationError as error:
-        items = error.errors(include_url=False, include_context=False)
-        problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
-        if len(items) > _PROBLEMS:
-            problems += f"; {len(items) - _PROBLEMS} more"
-        raise ConfigError(f"configuration: {problems}") from None
-
-
-def _problem(item: Any) -> str:
-    kinds = ("mel", "causal_mel", "wav2vec", "karras", "voca", "deitalk")
-    key = ".".join(str(part) for part in item["loc"] if part not in kinds)
-    rule = item["msg"].removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        rule = "unknown key"
-    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule}"
+    return checked(_KINDS.get(str(tree.get("kind")), Config), tree)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:

@@ -5,11 +5,14 @@ models that are trained on targets of phones; what an actor did should not be ch
 `RulesConfig.for_captures` leaves only the gates and the idle motion on.
 """
 
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
-from deitalk.config.section import Section
+from deitalk.config.section import Section, checked
+from deitalk.config.yaml_text import read_yaml
+from deitalk.errors import ConfigError
 from rig import limits
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -141,3 +144,17 @@ class RulesConfig(Section):
     def for_captures(cls) -> "RulesConfig":
         """Gates and idle motion alone, for models that are trained on an actor and their brows."""
         return cls.none().model_copy(update={"gates": Gates(), "idle": Idle(brows=0)})
+
+
+def read_rules(path: Path) -> RulesConfig | None:
+    """Rules of a model's ``config.yaml``, whose other settings are not read; None of a mesh model.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no mapping, or a rule has an unknown key or a bad value.
+    """
+    tree = read_yaml(path) or {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
+    return None if tree.get("kind") == "sdfa" else checked(RulesConfig, tree.get("rules", {}))

@@ -1,12 +1,13 @@
 """Types and limits of the fields of a configuration."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from deitalk.errors import ConfigError
 from rig import limits
-from rig.errors import quoted
+from rig.errors import quoted, shorten
 
 
 def _odd(value: int) -> int:
@@ -78,6 +79,38 @@ class Section(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
     )
+
+
+S = TypeVar("S", bound=Section)
+_PROBLEMS = 5
+"""Largest number of problems in one message."""
+
+
+def checked(kind: type[S], tree: Any) -> S:
+    """Settings of a tree of a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        With the key, the value and the rule of every problem, in one line.
+    """
+    try:
+        return kind.model_validate(tree)
+    except ValidationError as error:
+        items = error.errors(include_url=False, include_context=False)
+        problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
+        if len(items) > _PROBLEMS:
+            problems += f"; {len(items) - _PROBLEMS} more"
+        raise ConfigError(f"configuration: {problems}") from None
+
+
+def _problem(item: Any) -> str:
+    kinds = ("mel", "causal_mel", "wav2vec", "karras", "voca", "deitalk")
+    key = ".".join(str(part) for part in item["loc"] if part not in kinds)
+    rule = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        rule = "unknown key"
+    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule}"
 
 
 class Optimisation(Section):

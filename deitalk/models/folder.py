@@ -10,11 +10,11 @@
 """
 
 import hashlib
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
 from rig import limits
 from rig.errors import quoted
@@ -54,6 +54,8 @@ def model_folder(name_or_path: str | Path) -> Path:
 
 def is_causal(name_or_path: str | Path) -> bool:
     """Whether a model is for voices that have not ended (`deitalk.live`)."""
+    from deitalk.config import load_config
+
     config = load_config(model_folder(name_or_path) / "config.yaml")
     return config.model.frontend.kind == "causal_mel"
 
@@ -93,14 +95,15 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
 
     Of an ``.onnx`` file: its hash and size.
     """
+    from deitalk.config.rules import read_rules
+
     if str(name_or_path).endswith(".onnx"):
         return {"name": str(name_or_path), **_size_and_hash(Path(name_or_path))}
     folder = model_folder(name_or_path)
     about = read_about(folder)
     about.pop("controls", None)
-    config = load_config(folder / "config.yaml")
-    if isinstance(config, Config):
-        about["rules"] = config.rules.model_dump(mode="json")
+    if (rules := read_rules(folder / "config.yaml")) is not None:
+        about["rules"] = rules.model_dump(mode="json")
     return {"name": str(name_or_path), **about, **_size_and_hash(folder / "model.safetensors")}
 
 
@@ -111,8 +114,15 @@ def weights_hash(folder: Path) -> str:
 
 def _size_and_hash(path: Path) -> dict[str, int | str]:
     size = check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+    found = path.stat()
+    return {"bytes": size, "sha256": _hash(path, (found.st_ino, found.st_mtime_ns, size))}
+
+
+@lru_cache(maxsize=64)
+def _hash(path: Path, _state: tuple[int, ...]) -> str:
+    """Hash of a file, once for each state of it."""
     digest = hashlib.sha256()
     with open_file(path, limits.WEIGHTS_BYTES, error=CheckpointError) as stream:
         while part := stream.read(limits.MIB):
             digest.update(part)
-    return {"bytes": size, "sha256": digest.hexdigest()}
+    return digest.hexdigest()

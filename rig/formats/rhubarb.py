@@ -8,7 +8,6 @@ import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 from rig.controls import ControlSet, default_controls
 from rig.conversion.visemes import Cue, cues, cues_to_curves
@@ -73,6 +72,8 @@ def read_json_cues(
 
 def write_xml(path: Path, curves: RigCurves, sound: str = "") -> None:
     """Write ``rhubarbResult`` with the path of the sound."""
+    from xml.sax.saxutils import escape  # imports a client of HTTP
+
     lines = [
         f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
         for cue in cues(curves)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.corpus.engines import espeak
 from deitalk.corpus.phone_alphabets import ipa_to_phones, spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.phones import PHONES, SILENCE
@@ -138,6 +137,8 @@ def is_words_file(given: str) -> bool:
 
 def check_language(language: str) -> None:
     """Refuse a language that espeak-ng has no voice for; MissingError without espeak-ng."""
+    from deitalk.corpus.engines import espeak
+
     if (reason := espeak.missing()) is not None:
         raise MissingError(f"words need espeak-ng for their sounds; {reason}, or give phones")
     if not isinstance(language, str) or not espeak.has_voice(language):
@@ -195,6 +196,8 @@ def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
 
 def _pronounced(text: str, language: str) -> list[Word]:
     """Words of a text with their phones, clause by clause."""
+    from deitalk.corpus.engines import espeak
+
     words: list[Word] = []
     for clause in _CLAUSE.findall(text):
         written = [w for w in clause.split() if any(c.isalnum() for c in w)]
@@ -210,6 +213,8 @@ def _pronounced(text: str, language: str) -> list[Word]:
 
 
 def _spoken(word: str, language: str) -> list[tuple[str, ...]]:
+    from deitalk.corpus.engines import espeak
+
     return spoken_words(espeak.pronounce(word, voice=language), language)
 
 

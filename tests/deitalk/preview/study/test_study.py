@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,14 @@ def test_curves_take_the_recording_of_the_take_of_their_name(tmp_path):
         read_clip(tmp_path / "b/x.json", None)
 
 
+def reload_with_answers(tab, patience_seconds: float = 20) -> None:
+    """Reload until the kept answers are there: a reload at once may overtake the browser's storage."""
+    end = time.monotonic() + patience_seconds
+    tab.reload()
+    while tab.locator("#intro").is_visible() and time.monotonic() < end:
+        tab.reload()
+
+
 def test_page_asks_for_every_trial_and_saves_the_answers(built, tmp_path):
     """Only after all clips have ended; the answers are those that the report reads."""
     out, key = built
@@ -196,7 +205,7 @@ def test_page_asks_for_every_trial_and_saves_the_answers(built, tmp_path):
         n = len(pages(out)[6])
         for k in range(n):
             if k == 2:
-                tab.reload()
+                reload_with_answers(tab)
             assert tab.locator("figure button").first.is_disabled()
             tab.keyboard.press("1")  # too early: ignored
             tab.keyboard.press(" ")

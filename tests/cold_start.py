@@ -1,0 +1,58 @@
+"""Time of a whole `deitalk animate` beside that of ``import torch``: ``python -m tests.cold_start``.
+
+Processes of their own, with bytecode and exports cached by a first run, in turn; medians of
+processor time and of wall time. Run it with nothing beside.
+"""
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
+RUNS = 7
+
+
+def spent(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
+    """Processor and wall seconds of one process."""
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    command = [sys.executable, *arguments]
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall
+
+
+def main() -> None:
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": ""}
+    with tempfile.TemporaryDirectory() as folder:
+        environment["PYTHONPYCACHEPREFIX"] = f"{folder}/bytecode"
+        animate = ["-m", "deitalk", "animate", str(SAMPLE), "-e", "happy", "--force"]
+        commands = {"import torch": ["-c", "import torch"]}
+        for backend in ("torch", "onnx"):
+            for out in ("curves.csv", "take/"):
+                name = f"animate --backend {backend} -o {out}"
+                commands[name] = [*animate, "--backend", backend, "-o", f"{folder}/{backend}-{out}"]
+        for command in commands.values():
+            spent(command, environment)
+        times: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
+        for _ in range(RUNS):
+            for name, command in commands.items():
+                times[name].append(spent(command, environment))
+    medians = {
+        name: [statistics.median(column) for column in zip(*runs, strict=True)]
+        for name, runs in times.items()
+    }
+    unit = medians["import torch"]
+    for name, (processor, wall) in medians.items():
+        sys.stdout.write(
+            f"{name:40s} {processor:.2f} s of processors, {wall:.2f} s; "
+            f"of import torch {processor / unit[0]:.2f} and {wall / unit[1]:.2f}\n"
+        )
+
+
+if __name__ == "__main__":
+    main()
