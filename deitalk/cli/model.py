@@ -1,4 +1,4 @@
-"""`deitalk model`: description of a model, and export of a copy."""
+"""`deitalk model`: description of a model, export of a copy, a mix of two."""
 
 import json
 from pathlib import Path
@@ -70,6 +70,45 @@ def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
     network = require_model(model, DEITalk)
     config = without_paths(load_config(source / "config.yaml"))
     summary = describe_model(model)["training"] | ({"data": data} if data else {})
+    if "base" in summary:
+        summary["base"] = Path(summary["base"]).name
+    save_model(out, network, config, summary, half=True)
+    console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+
+
+@app.command()
+def mix(
+    before: Annotated[str, typer.Argument(help="Model before a training, such as default.")],
+    after: Annotated[str, typer.Argument(help="Model after it, such as runs/mine/best.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    share: Annotated[
+        float, typer.Option(min=0, max=1, help="Of the second model's weights; 0 is the first.")
+    ] = 0.5,
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Write a model between two of the same network: a part of what a training changed.
+
+    Rules and other settings are those of the second model. The weights are stored in half
+    precision.
+
+    Examples
+    --------
+    deitalk model mix default runs/mine/best --share 0.6 -o softer/
+    """
+    from deitalk.config.load import load_config, without_paths
+    from deitalk.models.checkpoint import require_model, save_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import describe_model, model_folder, weights_hash
+    from deitalk.training.tuning.mix import mix_models
+
+    folders = [model_folder(model) for model in (before, after)]
+    inputs = tuple(folder / "model.safetensors" for folder in folders)
+    reserve_folder(out, kind="model", force=force, inputs=inputs)
+    network = mix_models(require_model(before, DEITalk), require_model(after, DEITalk), share)
+    config = without_paths(load_config(folders[1] / "config.yaml"))
+    summary = describe_model(after)["training"] | {
+        "mixed": {"share": share, "sha256": [weights_hash(folder) for folder in folders]}
+    }
     if "base" in summary:
         summary["base"] = Path(summary["base"]).name
     save_model(out, network, config, summary, half=True)

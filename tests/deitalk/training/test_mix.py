@@ -1,0 +1,73 @@
+"""Weights between two models: a line, its ends, and networks that do not fit one another."""
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from deitalk.cli import app
+from deitalk.config import load_config, parse_config
+from deitalk.errors import CheckpointError
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import describe_model, weights_hash
+from deitalk.training.tuning.mix import mix_models
+from rig.errors import ExistsError
+from tests.deitalk.training.test_finetuning import TINY
+
+
+def model(seed: int, **settings) -> DEITalk:
+    torch.manual_seed(seed)
+    return DEITalk(load_config(TINY).model.model_copy(update=settings)).eval()
+
+
+def test_every_weight_lies_on_the_line_between_the_two():
+    before, after = model(0), model(1)
+    kept = {name: value.clone() for name, value in after.state_dict().items()}
+    mixed = mix_models(before, after, 0.25).state_dict()
+    for name, old in before.state_dict().items():
+        if old.is_floating_point():
+            assert torch.allclose(mixed[name], 0.75 * old + 0.25 * kept[name], atol=1e-6), name
+        else:
+            assert torch.equal(mixed[name], kept[name])
+        assert torch.equal(after.state_dict()[name], kept[name])
+
+
+def test_a_share_of_0_and_of_1_are_the_two_models():
+    before, after = model(0), model(1)
+    for share, wanted in ((0, before), (1, after)):
+        mixed = mix_models(before, after, share)
+        sound = 0.1 * torch.randn(8000)
+        style = torch.eye(5)[2].expand(15, -1)
+        found, true = (m.decode(m.analyse(sound, 15), style) for m in (mixed, wanted))
+        assert torch.equal(found, true)
+
+
+def test_models_that_do_not_fit_are_refused():
+    with pytest.raises(CheckpointError, match=r"share 1\.5 is beyond 0 to 1"):
+        mix_models(model(0), model(1), 1.5)
+    with pytest.raises(CheckpointError, match=r"the networks differ: .* of the same actors"):
+        mix_models(model(0), model(1, actors=("anna", "ben")), 0.5)
+
+
+def test_command_writes_a_model_that_names_both(tmp_path):
+    config = load_config(TINY)
+    other = parse_config({**config.model_dump(), "rules": {"dead_zone": None}})
+    for name, seed, settings in (("before", 0, config), ("after", 1, other)):
+        save_model(tmp_path / name, model(seed), settings, {"steps": 7, "base": str(tmp_path)})
+    folders = [str(tmp_path / name) for name in ("before", "after")]
+    command = ["model", "mix", *folders, "--share", "0.25", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    mixed = load_model(tmp_path / "out").state_dict()
+    first, second = (m.state_dict() for m in map(load_model, folders))
+    for name, value in mixed.items():
+        assert torch.allclose(
+            value, torch.lerp(first[name].float(), second[name].float(), 0.25).to(value), atol=2e-3
+        )
+    about = describe_model(tmp_path / "out")
+    assert about["rules"]["dead_zone"] is None
+    assert about["training"]["steps"] == 7 and about["training"]["base"] == tmp_path.name
+    hashes = [weights_hash(tmp_path / name) for name in ("before", "after")]
+    assert about["training"]["mixed"] == {"share": 0.25, "sha256": hashes}
+    again = CliRunner().invoke(app, command)
+    assert isinstance(again.exception, ExistsError)
