@@ -19,6 +19,7 @@ DOCUMENTS = (
     DOCS / "ablations.md",
     DOCS / "comparison.md",
     DOCS / "finetuning.md",
+    DOCS / "sdfa.md",
     RESULTS / "README.md",
 )
 _TABLE = re.compile(r"(<!-- table (\S+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
@@ -48,6 +49,8 @@ COMMANDS = {
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
+    "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
+    "-o runs/mesh_ablations --seeds 2 --most 16 --set data.clips=480",
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
     "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
     "--from none --set train.learning_rate=1e-3",
@@ -345,6 +348,36 @@ def comparison() -> str:
     return "\n".join(_variants("comparison", SYSTEMS, "network", "the network alone"))
 
 
+MESH_VARIANTS = {
+    "full": "SDFA small",
+    "no_spec_bilstm": "convolutions in place of the Spec-BiLSTM",
+    "no_attention": "convolutions in place of the attention",
+    "no_centre": "no path around the attention",
+    "karras": "Karras-style, offsets",
+    "voca": "VOCA-style, offsets",
+}
+MESH_METRICS = {
+    "lips_mm": ("lips, mean error, mm", 1, 2),
+    "unsealed_bilabial_gap_mm": ("p b m, median gap before the seal, mm", 1, 2),
+    "unsealed_bilabial_closed": ("closed to 1 mm before the seal, %", 100, 0),
+    "bilabial_closed": ("closed, sealed where the model has a seal, %", 100, 0),
+    "vowel_closed": ("vowels closed, %", 100, 1),
+}
+
+
+def mesh_ablations() -> str:
+    """SDFA without its parts, and two older networks (§5.2.2, Table 4's rows)."""
+    table = report("mesh-ablations")
+    rows = [
+        [shown, *(_spread(table[name]["groups"]["all"], m, MESH_METRICS) for m in MESH_METRICS)]
+        for name, shown in MESH_VARIANTS.items()
+        if name in table
+    ]
+    still = table["full"]["groups"]["all"]["still_mm"]["mean"]
+    title = f"test recordings; lips at rest: {short(still, 2)} mm"
+    return _table([[title, *(head for head, _, _ in MESH_METRICS.values())], *rows])
+
+
 def _variants(name: str, variants: dict[str, str], prediction: str, title: str) -> list[str]:
     """A table of each source of a report of `deitalk ablate`: variants down, scores across."""
     table, heads = report(name), [head for head, _, _ in METRICS.values()]
@@ -419,8 +452,10 @@ def commands() -> str:
     return _table([["report", "command"], *rows])
 
 
-def _spread(scores: dict[str, Group], metric: str) -> str:
-    (_, factor, digits), score = METRICS[metric], scores[metric]
+def _spread(
+    scores: dict[str, Group], metric: str, metrics: dict[str, tuple[str, int, int]] = METRICS
+) -> str:
+    (_, factor, digits), score = metrics[metric], scores[metric]
     if not score["n"]:
         return "–"
     mean = short(factor * score["mean"], digits)
@@ -438,6 +473,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "ablations": ablations,
     "comparison": comparison,
     "wav2vec": wav2vec,
+    "mesh-ablations": mesh_ablations,
     "facegood": facegood,
     "from-nothing": from_nothing,
     "captured-lips": captured_lips,

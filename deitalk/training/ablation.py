@@ -6,6 +6,8 @@ A variant is a file of a few lines: a base configuration and overrides (``config
     OUT/<variant>/seed0/      a run folder (see `deitalk.training.run_folder`)
     OUT/<variant>/seed0/report.json    its evaluation; a run that has one is done
     OUT/ablations.json, OUT/ablations.md
+
+Variants of a mesh model share the meshes that the first run builds of the dataset folder.
 """
 
 import json
@@ -17,15 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.config import Config, load_config
+from deitalk.config import AnyConfig, Config, SDFAConfig, load_config
 from deitalk.config.yaml_text import read_yaml
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.curves import evaluate
+from deitalk.evaluation.mesh import evaluate_mesh
 from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.mesh_model import MeshModel
 from deitalk.training.curves import train_curves
+from deitalk.training.mesh import train_mesh
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
@@ -34,9 +39,16 @@ METRICS = {
     "articulation_r": "mean r", "intensity_rho": "intensity Spearman",
     "jerk_per_speed": "jerk / speed", "separation": "style separation",
 }  # fmt: skip
-"""Rows of the evaluation that are in the tables, and their titles there."""
+"""Scores of curves that are in the tables, and their titles there."""
+MESH_METRICS = {
+    "lips_mm": "lips, mm", "still_mm": "at rest, mm", "bilabial_closed": "p b m closed",
+    "unsealed_bilabial_closed": "closed before the seal",
+    "unsealed_bilabial_gap_mm": "median gap before the seal, mm", "vowel_closed": "vowels closed",
+}  # fmt: skip
+"""The same of meshes."""
 PREDICTIONS = {"network": "the network alone", "groups": "with the rules of the model"}
 """Parts of the evaluation that are compared: rules after a network hide what it lacks."""
+MESHES = {"groups": "meshes"}
 FULL = "full"
 """The variant that comes first in the table."""
 KIND = "ablations"
@@ -52,15 +64,12 @@ class Variant:
     base: Path
     overrides: tuple[str, ...]
 
-    def config(self, seed: int, steps: int | None, common: Sequence[str] = ()) -> Config:
+    def config(self, seed: int, steps: int | None, common: Sequence[str] = ()) -> AnyConfig:
         """Configuration of one run; `common` are overrides that every variant has."""
         run = [f"name={self.name}", f"train.seed={seed}"]
         if steps is not None:
             run += [f"train.steps={steps}"]
-        config = load_config(self.base, [*common, *self.overrides, *run])
-        if not isinstance(config, Config):
-            raise ConfigError(f"{self.base}: SDFA has no ablations here; base on a DEITalk config")
-        return config
+        return load_config(self.base, [*common, *self.overrides, *run])
 
 
 def read_variants(folder: Path) -> list[Variant]:
@@ -69,12 +78,17 @@ def read_variants(folder: Path) -> list[Variant]:
     Raises
     ------
     ConfigError
-        If there is none, or a file is not a base and a list of overrides.
+        If there is none, a file is not a base and a list of overrides, or some are of curves
+        and some of meshes.
     """
     files = sorted(folder.glob("*.yaml"), key=lambda path: (path.stem != FULL, path.stem))
     if not files:
         raise ConfigError(f"{folder}: holds no .yaml; each gives a base and overrides")
-    return [_variant(path) for path in files]
+    variants = [_variant(path) for path in files]
+    kinds = {type(variant.config(0, None)) for variant in variants}
+    if len(kinds) > 1 or not kinds <= {Config, SDFAConfig}:
+        raise ConfigError(f"{folder}: base all variants on configurations of curves, or of meshes")
+    return variants
 
 
 def _variant(path: Path) -> Variant:
@@ -162,7 +176,9 @@ def _ablate(
         for variant in variants:
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
-            report = _report(folder, config, data, options, progress, frozen_features)
+            meshes = out / variants[0].name / "seed0" / "meshes"
+            source = meshes if isinstance(config, SDFAConfig) and meshes.is_dir() else data
+            report = _report(folder, config, source, options, progress, frozen_features)
             reports[variant.name].append(report)
             table[variant.name] = _summary(reports[variant.name])
             _write(out, table, options["split"], seed + 1)
@@ -171,29 +187,34 @@ def _ablate(
 
 def _report(
     folder: Path,
-    config: Config,
-    data: Path,
+    config: AnyConfig,
+    source: Path,
     options: dict[str, Any],
     progress: Progress,
     frozen_features: Callable[[str], FrozenFeatures],
 ) -> dict[str, Any]:
-    """The evaluation of one run: read, or made."""
+    """The evaluation of one run: read, or made; `source` trains it."""
     path = folder / "report.json"
     name = f"{folder.parent.name} {folder.name}"
     if path.is_file():
         return _finished(path, config, options)
-    frozen = config.train.frozen_frontend
-    features = None if frozen is None else frozen_features(frozen)
-    _train(folder, config, data, features, lambda share: progress(name, share))
-    chosen = {key: options[key] for key in ("split", "most", "probes")}
-    report = evaluate(require_model(folder / "best", DEITalk), data, **chosen)
+    _train(folder, config, source, frozen_features, lambda share: progress(name, share))
+    report = _evaluate(folder / "best", config, options)
     with atomic_write(path) as beside:
         beside.write_text(as_json(report | {"asked": options}), encoding="utf-8")
     loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return loaded
 
 
-def _finished(path: Path, config: Config, options: dict[str, Any]) -> dict[str, Any]:
+def _evaluate(model: Path, config: AnyConfig, options: dict[str, Any]) -> dict[str, Any]:
+    data = Path(options["data"])
+    chosen = {key: options[key] for key in ("split", "most")}
+    if isinstance(config, SDFAConfig):
+        return evaluate_mesh(require_model(model, MeshModel), data, **chosen)
+    return evaluate(require_model(model, DEITalk), data, probes=options["probes"], **chosen)
+
+
+def _finished(path: Path, config: AnyConfig, options: dict[str, Any]) -> dict[str, Any]:
     """Read a finished report; check that it is of the same settings."""
     try:
         report: dict[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -209,30 +230,37 @@ def _finished(path: Path, config: Config, options: dict[str, Any]) -> dict[str, 
 
 def _train(
     folder: Path,
-    config: Config,
+    config: AnyConfig,
     data: Path,
-    frozen_features: FrozenFeatures | None,
+    frozen_features: Callable[[str], FrozenFeatures],
     progress: Callable[[float], None],
 ) -> None:
-    train_curves(
-        config,
-        data,
-        folder,
-        resume=True,
-        frozen_features=frozen_features,
-        progress=lambda step, total, values: progress(step / total),
-    )
+    def told(step: int, total: int, _values: Any) -> None:
+        progress(step / total)
+
+    if isinstance(config, SDFAConfig):
+        train_mesh(config, data, folder, resume=True, progress=told)
+        return
+    frozen = config.train.frozen_frontend
+    features = None if frozen is None else frozen_features(frozen)
+    train_curves(config, data, folder, resume=True, frozen_features=features, progress=told)
 
 
 def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     """Mean and standard deviation over the seeds, per prediction and source."""
+    predictions, metrics = _shown(reports[0])
     return {
         prediction: {
-            source: {metric: _spread(reports, prediction, source, metric) for metric in METRICS}
+            source: {metric: _spread(reports, prediction, source, metric) for metric in metrics}
             for source in reports[0]["groups"]
         }
-        for prediction in PREDICTIONS
+        for prediction in predictions
     }
+
+
+def _shown(report: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
+    """Titles of the predictions and of the metrics of a report or of a row of the table."""
+    return (PREDICTIONS, METRICS) if "network" in report else (MESHES, MESH_METRICS)
 
 
 def _spread(
@@ -264,16 +292,16 @@ def _write(out: Path, table: dict[str, Any], split: str, seeds: int) -> None:
 def as_markdown(table: dict[str, Any], split: str, seeds: int) -> str:
     """Two tables a source: variants down, metrics across, mean ± standard deviation."""
     lines = [f"Split: {split}; {seeds} seeds, mean ± standard deviation."]
-    sources = list(
-        dict.fromkeys(source for scores in table.values() for source in scores["network"])
-    )
+    predictions, metrics = _shown(next(iter(table.values())))
+    first = next(iter(predictions))
+    sources = list(dict.fromkeys(source for scores in table.values() for source in scores[first]))
     for source in sources:
-        for prediction, title in PREDICTIONS.items():
-            lines += ["", f"## {source}, {title}", "", "| | " + " | ".join(METRICS.values()) + " |"]
-            lines.append("|---" * (len(METRICS) + 1) + "|")
+        for prediction, title in predictions.items():
+            lines += ["", f"## {source}, {title}", "", "| | " + " | ".join(metrics.values()) + " |"]
+            lines.append("|---" * (len(metrics) + 1) + "|")
             for name, scores in table.items():
                 row = scores[prediction].get(source, {})
-                cells = [_cell(row.get(metric)) for metric in METRICS]
+                cells = [_cell(row.get(metric)) for metric in metrics]
                 lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

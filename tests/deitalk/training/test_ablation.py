@@ -1,9 +1,11 @@
 """Ablations: variants are read, trained, scored and resumed."""
 
+import json
 from pathlib import Path
 
 import pandas as pd
 import pytest
+import yaml
 
 import deitalk.training.ablation
 import deitalk.training.trainer
@@ -12,6 +14,8 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.training.ablation import Variant, ablate, as_markdown, read_variants
 from rig.errors import TargetError
 from tests.dataset import write_dataset
+from tests.deitalk.models.test_mesh_model import VOCA
+from tests.deitalk.models.test_mesh_model import tiny as tiny_mesh
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
@@ -57,13 +61,13 @@ def test_variants_change_the_settings_in_their_names():
         ("base: 3\noverrides: []", "must be a file"),
         ("base: absent.yaml\noverrides: []", "does not exist"),
         ("base: base.yaml\noverrides: [loss.velocty=0]", "unknown key"),
-        ("base: sdfa.yaml\noverrides: []", "SDFA has no ablations"),
+        ("base: tuning.yaml\noverrides: []", "of curves, or of meshes"),
         (": :", "cannot be read as YAML"),
     ],
 )
 def test_read_variants_rejects_a_wrong_file(tmp_path, text, message):
     (tmp_path / "base.yaml").write_text("")
-    (tmp_path / "sdfa.yaml").write_text("kind: sdfa")
+    (tmp_path / "tuning.yaml").write_text("kind: finetune")
     folder = tmp_path / "variants"
     folder.mkdir()
     (folder / "a.yaml").write_text(text.replace("base: ", "base: ../"))
@@ -72,6 +76,13 @@ def test_read_variants_rejects_a_wrong_file(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as caught:
         read_variants(folder)
     assert "\n" not in str(caught.value)
+
+
+def test_read_variants_rejects_curves_beside_meshes(tmp_path):
+    for name in ("mel", "voca"):
+        (tmp_path / f"{name}.yaml").write_text(f"base: {CONFIGS / name}.yaml\noverrides: []")
+    with pytest.raises(ConfigError, match="of curves, or of meshes"):
+        read_variants(tmp_path)
 
 
 def test_read_variants_rejects_an_empty_folder(tmp_path):
@@ -147,6 +158,49 @@ def test_ablation_rejects_other_settings_and_edited_files(data, tmp_path):
     (out / "full/seed0/report.json").write_text("[")
     with pytest.raises(DataError, match=r"report\.json: no evaluation; remove it"):
         ablate(VARIANTS[:1], data, out, **options)
+
+
+@pytest.mark.slow  # builds the meshes of two heads
+def test_variants_of_a_mesh_model_share_the_meshes_of_the_first_run(tmp_path):
+    data = write_dataset(tmp_path / "data", 2, 5)
+    base = tmp_path / "tiny.yaml"
+    base.write_text(yaml.safe_dump(tiny_mesh(VOCA, "offsets", steps=2).model_dump(mode="json")))
+    variants = [Variant("full", base, ()), Variant("slow", base, ("train.learning_rate=1e-5",))]
+    out = tmp_path / "runs"
+    options = {"seeds": 1, "split": "validation"}
+    table = ablate(variants, data, out, **options)
+    assert (out / "full/seed0/meshes/bases.npz").is_file()
+    assert not (out / "slow/seed0/meshes").exists()
+    for scores in table.values():
+        assert scores["groups"]["all"]["lips_mm"]["n"] == 1
+        assert scores["groups"]["all"]["lips_mm"]["mean"] > 0
+    text = (out / "ablations.md").read_text()
+    assert "## all, meshes" in text and "| slow | " in text
+    report = json.loads((out / "slow/seed0/report.json").read_text())
+    assert report["groups"]["all"]["lips_mm"] == table["slow"]["groups"]["all"]["lips_mm"]["mean"]
+    before = (out / "ablations.json").read_text()
+    (out / "full/seed0/best/model.safetensors").unlink()
+    ablate(variants, data, out, **options)  # the runs are finished
+    assert (out / "ablations.json").read_text() == before
+
+
+def test_variants_of_sdfa_change_the_parts_in_their_names():
+    variants = {v.name: v for v in read_variants(CONFIGS / "mesh_ablations")}
+    common = {"train.start_encoder", "train.evaluate_every"}
+    frontend = "model.frontend."
+    assert differences(variants["full"]) == common
+    for name, key in (
+        ("no_spec_bilstm", "gathering"), ("no_attention", "summary"), ("no_centre", "centre")
+    ):  # fmt: skip
+        assert differences(variants[name]) == common | {frontend + key}
+        assert variants[name].config(0, None).train.steps == 2000
+    for name in ("karras", "voca"):
+        config = variants[name].config(1, None)
+        assert (config.model.frontend.kind, config.train.steps, config.train.seed) == (
+            name,
+            4000,
+            1,
+        )
 
 
 def test_ablation_rejects_a_folder_of_the_user(tmp_path):
