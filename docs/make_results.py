@@ -352,7 +352,6 @@ MESH_VARIANTS = {
     "full": "SDFA small",
     "no_spec_bilstm": "convolutions in place of the Spec-BiLSTM",
     "no_attention": "convolutions in place of the attention",
-    "no_centre": "no path around the attention",
     "karras": "Karras-style, offsets",
     "voca": "VOCA-style, offsets",
 }

@@ -188,9 +188,7 @@ def test_variants_of_sdfa_change_the_parts_in_their_names():
     common = {"train.start_encoder", "train.evaluate_every"}
     frontend = "model.frontend."
     assert differences(variants["full"]) == common
-    for name, key in (
-        ("no_spec_bilstm", "gathering"), ("no_attention", "summary"), ("no_centre", "centre")
-    ):  # fmt: skip
+    for name, key in (("no_spec_bilstm", "gathering"), ("no_attention", "summary")):
         assert differences(variants[name]) == common | {frontend + key}
         assert variants[name].config(0, None).train.steps == 2000
     for name, steps in (("karras", 2000), ("voca", 4000)):
