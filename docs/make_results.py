@@ -49,8 +49,18 @@ COMMANDS = {
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
+    **{
+        f"words-{taught}-on-{half}": f"deitalk evaluate {model} --lips words_{half} --speaker s30 "
+        "--speaker s03 --speaker s32"
+        for taught, model in {
+            "before": "BEFORE",
+            **{name: f"runs/words_{name}/last" for name in ("all", "0", "1")},
+        }.items()
+        for half in "01"
+    },
+    "sdfa-test": "deitalk evaluate sdfa --data corpus/ --split test --transitions --most 16",
     "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
-    "-o runs/mesh_ablations --seeds 2 --most 16 --set data.clips=480",
+    "-o runs/mesh_ablations --seeds 2 --most 40 --set data.clips=480",
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
     "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
     "--from none --set train.learning_rate=1e-3",
@@ -258,6 +268,20 @@ def live() -> str:
     return speech + "\n" + _table([["lips of people", *MEASURES.values()], *people])
 
 
+def words() -> str:
+    """Lips of people on words whose lips were taught, and on words whose were not."""
+    rows = []
+    for text, names in {
+        "before measured lips": ("before-on-0", "before-on-1"),
+        "taught all words": ("all-on-0", "all-on-1"),
+        "taught the half that is scored": ("0-on-0", "1-on-1"),
+        "taught the other half": ("1-on-0", "0-on-1"),
+    }.items():
+        means = [report(f"words-{name}")["network"]["mean"] for name in names]
+        rows.append([text, *(" / ".join(short(m[f"{x} r"], 2) for m in means) for x in MEASURES)])
+    return _table([["r, words of the first half / of the second", *MEASURES.values()], *rows])
+
+
 ACTED = {"high above low": 3, "rank correlation": 2}
 """Scores of acted strengths, and their digits."""
 
@@ -346,6 +370,29 @@ def wav2vec() -> str:
 def comparison() -> str:
     """DEITalk beside other networks, alone (DEITalk Table 1)."""
     return "\n".join(_variants("comparison", SYSTEMS, "network", "the network alone"))
+
+
+def sdfa() -> str:
+    """The embedded SDFA on sentences with an /s/ before /p b m/, with and without its seal."""
+    found = report("sdfa-test")["groups"]["all"]
+    rows = [
+        [f"{text} ({found[f'{kind}s']:.0f})", *(_closed(found, who + kind) for who in CLOSURES)]
+        for kind, text in SOUNDS.items()
+    ]
+    title = f"{found['clips']:.0f} test recordings: closed to 1 mm, median gap"
+    errors = (
+        f"Mean error of the lips {short(found['lips_mm'], 2)} mm (at rest "
+        f"{short(found['still_mm'], 2)} mm), of all vertices {short(found['mesh_mm'], 2)} mm.\n"
+    )
+    return _table([[title, *CLOSURES.values()], *rows]) + "\n" + errors
+
+
+SOUNDS = {"bilabial": "p b m", "after_s": "p b m after s", "vowel": "vowels"}
+CLOSURES = {"": "as given", "unsealed_": "before the seal", "truth_": "truth"}
+
+
+def _closed(found: Group, name: str) -> str:
+    return f"{100 * found[f'{name}_closed']:.1f} %, {short(found[f'{name}_gap_mm'], 2)} mm"
 
 
 MESH_VARIANTS = {
@@ -468,10 +515,12 @@ TABLES: dict[str, Callable[[], str]] = {
     "noise": noise,
     "styles": styles,
     "live": live,
+    "words": words,
     "acted": acted,
     "ablations": ablations,
     "comparison": comparison,
     "wav2vec": wav2vec,
+    "sdfa": sdfa,
     "mesh-ablations": mesh_ablations,
     "facegood": facegood,
     "from-nothing": from_nothing,

@@ -47,6 +47,8 @@ def ablate(
     deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
 
     deitalk ablate --configs configs/comparison --data corpus/ -o runs/comparison --steps 300
+
+    deitalk ablate --configs configs/mesh_ablations --data corpus/ -o runs/mesh_ablations
     """
     with console().status("loading"):
         from deitalk.errors import ConfigError

@@ -84,7 +84,7 @@ def read_poses(folder: Path | str, most: int | None = None) -> dict[str, list[Po
     files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
     names: dict[str, list[str]] = {}
     words = {}
-    for name, speaker, spoken in _rows(folder / "clips.csv"):
+    for name, speaker, spoken in read_rows(folder / "clips.csv"):
         names.setdefault(speaker, []).append(name)
         words[name] = spoken
     poses: dict[str, list[PoseClip]] = {}
@@ -132,7 +132,7 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
     columns = _columns(folder / "columns.json")
     files = {path.name: path for path in sorted(folder.rglob("*")) if path.is_file()}
     by_speaker: dict[str, list[LipClip]] = {}
-    for name, speaker, words in _rows(folder / "clips.csv"):
+    for name, speaker, words in read_rows(folder / "clips.csv"):
         first, last = (words[0][0], words[-1][1]) if words else (0.0, np.inf)
         track = _track(folder, files, name, columns)
         times = np.arange(int(len(track) / RATE * FRAME_RATE)) / FRAME_RATE
@@ -154,8 +154,8 @@ def read_lips(folder: Path | str, eye_distance: float) -> list[LipClip]:
     ]
 
 
-def _rows(path: Path) -> Iterator[tuple[str, str, tuple[tuple[float, float, str], ...]]]:
-    """Clip, speaker, and start, end and text of each word."""
+def read_rows(path: Path) -> Iterator[tuple[str, str, tuple[tuple[float, float, str], ...]]]:
+    """Clip, speaker, and start, end and text of each word; DataError as `read_lips`."""
     check_file(path, limits.TRACK_BYTES, error=DataError)
     try:
         with path.open(encoding="utf-8", newline="") as file:
