@@ -17,19 +17,23 @@ SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
 RUNS = 7
 
 
-def spent(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
+def spent(arguments: list[str], where: dict[str, str]) -> tuple[float, float]:
     """Processor and wall seconds of one process."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, *arguments]
-    subprocess.run(command, check=True, capture_output=True, env=environment)
+    subprocess.run(command, check=True, capture_output=True, env=where)
     wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall
 
 
+def environment(folder: str) -> dict[str, str]:
+    """This process's, with bytecode kept in a folder."""
+    return os.environ | {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
+
+
 def main() -> None:
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": ""}
     with tempfile.TemporaryDirectory() as folder:
-        environment["PYTHONPYCACHEPREFIX"] = f"{folder}/bytecode"
+        where = environment(folder)
         animate = ["-m", "deitalk", "animate", str(SAMPLE), "-e", "happy", "--force"]
         commands = {"import torch": ["-c", "import torch"]}
         for backend in ("torch", "onnx"):
@@ -37,11 +41,11 @@ def main() -> None:
                 name = f"animate --backend {backend} -o {out}"
                 commands[name] = [*animate, "--backend", backend, "-o", f"{folder}/{backend}-{out}"]
         for command in commands.values():
-            spent(command, environment)
+            spent(command, where)
         times: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
         for _ in range(RUNS):
             for name, command in commands.items():
-                times[name].append(spent(command, environment))
+                times[name].append(spent(command, where))
     medians = {
         name: [statistics.median(column) for column in zip(*runs, strict=True)]
         for name, runs in times.items()
