@@ -94,6 +94,15 @@ class Journal:
         self.path, self.folder = path, folder
         with self._errors():
             self._database = sqlite3.connect(path, timeout=1.0, isolation_level=None)
+        try:
+            self._prepare()
+        except BaseException:
+            self.close()  # else its lock stays until the object is collected
+            raise
+
+    def _prepare(self) -> None:
+        """Lock the file, make what it lacks, and check its format."""
+        with self._errors():
             run = self._database.execute
             run("PRAGMA locking_mode = EXCLUSIVE")  # WAL without shared memory: on any file system
             run("PRAGMA journal_mode = WAL")
@@ -105,7 +114,7 @@ class Journal:
                 self.describe("format", FORMAT)
         elif found != FORMAT:
             raise TargetError(
-                f"{folder} was written by another version of deitalk (journal {found}, "
+                f"{self.folder} was written by another version of deitalk (journal {found}, "
                 f"this reads {FORMAT}); name another folder"
             )
 

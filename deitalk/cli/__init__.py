@@ -106,6 +106,7 @@ def main() -> None:
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
     that Ctrl-C, SIGTERM or SIGHUP stopped, otherwise 1.
     """
+    usual = gc.get_threshold()
     gc.set_threshold(10_000)  # imports make many objects and few cycles to search for
     escape_what_cannot_be_encoded()
     try:
@@ -130,6 +131,7 @@ def main() -> None:
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
     finally:
         uninstall()
+        gc.set_threshold(*usual)
         gc.freeze()  # the last search for cycles would take a quarter of a second in torch
 
 
