@@ -77,6 +77,11 @@ class ModelConfig(Section):
     decoder_residual: bool = Field(
         default=False, description="carry every layer's input past it; not in the paper"
     )
+    decoder_direct: bool = Field(
+        default=False,
+        description="add a linear path from the speech features, and each actor's range of every "
+        "control; not in the paper",
+    )
     kernel_size: Odd = 3
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
@@ -102,8 +107,10 @@ class ModelConfig(Section):
             return self
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls:
-            raise ValueError(f"decoder: {self.decoder} takes no causal_mel and no kept_controls")
+        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls or self.decoder_direct:
+            raise ValueError(
+                f"decoder: {self.decoder} takes no causal_mel, kept_controls and decoder_direct"
+            )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
         return self
@@ -112,8 +119,8 @@ class ModelConfig(Section):
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
         if isinstance(self.frontend, CausalMelConfig):
-            if self.positions:
-                raise ValueError("causal_mel takes no positions; set positions: false")
+            if self.positions or self.decoder_direct:
+                raise ValueError("causal_mel takes no positions and decoder_direct; set both false")
             if self.intensity and self.saliency_frames is None:
                 raise ValueError("causal_mel needs saliency_frames; 121 is 4 s")
         return self

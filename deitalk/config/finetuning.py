@@ -40,6 +40,11 @@ class TuneConfig(Section):
         description="controls that no capture knows stay those of the base, by its own decoder; "
         "not where the frontend learns",
     )
+    direct: bool = Field(
+        default=True,
+        description="of another rig: a linear path from the speech features, fitted by regression, "
+        "and each actor's range of every control",
+    )
     rehearsal: float = Field(
         default=0.25,
         ge=0,

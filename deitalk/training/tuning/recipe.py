@@ -79,6 +79,19 @@ def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig
     return config.model_copy(update={"model": model})
 
 
+def with_direct_path(config: FinetuneConfig) -> FinetuneConfig:
+    """The configuration with a linear path of the decoder, for another rig than the base's.
+
+    Not from random weights, whose features no regression can read, and not for voices that have
+    not ended.
+    """
+    is_causal = isinstance(config.model.frontend, CausalMelConfig)
+    if not config.tune.direct or config.tune.start != "base" or is_causal or is_same_rig(config):
+        return config
+    model = config.model.model_copy(update={"decoder_direct": True})
+    return config.model_copy(update={"model": model})
+
+
 def _base_config(config: FinetuneConfig) -> Config:
     """Configuration of the base model."""
     return cast("Config", load_config(model_folder(config.tune.base) / "config.yaml"))

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from deitalk.config import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips
-from deitalk.data.clips import REHEARSED, read_clips
+from deitalk.data.clips import REHEARSED, Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import Window, WindowBatches
@@ -35,6 +35,7 @@ from deitalk.training.distillation import start_as
 from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.low_rank import add_adapters, merged_weights
+from deitalk.training.tuning.new_rig import CapturedRows, fit_decoder
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
     is_same_rig,
@@ -42,6 +43,7 @@ from deitalk.training.tuning.recipe import (
     with_actors,
     with_base_parts,
     with_captured_intensity,
+    with_direct_path,
 )
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
 from rig.errors import ControlError
@@ -50,8 +52,6 @@ ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
 ABOUT = ("base", "start", "part")
 """Settings that a report states; the run's config.yaml has all."""
-RIDGE = 1000.0
-"""Of the first fit of a new last layer, squared units of its input."""
 
 
 def finetune(
@@ -132,8 +132,8 @@ class FinetuneTask(CurveTask):
         self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
     ) -> None:
         division = divide_clips(read_clips(data), config.tune.leave_out)
-        actors = with_actors(config, division.train)
-        super().__init__(actors, data, frozen_features=frozen_features)
+        complete = with_direct_path(with_actors(config, division.train))
+        super().__init__(complete, data, frozen_features=frozen_features)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
         if config.model.decoder != "convolution":
@@ -209,7 +209,8 @@ class FinetuneTask(CurveTask):
         if tune.part != "all":
             self.frozen_features = self.frozen_features or FrozenFeatures(tune.base)
         if not self.is_same_rig:
-            self._fit_last_layer()
+            rows = [self._captured_rows(clip) for clip in self.clips]
+            fit_decoder(self.model.rig_decoder, rows, self.config.model.actors)
         self._choose(tune.part)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
@@ -250,6 +251,8 @@ class FinetuneTask(CurveTask):
                 decoder.kept.requires_grad_(False)
         if decoder.actors is not None:
             decoder.actors.requires_grad_(True)
+        if decoder.direct is not None:
+            decoder.direct.map.requires_grad_(False)  # its regression is the best that it can be
         if part == "head" or not self.is_same_rig:
             decoder.output.requires_grad_(True)
         if self.axes:
@@ -258,31 +261,19 @@ class FinetuneTask(CurveTask):
             if self.model.intensity.kept is not None:
                 self.model.intensity.kept.requires_grad_(False)
 
-    @torch.no_grad()
-    def _fit_last_layer(self) -> None:
-        """Begin a new last layer as the ridge regression of the curves on its input."""
-        model, width = self.model.eval(), self.config.model.decoder_channels
-        inputs, targets = [torch.zeros(0, width)], [torch.zeros(0, len(self.controls))]
-        for clip in self.clips:
-            example = load_example(clip, self.controls)
-            n_frames = len(example.curves)
-            sound = example.waveform
-            if self.frozen_features is not None:
-                features = self.frozen_features.features(clip, sound, n_frames)
-                sound = features[:n_frames].astype(np.float32)
-            analysis = model.analyse(torch.from_numpy(sound), n_frames)
-            style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
-            inputs.append(model.describe(analysis, style))
-            targets.append(torch.from_numpy(example.curves))
-        x, y = torch.cat(inputs).double(), torch.cat(targets).double()
-        mean, centre = x.mean(dim=0), y.mean(dim=0)
-        x = x - mean
-        square = x.T @ x + RIDGE * torch.eye(width, dtype=x.dtype)
-        weight = torch.linalg.solve(square, x.T @ (y - centre)).T
-        output = model.decoder.output
-        output.weight.copy_(weight)
-        assert output.bias is not None
-        output.bias.copy_(centre - weight @ mean)
+    def _captured_rows(self, clip: Clip) -> CapturedRows:
+        """A clip as the decoder is given it."""
+        model, example = self.model.eval(), load_example(clip, self.controls)
+        n_frames, sound = len(example.curves), example.waveform
+        if self.frozen_features is not None:
+            features = self.frozen_features.features(clip, sound, n_frames)
+            sound = features[:n_frames].astype(np.float32)
+        analysis = model.analyse(torch.from_numpy(sound), n_frames)
+        style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
+        frames = torch.arange(n_frames)[None]
+        placed = model.place(analysis.speech[None], frames, torch.tensor([n_frames]))[0]
+        hidden = model.describe(analysis, style)
+        return CapturedRows(clip.speaker, placed.numpy(), hidden.numpy(), example.curves)
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""
