@@ -3,9 +3,11 @@
 import json
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from deitalk.audio.frames import FRAME_RATE
+from rig.files import atomic_write
 
 MOST_PHONES = 6
 """Sounds of each group in the table of shut lips."""
@@ -16,9 +18,25 @@ def as_json(report: dict[str, Any]) -> str:
     return json.dumps(_known(report), indent=1) + "\n"
 
 
+def write_json(path: Path | None, report: dict[str, Any]) -> None:
+    """Write a report as JSON; nothing without a path."""
+    if path is not None:
+        with atomic_write(path) as beside:
+            beside.write_text(as_json(report), encoding="utf-8")
+
+
+def identified(model: str) -> dict[str, str]:
+    """Name and hash of the weights of a model, for its reports."""
+    from deitalk.models.folder import model_folder, weights_hash
+
+    return {"model": model, "sha256": weights_hash(model_folder(model))}
+
+
 def _known(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _known(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
