@@ -80,8 +80,16 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def written(text: str) -> str:
-    """A document with its tables as the results have them."""
-    return _TABLE.sub(lambda match: f"{match[1]}\n{TABLES[match[2]]()}\n", text)
+    """A document with its tables as the results have them; a missing report is named instead."""
+    return _TABLE.sub(lambda match: f"{match[1]}\n{_filled(match[2])}\n", text)
+
+
+def _filled(name: str) -> str:
+    try:
+        return TABLES[name]()
+    except FileNotFoundError as error:
+        report = Path(error.filename).stem
+        return f"No report `{report}`: `python docs/make_reports.py {report}`\n"
 
 
 if __name__ == "__main__":

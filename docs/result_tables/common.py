@@ -43,5 +43,5 @@ def report(name: str) -> dict[str, Any]:
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Markdown; the first row is the heading."""
-    lines = [f"| {' | '.join(row)} |".replace("|  |", "| |", 1) for row in rows]
+    lines = ["".join(f"| {cell} " if cell else "| " for cell in row) + "|" for row in rows]
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]]) + "\n"

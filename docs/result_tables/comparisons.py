@@ -88,7 +88,7 @@ def ablation_changes() -> str:
                 for source in SOURCES
             ]
             change = [
-                f"{a - b:+.2f}" if metric == "jaw_r" else f"{100 * (a / b - 1):+.0f} %"
+                f"{a - b:+z.2f}" if metric == "jaw_r" else f"{100 * (a / b - 1):+z.0f} %"
                 for a, b in pairs
             ]
             rows.append([f"{part}: {title}", paper.get(metric, "–"), *change])
