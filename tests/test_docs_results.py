@@ -75,9 +75,9 @@ def test_every_report_stands_in_a_table(changed):
         ("README.md", "| .123 |", ("default-test", "groups", "librispeech", "bilabial_window_auc")),
         ("README.md", "| .123 |", ("default-speed", "clip", "rtf_cpu")),
         (
-            "docs/words.md",
-            "| own words | .123 |",
-            ("known-words", "groups", "librispeech", "own words"),
+            "docs/life.md",
+            "| brows | .12 (",
+            ("motion-energy", "takes", "neutral", "brows", 0),
         ),
     ],
 )
