@@ -1,5 +1,6 @@
 """Numbers in documents are those of the reports in docs/results, which are of today's weights."""
 
+import hashlib
 import json
 import sys
 from pathlib import Path
@@ -94,6 +95,8 @@ def test_reports_are_of_the_weights_of_today(path):
     report = json.loads(path.read_text(encoding="utf-8"))
     if report.get("model") in embedded_models():
         assert report["sha256"] == weights_hash(model_folder(report["model"]))
+    for file, sha256 in report.get("files", {}).items():
+        assert sha256 == hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
 
 
 def test_reports_of_the_weights_name_them():
@@ -108,7 +111,7 @@ def test_reports_and_commands_are_the_same():
 
 def test_times_state_the_machine_and_are_of_one():
     for name in GROUPS["timing"]:
-        assert common.report(name)["machine"]["processor"], name
+        assert {"processor", "cores"} <= set(common.report(name)["machine"]), name
 
 
 def test_times_of_two_machines_share_no_table(changed):

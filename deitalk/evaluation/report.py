@@ -1,8 +1,10 @@
 """Reports of the evaluation: Markdown tables, and JSON without NaN."""
 
+import hashlib
 import json
 import math
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,12 @@ def identified(model: str) -> dict[str, str]:
     from deitalk.models.folder import model_folder, weights_hash
 
     return {"model": model, "sha256": weights_hash(model_folder(model))}
+
+
+def shipped(package: str, name: str) -> dict[str, dict[str, str]]:
+    """Hash of a file of the package, for reports of what it holds."""
+    content = resources.files(package).joinpath(name).read_bytes()
+    return {"files": {f"{package.replace('.', '/')}/{name}": hashlib.sha256(content).hexdigest()}}
 
 
 def _known(value: Any) -> Any:

@@ -22,7 +22,7 @@ from torch.nn import functional as F
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import identified, write_json
+from deitalk.evaluation.report import identified, shipped, write_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, Phones
@@ -31,6 +31,7 @@ from deitalk.pipeline.words.evidence import (
     CONTEXT,
     MODEL,
     RATE,
+    WEIGHTS,
     PhoneEvidence,
     phone_evidence,
     phone_features,
@@ -152,7 +153,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     for name, value in scores.items():
         sys.stdout.write(f"{name}: {value:.3g}\n")
-    write_json(options.json, identified(MODEL) | {"validation": scores})
+    known = shipped("deitalk.pipeline.words", WEIGHTS) if options.embedded else {}
+    write_json(options.json, {**identified(MODEL), **known, "validation": scores})
     if options.out is not None:
         with atomic_write(options.out) as beside:
             save_file({k: v.astype(np.float16) for k, v in found.weights.items()}, beside)

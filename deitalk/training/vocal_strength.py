@@ -29,6 +29,7 @@ from deitalk.audio.vocal_strength import (
     MEMBERS,
     REST_WEIGHT,
     UNIT_DB,
+    WEIGHTS,
     VocalStrength,
     vocal_strength,
     without_level,
@@ -249,7 +250,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(given: argparse.Namespace) -> None:
     from deitalk.evaluation.people.strength import as_markdown, score_strength
-    from deitalk.evaluation.report import write_json
+    from deitalk.evaluation.report import shipped, write_json
 
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
     measured = measure_clips(clips)
@@ -262,7 +263,8 @@ def _run(given: argparse.Namespace) -> None:
         network = train(heard, steps=given.steps, seed=given.seed)
     scores = score_strength(network, held)
     sys.stdout.write(as_markdown(scores) + "\n")
-    write_json(given.json, {"split": given.split, "scores": scores})
+    known = shipped("deitalk.audio", WEIGHTS) if given.embedded else {}
+    write_json(given.json, {"split": given.split, **known, "scores": scores})
     if given.out is not None:
         with atomic_write(given.out) as path:
             save_file({k: v.astype(np.float16) for k, v in network.weights.items()}, path)

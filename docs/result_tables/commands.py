@@ -23,7 +23,7 @@ WEIGHTS = {
     "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --split test",
     "mesh-head-test": "deitalk evaluate mesh_head --data corpus/ --split test --most 24",
 }
-"""Of the weights of `default`: with new ones they have to run again."""
+"""Of the weights of `default`: with new ones they have to run again (and its times, below)."""
 TIMING = {
     "default-speed": "deitalk benchmark --json",
     "mesh-speed-1": "deitalk benchmark --mesh --threads 1 --json",

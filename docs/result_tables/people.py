@@ -90,15 +90,11 @@ def suggestion() -> str:
 def vocal_strength() -> str:
     """Order of acted strengths by the voice's strength, level and pitch."""
     scores = report("vocal-strength")["scores"]
-    groups = ("anger and joy", "fear, disgust", "sadness")
-    heads = [f"{g}: {what}" for g in groups for what in ("high above low", "rank correlation")]
-    rows = [
-        [name]
-        + [short(found[head], 2) for head in heads]
-        + [short(found["level within a chapter, r"], 2)]
-        for name, found in scores.items()
-    ]
-    return table([["test speakers", *heads, "readers: r with level in a chapter"], *rows])
+    names = [n for n in scores["strength"] if not n.endswith("actors and emotions")]
+    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names[1:]]
+    level = [short(found[names[0]], 2) for found in scores.values()]
+    rows.append([f"readers: {names[0]}", level[0], "–", level[2]])
+    return table([["test speakers", *scores], *rows])
 
 
 def phone_evidence() -> str:
