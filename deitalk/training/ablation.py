@@ -235,15 +235,15 @@ def _train(
     frozen_features: Callable[[str], FrozenFeatures],
     progress: Callable[[float], None],
 ) -> None:
-    def told(step: int, total: int, _values: Any) -> None:
+    def report_step(step: int, total: int, _values: Any) -> None:
         progress(step / total)
 
     if isinstance(config, SDFAConfig):
-        train_mesh(config, data, folder, resume=True, progress=told)
+        train_mesh(config, data, folder, resume=True, progress=report_step)
         return
     frozen = config.train.frozen_frontend
     features = None if frozen is None else frozen_features(frozen)
-    train_curves(config, data, folder, resume=True, frozen_features=features, progress=told)
+    train_curves(config, data, folder, resume=True, frozen_features=features, progress=report_step)
 
 
 def _summary(reports: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:

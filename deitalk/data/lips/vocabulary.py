@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.lips.measured import MISSING, RATE, SOUNDS, read_rows
+from deitalk.data.lips.measured import MISSING, RATE, SOUNDS, read_lips, read_rows
 from deitalk.errors import DataError
 from rig import limits
 from rig.arrays import Bool, Float64
@@ -55,10 +55,11 @@ def keep_half(folder: Path, out: Path, half: int, *, alone: bool = False) -> flo
     Raises
     ------
     DataError
-        If `folder` is no such folder, or has no words.
+        If `folder` is no such folder, is damaged, or has less than two words.
     rig.errors.TargetError
         If `out` exists.
     """
+    read_lips(folder, eye_distance=1.0)  # refuses a damaged folder before anything is written
     rows = list(read_rows(folder / "clips.csv"))
     half_of = halves(word for _, _, words in rows for _, _, word in words)
     if len(half_of) < 2:
@@ -82,8 +83,6 @@ def _copy(
     for name in (clip + suffix for suffix in SOUNDS):
         if name in files:
             shutil.copyfile(files[name], out / name)
-    if f"{clip}.npz" not in files:
-        raise DataError(f"no {clip}.npz beside its table")
     table = read_npz(files[f"{clip}.npz"], limit=limits.MESH_BYTES, error=DataError)["meas"]
     times: Float64 = (np.arange(len(table), dtype=np.float64) + 0.5) / RATE
     kept = _within(times, chosen) if others is None else ~_within(times, others)

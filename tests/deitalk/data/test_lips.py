@@ -441,6 +441,22 @@ def test_frames_of_the_other_half_of_the_words_are_missing(measured, tmp_path):
     assert one.any() and halves(["b", "a", "c", "b"]) == {"a": 0, "b": 1, "c": 0}
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda folder: (folder / "columns.json").unlink(),
+        lambda folder: np.savez(folder / "video/a.npz", other=np.zeros(3)),
+        lambda folder: (folder / "video/a.npz").unlink(),
+        lambda folder: (folder / "video/a.wav").unlink(),
+    ],
+)
+def test_halves_of_a_damaged_folder_are_refused_in_one_line(measured, tmp_path, capsys, damage):
+    damage(measured)
+    assert vocabulary.main([str(measured), "0", "-o", str(tmp_path / "out")]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_halves_of_words_are_refused_in_one_line(measured, tmp_path, capsys):
     rows = (measured / "clips.csv").read_text().replace("two:", "one:")
     (measured / "clips.csv").write_text(rows)
