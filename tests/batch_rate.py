@@ -2,8 +2,11 @@
 
 The network hears the recordings of a folder one after the other on one thread; then a batch makes them
 with two processes, which counts loading, files and journal. Run it with nothing beside.
+``--json FILE`` writes the rates.
 """
 
+import argparse
+import resource
 import sys
 import tempfile
 from pathlib import Path
@@ -11,37 +14,53 @@ from pathlib import Path
 import torch
 
 from deitalk import animate, load_audio, load_model
+from deitalk.evaluation.benchmark_curves import machine
+from deitalk.evaluation.report import identified, write_json
 from tests.cold_start import environment, spent
 
 WARM_UP = 5
 
 
-def network_seconds(lines: list[Path]) -> float:
-    """Mean seconds of the network alone for a line, one at a time."""
+def network_seconds(lines: list[Path]) -> tuple[float, float]:
+    """Mean seconds of the network alone for a line, one at a time, and of the lines' sound."""
     torch.set_num_threads(1)
-    model, total = load_model(), 0.0
+    model, total, sound = load_model(), 0.0, 0.0
     for place, path in enumerate(lines):
-        performance = animate(load_audio(path), "happy", model=model)
+        recording = load_audio(path)
+        sound += len(recording.waveform) / 16_000
+        performance = animate(recording, "happy", model=model)
         if place >= WARM_UP:
             total += performance.timings["network"]
-    return total / (len(lines) - WARM_UP)
+    return total / (len(lines) - WARM_UP), sound / len(lines)
 
 
-def main(folder: str) -> None:
+def main() -> None:
     """Print both, and the share of twice the single rate that the batch reaches."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("folder", help="recordings")
+    parser.add_argument("--json", type=Path, help="also write the rates to this file")
+    given = parser.parse_args()
+    folder = given.folder
     lines = sorted(path for path in Path(folder).iterdir() if path.is_file())
-    alone = network_seconds(lines)
+    alone, sound = network_seconds(lines)
     with tempfile.TemporaryDirectory() as out:
         command = ["-m", "deitalk", "batch", folder, "-e", "happy", "--workers", "2", "-o"]
         for name in ("first", "second"):  # the first writes the bytecode
             processor, wall = spent([*command, f"{out}/{name}"], environment(out))
     n = len(lines)
-    sys.stdout.write(
-        f"{n} lines: network alone {1e3 * alone:.0f} ms a line; batch {1e3 * processor / n:.0f} ms "
-        f"of a core and {1e3 * wall / n:.0f} ms a line, {alone * n / wall / 2:.0%} of twice the rate "
-        "of the network\n"
-    )
+    report = {
+        "lines": n,
+        "seconds_of_a_line": sound,
+        "workers": 2,
+        "network_ms": 1e3 * alone,
+        "processor_ms": 1e3 * processor / n,
+        "wall_ms": 1e3 * wall / n,
+        "share_of_twice_the_network": alone * n / wall / 2,
+        "largest_process_mb": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
+    }
+    sys.stdout.write(f"{report}\n")
+    write_json(given.json, identified("default") | {"machine": machine(), "threads": 1, **report})
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()

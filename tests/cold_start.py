@@ -1,9 +1,10 @@
 """Time of a whole `deitalk animate` beside that of ``import torch``: ``python -m tests.cold_start``.
 
 Processes of their own, with bytecode and exports cached by a first run, in turn; medians of
-processor time and of wall time. Run it with nothing beside.
+processor time and of wall time. Run it with nothing beside. ``--json FILE`` writes the medians.
 """
 
+import argparse
 import os
 import resource
 import statistics
@@ -12,6 +13,9 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+from deitalk.evaluation.benchmark_curves import machine
+from deitalk.evaluation.report import identified, write_json
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
 RUNS = 7
@@ -32,6 +36,9 @@ def environment(folder: str) -> dict[str, str]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", type=Path, help="also write the medians to this file")
+    given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         where = environment(folder)
         animate = ["-m", "deitalk", "animate", str(SAMPLE), "-e", "happy", "--force"]
@@ -51,11 +58,19 @@ def main() -> None:
         for name, runs in times.items()
     }
     unit = medians["import torch"]
-    for name, (processor, wall) in medians.items():
-        sys.stdout.write(
-            f"{name:40s} {processor:.2f} s of processors, {wall:.2f} s; "
-            f"of import torch {processor / unit[0]:.2f} and {wall / unit[1]:.2f}\n"
-        )
+    report = {
+        name: {
+            "processor_seconds": processor,
+            "wall_seconds": wall,
+            "processor_of_import_torch": processor / unit[0],
+            "wall_of_import_torch": wall / unit[1],
+        }
+        for name, (processor, wall) in medians.items()
+    }
+    for name, row in report.items():
+        sys.stdout.write(f"{name:40s} {row}\n")
+    known = identified("default") | {"machine": machine(), "threads": os.cpu_count(), "runs": RUNS}
+    write_json(given.json, known | {"commands": report})
 
 
 if __name__ == "__main__":

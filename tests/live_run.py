@@ -120,32 +120,39 @@ class Run:
         self.socket.close()
 
 
-def measure(minutes: float, period: float, slower: float, backend: str) -> None:
-    """Run, and print a line every `period` minutes."""
-    write = sys.stdout.write
-    run, levels, medians, spent = Run(slower, backend), [], [], 0.0
+def measure(minutes: float, period: float, slower: float, backend: str) -> dict[str, Any]:
+    """Run, print a line every `period` minutes, and return all of them."""
+    run, periods, spent = Run(slower, backend), [], 0.0
     try:
-        for k in range(max(round(minutes / period), 1)):
+        for _ in range(max(round(minutes / period), 1)):
             rows, used = run.receive(60 * period), run.processor_seconds()
             delays, expected = rows[:, 1], rows[-1, 0] - rows[0, 0] + 1
-            levels.append(run.memory())
-            medians.append(np.median(delays))
-            write(
-                f"{(k + 1) * period:5.1f} min: sound to datagram median {medians[-1]:.1f}, p99 "
-                f"{np.percentile(delays, 99):.1f}, most {delays.max():.1f} ms; "
-                f"{expected - len(rows):.0f} of {expected:.0f} frames skipped; "
-                f"{levels[-1]:.0f} MB; {(used - spent) / (60 * period):.3f} of a core\n"
+            periods.append(
+                {
+                    "median_ms": float(np.median(delays)),
+                    "p99_ms": float(np.percentile(delays, 99)),
+                    "most_ms": float(delays.max()),
+                    "frames": int(expected),
+                    "skipped": int(expected) - len(rows),
+                    "megabytes": run.memory(),
+                    "cores": (used - spent) / (60 * period),
+                }
             )
+            sys.stdout.write(f"{len(periods) * period:5.1f} min: {periods[-1]}\n")
             sys.stdout.flush()
             spent = used
     finally:
         run.close()
+    medians = [row["median_ms"] for row in periods]
     seconds = 60 * period * max(len(medians) - 1, 1)
-    drift = (medians[-1] - medians[0]) / 1e3 * FPS / seconds * 1800
-    write(
-        f"beyond the look-ahead: {np.median(medians) - LOOK_AHEAD_MS:.1f} ms; drift {drift:+.3f} "
-        f"frames in 30 minutes; memory {levels[-1] - levels[0]:+.1f} MB\n"
-    )
+    whole = {
+        "beyond_look_ahead_ms": float(np.median(medians)) - LOOK_AHEAD_MS,
+        "p99_beyond_look_ahead_ms": max(row["p99_ms"] for row in periods) - LOOK_AHEAD_MS,
+        "drift_frames_in_30_minutes": (medians[-1] - medians[0]) / 1e3 * FPS / seconds * 1800,
+        "memory_growth_mb": periods[-1]["megabytes"] - periods[0]["megabytes"],
+    }
+    sys.stdout.write(f"{whole}\n")
+    return {"backend": backend, "minutes": minutes, **whole, "periods": periods}
 
 
 def command(slower: float, port: str, backend: str) -> None:
@@ -164,12 +171,17 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=5, help="minutes")
     parser.add_argument("--ppm", type=float, default=100, help="difference of the clocks")
     parser.add_argument("--backend", default="torch", help="torch or onnx")
+    parser.add_argument("--json", type=Path, help="also write the measures to this file")
     parser.add_argument("--command", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.command:
         command(float(given.command[0]), *given.command[1:])
-    else:
-        measure(given.minutes, given.period, 1e-6 * given.ppm, given.backend)
+        return
+    from deitalk.evaluation.benchmark_curves import machine
+    from deitalk.evaluation.report import identified, write_json
+
+    found = measure(given.minutes, given.period, 1e-6 * given.ppm, given.backend)
+    write_json(given.json, identified("live") | {"machine": machine(), "threads": 1, **found})
 
 
 if __name__ == "__main__":

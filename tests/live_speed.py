@@ -1,8 +1,10 @@
-"""Time of live frames on this machine: ``python -m tests.live_speed [onnx]``.
+"""Time of live frames on this machine: ``python -m tests.live_speed --json FILE``.
 
-One voice in blocks of 10 ms, and twenty in one call, on one core. Run it with nothing beside.
+One voice in blocks of 10 ms, and twenty in one call, on one core, by torch and by ONNX Runtime. Run
+it with nothing beside.
 """
 
+import argparse
 import sys
 import time
 from pathlib import Path
@@ -11,9 +13,11 @@ import numpy as np
 import torch
 
 from deitalk import LiveAnimator, load_audio
+from deitalk.evaluation.benchmark_curves import machine
+from deitalk.evaluation.report import identified, write_json
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
-BLOCK, FIRST_FRAMES, SECONDS = 160, 30, 30.0
+BLOCK, FIRST_FRAMES, SECONDS, VOICES = 160, 30, 30.0, 20
 
 
 def one_voice(sound: np.ndarray, backend: str) -> np.ndarray:
@@ -38,16 +42,25 @@ def many_voices(sound: np.ndarray, count: int, backend: str) -> float:
 
 
 def main() -> None:
-    """Print both."""
+    """Print both of either backend."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", type=Path, help="also write the times to this file")
+    given = parser.parse_args()
     torch.set_num_threads(1)
     waveform = load_audio(SAMPLE).waveform
     sound = np.resize(waveform, int(16_000 * SECONDS))
-    backend = "onnx" if "onnx" in sys.argv[1:] else "torch"
-    spent = one_voice(sound, backend)
-    sys.stdout.write(
-        f"one voice: median {np.median(spent):.1f} ms, p99 {np.percentile(spent, 99):.1f} ms a frame\n"
-        f"20 voices: {many_voices(sound, 20, backend):.2f} of a core\n"
-    )
+    report = identified("live") | {"machine": machine(), "threads": 1, "backends": {}}
+    for backend in ("torch", "onnx"):
+        spent = one_voice(sound, backend)
+        found = {
+            "median_ms": float(np.median(spent)),
+            "p99_ms": float(np.percentile(spent, 99)),
+            "voices": VOICES,
+            "cores_of_the_voices": many_voices(sound, VOICES, backend),
+        }
+        report["backends"][backend] = found
+        sys.stdout.write(f"{backend}: {found}\n")
+    write_json(given.json, report)
 
 
 if __name__ == "__main__":

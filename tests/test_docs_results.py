@@ -1,80 +1,164 @@
 """Numbers in documents are those of the reports in docs/results, which are of today's weights."""
 
-import importlib.util
+import hashlib
 import json
+import sys
 from pathlib import Path
 
 import pytest
+from safetensors.numpy import load_file
 
 from deitalk.models.folder import embedded_models, model_folder, weights_hash
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 RESULTS = sorted((ROOT / "docs/results").glob("*.json"))
 
 
-@pytest.fixture(scope="module")
-def maker():
-    path = ROOT / "docs/make_results.py"
-    module = importlib.util.module_from_spec(
-        spec := importlib.util.spec_from_file_location("make_results", path)
-    )
-    spec.loader.exec_module(module)
-    return module
+sys.path.insert(0, str(ROOT / "docs"))
+import make_reports  # noqa: E402
+import make_results as maker  # noqa: E402
+from result_tables import common, models, speed  # noqa: E402
+from result_tables.commands import COMMANDS, GROUPS, PLACES, WEIGHTS  # noqa: E402
+from result_tables.comparisons import spread  # noqa: E402
 
 
-def test_tables_are_those_of_the_reports(maker):
+@pytest.fixture
+def changed(tmp_path, monkeypatch):
+    """A copy of the results, in which a report can be changed."""
+    for path in RESULTS:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(common, "RESULTS", tmp_path)
+    common.report.cache_clear()
+
+    def change(name, *keys, value):
+        whole = found = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+        for key in keys[:-1]:
+            found = found[key]
+        found[keys[-1]] = value
+        (tmp_path / f"{name}.json").write_text(json.dumps(whole), encoding="utf-8")
+        common.report.cache_clear()
+
+    yield change
+    common.report.cache_clear()
+
+
+def test_tables_are_those_of_the_reports():
     for path in maker.DOCUMENTS:
         text = path.read_text(encoding="utf-8")
-        assert "<!-- table " in text
         assert text == maker.written(text), f"{path.name}: run `make docs`"
 
 
-def test_changed_report_changes_the_table(maker, monkeypatch):
-    changed = json.loads(json.dumps(maker.report("default-test")))
-    changed["groups"]["librispeech"]["bilabial_window_auc"] = 0.5
-    read = maker.report
-    monkeypatch.setattr(maker, "report", lambda n: changed if n == "default-test" else read(n))
-    alone = maker.short(changed["network"]["librispeech"]["bilabial_window_auc"])
-    assert f"| bilabial AUC, windows | .500 ({alone}) |" in maker.written(
-        maker.DOCUMENTS[0].read_text(encoding="utf-8")
-    )
+def test_every_table_stands_in_a_document():
+    texts = [path.read_text(encoding="utf-8") for path in maker.DOCUMENTS]
+    for name in maker.TABLES:
+        assert sum(f"<!-- table {name} -->" in text for text in texts) == 1, name
+
+
+def test_every_report_stands_in_a_table(changed):
+    """With its report gone, some table cannot be written."""
+    for path in RESULTS:
+        (common.RESULTS / path.name).rename(common.RESULTS / "gone")
+        common.report.cache_clear()
+        with pytest.raises(FileNotFoundError):
+            for table in maker.TABLES.values():
+                table()
+        (common.RESULTS / "gone").rename(common.RESULTS / path.name)
+
+
+@pytest.mark.parametrize(
+    ("page", "row", "keys"),
+    [
+        (
+            "MODEL_CARD.md",
+            "| bilabial AUC, windows | .123 (",
+            ("default-test", "groups", "librispeech", "bilabial_window_auc"),
+        ),
+        ("README.md", "| .123 |", ("default-test", "groups", "librispeech", "bilabial_window_auc")),
+        ("README.md", "| .123 |", ("default-speed", "clip", "rtf_cpu")),
+        (
+            "docs/life.md",
+            "| brows | .12 (",
+            ("motion-energy", "takes", "neutral", "brows", 0),
+        ),
+    ],
+)
+def test_changed_report_changes_the_table(changed, page, row, keys):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert row not in text
+    changed(*keys, value=0.123)
+    assert row in maker.written(text)
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
 def test_reports_are_of_the_weights_of_today(path):
-    """New weights need a new evaluation: `deitalk evaluate default ... -o docs/results/...`."""
+    """New weights need a new evaluation: `python docs/make_reports.py --group weights`."""
     report = json.loads(path.read_text(encoding="utf-8"))
     if report.get("model") in embedded_models():
         assert report["sha256"] == weights_hash(model_folder(report["model"]))
+    for file, sha256 in report.get("files", {}).items():
+        assert sha256 == hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
 
 
-def test_every_report_has_its_command(maker):
-    assert {path.stem for path in RESULTS} <= set(maker.COMMANDS)
+def test_reports_of_the_weights_name_them():
+    for name in WEIGHTS:
+        assert common.report(name)["model"] in embedded_models(), name
 
 
-def test_score_of_one_seed_has_no_deviation(maker):
+def test_reports_and_commands_are_the_same():
+    assert {path.stem for path in RESULTS} == set(COMMANDS)
+    assert len(COMMANDS) == sum(map(len, GROUPS.values()))
+
+
+def test_times_state_the_machine_and_are_of_one():
+    for name in GROUPS["timing"]:
+        assert {"processor", "cores"} <= set(common.report(name)["machine"]), name
+
+
+def test_times_of_two_machines_share_no_table(changed):
+    changed("mesh-speed-2", "machine", "processor", value="another")
+    with pytest.raises(ValueError, match="different machines"):
+        speed.table_4()
+
+
+def test_score_of_one_seed_has_no_deviation():
     scores = {"lpe": {"mean": 0.0421, "sd": float("nan"), "n": 1}, "epe": {"mean": None, "n": 0}}
-    assert [maker._spread(scores, name) for name in scores] == ["42.1", "–"]
+    assert [spread(scores, name) for name in scores] == ["42.1", "–"]
     scores["lpe"] |= {"sd": 0.001, "n": 2}
-    assert maker._spread(scores, "lpe") == "42.1 ± 1.0"
+    assert spread(scores, "lpe") == "42.1 ± 1.0"
 
 
-def test_number_is_written_without_its_zero(maker):
-    assert [maker.short(x) for x in (0.9588, 1.0, -0.25, 0.0)] == [".959", "1.000", "-.250", ".000"]
-    assert maker.short(10.54, 1) == "10.5"
+def test_number_is_written_without_its_zero():
+    numbers = [common.short(x) for x in (0.9588, 1.0, -0.25, 0.0)]
+    assert numbers == [".959", "1.000", "-.250", ".000"]
+    assert common.short(10.54, 1) == "10.5"
 
 
-def test_readme_has_the_scores_of_the_card(maker):
-    rows = {
-        name: next(row for row in README.splitlines() if row.startswith(f"| `{name}`"))
-        for name in ("default", "live")
-    }
-    for name, row in rows.items():
-        auc = maker.report(f"{name}-test")["groups"]["librispeech"]["bilabial_window_auc"]
-        lips = maker.report(f"{name}-lips")["animated"]["mean"]
-        opening, jaw = (maker.short(lips[f"{measure} r"], 2) for measure in ("opening", "jaw"))
-        assert f"bilabial AUC {maker.short(auc)};" in row
-        assert f"opening {opening}, jaw {jaw}" in row
-    speed = maker.report("default-speed")["clip"]["rtf_cpu"]
-    assert f"real-time factor {maker.short(speed)}" in rows["default"]
+def test_sizes_are_those_of_the_weights():
+    for name in embedded_models():
+        tensors = load_file(model_folder(name) / "model.safetensors").values()
+        assert models.numbers(name) == sum(tensor.size for tensor in tensors)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_can_be_run_with_its_places(name, tmp_path):
+    places = {word: str(tmp_path / "data") for word in PLACES}
+    words = make_reports.filled(COMMANDS[name], places, tmp_path)
+    assert not any(word.split("/")[0] in ("corpus", "LIPS", "OUT", "lips_rig") for word in words)
+    command, file = make_reports.runnable(words, tmp_path / "report.json")
+    assert command[0] == sys.executable
+    assert file is not None or "--json" in command
+
+
+def test_place_that_is_missing_or_unknown_is_named(tmp_path):
+    with pytest.raises(ValueError, match="LIPS is needed"):
+        make_reports.filled(COMMANDS["default-lips"], {}, tmp_path)
+    with pytest.raises(ValueError, match="must be WORD=PATH"):
+        make_reports.read_places(None, ["LIP=x"])
+
+
+def test_command_that_fails_leaves_the_report(tmp_path, monkeypatch):
+    monkeypatch.setattr(make_reports, "RESULTS", tmp_path)
+    (tmp_path / "head-motion.json").write_text("before")
+    with pytest.raises(ValueError, match="wrote no report"):
+        make_reports.make("head-motion", {"LIPS": str(tmp_path / "none")})
+    assert (tmp_path / "head-motion.json").read_text() == "before"

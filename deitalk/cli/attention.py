@@ -58,7 +58,9 @@ def attention(
         for name, kind in zip(("vowels", "plosives"), pooled, strict=False)
     }
     if as_json:
-        emit_json({"out": str(out), **summary})
+        from deitalk.evaluation.report import identified
+
+        emit_json({"out": str(out), **identified(model), **summary})
         return
     console().print(str(out))
     for name, numbers in summary.items():

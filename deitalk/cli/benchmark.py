@@ -66,9 +66,10 @@ def benchmark(
 
 def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
     with console().status("measuring"):
+        from deitalk.evaluation.benchmark_curves import machine
         from deitalk.evaluation.benchmark_mesh import as_markdown, table_4
 
-        report = table_4(threads, repeats)
+        report = {"machine": machine(), **table_4(threads, repeats)}
     if as_json:
         emit_json(report)
     else:

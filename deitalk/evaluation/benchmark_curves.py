@@ -5,7 +5,9 @@ Memory is measured in a separate process, because a peak never falls.
 """
 
 import json
+import os
 import platform
+import re
 import subprocess
 import sys
 import time
@@ -120,13 +122,22 @@ def peak_megabytes() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
-def machine() -> dict[str, str]:
+def machine() -> dict[str, Any]:
     """Machine and versions of the measurement."""
     import torch
 
     return {
         "python": platform.python_version(),
         "torch": torch.__version__,
-        "processor": platform.processor() or platform.machine(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
         "system": platform.system(),
     }
+
+
+def _processor() -> str:
+    """Name of the processor."""
+    known = Path("/proc/cpuinfo")
+    if known.is_file() and (found := re.search(r"model name\s*:\s*(.+)", known.read_text())):
+        return found[1].strip()
+    return platform.processor() or platform.machine()

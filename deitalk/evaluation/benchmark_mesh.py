@@ -91,7 +91,8 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
     -------
     dict
         ``milliseconds``: model, stage (`STAGES`; None where there is none); ``megabytes``: model,
-        trained and fixed parts, float32; ``per_window``: see `per_window`; ``frames``.
+        trained and fixed parts, float32; ``per_window``: see `per_window`; ``frames``;
+        ``published``: `PUBLISHED`.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
@@ -111,6 +112,7 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
         out["recogniser_ms"] = spent
         out["per_window"] = per_window(models["SDFA"], sound, repeats)
         out["frames"] = -(-len(sound) * FPS // SAMPLE_RATE)
+        out["published"] = {name: list(row) for name, row in PUBLISHED.items()}
         return out
     finally:
         torch.set_num_threads(before)

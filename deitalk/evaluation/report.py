@@ -1,11 +1,15 @@
 """Reports of the evaluation: Markdown tables, and JSON without NaN."""
 
+import hashlib
 import json
 import math
 from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from deitalk.audio.frames import FRAME_RATE
+from rig.files import atomic_write
 
 MOST_PHONES = 6
 """Sounds of each group in the table of shut lips."""
@@ -16,9 +20,31 @@ def as_json(report: dict[str, Any]) -> str:
     return json.dumps(_known(report), indent=1) + "\n"
 
 
+def write_json(path: Path | None, report: dict[str, Any]) -> None:
+    """Write a report as JSON; nothing without a path."""
+    if path is not None:
+        with atomic_write(path) as beside:
+            beside.write_text(as_json(report), encoding="utf-8")
+
+
+def identified(model: str) -> dict[str, str]:
+    """Name and hash of the weights of a model, for its reports."""
+    from deitalk.models.folder import model_folder, weights_hash
+
+    return {"model": model, "sha256": weights_hash(model_folder(model))}
+
+
+def shipped(package: str, name: str) -> dict[str, dict[str, str]]:
+    """Hash of a file of the package, for reports of what it holds."""
+    content = resources.files(package).joinpath(name).read_bytes()
+    return {"files": {f"{package.replace('.', '/')}/{name}": hashlib.sha256(content).hexdigest()}}
+
+
 def _known(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _known(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -3,7 +3,8 @@
 Labels are the phone times of a dataset folder's training speakers: of speech engines, and of
 recordings aligned with their transcripts (`deitalk.corpus.alignment`). Multinomial logistic
 regression on the features of `default`, by Adam with decoupled decay. The command prints the share
-of rows of the validation speakers whose phone, and whose class of lips, is the most probable.
+of rows of the validation speakers whose phone, and whose class of lips, is the most probable; with
+``--embedded`` it fits nothing and scores the map of the package.
 Letters: N rows, D features, P phones.
 """
 
@@ -21,6 +22,7 @@ from torch.nn import functional as F
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
+from deitalk.evaluation.report import identified, shipped, write_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, Phones
@@ -29,7 +31,9 @@ from deitalk.pipeline.words.evidence import (
     CONTEXT,
     MODEL,
     RATE,
+    WEIGHTS,
     PhoneEvidence,
+    phone_evidence,
     phone_features,
 )
 from rig.arrays import Float32, Int64
@@ -134,16 +138,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="dataset folder with phones")
     parser.add_argument("--every", type=int, default=4, help="of the recordings of people")
+    parser.add_argument("--embedded", action="store_true", help="score the map of the package")
+    parser.add_argument("--json", type=Path, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
     options = parser.parse_args(arguments)
     try:
-        found = fit(read_rows(options.data, "train", options.every))
+        if options.embedded:
+            found = phone_evidence()
+        else:
+            found = fit(read_rows(options.data, "train", options.every))
         scores = score(found, read_rows(options.data, "validation", options.every))
     except DeitalkError as error:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
     for name, value in scores.items():
         sys.stdout.write(f"{name}: {value:.3g}\n")
+    known = shipped("deitalk.pipeline.words", WEIGHTS) if options.embedded else {}
+    write_json(options.json, {**identified(MODEL), **known, "validation": scores})
     if options.out is not None:
         with atomic_write(options.out) as beside:
             save_file({k: v.astype(np.float16) for k, v in found.weights.items()}, beside)

@@ -11,7 +11,7 @@ Whole speakers are divided as in `deitalk.data.strength_clips`. Training and val
 fitted together; their scores are those of five fits, each to four fifths of these speakers and
 scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
-The command prints the scores of these speakers, or with ``--split test`` those of the test
+The command prints the scores of these speakers, and with ``--split test`` also those of the test
 speakers: recall of every class, their mean (unweighted recall, chance .25), anger against sadness,
 the share of readers suggested as neutral, and how probable suggestions are against how often they
 are right.
@@ -35,6 +35,7 @@ from torch.nn import functional as F
 from deitalk.audio.load import load_audio
 from deitalk.data.strength_clips import ACTORS, READERS, StrengthClip, read_strength_clips
 from deitalk.errors import DataError, DeitalkError
+from deitalk.evaluation.report import identified, table, write_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
@@ -324,6 +325,7 @@ def main() -> int:
     parser.add_argument("--actors", type=Path, required=True, help="CREMA-D's table with votes")
     parser.add_argument("--readers", type=Path, action="append", default=[], help="path, speaker")
     parser.add_argument("--split", choices=("validation", TEST), default="validation")
+    parser.add_argument("--json", type=Path, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
     options = parser.parse_args()
     try:
@@ -333,10 +335,11 @@ def main() -> int:
     except DeitalkError as error:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
+    scores = {"cross-validation": score(p, voices, "validation")}
     if options.split == TEST:
-        p = predict(found, voices.numbers)
-    for name, value in score(p, voices, options.split).items():
-        sys.stdout.write(f"{name}: {value:.3g}\n")
+        scores[TEST] = score(predict(found, voices.numbers), voices, TEST)
+    sys.stdout.write("\n".join(table("", scores)) + "\n")
+    write_json(options.json, identified(MODEL) | scores)
     if options.out is not None:
         with atomic_write(options.out) as beside:
             save_file({k: v.astype(np.float32) for k, v in found.weights.items()}, beside)

@@ -8,7 +8,8 @@ has random equalisation and noise, so that neither microphone nor room counts as
 
 The command prints the scores of `deitalk.evaluation.people.strength` for the validation
 speakers, or with
-``--split test`` for the test speakers, each beside those of level and pitch.
+``--split test`` for the test speakers, each beside those of level and pitch; with ``--embedded`` it
+trains nothing and scores the networks of the package.
 """
 
 import argparse
@@ -28,7 +29,9 @@ from deitalk.audio.vocal_strength import (
     MEMBERS,
     REST_WEIGHT,
     UNIT_DB,
+    WEIGHTS,
     VocalStrength,
+    vocal_strength,
     without_level,
 )
 from deitalk.data.strength_clips import (
@@ -234,6 +237,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--actors", type=Path, required=True, help="table of actors")
     parser.add_argument("-o", "--out", type=Path, help="weights: FILE.safetensors")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
+    parser.add_argument("--embedded", action="store_true", help="score those of the package")
+    parser.add_argument("--json", type=Path, help="also write the scores to this file")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
@@ -245,17 +250,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(given: argparse.Namespace) -> None:
     from deitalk.evaluation.people.strength import as_markdown, score_strength
+    from deitalk.evaluation.report import shipped, write_json
 
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
     measured = measure_clips(clips)
     held = [clip for clip in measured if clip.clip.split == given.split]
     unseen = ("test",) if given.split == "test" else ("test", "validation")
-    network = train(
-        [clip for clip in measured if clip.clip.split not in unseen],
-        steps=given.steps,
-        seed=given.seed,
-    )
-    sys.stdout.write(as_markdown(score_strength(network, held)) + "\n")
+    if given.embedded:
+        network = vocal_strength()
+    else:
+        heard = [clip for clip in measured if clip.clip.split not in unseen]
+        network = train(heard, steps=given.steps, seed=given.seed)
+    scores = score_strength(network, held)
+    sys.stdout.write(as_markdown(scores) + "\n")
+    known = shipped("deitalk.audio", WEIGHTS) if given.embedded else {}
+    write_json(given.json, {"split": given.split, **known, "scores": scores})
     if given.out is not None:
         with atomic_write(given.out) as path:
             save_file({k: v.astype(np.float16) for k, v in network.weights.items()}, path)

@@ -1,14 +1,17 @@
-"""The numbers of docs/mesh.md: ``python -m rig.retarget.measure ict_face.npz``.
+"""The numbers of docs/mesh.md: ``python -m rig.retarget.measure ict_face.npz --json FILE``.
 
-Without a file, only those of the embedded head. The file holds `neutral` (V, 3) in cm, `triangles`
+Without a face, only those of the embedded head. The file holds `neutral` (V, 3) in cm, `triangles`
 (N, 3) and `expression_deltas` (K, V, 3); any face of a few thousand vertices that looks along +z
 does.
 """
 
+import argparse
+import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -18,37 +21,52 @@ from rig.deformation.basis import choose_bases
 from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices
 from rig.deformation.reconstruct import DeformationSolver
 from rig.deformation.rotations import polar
+from rig.files import atomic_write
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.methods import Method, carry_shapes
 from rig.retarget.registration import lip_labels
 from rig.retarget.source_head import source_head
 
+RUNS = 5
 PAPER_TRIANGLES = 9976
 """SDFA §4.1: N of its template."""
 
 
-def main(path: str | None) -> None:
-    """Write every row to standard output as it is measured."""
-    for row in [] if path is None else of_file(path):
-        sys.stdout.write(row + "\n")
-        sys.stdout.flush()
-    for row in retargeting():
-        sys.stdout.write(row + "\n")
-        sys.stdout.flush()
+Row = dict[str, Any]
 
 
-def of_file(path: str) -> Iterator[str]:
-    """Rows that need a face from a file."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write every row to standard output as it is measured; all but the times to a file."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("face", nargs="?", help=".npz")
+    parser.add_argument("--json", type=Path, help="also write the errors to this file")
+    given = parser.parse_args(arguments)
+    report: dict[str, list[Row]] = {}
+    parts = {} if given.face is None else of_file(given.face)
+    for name, rows in (parts | {"retargeting": retargeting()}).items():
+        for row in rows:
+            sys.stdout.write(f"{name}: {row}\n")
+            sys.stdout.flush()
+            if name != "timings":
+                report.setdefault(name, []).append(row)
+    if given.json is not None:
+        with atomic_write(given.json) as beside:
+            beside.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def of_file(path: str) -> dict[str, Iterator[Row]]:
+    """Parts that need a face from a file."""
     with np.load(path, allow_pickle=False) as file:
         mesh = TriMesh(file["neutral"], file["triangles"])
         deltas = file["expression_deltas"].astype(np.float64)
-    rng = np.random.default_rng(0)
-    for part in (round_trip, timings, bases):
-        yield from part(mesh, deltas, rng)
+    return {
+        part.__name__: part(mesh, deltas, np.random.default_rng(seed))
+        for seed, part in enumerate((round_trip, timings, bases))
+    }
 
 
-def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[str]:
+def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[Row]:
     """Shapes carried from one embedded head to others, against their own."""
     source = source_head(0)
     for identity in identities:
@@ -64,20 +82,22 @@ def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[str]:
             ("gradients", head.landmarks, "gradients"),
             ("displacements, landmarks guessed", guessed, "displacements"),
         ):
-            start = time.perf_counter()
             shapes = replace(source.rig.shapes, landmarks=source.landmarks)
             made = carry_shapes(shapes, neutral, marks, method=cast(Method, method)).shapes
-            seconds = time.perf_counter() - start
             error = 10 * np.linalg.norm(np.stack([made.delta(n) for n in shared]) - truth, axis=-1)
             jaw = shared.index("CTRL_C_jaw.ty")
-            yield (
-                f"head 0 to {identity}, {way}: {seconds:.1f} s, {len(shared)} shapes; mm: moving "
-                f"vertices {error[motion > 1].mean():.2f} of {motion[motion > 1].mean():.2f}, lips "
-                f"{error[:, lips].mean():.2f}, lips of the open jaw {error[jaw, lips].mean():.2f}"
-            )
+            yield {
+                "head": identity,
+                "way": way,
+                "shapes": len(shared),
+                "motion_mm": float(motion[motion > 1].mean()),
+                "moving_mm": float(error[motion > 1].mean()),
+                "lips_mm": float(error[:, lips].mean()),
+                "open_jaw_lips_mm": float(error[jaw, lips].mean()),
+            }
 
 
-def round_trip(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
+def round_trip(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[Row]:
     """Largest vertex error over the size of the head, in three storages; polar against SVD."""
     moved = mesh.vertices + np.concatenate([deltas, mixes(deltas, rng, 30)])
     s, r = pack_vertices(mesh, moved)
@@ -86,16 +106,18 @@ def round_trip(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iter
     for dtype in (np.float64, np.float32, np.float16):
         solved = solver.solve(s.astype(dtype), r.astype(dtype), pin_positions=pins)
         error = np.linalg.norm(solved - moved, axis=-1).max() / mesh.size
-        yield f"round trip {len(moved)} frames, {np.dtype(dtype).name:8s} {error:.1e} of head size"
+        yield {"storage": np.dtype(dtype).name, "frames": len(moved), "of_head_size": float(error)}
     gradients = deformation_gradients(mesh, mesh.vertices + deltas)
     rotation, stretch = polar(gradients)
     u, values, vt = np.linalg.svd(gradients)
-    yield f"singular values of T: {values.min():.3g} to {values.max():.3g}"
-    yield f"polar against SVD: {np.abs(rotation - u @ vt).max():.1e}"
-    yield f"R S against T: {np.abs(rotation @ stretch - gradients).max():.1e}"
+    yield {
+        "singular_values": [float(values.min()), float(values.max())],
+        "polar_against_svd": float(np.abs(rotation - u @ vt).max()),
+        "product_against_gradient": float(np.abs(rotation @ stretch - gradients).max()),
+    }
 
 
-def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
+def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[Row]:
     """Milliseconds a frame on the paper's number of triangles around the face's middle."""
     front = mesh.vertices[np.argmax(mesh.vertices[:, 2])]
     distance = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1) - front, axis=1)
@@ -103,14 +125,14 @@ def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterato
     small, used = TriMesh(mesh.vertices, mesh.faces[nearest]).compact()
     frames = 96
     moved = small.vertices + mixes(deltas[:, used], rng, frames)
-    yield f"{len(small.faces)} triangles, {len(small.vertices)} vertices; best of 5 runs"
+    yield {"triangles": len(small.faces), "vertices": len(small.vertices), "best of": RUNS}
     seconds, (s, r) = _best(lambda: pack_vertices(small, moved))
-    yield f"  training direction (gradients, polar, log)  {1e3 * seconds / frames:6.2f} ms a frame"
+    yield {"gradients, polar, log, ms a frame": 1e3 * seconds / frames}
     seconds, solver = _best(lambda: DeformationSolver(small))
-    yield f"  set static mesh (assemble and factor)       {1e3 * seconds:6.2f} ms once"
+    yield {"set static mesh, ms once": 1e3 * seconds}
     pins = moved[:, solver.pins]
     seconds, _ = _best(lambda: solver.solve(s, r, pin_positions=pins))
-    yield f"  whole reconstruction                        {1e3 * seconds / frames:6.2f} ms a frame"
+    yield {"whole reconstruction, ms a frame": 1e3 * seconds / frames}
     right = np.empty((3, len(solver._free)))
 
     def assemble() -> None:
@@ -119,7 +141,7 @@ def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterato
             solver._assemble(rows, pin, right)
 
     seconds, _ = _best(assemble)
-    yield f"    exp and assembly                          {1e3 * seconds / frames:6.2f} ms a frame"
+    yield {"exp and assembly, ms a frame": 1e3 * seconds / frames}
     chunk = np.tile(right, (8, 1))
 
     def substitute() -> None:
@@ -128,21 +150,24 @@ def timings(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterato
                 solver._factors.solve(chunk.T)
 
     seconds, _ = _best(substitute)
-    yield f"    solve (Eq. 6)                             {1e3 * seconds / frames:6.2f} ms a frame"
+    yield {"solve (Eq. 6), ms a frame": 1e3 * seconds / frames}
 
 
-def bases(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[str]:
+def bases(mesh: TriMesh, deltas: Float64, rng: np.random.Generator) -> Iterator[Row]:
     """Sizes of the bases against the error at the most mobile tenth of the vertices."""
     moved = mesh.vertices + mixes(deltas, rng, 400)
     motion = np.linalg.norm(deltas, axis=-1).mean(axis=0)
     mobile = np.flatnonzero(motion >= np.quantile(motion, 0.9))
     found = choose_bases(mesh, moved[:340], moved[340:], mobile, bound=0.05)
     for row in found.table:
-        yield (
-            f"variance {row['variance']:.4f}: stretch {row['stretch']:.0f}, rotation "
-            f"{row['rotation']:.0f}; unseen frames, mm: mean {10 * row['mean']:.3f}, "
-            f"mobile p99 {10 * row['lips_p99']:.2f}, max {10 * row['lips_max']:.2f}"
-        )
+        yield {
+            "variance": float(row["variance"]),
+            "stretch": int(row["stretch"]),
+            "rotation": int(row["rotation"]),
+            "mean_mm": 10 * float(row["mean"]),
+            "mobile_p99_mm": 10 * float(row["lips_p99"]),
+            "mobile_max_mm": 10 * float(row["lips_max"]),
+        }
 
 
 def mixes(deltas: Float64, rng: np.random.Generator, frames: int) -> Float64:
@@ -155,7 +180,7 @@ def mixes(deltas: Float64, rng: np.random.Generator, frames: int) -> Float64:
 
 def _best(work: Callable[[], Any]) -> tuple[float, Any]:
     times = []
-    for _ in range(5):
+    for _ in range(RUNS):
         start = time.perf_counter()
         result = work()
         times.append(time.perf_counter() - start)
@@ -163,4 +188,4 @@ def _best(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else None)
+    main()

@@ -2,12 +2,13 @@
 
 ::
 
-    python -m tests.api.load                   # about two minutes
+    python -m tests.api.load                   # about two minutes; --json FILE writes the times
 
 Times are of the clock, and of the processors in brackets: on a machine with other work only the
 second are the service's own.
 """
 
+import argparse
 import os
 import statistics
 import sys
@@ -16,11 +17,14 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import httpx
 
+from deitalk.evaluation.benchmark_curves import machine
+from deitalk.evaluation.report import identified, write_json
 from tests.api.conftest import wav
 from tests.api.kill import descendants
 from tests.api.server import Server, start, stop, wait_until
@@ -89,8 +93,8 @@ def library() -> Callable[[], None]:
     return work
 
 
-def compare(server: Server, count: int) -> float:
-    """Print times of one client and of the library, in turns; return the client's 95th percentile."""
+def compare(server: Server, count: int) -> dict[str, float]:
+    """Times of one client and of the library, in turns, ms."""
     work, service, alone = library(), [], []
     spent, own = 0.0, 0.0
     with server.client() as client:
@@ -102,16 +106,21 @@ def compare(server: Server, count: int) -> float:
             alone.append(timed(work))
             own += 1000 * time.process_time() - before
     late = sorted(service)[int(0.95 * count)]
-    say(f"one client: median {statistics.median(service):.0f} ms, p95 {late:.0f} ms "
-        f"[{spent / count:.0f} ms]; library: {statistics.median(alone):.0f} ms "
-        f"[{own / count:.0f} ms]; overhead "
-        f"{statistics.median(service) - statistics.median(alone):+.0f} ms "
-        f"[{(spent - own) / count:+.0f} ms]")  # fmt: skip
-    return late
+    return {
+        "median": statistics.median(service),
+        "p95": late,
+        "processors": spent / count,
+        "library_median": statistics.median(alone),
+        "library_processors": own / count,
+    }
 
 
 def main() -> None:
     """Run from a command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", type=Path, help="also write the times to this file")
+    given = parser.parse_args()
+    report: dict[str, Any] = identified("default") | {"machine": machine(), "threads": 1}
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         server = start(
@@ -120,18 +129,28 @@ def main() -> None:
         try:
             answers = time.perf_counter() - began
             wait_until(server, "/readyz")
-            say(f"answers after {answers:.1f} s, ready after {time.perf_counter() - began:.1f} s "
-                f"[{processor_ms(server) / 1000:.1f} s of all processes]")  # fmt: skip
+            report["start"] = {
+                "answers_seconds": answers,
+                "ready_seconds": time.perf_counter() - began,
+                "processor_seconds": processor_ms(server) / 1000,
+            }
+            say(str(report["start"]))
             at_once(server, 4, 2)
-            alone = compare(server, 40)
+            report["one_client_ms"] = compare(server, 40)
+            say(str(report["one_client_ms"]))
+            report["clients"] = {}
             for clients in (2, 5, 10):
                 times = at_once(server, clients, 60 // clients)
                 late = times[int(0.95 * len(times))]
-                say(f"{clients} clients on {os.cpu_count()} processors: median "
-                    f"{statistics.median(times):.0f} ms, p95 {late:.0f} ms, {late / alone:.1f} x "
-                    "one client's")  # fmt: skip
+                report["clients"][str(clients)] = {
+                    "median_ms": statistics.median(times),
+                    "p95_ms": late,
+                    "p95_of_one": late / report["one_client_ms"]["p95"],
+                }
+                say(f"{clients} clients: {report['clients'][str(clients)]}")
         finally:
             stop(server)
+    write_json(given.json, report)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ How regular the nods are is that of `deitalk.evaluation.people.nods`.
 Letters: T frames at 30 per second, n measures at 25.
 """
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -33,7 +34,7 @@ from deitalk.errors import DeitalkError
 from deitalk.evaluation.people.nods import MEASURES as NODS
 from deitalk.evaluation.people.nods import measure_nods
 from deitalk.evaluation.people.stress import stress_track
-from deitalk.evaluation.report import table
+from deitalk.evaluation.report import table, write_json
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.head import head_motion
 from deitalk.postprocess.life.traits import Traits
@@ -219,11 +220,16 @@ def ratios(report: dict[str, list[float]]) -> Float64:
 
 def main(arguments: Sequence[str]) -> int:
     """Print the report; 0 if all ratios are within the tolerance, else 1."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("folder", type=Path, help="measured lips with poses")
+    parser.add_argument("--json", type=Path, help="also write the report to this file")
+    options = parser.parse_args(arguments)
     try:
-        report = evaluate_head(Path(arguments[0]) if arguments else Path())
+        report = evaluate_head(options.folder)
     except DeitalkError as error:
         sys.exit(str(error))
     sys.stdout.write(as_markdown(report))
+    write_json(options.json, {**report, "ratios": ratios(report).tolist()})
     return int((np.abs(ratios(report) - 1) > TOLERANCE).any())
 
 

@@ -4,7 +4,7 @@ Files are curves of any format, such as takes of the five emotions and captured 
 The energy of a region at a frame is the root mean square, over its controls, of their change per
 second; that of the head is its turn in degrees per second. The table gives the mean over the time,
 and in brackets the standard deviation of the most moving control; ``-o`` draws the energy over the
-time.
+time. ``--animate RECORDING`` adds the takes of a model in every emotion.
 
 Letters: T frames, C controls.
 """
@@ -16,9 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import table
+from deitalk.evaluation.report import identified, table, write_json
 from deitalk.figures.canvas import drawing
+from deitalk.models.network import load_network
+from deitalk.pipeline.curves import animate
 from rig import read_curves
 from rig.arrays import Float64
 from rig.controls import DEFAULT_ID
@@ -81,24 +84,51 @@ def read_takes(files: Sequence[Path], start: float, seconds: float) -> dict[str,
     """
     takes: dict[str, RigCurves] = {}
     for path in files:
-        curves = convert(read_curves(path, control_set=None), DEFAULT_ID)
-        curves = curves.resample(30).slice_seconds(start, min(start + seconds, curves.duration))
-        if len(curves) < 2:
-            raise DataError(f"{path}: has fewer than two frames from {start:g} s on")
         if path.stem in takes:
             raise DataError(f"{path}: another file has that name; rename one")
-        takes[path.stem] = curves
+        takes[path.stem] = _part(path, read_curves(path, control_set=None), start, seconds)
     return takes
+
+
+def animated_takes(
+    recording: Path, model: str, start: float, seconds: float
+) -> dict[str, RigCurves]:
+    """Curves of a model in every emotion, from a time on.
+
+    Raises
+    ------
+    DataError
+        If the recording has fewer than two frames there.
+    """
+    network = load_network(model)
+    takes = {name: animate(recording, name, model=network).curves for name in EMOTIONS}
+    return {name: _part(recording, take, start, seconds) for name, take in takes.items()}
+
+
+def _part(path: Path, curves: RigCurves, start: float, seconds: float) -> RigCurves:
+    board = convert(curves, DEFAULT_ID).resample(30)
+    board = board.slice_seconds(start, min(start + seconds, curves.duration))
+    if len(board) < 2:
+        raise DataError(f"{path}: has fewer than two frames from {start:g} s on")
+    return board
+
+
+def summary(takes: Mapping[str, RigCurves]) -> dict[str, dict[str, tuple[float, float]]]:
+    """Mean energy and spread of each region, by take."""
+    found = {}
+    for title, curves in takes.items():
+        spread = spreads(curves)
+        energy = motion_energy(curves)
+        found[title] = {name: (float(e.mean()), spread[name]) for name, e in energy.items()}
+    return found
 
 
 def as_markdown(takes: Mapping[str, RigCurves]) -> str:
     """The table: a column for each take."""
-    columns = {}
-    for title, curves in takes.items():
-        energy, spread = motion_energy(curves), spreads(curves)
-        columns[title] = {
-            name: f"{e.mean():.3f} ({spread[name]:.3f})" for name, e in energy.items()
-        }
+    columns = {
+        title: {name: f"{mean:.3f} ({spread:.3f})" for name, (mean, spread) in regions.items()}
+        for title, regions in summary(takes).items()
+    }
     return "\n".join(table("region", columns)) + "\n"
 
 
@@ -123,19 +153,29 @@ def draw(path: Path, takes: Mapping[str, RigCurves]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; draw the picture if one is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("files", type=Path, nargs="+", help="curves of any format")
+    parser.add_argument("files", type=Path, nargs="*", help="curves of any format")
+    parser.add_argument("--animate", type=Path, metavar="RECORDING", help="in every emotion")
+    parser.add_argument("--model", default="default", help="name or folder, for --animate")
+    parser.add_argument("--json", type=Path, help="also write the table to this file")
     parser.add_argument("-o", "--out", type=Path, help="picture: .png, .svg or .pdf")
     parser.add_argument("--start", type=float, default=0.0, help="first second")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="how many of them")
     options = parser.parse_args(arguments)
     try:
         takes = read_takes(options.files, options.start, options.seconds)
+        if options.animate is not None:
+            part = (options.model, options.start, options.seconds)
+            takes |= animated_takes(options.animate, *part)
+        if not takes:
+            raise DataError("no curves; name files, or a recording with --animate")
         if options.out is not None:
             draw(options.out, takes)
     except (DeitalkError, RigError) as error:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
     sys.stdout.write(as_markdown(takes))
+    known = identified(options.model) if options.animate is not None else {}
+    write_json(options.json, known | {"takes": summary(takes)})
     return 0
 
 

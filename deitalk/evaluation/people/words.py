@@ -22,7 +22,7 @@ from deitalk.corpus.engines import espeak
 from deitalk.data.clips import read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
-from deitalk.evaluation.report import table
+from deitalk.evaluation.report import identified, table, write_json
 from deitalk.evaluation.validation import lips_together
 from deitalk.models.network import CurveNetwork, load_network
 from deitalk.phones import Phones
@@ -146,13 +146,22 @@ def measure(
     return found
 
 
-def as_markdown(found: dict[str, dict[str, list[ClosureScores]]]) -> str:
-    """Bilabials found, one column for each group."""
-    columns = {}
+def summary(found: dict[str, dict[str, list[ClosureScores]]]) -> dict[str, dict[str, float]]:
+    """Share of the bilabials found by group and condition, and their number."""
+    groups: dict[str, dict[str, float]] = {}
     for group, rows in found.items():
         scores = {name: summarise_closures(clips) for name, clips in rows.items()}
-        columns[group] = {name: f"{score.hit_rate:.3f}" for name, score in scores.items()}
-        columns[group]["bilabials"] = str(next(iter(scores.values())).n_closures)
+        groups[group] = {name: score.hit_rate for name, score in scores.items()}
+        groups[group]["bilabials"] = next(iter(scores.values())).n_closures
+    return groups
+
+
+def as_markdown(found: dict[str, dict[str, list[ClosureScores]]]) -> str:
+    """Bilabials found, one column for each group."""
+    columns = {
+        group: {n: f"{v:d}" if isinstance(v, int) else f"{v:.3f}" for n, v in scores.items()}
+        for group, scores in summary(found).items()
+    }
     return "\n".join(table("bilabials found", columns)) + "\n"
 
 
@@ -163,6 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--model", default="default", help="name or folder")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--most", type=int, help="most recordings of a group")
+    parser.add_argument("--json", type=Path, help="also write the report to this file")
     options = parser.parse_args(arguments)
     try:
         network = load_network(options.model)
@@ -172,6 +182,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
     sys.stdout.write(as_markdown(found))
+    known = identified(options.model) | {"split": options.split}
+    write_json(options.json, known | {"groups": summary(found)})
     return 0
 
 

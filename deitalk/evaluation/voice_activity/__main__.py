@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.voice_activity.comparison import run
+from deitalk.evaluation.report import write_json
+from deitalk.evaluation.voice_activity.comparison import as_markdown, run
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -17,13 +18,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--music", default="synthetic", help="folder of recordings, or synthetic")
     parser.add_argument("--detectors", default="ours,silero,webrtc", help="names, by commas")
     parser.add_argument("--clips", type=int, default=30, help="most clips of a source of speech")
+    parser.add_argument("--json", type=Path, help="also write the report to this file")
     given = parser.parse_args(arguments)
     try:
         if given.clips < 1:
             raise DataError(f"--clips {given.clips}: must be at least 1")
         names = given.detectors.split(",")
-        for line in run(given.data, given.noise, given.music, names, given.clips):
-            sys.stdout.write(line + "\n")
+        report = run(given.data, given.noise, given.music, names, given.clips)
+        sys.stdout.write(as_markdown(report))
+        write_json(given.json, report)
     except DeitalkError as error:
         sys.exit(str(error))
 

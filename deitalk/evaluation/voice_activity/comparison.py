@@ -5,9 +5,10 @@ Letters: S samples at 16 kHz, T rig frames at 30 Hz.
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 
@@ -143,44 +144,65 @@ def _mixture(
             yield example.mixed(condition, noises, seed), condition, example
 
 
-COLUMNS: tuple[tuple[str, Callable[[Counts], str]], ...] = (
-    ("hits", lambda c: f"{c.hit_rate:.1%}"),
-    ("false alarms", lambda c: f"{c.false_alarm_rate:.1%}"),
-    ("balanced accuracy", lambda c: f"{c.balanced_accuracy:.1%}"),
-    ("missed onsets", lambda c: f"{c.missed_onset_rate:.1%}"),
-    ("speech, mouth shut", lambda c: f"{share(c.shut, c.speech):.1%}"),
-    ("pause, mouth open", lambda c: f"{share(c.open, c.settled):.1%}"),
-    ("CPU ms per s", lambda c: f"{1000 * share(c.cpu_seconds, c.audio_seconds):.1f}"),
-)
+CPU = "CPU ms per s"
+MEASURES: dict[str, Callable[[Counts], float]] = {
+    "hits": lambda c: c.hit_rate,
+    "false alarms": lambda c: c.false_alarm_rate,
+    "balanced accuracy": lambda c: c.balanced_accuracy,
+    "missed onsets": lambda c: c.missed_onset_rate,
+    "speech, mouth shut": lambda c: share(c.shut, c.speech),
+    "pause, mouth open": lambda c: share(c.open, c.settled),
+    CPU: lambda c: 1000 * share(c.cpu_seconds, c.audio_seconds),
+}
+"""Shares, but for the last."""
+Scores = dict[str, dict[str, dict[str, float]]]
+"""Of each label, detector and measure."""
 
 
-def level_table(results: Results, music: Sequence[str]) -> str:
-    """Every measure by detector and level, all noises pooled and all music pooled (Markdown)."""
+def level_scores(results: Results, music: Sequence[str]) -> Scores:
+    """Every measure by level and detector, all noises pooled and all music pooled."""
     pooled: dict[tuple[str, str], Counts] = defaultdict(Counts)
     for (detector, (name, snr_db), _), counts in results.items():
         kind = "music" if name in music else "noise"
         label = "clean" if (name, snr_db) == CLEAN else f"{kind} {snr_db} dB"
         pooled[label, detector] += counts
-    rows = [
-        [label, detector, *(show(counts) for _, show in COLUMNS)]
-        for (label, detector), counts in pooled.items()
-    ]
-    return _markdown(["condition", "detector", *(name for name, _ in COLUMNS)], rows)
+    return _scores(pooled)
 
 
-def condition_table(results: Results) -> str:
-    """Balanced accuracy by condition, and by source of speech, a column a detector (Markdown)."""
+def condition_scores(results: Results) -> Scores:
+    """Every measure by condition, and by source of speech, and detector."""
     pooled: dict[tuple[str, str], Counts] = defaultdict(Counts)
     sources: dict[tuple[str, str], Counts] = defaultdict(Counts)
     for (detector, (name, snr_db), group), counts in results.items():
         label = "clean" if (name, snr_db) == CLEAN else f"{name} {snr_db} dB"
         pooled[label, detector] += counts
         sources[f"all conditions, {group}", detector] += counts
-    pooled.update(sources)
-    names = list(dict.fromkeys(detector for _, detector in pooled))
+    return _scores({**pooled, **sources})
+
+
+def _scores(pooled: dict[tuple[str, str], Counts]) -> Scores:
+    scores: Scores = defaultdict(dict)
+    for (label, detector), counts in pooled.items():
+        scores[label][detector] = {name: measure(counts) for name, measure in MEASURES.items()}
+    return dict(scores)
+
+
+def level_table(levels: Scores) -> str:
+    """A row for each level and detector (Markdown)."""
     rows = [
-        [label, *(f"{pooled[label, name].balanced_accuracy:.1%}" for name in names)]
-        for label in dict.fromkeys(label for label, _ in pooled)
+        [label, detector, *(f"{v:.1f}" if n == CPU else f"{v:.1%}" for n, v in found.items())]
+        for label, detectors in levels.items()
+        for detector, found in detectors.items()
+    ]
+    return _markdown(["condition", "detector", *MEASURES], rows)
+
+
+def condition_table(conditions: Scores) -> str:
+    """Balanced accuracy, a row for each condition, a column for each detector (Markdown)."""
+    names = list(next(iter(conditions.values())))
+    rows = [
+        [label, *(f"{found[name]['balanced accuracy']:.1%}" for name in names)]
+        for label, found in conditions.items()
     ]
     return _markdown(["condition", *names], rows)
 
@@ -192,8 +214,8 @@ def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def run(
     folder: Path, noise: str, music: str, names: Sequence[str], per_group: int
-) -> Iterator[str]:
-    """Lines of the report: the clips, the operating points and both tables.
+) -> dict[str, Any]:
+    """Choose the operating points of detectors, and compare them.
 
     Parameters
     ----------
@@ -205,6 +227,12 @@ def run(
         Names of detectors.
     per_group : int
         Most clips of each source of speech, for choosing and for scoring.
+
+    Returns
+    -------
+    dict
+        ``clips`` and ``seconds`` of speech that were scored, ``settings`` by detector, and the
+        scores ``levels`` and ``conditions``.
 
     Raises
     ------
@@ -221,14 +249,20 @@ def run(
         [CLEAN, *((name, snr) for name in (*noises, *pieces) for snr in levels)]
         for levels in (SNRS_DB, CHOICE_SNRS_DB)
     )
-    for which, clips in (("chosen on", tuning), ("scored on", examples)):
-        seconds = sum(len(clip.waveform) for clip in clips) / SAMPLE_RATE
-        yield f"{which} {len(clips)} clips, {seconds:.0f} s"
     detectors = {d: choose_setting(d, tuning, choice, sounds) for d in found}
-    for detector, setting in detectors.items():
-        yield f"{detector.name}: {setting}"
     results = compare(detectors, examples, scored, sounds)
-    yield ""
-    yield level_table(results, list(pieces))
-    yield ""
-    yield condition_table(results)
+    return {
+        "clips": len(examples),
+        "seconds": sum(len(clip.waveform) for clip in examples) / SAMPLE_RATE,
+        "settings": {detector.name: asdict(setting) for detector, setting in detectors.items()},
+        "levels": level_scores(results, list(pieces)),
+        "conditions": condition_scores(results),
+    }
+
+
+def as_markdown(report: dict[str, Any]) -> str:
+    """The clips, the operating points and both tables."""
+    settings = [f"{name}: {setting}" for name, setting in report["settings"].items()]
+    lines = [f"scored on {report['clips']} clips, {report['seconds']:.0f} s", *settings, ""]
+    lines += [level_table(report["levels"]), "", condition_table(report["conditions"])]
+    return "\n".join(lines) + "\n"

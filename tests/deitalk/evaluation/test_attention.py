@@ -15,6 +15,7 @@ from deitalk.cli import app
 from deitalk.config import ConformerConfig, ModelConfig, parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.evaluation.attention import attention_of, corpus_attention
+from deitalk.evaluation.report import identified
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from rig.errors import RigError
@@ -144,7 +145,8 @@ def test_command_draws_a_clip_and_a_corpus(dataset, tmp_path):
     model = ("--model", tmp_path / "model")
     sound, phones = dataset / "audio" / "a.wav", dataset / "phones" / "a.csv"
     plain = run(sound, "-o", tmp_path / "clip.png", *model, "--json")
-    assert json.loads(plain.stdout) == {"out": str(tmp_path / "clip.png")}
+    known = identified(str(tmp_path / "model"))
+    assert json.loads(plain.stdout) == {"out": str(tmp_path / "clip.png"), **known}
     report = json.loads(
         run(sound, "--phones", phones, "-o", tmp_path / "b.png", *model, "--json").stdout
     )

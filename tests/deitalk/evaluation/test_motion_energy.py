@@ -1,5 +1,6 @@
 """Motion energy by region: hand-worked values, the table and the picture."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -32,9 +33,13 @@ def test_command_compares_files_and_draws(curves, tmp_path, capsys):
     write_curves(tmp_path / "a.npz", curves)
     write_curves(tmp_path / "b.csv", curves)
     files = [str(tmp_path / name) for name in ("a.npz", "b.csv")]
-    assert main([*files, "-o", str(tmp_path / "energy.png")]) == 0
+    options = ["-o", str(tmp_path / "energy.png"), "--json", str(tmp_path / "energy.json")]
+    assert main([*files, *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split("|")[1:4] == [" region ", " a ", " b "]
     assert any(line.startswith("| brows | 1.061 (0.130) | 1.061 (0.130)") for line in lines)
+    found = json.loads((tmp_path / "energy.json").read_text())["takes"]
+    assert found["b"]["brows"] == pytest.approx([1.061, 0.130], abs=1e-3)
+    assert main([]) == 1 and "no curves" in capsys.readouterr().err
     assert (tmp_path / "energy.png").read_bytes().startswith(b"\x89PNG")
     assert main([files[0], "--start", "5"]) == 1 and "fewer than two" in capsys.readouterr().err

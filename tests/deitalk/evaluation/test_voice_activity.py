@@ -17,7 +17,9 @@ from deitalk.evaluation.voice_activity.comparison import (
     Example,
     choose_setting,
     compare,
+    condition_scores,
     condition_table,
+    level_scores,
     level_table,
     read_examples,
     run,
@@ -227,11 +229,11 @@ def test_comparison_pools_by_condition_and_prints_tables(example):
     assert results["loud", ("hum", 0), "test"].alarms == 2 * 57
     assert results["loud", ("hum", 20), "test"].alarms == 0
     assert results["loud", CLEAN, "test"].audio_seconds == 6
-    table = level_table(results, music=())
+    table = level_table(level_scores(results, music=()))
     assert "| noise 0 dB | loud | 100.0% | 100.0% | 50.0% | 0.0% | 0.0% | 100.0% |" in table
     assert "| clean | loud | 100.0% | 0.0% | 100.0% | 0.0% | 0.0% | 0.0% |" in table
-    assert "| music 0 dB | loud |" in level_table(results, music=("hum",))
-    rows = condition_table(results).splitlines()
+    assert "| music 0 dB | loud |" in level_table(level_scores(results, music=("hum",)))
+    rows = condition_table(condition_scores(results)).splitlines()
     assert rows[2:] == [
         "| clean | 100.0% |", "| hum 20 dB | 100.0% |", "| hum 0 dB | 50.0% |",
         "| all conditions, test | 83.3% |",
@@ -265,7 +267,7 @@ def test_examples_are_read_once_per_recording_by_split(tmp_path):
 def test_examples_reject_a_dataset_without_the_split(tmp_path):
     write_dataset(tmp_path, ["train"])
     with pytest.raises(DataError, match="no clip of validation or test has phones"):
-        list(run(tmp_path, "pink", "pink", ["ours"], 5))
+        run(tmp_path, "pink", "pink", ["ours"], 5)
 
 
 def test_command_prints_the_tables(tmp_path):

@@ -1,0 +1,101 @@
+"""The command of each report of ``docs/results``, in three groups; words that stand for data."""
+
+_EVALUATE = "deitalk evaluate default"
+_ABLATE = "deitalk ablate --data corpus/ --steps 300"
+_TUNE = "deitalk finetune"
+_SHORT = "-o OUT --set train.steps=100 --set train.batch_size=4 --set train.evaluate_every=50"
+_PEOPLE = "python -m deitalk.evaluation.people"
+LIP_SPEAKERS = ("s03", "s32")
+"""Measured speakers from whom no embedded model learnt."""
+
+WEIGHTS = {
+    "default-test": f"{_EVALUATE} --data corpus/ --split test --most 90 --probes 12",
+    "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
+    "default-lips": f"{_EVALUATE} --lips LIPS --speaker s03 --speaker s32",
+    "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
+    "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 --noise NOISE",
+    "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
+    "default-attention": "deitalk attention corpus/ --clips 20 -o OUT/attention.png --json",
+    "known-words": f"{_PEOPLE}.words --data corpus/ --split test --most 90",
+    "motion-energy": f"{_PEOPLE}.motion_energy --animate docs/samples/amiable.flac --seconds 6",
+    "phone-evidence": "python -m deitalk.training.phone_evidence --data corpus/ --embedded",
+    "suggestion": "python -m deitalk.training.suggestion --actors CREMA.csv "
+    "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --split test",
+    "mesh-head-test": "deitalk evaluate mesh_head --data corpus/ --split test --most 24",
+}
+"""Of the weights of `default`: with new ones they have to run again (and its times, below)."""
+TIMING = {
+    "default-speed": "deitalk benchmark --json",
+    "mesh-speed-1": "deitalk benchmark --mesh --threads 1 --json",
+    "mesh-speed-2": "deitalk benchmark --mesh --threads 2 --json",
+    "live-speed": "python -m tests.live_speed",
+    "live-run": "python -m tests.live_run --minutes 2 --period 0.5",
+    "batch-rate": "python -m tests.batch_rate LINES",
+    "cold-start": "python -m tests.cold_start",
+    "onnx-sizes": "python -m tests.onnx_sizes",
+    "service-load": "python -m tests.api.load",
+}
+"""Times: for a machine with nothing beside."""
+OTHER = {
+    "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
+    "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
+    "wav2vec": "deitalk evaluate runs/wav2vec/best --data corpus/ --split test --most 12 "
+    "--probes 0",
+    "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
+    "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=default "
+    "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
+    "--set train.workers=0 --set train.evaluate_every=300 --set model.decoder_channels=128 "
+    "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
+    "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
+    "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
+    **{
+        f"words-{taught}-on-{half}": f"deitalk evaluate {model} --lips words_{half} --speaker s30 "
+        "--speaker s03 --speaker s32"
+        for taught, model in {
+            "before": "BEFORE",
+            **{name: f"runs/words_{name}/last" for name in ("all", "0", "1")},
+        }.items()
+        for half in "01"
+    },
+    "sdfa-test": "deitalk evaluate sdfa --data corpus/ --split test --transitions --most 16",
+    "sdfa-attention": "deitalk attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
+    "--json",
+    "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
+    "-o runs/mesh_ablations --seeds 2 --most 40 --set data.clips=480",
+    "vocal-strength": "python -m deitalk.training.vocal_strength --readers LIBRISPEECH.tsv "
+    "--actors CREMA.csv --split test --embedded",
+    "head-motion": f"{_PEOPLE}.head LIPS",
+    "voice-activity": "python -m deitalk.evaluation.voice_activity corpus/ --noise NOISE",
+    "retargeting": "python -m rig.retarget.measure ICT.npz",
+    "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
+    "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
+    "--from none --set train.learning_rate=1e-3",
+    **{
+        f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
+        f"--leave-out {speaker} -o OUT --set train.steps=60 --set train.batch_size=4 "
+        "--set train.evaluate_every=30"
+        for speaker in LIP_SPEAKERS
+    },
+}
+"""The rest. Reports of trainings state the weights that they began with."""
+GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
+COMMANDS = {**WEIGHTS, **TIMING, **OTHER}
+
+PLACES = {
+    "corpus/": "`deitalk corpus build --hours .5 --recordings SPEECH`, as in the model card",
+    "fresh/": "the same of readers outside all trainings",
+    "LIPS": "measured lips (dataset.md)",
+    "CREMA.csv": "table of CREMA-D's clips: path, actor, emotion, level, voice_vote",
+    "LIBRISPEECH.tsv": "table of LibriSpeech's recordings: path, speaker, transcript",
+    "SPEECHOCEAN.tsv": "the same of speechocean762",
+    "NOISE": "folder of recordings of noise",
+    "LINES": "folder of some hundred recordings of 2 to 6 s",
+    "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
+    "BEFORE": "weights before measured lips (model card)",
+    "words_0": "measured lips at the words of one half (model card)",
+    "words_1": "and of the other half",
+    "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
+    "facegood.yaml": "their rig",
+    "lips_rig/": "measured lips as a rig (finetuning.md)",
+}
+"""Words of the commands that stand for data."""

@@ -1,0 +1,233 @@
+"""Tables of curve models: scores, lips of people, noise, styles, live."""
+
+from collections.abc import Callable
+
+from result_tables.common import MEASURES, SOURCES, Group, report, short, table
+
+COLUMNS = (
+    ("LibriSpeech", "default-test", "librispeech"),
+    ("speechocean762 adults", "default-test", "speechocean-adults"),
+    ("its children", "default-test", "speechocean-children"),
+    ("espeak-ng English", "default-test", "espeak"),
+    ("two fresh readers", "default-fresh", "fresh"),
+)
+"""Heading, report and group of each column."""
+
+Cell = Callable[[Group, Group], str]
+"""Scores of a group, as animated and of the network alone, to the text of a cell."""
+
+
+def _both(name: str, digits: int = 3) -> Cell:
+    return lambda a, b: f"{short(a[name], digits)} ({short(b[name], digits)})"
+
+
+def _percent(name: str) -> Cell:
+    return lambda a, b: f"{short(100 * a[name], 1)} % ({short(100 * b[name], 1)})"
+
+
+def _one(name: str) -> Cell:
+    return lambda a, b: short(a[name])
+
+
+SCORES: dict[str, Cell] = {
+    "bilabials found": _both("bilabial_hits_at_5_percent"),
+    "bilabial AUC, windows": _both("bilabial_window_auc"),
+    "bilabial AUC, frames": _both("bilabial_frame_auc"),
+    "AUC of loudness alone, windows": _one("loudness_bilabial_window_auc"),
+    "found closures held at .9 for two frames": _both("found_bilabials_held_at_0.9", 2),
+    "frames with shut lips on sounds other than p b m f v": _percent("shut_on_other_sounds"),
+    "jaw r against the tables (loudness alone)": lambda a, b: (
+        f"{short(a['jaw_r'])} ({short(a['loudness_jaw_r'])})"
+    ),
+    "mean r of twelve articulation channels": _both("articulation_r"),
+    "jaw lag": lambda a, b: f"{a['jaw_lag_ms']:.0f} ms",
+    "mouth opening in silence (times of the phones) against speech": _percent("opening_in_silence"),
+    "LPE over `lip`": _both("lpe"),
+    "EPE over `upper_face`, of acted takes": _both("epe", 4),
+}
+
+CONTOURS: dict[str, str] = {
+    "contour along which level, treble, pitch and speed were modified: predicted": "intensity_rho",
+    "... the network alone": "network_rho",
+    "... prosody index alone": "index_rho",
+    "... level alone": "level_rho",
+}
+
+
+def scores() -> str:
+    """Scores of the default model on its test speakers, the network alone in brackets."""
+    heads, groups = [], []
+    for title, name, group in COLUMNS:
+        both = report(name)["groups"][group], report(name)["network"][group]
+        heads.append(f"{title} ({both[0]['clips']})")
+        groups.append(both)
+    rows = [[name, *(cell(*both) for both in groups)] for name, cell in SCORES.items()]
+    return table([["test speakers (recordings)", *heads], *rows])
+
+
+def intensity() -> str:
+    """How the predicted intensity follows a voice, beside what is simpler."""
+    heads = [title for title, _, _ in COLUMNS]
+    contours = [report(name)["contours"][group] for _, name, group in COLUMNS]
+    labels = [report(name)["groups"][group] for _, name, group in COLUMNS]
+    rows = [[t, *(short(c[key], 2) for c in contours)] for t, key in CONTOURS.items()]
+    above = [f"{short(c['above_level'], 2)} ± {short(c['above_level_error'], 2)}" for c in contours]
+    rows.append(["... predicted less level, with its standard error", *above])
+    for title, key in (
+        ("label of the corpus: predicted (all recordings)", "intensity_rho"),
+        ("... the network alone", "network_rho"),
+        ("... prosody index alone", "index_rho"),
+    ):
+        rows.append([title, *(short(group[key], 2) for group in labels)])
+    return table([["", *heads], *rows])
+
+
+def lips() -> str:
+    """The default model beside lips measured on people, mean over speakers."""
+    found = report("default-lips")
+    rows = [
+        ("network alone, r", "network", "r"),
+        ("as `deitalk animate` returns them, r", "animated", "r"),
+        ("loudness, r", "loudness", "r"),
+        ("range over the measured one, network alone", "network", "range"),
+        ("speed over the measured one, network alone", "network", "speed"),
+    ]
+    cells = [
+        [text, *(short(found[name]["mean"][f"{measure} {score}"], 2) for measure in MEASURES)]
+        for text, name, score in rows
+    ]
+    return table([["", *MEASURES.values()], *cells])
+
+
+def noise() -> str:
+    """Closures and jaw in two noises outside the training."""
+    rows = [
+        [
+            level,
+            short(score["bilabial_window_auc"]),
+            short(score["bilabial_hits_at_5_percent"], 2),
+            short(score["jaw_r"], 2),
+        ]
+        for level, score in report("default-noise")["noise"].items()
+    ]
+    return table([["speech to noise", "bilabial AUC", "bilabials found", "jaw r"], *rows])
+
+
+WIDENED = ("angry", "happy", "sad", "surprised")
+
+
+def styles() -> str:
+    """How much styles differ, and how far lips move in each."""
+    groups = list(SOURCES)
+    apart, wide = report("default-test")["styles"], report("default-validation")["styles"]
+    rows = [
+        [
+            "distance of the two nearest styles / spread within a style",
+            *(short(min(x["separation"] for x in apart[g]["styles"].values()), 1) for g in groups),
+        ]
+    ]
+    rows += [
+        [
+            f"{emotion}: range of the lips / the neutral one, intensity 1 (predicted intensity)",
+            *(
+                f"{short(x['range_strong'], 2)} ({short(x['range'], 2)})"
+                for x in (wide[g]["styles"][emotion] for g in groups)
+            ),
+        ]
+        for emotion in WIDENED
+    ]
+    return table([["", *(SOURCES[name] for name in groups)], *rows])
+
+
+LIVE: dict[str, tuple[str, int]] = {
+    "bilabials found": ("bilabial_hits_at_5_percent", 3),
+    "bilabial AUC, windows": ("bilabial_window_auc", 3),
+    "found closures held at .9 for two frames": ("found_bilabials_held_at_0.9", 2),
+    "shut on other sounds": ("shut_on_other_sounds", 3),
+    "jaw r against the tables": ("jaw_r", 3),
+    "mean r of twelve articulation channels": ("articulation_r", 3),
+}
+"""Scores of `live` beside `default`, and their digits."""
+
+
+def live() -> str:
+    """The live model / the default model by the same command, and both beside measured lips."""
+    groups = {
+        name: (report("live-test")["groups"][name], report("default-test")["groups"][name])
+        for name in SOURCES
+    }
+    rows = [
+        [text, *(" / ".join(short(g[key], digits) for g in both) for both in groups.values())]
+        for text, (key, digits) in LIVE.items()
+    ]
+    speech = table([["`live` / `default`", *(SOURCES[name] for name in groups)], *rows])
+    found = report("live-lips"), report("default-lips")
+    people = [
+        [
+            text,
+            *(
+                " / ".join(short(r["animated"]["mean"][f"{m} {key}"], 2) for r in found)
+                for m in MEASURES
+            ),
+        ]
+        for text, key in (("r", "r"), ("range over the measured one", "range"))
+    ]
+    return speech + "\n" + table([["lips of people", *MEASURES.values()], *people])
+
+
+def words() -> str:
+    """Lips of people on words whose lips were taught, and on words whose were not."""
+    rows = []
+    for text, names in {
+        "before measured lips": ("before-on-0", "before-on-1"),
+        "taught all words": ("all-on-0", "all-on-1"),
+        "taught the half that is scored": ("0-on-0", "1-on-1"),
+        "taught the other half": ("1-on-0", "0-on-1"),
+    }.items():
+        means = [report(f"words-{name}")["network"]["mean"] for name in names]
+        rows.append([text, *(" / ".join(short(m[f"{x} r"], 2) for m in means) for x in MEASURES)])
+    return table([["r, words of the first half / of the second", *MEASURES.values()], *rows])
+
+
+ACTED = {"high above low": 3, "rank correlation": 2}
+"""Scores of acted strengths, and their digits."""
+
+
+def acted() -> str:
+    """Order of acted strengths in the output of the default model."""
+    columns = [(group, s) for group in ("anger and joy", "sadness") for s in ACTED]
+    rows = [
+        [text, *(short(report("default-acted")[g][f"{name}: {s}"], ACTED[s]) for g, s in columns)]
+        for name, text in (
+            ("intensity", "predicted intensity over speech, `deitalk animate`"),
+            ("whole face", "distance of all curves from rest"),
+        )
+    ]
+    return table([["26 test actors", *(f"{g}: {s}" for g, s in columns)], *rows])
+
+
+WAV2VEC: dict[str, tuple[str, int]] = {
+    "bilabial AUC": ("bilabial_window_auc", 3),
+    "bilabials found": ("bilabial_hits_at_5_percent", 2),
+    "AUC of loudness": ("loudness_bilabial_window_auc", 3),
+    "jaw r": ("jaw_r", 3),
+    "jaw r of loudness": ("loudness_jaw_r", 3),
+    "mean r": ("articulation_r", 3),
+}
+"""Scores of a small wav2vec 2.0 and of loudness, and their digits."""
+
+
+def wav2vec() -> str:
+    """A small wav2vec 2.0 trained end to end, the network alone, beside loudness."""
+    found = report("wav2vec")
+    rows = [
+        [
+            title,
+            *(
+                short({**found["groups"][name], **found["network"][name]}[key], digits)
+                for key, digits in WAV2VEC.values()
+            ),
+        ]
+        for name, title in SOURCES.items()
+    ]
+    return table([["test speakers", *WAV2VEC], *rows])

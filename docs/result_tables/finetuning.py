@@ -1,0 +1,58 @@
+"""Tables of docs/finetuning.md."""
+
+from result_tables.commands import LIP_SPEAKERS
+from result_tables.common import MEASURES, Group, report, short, table
+
+FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
+"""Scores of a fine-tuning on what it never saw."""
+
+FACEGOOD_JAW = "mouth_stretch_c"
+
+
+def facegood() -> str:
+    """A rig of its own, each take left out in turn; then the error of every fold."""
+    found = report("facegood")
+    mean, folds = found["mean"], found["folds"]
+    jaw = short(found["controls"][FACEGOOD_JAW]["after_r"])
+    systems = {"tuned": mean["after"]} | _baselines(mean)
+    means = [*_systems("mean of the folds", systems), [f"r of `{FACEGOOD_JAW}`", jaw, "–", "–"]]
+    title = f"`{FOLDS[0]}`, from weights {found['base_sha256'][:8]}…"
+    errors = ["tuned", *(_known(scores[FOLDS[0]]) for scores in folds.values())]
+    return f"{table(means)}\n{table([[title, *folds], errors])}"
+
+
+def captured_lips() -> str:
+    """Measured lips as a rig, speakers left out; with the r of every measure."""
+    systems, rs = {}, []
+    for speaker in LIP_SPEAKERS:
+        found = report(f"captured-lips-{speaker}")
+        systems[f"{speaker}, tuned"] = found["scores"]["after"]
+        systems[f"{speaker}, loudness"] = found["scores"]["loudness"]
+        rs.append([found["controls"][name]["after_r"] for name in MEASURES])
+    title = f"left out, from weights {found['base_sha256'][:8]}…"
+    rows = [
+        [f"r of the {name}", *(cell for r in values for cell in (short(r), "–"))]
+        for name, values in zip(MEASURES.values(), zip(*rs, strict=True), strict=True)
+    ]
+    return table([*_systems(title, systems), *rows])
+
+
+def from_nothing() -> str:
+    """A left-out take: the tuned model, and its network from random weights on the same data."""
+    take, found = "2_01", report("facegood-nothing")["scores"]
+    systems = {"tuned": report("facegood")["folds"][take], "from nothing": found["after"]}
+    return table(_systems(f"{take} left out", systems | _baselines(found)))
+
+
+def _baselines(scores: dict[str, Group]) -> dict[str, Group]:
+    return {name: scores[name] for name in ("loudness", "mean pose")}
+
+
+def _systems(title: str, systems: dict[str, Group]) -> list[list[str]]:
+    """Scores down, systems across."""
+    rows = [[f"`{s}`", *(_known(scores[s]) for scores in systems.values())] for s in FOLDS]
+    return [[title, *systems], *rows]
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else short(value)

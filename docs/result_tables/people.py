@@ -1,0 +1,142 @@
+"""Tables of what people's voices, heads and answers are compared with."""
+
+from result_tables.common import report, short, table
+
+WORD_GROUPS = {
+    "librispeech": "LibriSpeech",
+    "speechocean children": "speechocean762, children",
+    "speechocean adults": "its adults",
+    "espeak-ng de": "espeak-ng German",
+    "espeak-ng cmn": "Mandarin",
+}
+
+
+def known_words() -> str:
+    """Bilabials found without words, with them and with wrong ones."""
+    groups = report("known-words")["groups"]
+    heads = [f"{title} ({groups[g]['bilabials']})" for g, title in WORD_GROUPS.items()]
+    names = [name for name in groups["librispeech"] if name != "bilabials"]
+    rows = [[name, *(short(groups[g][name]) for g in WORD_GROUPS)] for name in names]
+    return table([["bilabials found (of)", *heads], *rows])
+
+
+def head_motion() -> str:
+    """Motion of the head of readers and of ours, neutral, on the same sounds."""
+    found = report("head-motion")
+    ratios = {"range": found["ratios"][:3], "speed": found["ratios"][3:]}
+    rows = [
+        [f"{what} of yaw, pitch, roll, {unit}", *_threes(found, what), _list(ratios[what])]
+        for what, unit in (("range", "°"), ("speed", "°/s"))
+    ]
+    pairs = found["measured correlation"], found["correlation"]
+    for place, text in ((0, "level"), (2, "stressed syllables")):
+        cells = [f"{short(who[place], 2)} ({short(who[place + 1], 2)})" for who in pairs]
+        rows.append([f"correlation of pitch with {text} (chance)", *cells, ""])
+    nods = found["measured nods"], found["nods"]
+    for text, places in (
+        ("nods a second; their depth, °", (0, 1)),
+        ("spread of depths, of intervals (standard deviation over mean)", (2, 3)),
+    ):
+        rows.append([text, *(_list([who[i] for i in places]) for who in nods), ""])
+    return table([["head", "readers", "here", "ratio"], *rows])
+
+
+def _threes(found: dict[str, list[float]], what: str) -> list[str]:
+    return [_list(found[f"{who}{what}"]) for who in ("measured ", "")]
+
+
+def _list(values: list[float]) -> str:
+    return ", ".join(short(value, 2) for value in values)
+
+
+REGIONS = ("brows", "lids", "inner squint", "cheeks", "gaze", "head, °/s")
+
+
+def motion_energy() -> str:
+    """Mean change of the controls by region and emotion, and the spread of the most moving."""
+    takes = report("motion-energy")["takes"]
+    rows = [
+        [region, *(f"{short(mean, 2)} ({short(spread)})" for mean, spread in cells)]
+        for region in REGIONS
+        for cells in [[take[region] for take in takes.values()]]
+    ]
+    return table([["region", *takes], *rows])
+
+
+def suggestion() -> str:
+    """Scores of suggested emotions."""
+    found = report("suggestion")
+    both = [found["cross-validation"], found["test"]]
+    named = [name for name in both[0] if name.startswith("recall ")]
+    rows = [
+        [
+            f"recall of {' / '.join(name.removeprefix('recall ') for name in named)}",
+            *(" / ".join(short(s[name], 2) for name in named) for s in both),
+        ]
+    ]
+    for key, text in (
+        ("unweighted recall", "their mean (chance .25)"),
+        ("anger against sadness", "anger against sadness"),
+        ("calibration error", "expected calibration error, classes weighted alike"),
+        ("suggested", "clips with a suggestion other than neutral"),
+        ("right", "... of which raters named the same"),
+        ("probability", "... their mean probability"),
+        ("readers neutral", "readers for whom neutral is suggested"),
+    ):
+        rows.append([text, *(short(s[key], 2) for s in both)])
+    return table([["", "cross-validation", "test"], *rows])
+
+
+def vocal_strength() -> str:
+    """Order of acted strengths by the voice's strength, level and pitch."""
+    scores = report("vocal-strength")["scores"]
+    names = [n for n in scores["strength"] if not n.endswith("actors and emotions")]
+    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names[1:]]
+    level = [short(found[names[0]], 2) for found in scores.values()]
+    rows.append([f"readers: {names[0]}", level[0], "–", level[2]])
+    return table([["test speakers", *scores], *rows])
+
+
+def phone_evidence() -> str:
+    """Share of rows whose label comes first."""
+    found = report("phone-evidence")["validation"]
+    heads = ["rows (1/60 s) of validation speakers", "phone", "class of lips", "closed at p b m"]
+    cells = [short(found[name], 2) for name in ("phone", "lips", "closed where p, b, m")]
+    return table([heads, [f"{found['rows']}: the labelled one is the most probable", *cells]])
+
+
+DETECTORS = {"ours": "ours", "silero": "silero-vad", "webrtc": "WebRTC"}
+CLOSER = ("clean", "noise 10 dB", "music 10 dB", "music 0 dB")
+
+
+def voice_activity() -> str:
+    """Detectors of speech: balanced accuracy, then the other measures."""
+    found = report("voice-activity")
+    levels, conditions = found["levels"], found["conditions"]
+    tens = {
+        name: s
+        for name, s in conditions.items()
+        if name.endswith(" 10 dB") and "synthetic" not in name
+    }
+    pooled = {name: s for name, s in conditions.items() if name.startswith("all conditions")}
+    rows = [
+        [name, *(_percent(scores[d]["balanced accuracy"]) for d in DETECTORS)]
+        for name, scores in (levels | tens | pooled).items()
+    ]
+    title = f"balanced accuracy, {found['clips']} clips, {found['seconds']:.0f} s"
+    names = [name for name in levels["clean"]["ours"] if name != "balanced accuracy"]
+    closer = [
+        [f"{level}, {text}", *(_measure(levels[level][d], name) for name in names)]
+        for level in CLOSER
+        for d, text in DETECTORS.items()
+    ]
+    heads = table([[title, *DETECTORS.values()], *rows])
+    return heads + "\n" + table([["", *names], *closer])
+
+
+def _measure(scores: dict[str, float], name: str) -> str:
+    return f"{scores[name]:.1f}" if name.startswith("CPU") else _percent(scores[name])
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"

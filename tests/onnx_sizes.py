@@ -1,0 +1,96 @@
+"""Size, time and error of `default` in int8 by ONNX Runtime: ``python -m tests.onnx_sizes``.
+
+Dynamic quantisation of the weights by `onnxruntime.quantization.quantize_dynamic` on the operators
+named. A recording of a minute (`docs/samples/amiable.flac`, repeated) is predicted on one thread;
+differences from float32 are shares of the ranges of the controls. ``--json FILE`` writes the table.
+Run it with nothing beside.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deitalk import load_audio
+from deitalk.audio.voice_activity import normalise_level
+from deitalk.evaluation.benchmark_curves import machine
+from deitalk.evaluation.report import identified, write_json
+from deitalk.models.checkpoint import load_model
+from deitalk.models.onnx.export import export_onnx
+from rig import default_controls
+
+SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
+SECONDS, RUNS = 60, 3
+KINDS = {
+    "float32": (),
+    "int8 LSTM": ("LSTM",),
+    "int8 LSTM, MatMul, Gemm": ("LSTM", "MatMul", "Gemm"),
+    "int8 LSTM, MatMul, Gemm, Conv": ("LSTM", "MatMul", "Gemm", "Conv"),
+}
+
+
+def predict(path: Path, inputs: dict[str, np.ndarray]) -> tuple[list[np.ndarray], float]:
+    """Outputs of the file, and the least processor seconds of some runs."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    times = []
+    for _ in range(RUNS):
+        began = time.process_time()
+        outputs = session.run(["curves", "intensity"], inputs)
+        times.append(time.process_time() - began)
+    return outputs, min(times)
+
+
+def measure(folder: Path) -> dict[str, dict[str, float]]:
+    """Size, time and differences of every kind."""
+    from onnxruntime.quantization import QuantType, quantize_dynamic
+
+    sound = normalise_level(np.resize(load_audio(SAMPLE).waveform, 16_000 * SECONDS))
+    frames = 30 * SECONDS
+    emotion = np.zeros((frames, 5), np.float32)
+    emotion[:, 2] = 1
+    place = (np.arange(frames) / frames).astype(np.float32)
+    inputs = {"sound": sound, "emotion": emotion, "place": place}
+    controls, table, plain = default_controls(), {}, None
+    span = controls.maximum - controls.minimum
+    whole = folder / "float32.onnx"
+    export_onnx(load_model("default"), whole)
+    for name, operators in KINDS.items():
+        path = whole if not operators else folder / f"{len(operators)}.onnx"
+        if operators:
+            quantize_dynamic(
+                whole, path, op_types_to_quantize=list(operators), weight_type=QuantType.QInt8
+            )
+        outputs, seconds = predict(path, inputs)
+        plain = plain or outputs
+        off = np.abs(outputs[0] - plain[0]) / span
+        table[name] = {
+            "megabytes": path.stat().st_size / 1e6,
+            "processor_seconds_per_second": seconds / SECONDS,
+            "largest": float(off.max()),
+            "rms": float(np.sqrt(np.square(off).mean())),
+            "intensity": float(np.abs(outputs[1] - plain[1]).max()),
+        }
+        sys.stdout.write(f"{name}: {table[name]}\n")
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", type=Path, help="also write the table to this file")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        table = measure(Path(folder))
+    known: dict[str, Any] = identified("default") | {"machine": machine(), "threads": 1}
+    write_json(given.json, known | {"kinds": table})
+
+
+if __name__ == "__main__":
+    main()
