@@ -28,13 +28,13 @@ from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
-NODS = (0.26, 1.7, 0.26)
+NODS = (0.26, 1.8, 0.26)
 """Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""
 NOD_SECONDS = ((0.13, 0.2), (0.15, 0.24))
 """Attack and decay."""
 NOD_SPEED = 15.0
-"""Degrees per second: a nod that would go down faster takes longer, and comes up more slowly. The
-fastest moments of six readers' pitch are of 7 to 28, of the same smoothing as in docs/life.md."""
+"""Degrees per second: a nod that would go down faster takes longer and is less deep. The fastest
+moments of six readers' pitch are of 7 to 28 (mean 17)."""
 NOD_LAG, NOD_SPREAD = 0.03, 0.015
 """Seconds from the peak of the syllable to the lowest point, and their standard deviation."""
 NOD_SHARE, ASIDE_SHARE, UP_SHARE = (0.78, 0.2), 0.06, 0.05
@@ -98,11 +98,11 @@ class Nod(NamedTuple):
     """Yaw, pitch and roll at the lowest point [shape=(3,)]; 0 where the syllable has no nod."""
 
     def scaled(self, factor: float) -> "Nod":
-        """So much deeper; longer where its pitch would be faster than `NOD_SPEED`."""
+        """So much deeper; where its pitch would be faster than `NOD_SPEED`, longer and less deep."""
         degrees = factor * self.degrees
         fastest = 0.5 * np.pi * abs(float(degrees[1])) / self.attack
-        longer = max(fastest / NOD_SPEED, 1.0)
-        return Nod(self.lag, longer * self.attack, longer * self.decay, degrees)
+        share = max(fastest / NOD_SPEED, 1.0) ** 0.5
+        return Nod(self.lag, share * self.attack, share * self.decay, degrees / share)
 
 
 def head_motion(
