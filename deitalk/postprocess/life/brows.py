@@ -36,7 +36,7 @@ STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squi
 LIDS = STEMS.index("eye_blink")
 ACCENTS: dict[str, tuple[float, ...]] = {
     "neutral": (0.18, 0.15, 0.0, 0.0, 0.02, 0.02, -0.03),
-    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.08, 0.03),
+    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.12, 0.03),
     "happy": (-0.03, 0.04, 0.0, 0.0, 0.15, 0.28, 0.03),
     "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
     "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
@@ -73,7 +73,7 @@ EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15
 ALONE_SHARE, OTHER_BROW = 0.12, 0.2
 """Share of the accents that raise one brow, and how far the other one follows."""
 STILL_SHARE = 0.2
-"""Share of the phrases without accents of the brows."""
+"""Share of the phrases without accents of the brows; never all phrases of a take."""
 FROWN_SHARE, FROWN_PAUSE, FROWN_LEAD = 0.35, 0.5, 0.15
 """Share of the pauses with a frown, the shortest such pause, and its peak before the phrase; s."""
 FROWN_SECONDS, FROWN_HEIGHT = ((0.3, 0.5), (0.15, 0.5), (0.5, 0.9)), (0.5, 1.0)
@@ -158,6 +158,7 @@ def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEv
     n_frames = voice.n_frames
     swells, frowns, question = np.zeros((n_frames, 2)), np.zeros((n_frames, 2)), np.zeros(n_frames)
     still = [phrase for phrase in voice.phrases if rng.random() < STILL_SHARE]
+    still = still if len(still) < len(voice.phrases) else []
     for accent in voice.accents:
         move = draw_accent(accent.strength, traits.side, rng)
         peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()

@@ -98,7 +98,7 @@ class Nod(NamedTuple):
     """Yaw, pitch and roll at the lowest point [shape=(3,)]; 0 where the syllable has no nod."""
 
     def scaled(self, factor: float) -> "Nod":
-        """So much deeper; where its pitch would be faster than `NOD_SPEED`, longer and less deep."""
+        """So much deeper; where that is faster than `NOD_SPEED`, longer and less deep."""
         degrees = factor * self.degrees
         fastest = 0.5 * np.pi * abs(float(degrees[1])) / self.attack
         share = max(fastest / NOD_SPEED, 1.0) ** 0.5
