@@ -93,7 +93,9 @@ def measure_blinks(takes: Iterable[Take]) -> dict[str, str]:
 def _near(times: Float64, ends: Float64) -> Float64:
     """1 where a time is near an end, else 0."""
     after = times[:, None] - ends
-    return ((after > NEAR_SECONDS[0]) & (after < NEAR_SECONDS[1])).any(axis=1).astype(np.float64)
+    is_near = (after > NEAR_SECONDS[0]) & (after < NEAR_SECONDS[1])
+    near: Float64 = is_near.any(axis=1).astype(np.float64)
+    return near
 
 
 def _share(near: Float64, chance: Float64) -> str:
