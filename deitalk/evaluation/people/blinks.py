@@ -94,7 +94,7 @@ def _near(times: Float64, ends: Float64) -> Float64:
     """1 where a time is near an end, else 0."""
     after = times[:, None] - ends
     is_near = (after > NEAR_SECONDS[0]) & (after < NEAR_SECONDS[1])
-    near: Float64 = is_near.any(axis=1).astype(np.float64)
+    near: Float64 = np.asarray(is_near.any(axis=1), np.float64)
     return near
 
 
