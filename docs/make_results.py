@@ -61,6 +61,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "captured-lips": finetuning.captured_lips,
     "known-words": people.known_words,
     "head-motion": people.head_motion,
+    "blinks": people.blinks,
     "motion-energy": people.motion_energy,
     "suggestion": people.suggestion,
     "vocal-strength": people.vocal_strength,

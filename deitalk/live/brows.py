@@ -17,6 +17,12 @@ from deitalk.postprocess.life.brows import (
     DRIFT,
     DRIFT_SECONDS,
     FROWN_PAUSE,
+    HELD_SECONDS,
+    HELD_SPREAD,
+    LID_DRIFT,
+    LID_SECONDS,
+    LIDS,
+    STEMS,
     STILL_SHARE,
     BrowEvents,
     BrowMove,
@@ -29,6 +35,9 @@ from rig.arrays import Float64
 ACCENTS, FROWNS = slice(0, 2), slice(2, 4)
 SWELLS = 4
 """Accents and frowns, each on the left and the right."""
+CHANNELS = SWELLS + len(STEMS) + 1
+"""These, the drift of each stem and the posture."""
+_SLOW = np.array([DRIFT_SECONDS] * len(STEMS) + [LID_SECONDS, HELD_SECONDS])
 
 
 class RunningBrows:
@@ -45,7 +54,7 @@ class RunningBrows:
     def __init__(self, traits: Traits, rng: np.random.Generator) -> None:
         self.traits, self.swells = traits, RunningSwells(SWELLS)
         self.events, drift = rng.spawn(2)
-        self.drift = RunningNoise(DRIFT, DRIFT_SECONDS, drift)
+        self.drift = RunningNoise((*DRIFT, LID_DRIFT, HELD_SPREAD), _SLOW, drift)
         self.is_still = False
         """Whether the phrase has no accents of the brows."""
 
@@ -66,12 +75,14 @@ class RunningBrows:
         self.swells.begin(time, (move.attack, move.hold, move.decay), heights)
 
     def at(self, time: float) -> Float64:
-        """Swells of accents and frowns, and the drift of each stem [shape=(4 + K,)]."""
+        """Swells of accents and frowns, drift of each stem, and posture [shape=(`CHANNELS`,)]."""
         swells = self.traits.brow_range * (1 - np.exp(-self.swells.at(time)))
-        return np.concatenate((swells, self.drift.next())) * begun(time)
+        *drift, lids, posture = self.drift.next()
+        drift[LIDS] += lids
+        return np.array([*swells, *drift, max(1 + posture, 0.0)]) * begun(time)
 
 
 def brow_events(rows: Float64) -> BrowEvents:
-    """Events of consecutive frames (n, 4 + K)."""
-    drift = rows[:, SWELLS:]
-    return BrowEvents(rows[:, ACCENTS], rows[:, FROWNS], np.zeros(len(rows)), drift)
+    """Events of consecutive frames [shape=(n, `CHANNELS`)]."""
+    drift, posture = rows[:, SWELLS:-1], rows[:, -1]
+    return BrowEvents(rows[:, ACCENTS], rows[:, FROWNS], np.zeros(len(rows)), drift, posture)

@@ -30,7 +30,9 @@ from deitalk.postprocess.life.gaze import (
     MICRO_PER_SECOND,
     PAUSE_SHARE,
     START_SHARE,
+    WITHIN_SHARE,
     draw_direction,
+    draw_wait,
 )
 from deitalk.postprocess.life.traits import Traits
 from rig.arrays import Float64
@@ -66,6 +68,8 @@ class RunningEyes:
         self.averted: tuple[float, Float64] | None = None
         """End of an aversion, and its direction."""
         self.free_at, self.fixation_at = 0.0, 0.3
+        self.within_at = 0.0
+        """Time of the next aversion within a phrase, if it lasts until then."""
         self.target, self.micro, self.gaze = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def begin(self, row: VoiceRow, time: float) -> None:
@@ -74,17 +78,21 @@ class RunningEyes:
             is_near = 0 < self.blink.time - time < DRAWN_SECONDS
             if self.blinks.random() < DRAWN_SHARE and is_near:
                 self.blink = self.blink._replace(time=time)
-        frames = round(row.pause * FRAME_RATE)
-        waits = frames == round(AVERTED_PAUSE * FRAME_RATE)
-        if row.begins or waits:
-            length = AVERSION_SECONDS[0] * np.exp(
-                AVERSION_SECONDS[1] * self.gazes.standard_normal()
-            )
-            is_drawn = self.gazes.random() < (START_SHARE if row.begins else PAUSE_SHARE)
-            direction = np.array(draw_direction(self.gazes, self.traits.avoids))
-            if is_drawn and time >= max(self.free_at, 0.3):
-                self.averted, self.fixation_at = (time + length, direction), time
-                self.free_at = time + length + LEAST_BETWEEN
+        goes_on = row.pause == 0 and self.within_at > 0 and time >= self.within_at
+        if row.begins or goes_on:
+            self.within_at = time + draw_wait(self.gazes)
+            self._avert(time, START_SHARE if row.begins else WITHIN_SHARE)
+        elif round(row.pause * FRAME_RATE) == round(AVERTED_PAUSE * FRAME_RATE):
+            self._avert(time, PAUSE_SHARE)
+
+    def _avert(self, time: float, share: float) -> None:
+        """Begin an aversion, so often."""
+        length = AVERSION_SECONDS[0] * np.exp(AVERSION_SECONDS[1] * self.gazes.standard_normal())
+        is_drawn = self.gazes.random() < share
+        direction = np.array(draw_direction(self.gazes, self.traits.avoids))
+        if is_drawn and time >= max(self.free_at, 0.3):
+            self.averted, self.fixation_at = (time + length, direction), time
+            self.free_at = time + length + LEAST_BETWEEN
 
     def at(self, time: float) -> Float64:
         """Closure of both lids, and degrees to the left and up, each frame once [shape=(4,)]."""

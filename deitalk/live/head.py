@@ -98,8 +98,8 @@ class RunningHead:
     def begin(self, row: VoiceRow, time: float) -> None:
         """Begin the events of a frame."""
         if row.stress:
-            nod = draw_nod(row.stress, row.prominence, self.events)
-            turn = np.pad(self.vigour * nod.degrees, (0, CHANNELS - 3))
+            nod = draw_nod(row.stress, row.prominence, self.events).scaled(self.vigour)
+            turn = np.pad(nod.degrees, (0, CHANNELS - 3))
             self.swells.begin(time, (nod.attack, 0.0, nod.decay), turn)
         if row.ends:
             self._begin(time, FINAL_SECONDS, {PITCH: FINAL_DEGREES})

@@ -10,14 +10,14 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Idle
-from deitalk.live.brows import SWELLS, RunningBrows, brow_events
+from deitalk.live.brows import CHANNELS, RunningBrows, brow_events
 from deitalk.live.eyes import RunningEyes
 from deitalk.live.head import BREATH, SWALLOWS, RunningHead
 from deitalk.live.intensity import Measures
 from deitalk.live.tracks import begun
 from deitalk.live.voice import RunningVoice
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.brows import STEMS, move_brows
+from deitalk.postprocess.life.brows import move_brows
 from deitalk.postprocess.life.motion import MOST_SHOWN, move_eyes, move_neck
 from deitalk.postprocess.life.neck import neck_tracks
 from deitalk.postprocess.life.traits import Traits
@@ -28,7 +28,7 @@ from rig.curves import HEAD
 
 PART = 3
 """Of the stream's seed: the random numbers of this motion."""
-_EYES, _BROWS, _HEAD = 4, SWELLS + len(STEMS), 8
+_EYES, _BROWS, _HEAD = 4, CHANNELS, 8
 
 
 class RunningLife:

@@ -58,6 +58,7 @@ OTHER = {
         for half in "01"
     },
     "sdfa-test": "deitalk evaluate sdfa --data corpus/ --split test --transitions --most 16",
+    "sdfa-lips": "deitalk evaluate sdfa --data lips_data/ --split test",
     "sdfa-attention": "deitalk attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
     "--json",
     "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
@@ -65,15 +66,16 @@ OTHER = {
     "vocal-strength": "python -m deitalk.training.vocal_strength --readers LIBRISPEECH.tsv "
     "--actors CREMA.csv --split test --embedded",
     "head-motion": f"{_PEOPLE}.head LIPS",
+    "blinks": f"{_PEOPLE}.blinks LIBRISPEECH",
     "voice-activity": "python -m deitalk.evaluation.voice_activity corpus/ --noise NOISE",
     "retargeting": "python -m rig.retarget.measure ICT.npz",
-    "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes {_SHORT}",
+    "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes -o OUT",
+    "facegood-one": f"{_TUNE} facegood_one/ --rig facegood.yaml --folds takes -o OUT",
     "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
     "--from none --set train.learning_rate=1e-3",
     **{
         f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
-        f"--leave-out {speaker} -o OUT --set train.steps=60 --set train.batch_size=4 "
-        "--set train.evaluate_every=30"
+        f"--leave-out {speaker} -o OUT"
         for speaker in LIP_SPEAKERS
     },
 }
@@ -85,8 +87,10 @@ PLACES = {
     "corpus/": "`deitalk corpus build --hours .5 --recordings SPEECH`, as in the model card",
     "fresh/": "the same of readers outside all trainings",
     "LIPS": "measured lips (dataset.md)",
+    "lips_data/": "measured lips and a corpus that they correct (model card, step 7)",
     "CREMA.csv": "table of CREMA-D's clips: path, actor, emotion, level, voice_vote",
     "LIBRISPEECH.tsv": "table of LibriSpeech's recordings: path, speaker, transcript",
+    "LIBRISPEECH": "folder of its recordings",
     "SPEECHOCEAN.tsv": "the same of speechocean762",
     "NOISE": "folder of recordings of noise",
     "LINES": "folder of some hundred recordings of 2 to 6 s",
@@ -95,6 +99,7 @@ PLACES = {
     "words_0": "measured lips at the words of one half (model card)",
     "words_1": "and of the other half",
     "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
+    "facegood_one/": "the same with `--actor tts` in place of the table",
     "facegood.yaml": "their rig",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
 }

@@ -11,14 +11,17 @@ FACEGOOD_JAW = "mouth_stretch_c"
 
 def facegood() -> str:
     """A rig of its own, each take left out in turn; then the error of every fold."""
-    found = report("facegood")
-    mean, folds = found["mean"], found["folds"]
-    jaw = short(found["controls"][FACEGOOD_JAW]["after_r"])
-    systems = {"tuned": mean["after"]} | _baselines(mean)
-    means = [*_systems("mean of the folds", systems), [f"r of `{FACEGOOD_JAW}`", jaw, "–", "–"]]
-    title = f"`{FOLDS[0]}`, from weights {found['base_sha256'][:8]}…"
-    errors = ["tuned", *(_known(scores[FOLDS[0]]) for scores in folds.values())]
-    return f"{table(means)}\n{table([[title, *folds], errors])}"
+    named, one = report("facegood"), report("facegood-one")
+    systems = {"tuned, hands named": named["mean"]["after"], "one actor": one["mean"]["after"]}
+    rs = [short(found["controls"][FACEGOOD_JAW]["after_r"]) for found in (named, one)]
+    jaw = [f"r of `{FACEGOOD_JAW}`", *rs, "–", "–"]
+    means = [*_systems("mean of the folds", systems | _baselines(one["mean"])), jaw]
+    title = f"`{FOLDS[0]}`, from weights {named['base_sha256'][:8]}…"
+    errors = [
+        [name, *(_known(scores[FOLDS[0]]) for scores in found["folds"].values())]
+        for name, found in zip(systems, (named, one), strict=True)
+    ]
+    return f"{table(means)}\n{table([[title, *named['folds']], *errors])}"
 
 
 def captured_lips() -> str:
@@ -40,7 +43,7 @@ def captured_lips() -> str:
 def from_nothing() -> str:
     """A left-out take: the tuned model, and its network from random weights on the same data."""
     take, found = "2_01", report("facegood-nothing")["scores"]
-    systems = {"tuned": report("facegood")["folds"][take], "from nothing": found["after"]}
+    systems = {"tuned": report("facegood-one")["folds"][take], "from nothing": found["after"]}
     return table(_systems(f"{take} left out", systems | _baselines(found)))
 
 

@@ -12,9 +12,10 @@ def sdfa() -> str:
         for kind, text in SOUNDS.items()
     ]
     title = f"{found['clips']:.0f} test recordings: closed to 1 mm, median gap"
+    people = report("sdfa-lips")["groups"]["all"]
     errors = (
-        f"Mean error of the lips {short(found['lips_mm'], 2)} mm (at rest "
-        f"{short(found['still_mm'], 2)} mm), of all vertices {short(found['mesh_mm'], 2)} mm.\n"
+        f"Mean error of the lips on {people['clips']:.0f} sentences of people whose lips were "
+        f"measured: {short(people['lips_mm'], 2)} mm (at rest {short(people['still_mm'], 2)} mm).\n"
     )
     return table([[title, *CLOSURES.values()], *rows]) + "\n" + errors
 

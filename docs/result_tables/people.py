@@ -49,6 +49,12 @@ def _list(values: list[float]) -> str:
     return ", ".join(short(value, 2) for value in values)
 
 
+def blinks() -> str:
+    """Blinks of takes of readers."""
+    found = report("blinks")["blinks"]
+    return table([["blinks", "here"], *([name, value] for name, value in found.items())])
+
+
 REGIONS = ("brows", "lids", "inner squint", "cheeks", "gaze", "head, °/s")
 
 

@@ -12,7 +12,8 @@
   raises are of one brow, more often the stronger one. Some phrases have none at all.
 - Brows knit in thought, in a pause before a phrase (Ekman 1979; Goodwin and Goodwin 1986).
 
-An expression is held no longer as a plateau: it swells with accents and yields between them.
+An expression is held no longer as a plateau: it swells with accents and yields between them. What
+an emotion holds besides (`HELD`), lids above all, and the opening of the lids waver slowly.
 
 Letters: T frames at 30 per second, S styles, K stems of control names, 2 the sides.
 """
@@ -32,20 +33,37 @@ from rig.arrays import Float32, Float64
 STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squintInner",
          "eye_cheekRaise", "eye_blink")  # fmt: skip
 """Controls that this moves, on both sides."""
+LIDS = STEMS.index("eye_blink")
 ACCENTS: dict[str, tuple[float, ...]] = {
-    "neutral": (0.13, 0.11, 0.0, 0.0, 0.02, 0.02, -0.03),
-    "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.08, 0.03),
-    "happy": (0.02, 0.08, 0.0, 0.0, 0.15, 0.28, 0.03),
-    "sad": (0.20, -0.10, 0.10, 0.14, 0.10, 0.13, 0.04),
-    "surprised": (0.18, 0.20, 0.0, 0.0, 0.0, 0.20, -0.16),
+    "neutral": (0.18, 0.15, 0.0, 0.0, 0.02, 0.02, -0.03),
+    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.12, 0.03),
+    "happy": (-0.03, 0.04, 0.0, 0.0, 0.15, 0.28, 0.03),
+    "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
+    "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
 }
-"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
+"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one. The neutral
+one is so large that the brows move as far as those of six readers (docs/life.md)."""
+HELD: dict[str, tuple[float, ...]] = {
+    "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.34),
+    "happy": (0.0, 0.0, 0.0, 0.0, 0.06, 0.12, 0.0),
+    "sad": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08),
+    "surprised": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+}
+"""What an emotion holds of `STEMS` besides the network's expression, also between the accents:
+narrowed lids and knit brows in anger, raised cheeks and lower lids in joy, heavy lids in sadness
+(Ekman, Friesen and Hager 2002); amounts by eye."""
+HELD_SPREAD, HELD_SECONDS = 0.25, 2.0
+"""Standard deviation of its slow factor, and the sigma of the Gaussian that smooths its noise."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
 FROWN = (0.0, 0.0, 0.16, 0.12, 0.05, 0.0, 0.02)
 """The same of a full frown of thought."""
-DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.006)
+DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.020)
 """Standard deviation of the slow drift of a calm face."""
 DRIFT_SECONDS = 0.9
+LID_DRIFT, LID_SECONDS = 0.045, 4.0
+"""A slower drift of the lids. Between their blinks, the lids of six readers open by 1 to 4 % more
+and less within a sentence, and by 3 to 7 % from sentence to sentence (docs/life.md)."""
 LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.05
 ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.15, 0.4), (0.05, 0.2), (0.45, 1.0)
 TAKEN_SHARE = (0.3, 0.6)
@@ -55,7 +73,7 @@ EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15
 ALONE_SHARE, OTHER_BROW = 0.12, 0.2
 """Share of the accents that raise one brow, and how far the other one follows."""
 STILL_SHARE = 0.2
-"""Share of the phrases without accents of the brows."""
+"""Share of the phrases without accents of the brows; never all phrases of a take."""
 FROWN_SHARE, FROWN_PAUSE, FROWN_LEAD = 0.35, 0.5, 0.15
 """Share of the pauses with a frown, the shortest such pause, and its peak before the phrase; s."""
 FROWN_SECONDS, FROWN_HEIGHT = ((0.3, 0.5), (0.15, 0.5), (0.5, 0.9)), (0.5, 1.0)
@@ -65,6 +83,7 @@ HELD_SIDE = 0.25
 SWELL = 0.4
 """Part of an expression that comes and goes with the accents."""
 _STYLES = np.array([ACCENTS[name] for name in EMOTIONS])
+_HELD = np.array([HELD[name] for name in EMOTIONS])
 _LEAST = np.array([-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
 """Lower end of a control's range; lids widen to -1."""
 
@@ -80,6 +99,8 @@ class BrowEvents(NamedTuple):
     """Swell of the questions [shape=(T,), range 0 to 1]."""
     drift: Float64
     """Slow noise of each stem [shape=(T, K)], control units."""
+    posture: Float64
+    """Share of `HELD` that is shown [shape=(T,)]."""
 
 
 class BrowMove(NamedTuple):
@@ -137,6 +158,7 @@ def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEv
     n_frames = voice.n_frames
     swells, frowns, question = np.zeros((n_frames, 2)), np.zeros((n_frames, 2)), np.zeros(n_frames)
     still = [phrase for phrase in voice.phrases if rng.random() < STILL_SHARE]
+    still = still if len(still) < len(voice.phrases) else []
     for accent in voice.accents:
         move = draw_accent(accent.strength, traits.side, rng)
         peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()
@@ -155,11 +177,15 @@ def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEv
             question[span] += shape
     shown = presence(n_frames)
     drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
+    drift *= np.asarray(DRIFT)
+    drift[:, LIDS] += LID_DRIFT * slow_noise(n_frames, LID_SECONDS, rng)
+    posture = 1 + HELD_SPREAD * slow_noise(n_frames, HELD_SECONDS, rng)
     return BrowEvents(
         traits.brow_range * (1 - np.exp(-swells)) * shown[:, None],
         traits.brow_range * (1 - np.exp(-frowns)) * shown[:, None],
         np.minimum(question, 1) * shown,
-        np.asarray(DRIFT) * drift * shown[:, None],
+        drift * shown[:, None],
+        np.maximum(posture, 0) * shown,
     )
 
 
@@ -199,6 +225,7 @@ def move_brows(
         return
     shares = np.concatenate([np.ones((len(curves), 1)), mixture[:, 1:]], axis=1)
     gains = amount * (shares @ _STYLES)
+    posture = amount * events.posture[:, None] * (mixture[:, 1:] @ _HELD[1:])
     calm = amount * (events.question[:, None] * np.asarray(QUESTION) + events.drift)
     for place, letter in enumerate("LR"):
         swells = events.accents[:, place]
@@ -208,6 +235,6 @@ def move_brows(
         held = neutral[:, columns]
         values = np.clip(held + (curves[:, columns] - held) * breath[:, None], _LEAST, 1)
         thought = amount * events.frowns[:, place, None] * np.asarray(FROWN)
-        motion = np.clip(gains * swells[:, None] + thought + calm, -1, 1)
+        motion = np.clip(gains * swells[:, None] + posture + thought + calm, -1, 1)
         room = np.where(motion > 0, 1 - values, values - _LEAST)
         curves[:, columns] = values + motion * room

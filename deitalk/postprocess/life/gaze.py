@@ -2,8 +2,9 @@
 
 - Speakers look away at the start of an utterance and in hesitations, and look back at its end
   (Kendon 1967); they think with the eyes averted (Glenberg et al. 1998; Doherty-Sneddon and Phelps
-  2005). Aversions while speaking last about 2 s and come every 5 s (Andrist et al. 2014); they are
-  5 to 12 degrees here, what a listener at a metre and a half sees as a look away, not a turn.
+  2005). Aversions while speaking last about 2 s and come every 5 s (Andrist et al. 2014), some of
+  them within long phrases; they are 5 to 12 degrees here, what a listener at a metre and a half
+  sees as a look away, not a turn.
 - A saccade of a degree a takes 2.2 a + 21 ms (Carpenter 1988): one or two frames.
 - Micro-saccades of up to a degree, one or two a second (Rolfs 2009; Martinez-Conde et al. 2004);
   fixations of the listener's face last a third of a second to two.
@@ -28,6 +29,9 @@ AVERSION_SECONDS = (1.4, 0.4)
 """Median, and sigma of the logarithm."""
 START_SHARE, PAUSE_SHARE = 0.45, 0.6
 """How often the gaze is averted before a phrase that follows a pause, and in a pause."""
+WITHIN_SECONDS, WITHIN_SHARE = (4.75, 1.4), 0.6
+"""Seconds of speech from one place for an aversion within a phrase to the next (mean and standard
+deviation, Andrist et al. 2014; 3 at least), and how often the gaze is averted there."""
 LEAST_BETWEEN = 3.0
 """Seconds from the end of an aversion to the next one."""
 FACE_DEGREES = (0.9, 0.7)
@@ -67,6 +71,11 @@ def plan_aversions(voice: Voice, rng: np.random.Generator, avoids: float = 0.0) 
     last = voice.n_frames / FRAME_RATE - STILL_SECONDS
     candidates = [(start / FRAME_RATE, PAUSE_SHARE) for start, _ in voice.pauses(0.45) if start]
     candidates += [(p.start / FRAME_RATE - 0.35, START_SHARE) for p in voice.phrases]
+    for phrase in voice.phrases:
+        time = phrase.start / FRAME_RATE + draw_wait(rng)
+        while time < phrase.stop / FRAME_RATE - 0.5:
+            candidates.append((time, WITHIN_SHARE))
+            time += draw_wait(rng)
     aversions: list[Aversion] = []
     for time, share in sorted(candidates):
         start = max(time + rng.uniform(0, 0.3), 0.3)
@@ -76,6 +85,12 @@ def plan_aversions(voice: Voice, rng: np.random.Generator, avoids: float = 0.0) 
         if is_drawn and start >= free and start + length < last:
             aversions.append(Aversion(start, start + float(length), *direction))
     return aversions
+
+
+def draw_wait(rng: np.random.Generator) -> float:
+    """Seconds of speech to the next place for an aversion within a phrase."""
+    mean, spread = WITHIN_SECONDS
+    return float(max(mean + spread * rng.standard_normal(), 3.0))
 
 
 def draw_direction(rng: np.random.Generator, avoids: float) -> tuple[float, float]:

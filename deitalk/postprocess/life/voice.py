@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
@@ -38,6 +39,9 @@ RISE_SEMITONES = 2.5
 """Rise of the last voiced part of a phrase that marks a question (Cruttenden 1997)."""
 RISE_SECONDS = (0.5, 0.15)
 """The end of a phrase within which it rises, and its last part."""
+UNBROKEN_SECONDS, LARGEST_STEP = 0.15, 4.0
+"""Shortest voiced stretch at the end of a phrase that rises, and the largest step of its pitch from
+frame to frame, semitones: at creaking ends the pitch found is wrong, and jumps."""
 
 
 class Accent(NamedTuple):
@@ -165,7 +169,18 @@ def _rises(prosody: Prosody, start: int, stop: int) -> bool:
     pitch = prosody.pitch[voiced[-within:]]
     rise = np.median(pitch[-last:]) - np.median(pitch[:-last])
     is_high = np.median(pitch[-last:]) > np.median(prosody.pitch[voiced])
-    return bool(is_high and RISE_SEMITONES < rise < 12)
+    return bool(is_high and RISE_SEMITONES < rise < 12) and _glides(prosody.pitch, voiced)
+
+
+def _glides(pitch: Float64, voiced: NDArray[np.intp]) -> bool:
+    """Whether the last unbroken stretch of voiced frames rises, and has no jump."""
+    broken = np.flatnonzero(np.diff(voiced) > 1)
+    stretch = pitch[voiced[broken[-1] + 1 if len(broken) else 0 :]]
+    stretch = stretch[-round(RISE_SECONDS[0] * FRAME_RATE) :]
+    if len(stretch) < round(UNBROKEN_SECONDS * FRAME_RATE):
+        return False
+    rise = np.median(stretch[-3:]) - stretch.min()
+    return bool(rise > RISE_SEMITONES and np.abs(np.diff(stretch)).max() < LARGEST_STEP)
 
 
 def _standard(values: Float64, known: Bool, spread: float) -> Float64:

@@ -114,6 +114,24 @@ def test_pieces_give_the_same_motion():
     assert np.abs(other - whole).max() > 0.1 and np.abs(turned - head).max() > 0.3
 
 
+def test_anger_narrows_the_lids_between_accents():
+    flat = np.full(600, -20.0), np.zeros(600), np.full(600, 40.0), np.ones(600)
+    level = Measures(*flat, flat[0]), np.ones(600, bool)
+    calm, angry = (moved(*level, emotion=emotion)[0][60:] for emotion in ("neutral", "angry"))
+    for stem, least in (("eye_blink", 0.1), ("eye_squintInner", 0.05), ("brow_down", 0.05)):
+        assert (column(angry, stem) - column(calm, stem)).min() > least, stem
+
+
+def test_gaze_is_averted_within_long_phrases():
+    level = np.full(3600, -20.0)
+    zeros, speaking = np.zeros(3600), np.ones(3600, bool)
+    measures = Measures(level, zeros, zeros + 40, zeros + 1, level)
+    curves, _ = moved(measures, speaking, life=Life(blinks=0, brows=0, head=0))
+    sideways = np.abs(curves[:, CONTROLS.index("CTRL_L_eye.tx")]) * 40
+    away = sideways > 3.5
+    assert 3 < (away[1:] & ~away[:-1]).sum() < 60  # in two minutes without a pause
+
+
 def test_motion_before_an_accent_does_not_depend_on_it():
     """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
     measures, speaking = voice()

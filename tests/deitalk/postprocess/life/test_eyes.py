@@ -133,6 +133,15 @@ def test_aversions_are_in_pauses_and_at_starts_of_phrases():
     assert in_pause.all()
 
 
+def test_some_aversions_are_within_long_phrases():
+    """Every 5 s of speech at most (Andrist et al. 2014)."""
+    phrases = tuple(Phrase(start, start + 600, False) for start in range(30, 18_000, 660))
+    voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
+    starts = np.array([away.start for away in plan_aversions(voice, generator())]) * 30
+    within = np.array([any(p.start + 60 < s < p.stop for p in phrases) for s in starts])
+    assert 1 < within.sum() / (20 * len(phrases) / 60) < 12  # a minute of speech
+
+
 def test_fixations_hold_micro_saccades():
     gaze, _ = gaze_degrees(1800, [], generator())
     steps = np.hypot(*np.diff(gaze, axis=0).T)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.postprocess.life.traits import ASYMMETRY, Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
@@ -46,6 +46,27 @@ def test_final_rise_is_a_question(end, is_question):
     pitch = 140 * np.interp(time, [0, 1.4, 2], [1, 0.95, end])
     voice = voice_of(pitch, np.full(len(time), 0.1))
     assert [phrase.is_question for phrase in voice.phrases] == [is_question]
+
+
+@pytest.mark.parametrize("flaw", ["jump", "fragments"])
+def test_pitch_found_in_a_creaking_end_is_no_question(flaw):
+    """Statements whose last voiced frames have twice the pitch, or stand alone."""
+    frames = 90
+    pitch, voiced = np.linspace(6, 3, frames), np.ones(frames, bool)
+    voiced[-5:] = False
+    glide = pitch.copy()
+    glide[-20:-5] += np.linspace(0, 7, 15)
+    if flaw == "jump":
+        pitch[-11:-5] += 7
+    else:
+        pitch = glide.copy()
+        voiced[[-13, -10, -8]] = False
+    calm = np.full(frames, 0.1)
+    activity = np.r_[np.zeros(5), np.ones(frames - 5)].astype("f4")
+    for track, mask, is_question in ((glide, voiced | (glide != 0), True), (pitch, voiced, False)):
+        mask = mask & (np.arange(frames) < frames - 5)
+        prosody = Prosody(calm, calm, calm, track, mask, mask, calm, np.ones((frames, 26)))
+        assert [p.is_question for p in measure_voice(activity, prosody).phrases] == [is_question]
 
 
 def test_short_gaps_do_not_part_phrases():

@@ -1,0 +1,51 @@
+"""Neck of a face whose head moves: breath, swallowing, the turning muscles."""
+
+import numpy as np
+import pytest
+
+from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
+from deitalk.postprocess.life.voice import Phrase, Voice
+
+N_FRAMES = 900
+PHRASES = tuple(Phrase(start, start + 75, False) for start in range(60, 800, 90))
+VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), (), PHRASES)
+
+
+def necks(voice, count=200, yaw=0.0):
+    head = np.zeros((voice.n_frames, 6), np.float32)
+    head[:, 0] = yaw
+    return [neck_motion(voice, head, 1.0, np.random.default_rng(seed)) for seed in range(count)]
+
+
+def test_breath_is_drawn_before_phrases_and_is_over_within_them():
+    breath = necks(VOICE, 1)[0][BREATH]
+    for phrase in PHRASES[1:]:
+        assert breath[phrase.start - 6 : phrase.start].max() > 0.3
+        assert breath[phrase.start + 12 : phrase.stop - 20].max() == 0
+
+
+def test_people_swallow_once_a_minute_and_never_while_they_speak():
+    """Ten minutes of a phrase of 4 s and a pause of 2 s."""
+    phrases = tuple(Phrase(start, start + 120, False) for start in range(60, 18_000, 180))
+    voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
+    counts, speaking = [], voice.speaking > 0
+    for tracks in necks(voice, 20):
+        above = tracks[SWALLOWS] > 0.5
+        counts.append(int((above[1:] & ~above[:-1]).sum()))
+        assert not above[speaking].any()
+    assert 7 <= np.mean(counts) <= 13
+    short = Voice(
+        900,
+        np.zeros(900, np.float32),
+        (),
+        tuple(Phrase(s, s + 60, False) for s in range(20, 860, 80)),
+    )
+    assert all(tracks[SWALLOWS].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
+
+
+@pytest.mark.parametrize(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
+def test_the_muscle_of_the_other_side_turns_the_head(yaw, contracts):
+    tracks = necks(VOICE, 1, yaw)[0]
+    assert tracks[TURNS[contracts]] == pytest.approx(0.5)
+    assert tracks[TURNS[1 - contracts]].max() == 0
+    assert max(necks(VOICE, 1, 1.9)[0][side].max() for side in TURNS) == 0
