@@ -43,6 +43,10 @@ class ModelConfig(Section):
         max_length=limits.WIDTH,
         description="actors whose styles are added to the emotional one; not in the paper",
     )
+    actor_ranges: bool = Field(
+        default=False,
+        description="a gain and an offset of every control for each actor; not in the paper",
+    )
     kept_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(),
         max_length=limits.CONTROLS,
@@ -77,11 +81,6 @@ class ModelConfig(Section):
     decoder_residual: bool = Field(
         default=False, description="carry every layer's input past it; not in the paper"
     )
-    decoder_direct: bool = Field(
-        default=False,
-        description="add a linear path from the speech features, and each actor's range of every "
-        "control; not in the paper",
-    )
     kernel_size: Odd = 3
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
@@ -107,9 +106,9 @@ class ModelConfig(Section):
             return self
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls or self.decoder_direct:
+        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls or self.actor_ranges:
             raise ValueError(
-                f"decoder: {self.decoder} takes no causal_mel, kept_controls and decoder_direct"
+                f"decoder: {self.decoder} takes no causal_mel, kept_controls and actor_ranges"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
@@ -119,8 +118,8 @@ class ModelConfig(Section):
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
         if isinstance(self.frontend, CausalMelConfig):
-            if self.positions or self.decoder_direct:
-                raise ValueError("causal_mel takes no positions and decoder_direct; set both false")
+            if self.positions or self.actor_ranges:
+                raise ValueError("causal_mel takes no positions and actor_ranges; set both false")
             if self.intensity and self.saliency_frames is None:
                 raise ValueError("causal_mel needs saliency_frames; 121 is 4 s")
         return self

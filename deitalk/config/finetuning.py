@@ -40,10 +40,9 @@ class TuneConfig(Section):
         description="controls that no capture knows stay those of the base, by its own decoder; "
         "not where the frontend learns",
     )
-    direct: bool = Field(
+    ranges: bool = Field(
         default=True,
-        description="of another rig: a linear path from the speech features, fitted by regression, "
-        "and each actor's range of every control",
+        description="of another rig: a gain and an offset of every control for each actor",
     )
     rehearsal: float = Field(
         default=0.25,

@@ -10,9 +10,6 @@ from deitalk.emotions import EMOTIONS
 from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin
 from rig import ControlSet
 
-CONTEXT_FRAMES = (-4, -2, -1, 0, 1, 2, 4)
-"""Frames around each that a linear map of speech features reads; held beyond the ends."""
-
 
 class Decoder(nn.Module):
     """What every decoder of curves has: DEITalk's, and those of `deitalk.models.comparison`.
@@ -82,44 +79,29 @@ class Decoder(nn.Module):
         return style
 
 
-class DirectPath(nn.Module):
-    """Speech features in context to curves, and each actor's range of them (not in the paper).
+class ActorRanges(nn.Module):
+    """How far each actor moves every control, and about what pose (not in the paper).
 
-    A regression that hundreds of frames determine, where eight layers need hours: of a new rig
-    (`deitalk.training.tuning`). Of a stranger the ranges are 1.
+    A stranger has a gain of 1 and no offset.
 
     Parameters
     ----------
-    in_size : int
-        Width of the speech features.
-    n_controls, n_actors : int
+    n_actors, n_controls : int
     """
 
-    def __init__(self, in_size: int, n_controls: int, n_actors: int) -> None:
+    def __init__(self, n_actors: int, n_controls: int) -> None:
         super().__init__()
-        self.map = nn.Linear(len(CONTEXT_FRAMES) * in_size, n_controls)
-        nn.init.zeros_(self.map.weight)
-        nn.init.zeros_(self.map.bias)
         self.gains = nn.Parameter(torch.zeros(n_actors, n_controls))
         self.offsets = nn.Parameter(torch.zeros(n_actors, n_controls))
 
-    def forward(self, curves: Tensor, speech: Tensor, emotion: Tensor) -> Tensor:
-        """Add the regression to curves (B, T, C); other arguments as `RigDecoder.forward`."""
-        curves = curves + self.map(in_context(speech))
+    def forward(self, curves: Tensor, emotion: Tensor) -> Tensor:
+        """Scale and shift curves (B, T, C) by their actors; `emotion` as `RigDecoder.forward`."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1)
         actors = emotion[..., len(EMOTIONS) :]
         if not actors.shape[-1]:
             return curves
         return curves * (1 + actors @ self.gains) + actors @ self.offsets
-
-
-def in_context(speech: Tensor) -> Tensor:
-    """Features (B, T, D) of `CONTEXT_FRAMES` around every frame [shape=(B, T, 7 D)]."""
-    reach, n_frames = max(CONTEXT_FRAMES), speech.shape[1]
-    first, last = speech[:, :1].expand(-1, reach, -1), speech[:, -1:].expand(-1, reach, -1)
-    padded = torch.cat((first, speech, last), dim=1)
-    return torch.cat([padded[:, reach + k : reach + k + n_frames] for k in CONTEXT_FRAMES], dim=-1)
 
 
 class RigDecoder(Decoder):
@@ -148,8 +130,8 @@ class RigDecoder(Decoder):
     kept : Tensor [shape=(C,)] or None
         True where another decoder of the same shape gives the curves, that of the model before its
         fine-tuning: what captures do not show stays exactly as it was (not in the paper).
-    direct : bool
-        Add a `DirectPath`.
+    ranges : bool
+        Add `ActorRanges`.
     """
 
     is_kept: Tensor | None
@@ -171,7 +153,7 @@ class RigDecoder(Decoder):
         n_actors: int = 0,
         causal: bool = False,
         kept: Tensor | None = None,
-        direct: bool = False,
+        ranges: bool = False,
     ) -> None:
         super().__init__()
         self.residual, self.guidance_size = residual, guidance_size
@@ -198,7 +180,7 @@ class RigDecoder(Decoder):
             TemporalConv(width + extra, channels, kernel_size, dilation, dropout, causal=causal)
             for width, dilation in zip(widths, dilations, strict=False)
         )
-        self.direct = DirectPath(in_size, len(rest), n_actors) if direct else None
+        self.ranges = ActorRanges(n_actors, len(rest)) if ranges else None
         self.output = nn.Linear(channels, len(rest))
         nn.init.normal_(self.output.weight, std=0.01)
         with torch.no_grad():
@@ -225,8 +207,8 @@ class RigDecoder(Decoder):
         Tensor [shape=(B, T, C)]
         """
         curves = super().forward(speech, emotion, guidance)
-        if self.direct is not None:
-            curves = self.direct(curves, speech, emotion)
+        if self.ranges is not None:
+            curves = self.ranges(curves, emotion)
         if self.kept is None or self.is_kept is None:
             return curves
         theirs = self._of_kept(guidance)
@@ -236,8 +218,8 @@ class RigDecoder(Decoder):
     def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
         """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
         curves = super().readings(speech, emotions, guidance)
-        if self.direct is not None:
-            curves = self.direct(curves, speech, emotions)
+        if self.ranges is not None:
+            curves = self.ranges(curves, emotions)
         if self.kept is None or self.is_kept is None:
             return curves
         theirs = self._of_kept(guidance)
@@ -375,7 +357,7 @@ def build_decoder(
         residual=config.decoder_residual,
         causal=causal,
         kept=_mask(config.kept_controls, controls),
-        direct=config.decoder_direct,
+        ranges=config.actor_ranges,
     )
 
 

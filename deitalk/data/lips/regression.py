@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from deitalk.errors import DataError
-from deitalk.models.rig_decoder import CONTEXT_FRAMES
 from rig.arrays import Float32, Float64
 
+CONTEXT_FRAMES = (-4, -2, -1, 0, 1, 2, 4)
 RIDGE = 10_000.0
 """Penalty on squared weights of standardised features; fewer speakers want more."""
 SPEAKER_CLIPS = 40

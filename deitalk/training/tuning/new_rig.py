@@ -1,6 +1,6 @@
-"""First weights of a decoder's layers for a new rig: ridge regressions of the captured curves.
+"""First weights of a decoder for a new rig: regressions of the captured curves.
 
-Letters: T frames, D features, H inputs of the last layer, C controls.
+Letters: T frames, H inputs of the last layer, C controls.
 """
 
 from collections.abc import Sequence
@@ -8,89 +8,66 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from deitalk.data.lips.regression import LipRidge
-from deitalk.models.rig_decoder import DirectPath, RigDecoder
+from deitalk.models.rig_decoder import RigDecoder
 from rig.arrays import Float32, Float64
 
-LAST_LAYER_RIDGE = 1000.0
-"""Squared units of the input of the last layer."""
-DIRECT_RIDGE = 30_000.0
-"""Of standardised features; on takes that were left out, 10,000 is as good and 3,000 worse."""
+RIDGE = 1000.0
+"""Of the last layer, squared units of its input."""
 RANGE_ROWS = 0.02
-"""Share of an actor's frames, as if the range of every control were 1 in them."""
+"""Share of an actor's frames, as if the gain of every control were 1 in them."""
 
 
 class CapturedRows(NamedTuple):
-    """A clip as the decoder is given it.
+    """A clip as the last layer is given it.
 
     Attributes
     ----------
     actor : str
-    speech : ndarray [shape=(T, D)]
-        With its positional encoding.
     hidden : ndarray [shape=(T, H)]
-        Input of the last layer.
     curves : ndarray [shape=(T, C)]
     """
 
     actor: str
-    speech: Float32
     hidden: Float32
     curves: Float32
 
 
 @torch.no_grad()
 def fit_decoder(decoder: RigDecoder, rows: Sequence[CapturedRows], actors: Sequence[str]) -> None:
-    """Fit the direct path and the actors' ranges, or, without a direct path, the last layer.
+    """Fit the last layer by ridge regression, and the ranges of the actors to what it predicts.
 
     Parameters
     ----------
     decoder : RigDecoder
-        Changed in place. With a direct path the last layer begins at 0.
+        Changed in place.
     rows : sequence of CapturedRows
         All clips to train on.
     actors : sequence of str
         Those of the model, in its order.
     """
-    if decoder.direct is None:
-        weight, bias = _last_layer(rows)
-    else:
-        _fit_direct(decoder.direct, rows, actors)
-        weight, bias = 0 * decoder.output.weight, 0 * decoder.output.bias
-    decoder.output.weight.copy_(weight)
-    decoder.output.bias.copy_(bias)
-
-
-def _last_layer(rows: Sequence[CapturedRows]) -> tuple[Tensor, Tensor]:
-    x = torch.from_numpy(np.concatenate([row.hidden for row in rows])).double()
-    y = torch.from_numpy(np.concatenate([row.curves for row in rows])).double()
-    mean, centre = x.mean(dim=0), y.mean(dim=0)
-    x = x - mean
-    square = x.T @ x + LAST_LAYER_RIDGE * torch.eye(x.shape[1], dtype=x.dtype)
-    weight = torch.linalg.solve(square, x.T @ (y - centre)).T
-    return weight, centre - weight @ mean
-
-
-def _fit_direct(direct: DirectPath, rows: Sequence[CapturedRows], actors: Sequence[str]) -> None:
-    recordings = [(row.actor, row.speech, row.curves) for row in rows]
-    found = LipRidge.fit(recordings, ridge=DIRECT_RIDGE)
-    weights = found.weights / found.scale[:, None]
-    direct.map.weight.copy_(torch.from_numpy(weights.T))
-    direct.map.bias.copy_(torch.from_numpy(found.constant - found.mean @ weights))
+    x = np.concatenate([row.hidden for row in rows]).astype(np.float64)
+    y = np.concatenate([row.curves for row in rows]).astype(np.float64)
+    mean, centre = x.mean(axis=0), y.mean(axis=0)
+    x -= mean
+    weight = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ (y - centre))
+    bias = centre - mean @ weight
+    decoder.output.weight.copy_(torch.from_numpy(weight.T))
+    decoder.output.bias.copy_(torch.from_numpy(bias))
+    if decoder.ranges is None:
+        return
     for place, actor in enumerate(actors):
         own = [row for row in rows if row.actor == actor]
         if own:
-            given = np.concatenate([found(row.speech) for row in own]).astype(np.float64)
+            given = np.concatenate([row.hidden @ weight + bias for row in own])
             wanted = np.concatenate([row.curves for row in own]).astype(np.float64)
             gain, offset = actor_range(given, wanted)
-            direct.gains[place].copy_(torch.from_numpy(gain - 1))
-            direct.offsets[place].copy_(torch.from_numpy(offset))
+            decoder.ranges.gains[place].copy_(torch.from_numpy(gain - 1))
+            decoder.ranges.offsets[place].copy_(torch.from_numpy(offset))
 
 
 def actor_range(given: Float64, wanted: Float64) -> tuple[Float64, Float64]:
-    """Gain and offset that bring predictions of all actors to one actor's curves.
+    """Gain and offset that bring predictions for all actors to one actor's curves.
 
     Least squares of every control, held at a gain of 1 by `RANGE_ROWS`.
 

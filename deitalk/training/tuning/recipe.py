@@ -79,16 +79,16 @@ def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig
     return config.model_copy(update={"model": model})
 
 
-def with_direct_path(config: FinetuneConfig) -> FinetuneConfig:
-    """The configuration with a linear path of the decoder, for another rig than the base's.
+def with_ranges(config: FinetuneConfig) -> FinetuneConfig:
+    """The configuration with ranges of its actors, for another rig than the base's.
 
-    Not from random weights, whose features no regression can read, and not for voices that have
-    not ended.
+    Not for voices that have not ended, nor from random weights, which are for comparison.
     """
     is_causal = isinstance(config.model.frontend, CausalMelConfig)
-    if not config.tune.direct or config.tune.start != "base" or is_causal or is_same_rig(config):
+    wanted = config.tune.ranges and config.tune.start == "base" and bool(config.model.actors)
+    if not wanted or is_causal or is_same_rig(config):
         return config
-    model = config.model.model_copy(update={"decoder_direct": True})
+    model = config.model.model_copy(update={"actor_ranges": True})
     return config.model_copy(update={"model": model})
 
 

@@ -43,7 +43,7 @@ from deitalk.training.tuning.recipe import (
     with_actors,
     with_base_parts,
     with_captured_intensity,
-    with_direct_path,
+    with_ranges,
 )
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
 from rig.errors import ControlError
@@ -132,7 +132,7 @@ class FinetuneTask(CurveTask):
         self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
     ) -> None:
         division = divide_clips(read_clips(data), config.tune.leave_out)
-        complete = with_direct_path(with_actors(config, division.train))
+        complete = with_ranges(with_actors(config, division.train))
         super().__init__(complete, data, frozen_features=frozen_features)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
@@ -251,8 +251,8 @@ class FinetuneTask(CurveTask):
                 decoder.kept.requires_grad_(False)
         if decoder.actors is not None:
             decoder.actors.requires_grad_(True)
-        if decoder.direct is not None:
-            decoder.direct.map.requires_grad_(False)  # its regression is the best that it can be
+        if decoder.ranges is not None:
+            decoder.ranges.requires_grad_(True)
         if part == "head" or not self.is_same_rig:
             decoder.output.requires_grad_(True)
         if self.axes:
@@ -270,10 +270,8 @@ class FinetuneTask(CurveTask):
             sound = features[:n_frames].astype(np.float32)
         analysis = model.analyse(torch.from_numpy(sound), n_frames)
         style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
-        frames = torch.arange(n_frames)[None]
-        placed = model.place(analysis.speech[None], frames, torch.tensor([n_frames]))[0]
         hidden = model.describe(analysis, style)
-        return CapturedRows(clip.speaker, placed.numpy(), hidden.numpy(), example.curves)
+        return CapturedRows(clip.speaker, hidden.numpy(), example.curves)
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""
