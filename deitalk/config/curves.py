@@ -108,7 +108,7 @@ class ModelConfig(Section):
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
         if isinstance(self.frontend, CausalMelConfig) or self.kept_controls or self.actor_ranges:
             raise ValueError(
-                f"decoder: {self.decoder} takes no causal_mel, kept_controls and actor_ranges"
+                f"decoder: {self.decoder} takes no causal_mel, no kept_controls, no actor_ranges"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
@@ -118,8 +118,10 @@ class ModelConfig(Section):
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
         if isinstance(self.frontend, CausalMelConfig):
-            if self.positions or self.actor_ranges:
-                raise ValueError("causal_mel takes no positions and actor_ranges; set both false")
+            if self.positions:
+                raise ValueError("causal_mel takes no positions; set positions: false")
+            if self.actor_ranges:
+                raise ValueError("causal_mel takes no actor_ranges; set actor_ranges: false")
             if self.intensity and self.saliency_frames is None:
                 raise ValueError("causal_mel needs saliency_frames; 121 is 4 s")
         return self

@@ -25,7 +25,7 @@ WEIGHTS = {
 }
 """Of the weights of `default`: with new ones they have to run again (and its times, below)."""
 TIMING = {
-    "default-speed": "deitalk benchmark --json",
+    "default-speed": "deitalk benchmark --threads 1 --json",
     "mesh-speed-1": "deitalk benchmark --mesh --threads 1 --json",
     "mesh-speed-2": "deitalk benchmark --mesh --threads 2 --json",
     "live-speed": "python -m tests.live_speed",

@@ -167,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             part = (options.model, options.start, options.seconds)
             takes |= animated_takes(options.animate, *part)
         if not takes:
-            raise DataError("no curves; name files, or a recording with --animate")
+            raise DataError("no curves; name files, or a recording to animate")
         if options.out is not None:
             draw(options.out, takes)
     except (DeitalkError, RigError) as error:
