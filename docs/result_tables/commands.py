@@ -61,6 +61,11 @@ OTHER = {
     "sdfa-lips": "deitalk evaluate sdfa --data lips_data/ --split test",
     "sdfa-attention": "deitalk attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
     "--json",
+    **{
+        f"attention-{name}": "deitalk attention corpus/ --clips 20 --model "
+        f"runs/attention_{name}/best -o OUT/attention.png --json"
+        for name in ("centre", "0", "1", "window")
+    },
     "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
     "-o runs/mesh_ablations --seeds 2 --most 40 --set data.clips=480",
     "vocal-strength": "python -m deitalk.training.vocal_strength --readers LIBRISPEECH.tsv "

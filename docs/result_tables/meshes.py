@@ -114,18 +114,31 @@ def mesh_emotion() -> str:
 
 def attention() -> str:
     """How even the attention of the embedded models is."""
+    return _attention({f"{name}-attention": f"`{name}`" for name in ("default", "sdfa")})
+
+
+def attention_uncentred() -> str:
+    """The same without the path around the attention, and with windows of their own."""
+    return _attention(
+        {
+            "sdfa-attention": "the embedded `sdfa`",
+            "attention-centre": "trained alike with the path",
+            "attention-0": "without it",
+            "attention-1": "the same, another seed",
+            "attention-window": "and with `recurrence: window`",
+        }
+    )
+
+
+def _attention(reports: dict[str, str]) -> str:
     rows = []
-    for name in ("default", "sdfa"):
-        found = report(f"{name}-attention")
+    for name, title in reports.items():
+        found = report(name)
         kinds = [found["vowels"], found["plosives"]]
         counts = ", ".join(str(kind["phones"]) for kind in kinds)
-        rows.append(
-            [
-                f"`{name}` ({counts})",
-                *(short(kind["evenness"], 4) for kind in kinds),
-                ", ".join(short(kind["peak"]) for kind in kinds),
-            ]
-        )
+        evenness = [short(kind["evenness"], 4) for kind in kinds]
+        peaks = ", ".join(short(kind["peak"]) for kind in kinds)
+        rows.append([f"{title} ({counts})", *evenness, peaks])
     heads = ["evenness (vowels, plosives)", "vowels", "plosives", "largest weight at either"]
     return table([heads, *rows])
 
