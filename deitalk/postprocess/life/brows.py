@@ -41,8 +41,7 @@ ACCENTS: dict[str, tuple[float, ...]] = {
     "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
     "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
 }
-"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one. The neutral
-one is so large that the brows move as far as those of six readers (docs/life.md)."""
+"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 HELD: dict[str, tuple[float, ...]] = {
     "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.34),
@@ -62,8 +61,8 @@ DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.020)
 """Standard deviation of the slow drift of a calm face."""
 DRIFT_SECONDS = 0.9
 LID_DRIFT, LID_SECONDS = 0.045, 4.0
-"""A slower drift of the lids. Between their blinks, the lids of six readers open by 1 to 4 % more
-and less within a sentence, and by 3 to 7 % from sentence to sentence (docs/life.md)."""
+"""A slower drift of the lids, of the size of what six readers of the GRID corpus do from sentence
+to sentence (measured once)."""
 LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.05
 ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.15, 0.4), (0.05, 0.2), (0.45, 1.0)
 TAKEN_SHARE = (0.3, 0.6)
