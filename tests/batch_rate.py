@@ -16,6 +16,7 @@ import torch
 from deitalk import animate, load_audio, load_model
 from deitalk.evaluation.benchmark_curves import machine
 from deitalk.evaluation.report import identified, write_json
+from rig.files import new_file
 from tests.cold_start import environment, spent
 
 WARM_UP = 5
@@ -38,7 +39,7 @@ def main() -> None:
     """Print both, and the share of twice the single rate that the batch reaches."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folder", help="recordings")
-    parser.add_argument("--json", type=Path, help="also write the rates to this file")
+    parser.add_argument("--json", type=new_file, help="also write the rates to this file")
     given = parser.parse_args()
     folder = given.folder
     lines = sorted(path for path in Path(folder).iterdir() if path.is_file())

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from deitalk.evaluation.benchmark_curves import machine
 from deitalk.evaluation.report import identified, write_json
+from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
 RUNS = 7
@@ -37,7 +38,7 @@ def environment(folder: str) -> dict[str, str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--json", type=Path, help="also write the medians to this file")
+    parser.add_argument("--json", type=new_file, help="also write the medians to this file")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         where = environment(folder)

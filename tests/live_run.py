@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from rig.files import new_file
+
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 RATE, FPS = 48_000, 30
 LOOK_AHEAD_MS = 199.0
@@ -171,7 +173,7 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=5, help="minutes")
     parser.add_argument("--ppm", type=float, default=100, help="difference of the clocks")
     parser.add_argument("--backend", default="torch", help="torch or onnx")
-    parser.add_argument("--json", type=Path, help="also write the measures to this file")
+    parser.add_argument("--json", type=new_file, help="also write the measures to this file")
     parser.add_argument("--command", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.command:

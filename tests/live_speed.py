@@ -15,6 +15,7 @@ import torch
 from deitalk import LiveAnimator, load_audio
 from deitalk.evaluation.benchmark_curves import machine
 from deitalk.evaluation.report import identified, write_json
+from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 BLOCK, FIRST_FRAMES, SECONDS, VOICES = 160, 30, 30.0, 20
@@ -44,7 +45,7 @@ def many_voices(sound: np.ndarray, count: int, backend: str) -> float:
 def main() -> None:
     """Print both of either backend."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--json", type=Path, help="also write the times to this file")
+    parser.add_argument("--json", type=new_file, help="also write the times to this file")
     given = parser.parse_args()
     torch.set_num_threads(1)
     waveform = load_audio(SAMPLE).waveform

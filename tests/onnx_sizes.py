@@ -22,6 +22,7 @@ from deitalk.evaluation.report import identified, write_json
 from deitalk.models.checkpoint import load_model
 from deitalk.models.onnx.export import export_onnx
 from rig import default_controls
+from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 SECONDS, RUNS = 60, 3
@@ -84,7 +85,7 @@ def measure(folder: Path) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--json", type=Path, help="also write the table to this file")
+    parser.add_argument("--json", type=new_file, help="also write the table to this file")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         table = measure(Path(folder))

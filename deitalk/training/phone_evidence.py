@@ -37,7 +37,7 @@ from deitalk.pipeline.words.evidence import (
     phone_features,
 )
 from rig.arrays import Float32, Int64
-from rig.files import atomic_write
+from rig.files import atomic_write, new_file
 
 EPOCHS, BATCH, RATE_OF_LEARNING, DECAY, SMOOTHING = 4, 1024, 2e-3, 1e-3, 0.02
 LEAST_PRIOR = 1e-4
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, required=True, help="dataset folder with phones")
     parser.add_argument("--every", type=int, default=4, help="of the recordings of people")
     parser.add_argument("--embedded", action="store_true", help="score the map of the package")
-    parser.add_argument("--json", type=Path, help="also write the scores to this file")
+    parser.add_argument("--json", type=new_file, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
     options = parser.parse_args(arguments)
     try:

@@ -41,7 +41,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, SURE, EmotionMap, VoiceFrames, standardised
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.files import atomic_write
+from rig.files import atomic_write, new_file
 
 VOTES = {"N": 0, "A": 1, "H": 2, "S": 3}
 """CREMA-D's letters of a vote, and places in `NAMED`."""
@@ -325,7 +325,7 @@ def main() -> int:
     parser.add_argument("--actors", type=Path, required=True, help="CREMA-D's table with votes")
     parser.add_argument("--readers", type=Path, action="append", default=[], help="path, speaker")
     parser.add_argument("--split", choices=("validation", TEST), default="validation")
-    parser.add_argument("--json", type=Path, help="also write the scores to this file")
+    parser.add_argument("--json", type=new_file, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
     options = parser.parse_args()
     try:

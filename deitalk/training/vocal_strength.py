@@ -46,7 +46,7 @@ from deitalk.data.strength_clips import (
 from deitalk.errors import DataError, DeitalkError
 from deitalk.training.strength_network import Member, StrengthNetwork
 from rig.arrays import Float32
-from rig.files import atomic_write
+from rig.files import atomic_write, new_file
 
 STEPS, LEARNING_RATE, WEIGHT_DECAY = 1200, 2e-3, 0.05
 CHAPTERS, PIECES, ACTORS_AT_ONCE = 4, 8, 3
@@ -238,7 +238,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, help="weights: FILE.safetensors")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--embedded", action="store_true", help="score those of the package")
-    parser.add_argument("--json", type=Path, help="also write the scores to this file")
+    parser.add_argument("--json", type=new_file, help="also write the scores to this file")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)

@@ -15,7 +15,7 @@ from rig.files.folder import check_folder, output_folder, recover
 from rig.files.lock import cache_folder, claim
 from rig.files.manifest import changed_files, kind_of, record
 from rig.files.recorded import begin_folder, replace_recorded
-from rig.files.targets import check_file, is_folder_name
+from rig.files.targets import check_file, is_folder_name, new_file
 
 __all__ = [
     "atomic_write",
@@ -27,6 +27,7 @@ __all__ = [
     "claim",
     "is_folder_name",
     "kind_of",
+    "new_file",
     "output_folder",
     "record",
     "recover",

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -21,7 +20,7 @@ from rig.deformation.basis import choose_bases
 from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices
 from rig.deformation.reconstruct import DeformationSolver
 from rig.deformation.rotations import polar
-from rig.files import atomic_write
+from rig.files import atomic_write, new_file
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.methods import Method, carry_shapes
@@ -40,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Write every row to standard output as it is measured; all but the times to a file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("face", nargs="?", help=".npz")
-    parser.add_argument("--json", type=Path, help="also write the errors to this file")
+    parser.add_argument("--json", type=new_file, help="also write the errors to this file")
     given = parser.parse_args(arguments)
     report: dict[str, list[Row]] = {}
     parts = {} if given.face is None else of_file(given.face)

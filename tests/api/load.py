@@ -25,6 +25,7 @@ import httpx
 
 from deitalk.evaluation.benchmark_curves import machine
 from deitalk.evaluation.report import identified, write_json
+from rig.files import new_file
 from tests.api.conftest import wav
 from tests.api.kill import descendants
 from tests.api.server import Server, start, stop, wait_until
@@ -118,7 +119,7 @@ def compare(server: Server, count: int) -> dict[str, float]:
 def main() -> None:
     """Run from a command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--json", type=Path, help="also write the times to this file")
+    parser.add_argument("--json", type=new_file, help="also write the times to this file")
     given = parser.parse_args()
     report: dict[str, Any] = identified("default") | {"machine": machine(), "threads": 1}
     with tempfile.TemporaryDirectory() as folder:

@@ -28,6 +28,7 @@ from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.traits import Seeds
 from deitalk.postprocess.life.voice import measure_voice
 from rig.arrays import Float32, Float64
+from rig.files import new_file
 
 NEAR_SECONDS = (-0.15, 0.45)
 STEP = 0.01
@@ -123,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("recordings", type=Path, nargs="+", help="speech, or folders of it")
     parser.add_argument("--most", type=int, default=60, help="recordings of a folder")
     parser.add_argument("--seed", type=int, default=0, help="another drawing")
-    parser.add_argument("--json", type=Path, help="also write the measures to this file")
+    parser.add_argument("--json", type=new_file, help="also write the measures to this file")
     options = parser.parse_args(arguments)
     try:
         files = recordings(options.recordings, max(1, options.most))

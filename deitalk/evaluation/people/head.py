@@ -41,6 +41,7 @@ from deitalk.postprocess.life.traits import Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from rig.arrays import Float64
 from rig.curves.filters import gaussian_smooth
+from rig.files import new_file
 
 TOLERANCE = 0.2
 SMOOTH_SECONDS = 0.06
@@ -222,7 +223,7 @@ def main(arguments: Sequence[str]) -> int:
     """Print the report; 0 if all ratios are within the tolerance, else 1."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folder", type=Path, help="measured lips with poses")
-    parser.add_argument("--json", type=Path, help="also write the report to this file")
+    parser.add_argument("--json", type=new_file, help="also write the report to this file")
     options = parser.parse_args(arguments)
     try:
         report = evaluate_head(options.folder)

@@ -28,6 +28,7 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.errors import RigError
+from rig.files import new_file
 
 REGIONS: dict[str, tuple[str, ...]] = {
     "brows": ("_brow_",),
@@ -156,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("files", type=Path, nargs="*", help="curves of any format")
     parser.add_argument("--animate", type=Path, metavar="RECORDING", help="in every emotion")
     parser.add_argument("--model", default="default", help="name or folder, for --animate")
-    parser.add_argument("--json", type=Path, help="also write the table to this file")
+    parser.add_argument("--json", type=new_file, help="also write the table to this file")
     parser.add_argument("-o", "--out", type=Path, help="picture: .png, .svg or .pdf")
     parser.add_argument("--start", type=float, default=0.0, help="first second")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="how many of them")

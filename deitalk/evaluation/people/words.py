@@ -31,6 +31,7 @@ from deitalk.pipeline.words.align import fit_words
 from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from rig.arrays import Float32
+from rig.files import new_file
 
 CONDITIONS = ("no words", "own words", "words of another", "a quarter exchanged")
 VOICES = ("f2", "m3")
@@ -172,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--model", default="default", help="name or folder")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--most", type=int, help="most recordings of a group")
-    parser.add_argument("--json", type=Path, help="also write the report to this file")
+    parser.add_argument("--json", type=new_file, help="also write the report to this file")
     options = parser.parse_args(arguments)
     try:
         network = load_network(options.model)

@@ -8,6 +8,7 @@ from pathlib import Path
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import write_json
 from deitalk.evaluation.voice_activity.comparison import as_markdown, run
+from rig.files import new_file
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--music", default="synthetic", help="folder of recordings, or synthetic")
     parser.add_argument("--detectors", default="ours,silero,webrtc", help="names, by commas")
     parser.add_argument("--clips", type=int, default=30, help="most clips of a source of speech")
-    parser.add_argument("--json", type=Path, help="also write the report to this file")
+    parser.add_argument("--json", type=new_file, help="also write the report to this file")
     given = parser.parse_args(arguments)
     try:
         if given.clips < 1:

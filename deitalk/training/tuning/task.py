@@ -236,6 +236,12 @@ class FinetuneTask(CurveTask):
             known = given.actors.weight
             with torch.no_grad():
                 decoder.actors.weight[:, : known.shape[1]] = known
+        if given.ranges is not None and decoder.ranges is not None and self.is_same_rig:
+            with torch.no_grad():
+                for new, old in zip(
+                    decoder.ranges.parameters(), given.ranges.parameters(), strict=True
+                ):
+                    new[: len(old)] = old
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""

@@ -79,3 +79,13 @@ def test_recordings_of_a_folder_are_evenly_spread(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="holds no"):
         recordings([tmp_path / "empty"], 3)
+
+
+def test_report_is_never_written_over_a_file(tmp_path, capsys):
+    mine = tmp_path / "mine.json"
+    mine.write_text("mine")
+    for target, words in ((mine, "exists; name another file"), (tmp_path / "no/x", "not a folder")):
+        with pytest.raises(SystemExit) as ended:
+            main(["docs/samples/amiable.flac", "--json", str(target)])
+        assert ended.value.code == 2 and words in capsys.readouterr().err
+    assert mine.read_text() == "mine"

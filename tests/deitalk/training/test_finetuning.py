@@ -257,6 +257,26 @@ def test_model_of_another_rig_needs_no_file_beside_its_folder(base, foreign, tmp
     assert read_controls(again.model.control_set) == controls
 
 
+def test_actors_of_another_rig_keep_their_ranges_where_a_tuned_model_is_tuned(
+    base, foreign, tmp_path
+):
+    """b stays as the first tuning left it, c is new."""
+    folder = tmp_path / "data"
+    shutil.copytree(foreign, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str)
+    rig = f"model.control_set={folder / 'rig.yaml'}"
+    table.assign(speaker=["a", "b"] * 3).to_csv(folder / "clips.csv", index=False)
+    finetune(recipe(base, rig), folder, tmp_path / "one")
+    table.assign(speaker=["b", "c"] * 3).to_csv(folder / "clips.csv", index=False)
+    task = FinetuneTask(recipe(str(tmp_path / "one/last")), folder)
+    task.build(torch.device("cpu"))
+    assert task.model.actors == ("a", "b", "c")
+    before, after = load_model(tmp_path / "one/last").decoder.ranges, task.model.decoder.ranges
+    assert before.gains.abs().max() > 1e-3
+    for old, new in zip(before.parameters(), after.parameters(), strict=True):
+        assert torch.equal(new[:2], old) and not new[2].any()
+
+
 @pytest.mark.parametrize(
     ("text", "match"),
     [
