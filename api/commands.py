@@ -29,7 +29,7 @@ def serve(file: Path | None, *, ray: bool = False, **given: Any) -> None:
     Raises
     ------
     ConfigError
-        If a setting is wrong or the port is taken.
+        If a setting is wrong, the port is taken, or a place of jobs cannot be used.
     MissingError
         If Ray is needed and not installed.
     """
@@ -52,7 +52,7 @@ def studio(file: Path | None, *, port: int | None, opens: bool) -> None:
     Raises
     ------
     ConfigError
-        If a setting is wrong or the port is taken.
+        If a setting is wrong, the port is taken, or a place of jobs cannot be used.
     MissingError
         If this installation has no page.
     """

@@ -4,6 +4,7 @@ import logging.config
 import os
 import socket
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import uvicorn
@@ -11,9 +12,12 @@ import uvicorn
 from api.app import create_app
 from api.guard.middleware import HEADER_BYTES
 from api.guard.protocol import GuardedProtocol
+from api.jobs.store import Store
+from api.jobs.table import open_database
 from api.settings import Settings
 from deitalk import __version__
 from deitalk.errors import ConfigError
+from rig.errors import one_line
 
 LIVE_MESSAGE_BYTES = 1 << 20
 KEEP_ALIVE_SECONDS = 10
@@ -25,12 +29,13 @@ def run(settings: Settings) -> None:
     Raises
     ------
     ConfigError
-        If a setting is wrong or the port is taken.
+        If a setting is wrong, the port is taken, or a place of jobs cannot be used.
     """
     app = create_app(settings)
     print_settings(settings)
     log_to_stderr()
     check_port(settings)
+    check_places(settings)
     server = uvicorn.Server(server_config(app, settings))
     server.run()
     if not server.started:
@@ -76,6 +81,34 @@ def check_port(settings: Settings) -> None:
                 f"port {settings.port} of {settings.host}: {os.strerror(error.errno or 0)}; give "
                 "another `port`", parameter="port",
             ) from None  # fmt: skip
+
+
+def check_places(settings: Settings) -> None:
+    """Refuse a data folder, a database or a store that does not answer, before the workers start.
+
+    What a driver or a file system raises is theirs to choose, so any error counts.
+    """
+    places: dict[str, Callable[[], object]] = {
+        "data": lambda: settings.data.mkdir(parents=True, exist_ok=True, mode=0o700),
+        "database": lambda: open_database(settings.database_url).dispose(),
+        "storage": lambda: Store(settings.storage_url).check(),
+    }
+    for name, use in places.items():
+        try:
+            use()
+        except Exception as error:
+            given = one_line(f"{name} = {settings.shown[name]}: {_reason(error)}")
+            raise ConfigError(
+                f"{given}; check it, or change the setting (DEITALK_{name.upper()})"
+            ) from None
+
+
+def _reason(error: Exception) -> str:
+    """What a driver or the system says, in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    said = str(getattr(error, "orig", None) or error).partition("\n")[0]
+    return said or type(error).__name__
 
 
 def log_to_stderr() -> None:

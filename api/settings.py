@@ -156,14 +156,19 @@ class Settings(BaseSettings):
                 f"preload names {quoted(unknown[0])}; known models: {', '.join(self.known_models)}"
             )
 
-    def lines(self) -> list[str]:
-        """Return one line ``name = value`` for each setting, without secrets."""
-        shown = {name: getattr(self, name) for name in Settings.model_fields} | {
+    @property
+    def shown(self) -> dict[str, str]:
+        """Every setting as text, without secrets."""
+        values = {name: getattr(self, name) for name in Settings.model_fields} | {
             "keys": ", ".join(key.name for key in self.keys) or "none",
             "database": make_url(self.database_url).render_as_string(hide_password=True),
             "storage": self.storage_url.rpartition("@")[2],
         }
-        return [f"{name} = {_text(value)}" for name, value in shown.items()]
+        return {name: _text(value) for name, value in values.items()}
+
+    def lines(self) -> list[str]:
+        """Return one line ``name = value`` for each setting, without secrets."""
+        return [f"{name} = {value}" for name, value in self.shown.items()]
 
 
 def load_settings(file: Path | None = None, **given: Any) -> Settings:

@@ -8,6 +8,7 @@
 Other folders of the place are never listed, and never removed.
 """
 
+import secrets
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -34,6 +35,12 @@ class Store:
         # Listings are not kept: other servers add and remove files.
         self.files, self.root = fsspec.core.url_to_fs(url, use_listings_cache=False)
         self.files.makedirs(self.root, exist_ok=True)
+
+    def check(self) -> None:
+        """Write an empty file and remove it; raises what the file system raises."""
+        path = self._at(f"deitalk-check-{secrets.token_hex(8)}")
+        self.files.pipe_file(path, b"")
+        self.files.rm_file(path)
 
     def put_folder(self, folder: Path, job_id: str) -> None:
         """Copy the files of a folder to be a job's inputs."""

@@ -21,6 +21,7 @@ from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
 from api.messages.options import weights_of
 from api.metrics import Metrics
+from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
@@ -215,12 +216,46 @@ def test_container_files_name_settings_and_paths_that_exist():
     folder = Path(api.__file__).parent / "container"
     compose = yaml.safe_load((folder / "compose.yaml").read_text())
     text = (folder / "Dockerfile").read_text()
-    named = {*compose["services"]["service"]["environment"], *re.findall(r"DEITALK_\w+(?==)", text)}
+    services = compose["services"]
+    given = [services[name]["environment"] for name in ("first", "second")]
+    assert given[0] == given[1]
+    named = {*given[0], *re.findall(r"DEITALK_\w+(?==)", text)}
     known = {f"DEITALK_{name.upper()}" for name in Settings.model_fields}
     assert len(named) >= 4 and named <= known
     for line in re.findall(r"^COPY (.+) \S+$", text, re.MULTILINE):
         for name in line.split():
             assert (folder.parents[1] / name).exists(), name
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("data", "{folder}/file/below", "Not a directory"),
+        ("database", "sqlite:///{folder}/none/jobs.sqlite", "unable to open database file"),
+        ("database", "postgresql+psycopg://me:secret@127.0.0.1:9/jobs", "Connection refused"),
+        ("database", "postgresql+psycopg://me:secret@no.such.host.invalid/jobs", "no.such.host"),
+        ("storage", "{folder}/file/below", "Not a directory"),
+        ("storage", "smoke://signals", "Protocol not known: smoke"),
+    ],
+)
+def test_places_of_jobs_that_do_not_answer_are_named_in_one_line(tmp_path, name, value, says):
+    pytest.importorskip("psycopg")
+    (tmp_path / "file").touch()
+    given = {"data": str(tmp_path / "data"), name: value.format(folder=tmp_path)}
+    with pytest.raises(ConfigError) as caught:
+        check_places(load_settings(**given))
+    message = str(caught.value)
+    assert message.startswith(f"{name} = ") and says in message and "secret" not in message
+    assert message.count("\n") == 0 and message.endswith(f"(DEITALK_{name.upper()})")
+
+
+def test_places_of_jobs_that_can_be_used_are_left_as_they_are(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "mine.txt").touch()
+    check_places(load_settings(data=tmp_path / "data"))
+    check_places(load_settings(data=tmp_path / "data"))
+    names = {path.name for path in (tmp_path / "data").rglob("*")}
+    assert names == {"mine.txt", "jobs.sqlite", "files"}
 
 
 class Ready(BaseHTTPRequestHandler):
