@@ -11,6 +11,8 @@ from deitalk.errors import DeitalkError
 from rig.errors import RigError
 from rig.limits import MESSAGE_CHARACTERS
 
+MEASURING = re.compile(r"parser\.add_argument\((?:\"-o\", )?\"--(?:out|json)\", type=(\w+)")
+
 ROOT = Path(__file__).resolve().parents[1]
 OPTION = re.compile(r"(?:^|[\s`'\"(])--[a-z]")
 PARSES_OPTIONS = ("cli", "unreal", "web")
@@ -58,3 +60,16 @@ def test_message_with_escapes_stays_within_its_limit(text):
         assert len(message) <= MESSAGE_CHARACTERS
         assert "\n" not in message and "\0" not in message
         assert message.startswith("name ") and message.endswith(" end")
+
+
+def test_files_that_modules_write_are_refused_where_they_exist():
+    """Modules run by ``python -m``; `new_file` is tested on its own, commands in tests of the CLI."""
+    kinds = {
+        (path.relative_to(ROOT).as_posix(), kind)
+        for path in (ROOT / "deitalk").rglob("*.py")
+        for kind in MEASURING.findall(path.read_text())
+    }
+    assert len(kinds) >= 8
+    assert [name for name, kind in sorted(kinds) if kind != "new_file"] == [
+        "deitalk/data/lips/vocabulary.py"  # a folder
+    ]

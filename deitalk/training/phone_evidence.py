@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=4, help="of the recordings of people")
     parser.add_argument("--embedded", action="store_true", help="score the map of the package")
     parser.add_argument("--json", type=new_file, help="also write the scores to this file")
-    parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
+    parser.add_argument("-o", "--out", type=new_file, help=".safetensors to write")
     options = parser.parse_args(arguments)
     try:
         if options.embedded:

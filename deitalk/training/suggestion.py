@@ -326,7 +326,7 @@ def main() -> int:
     parser.add_argument("--readers", type=Path, action="append", default=[], help="path, speaker")
     parser.add_argument("--split", choices=("validation", TEST), default="validation")
     parser.add_argument("--json", type=new_file, help="also write the scores to this file")
-    parser.add_argument("-o", "--out", type=Path, help=".safetensors to write")
+    parser.add_argument("-o", "--out", type=new_file, help=".safetensors to write")
     options = parser.parse_args()
     try:
         voices = read_voices(options.actors, options.readers, options.split)

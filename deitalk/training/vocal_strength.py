@@ -235,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m deitalk.training.vocal_strength")
     parser.add_argument("--readers", type=Path, required=True, help="table of readers")
     parser.add_argument("--actors", type=Path, required=True, help="table of actors")
-    parser.add_argument("-o", "--out", type=Path, help="weights: FILE.safetensors")
+    parser.add_argument("-o", "--out", type=new_file, help="weights: FILE.safetensors")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--embedded", action="store_true", help="score those of the package")
     parser.add_argument("--json", type=new_file, help="also write the scores to this file")

@@ -158,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--animate", type=Path, metavar="RECORDING", help="in every emotion")
     parser.add_argument("--model", default="default", help="name or folder, for --animate")
     parser.add_argument("--json", type=new_file, help="also write the table to this file")
-    parser.add_argument("-o", "--out", type=Path, help="picture: .png, .svg or .pdf")
+    parser.add_argument("-o", "--out", type=new_file, help="picture: .png, .svg or .pdf")
     parser.add_argument("--start", type=float, default=0.0, help="first second")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="how many of them")
     options = parser.parse_args(arguments)
