@@ -191,7 +191,7 @@ def test_variants_of_sdfa_change_the_parts_in_their_names():
     for name, key in (("no_spec_bilstm", "gathering"), ("no_attention", "summary")):
         assert differences(variants[name]) == common | {frontend + key}
         assert variants[name].config(0, None).train.steps == 2000
-    for name, steps in (("karras", 1500), ("voca", 4000)):
+    for name, steps in (("karras", 4000), ("voca", 4000)):
         config = variants[name].config(1, None)
         assert (config.model.frontend.kind, config.train.steps, config.train.seed) == (
             name,
