@@ -4,6 +4,7 @@
 
     deitalk-inputs/<id>/<name>              what a request sent
     deitalk-results/<id>/<holder>-<name>    what a worker made; the table names the one that counts
+    deitalk-check-<random>                  empty, for a moment, when a server starts
 
 Other folders of the place are never listed, and never removed.
 """
