@@ -84,9 +84,9 @@ def check_port(settings: Settings) -> None:
 
 
 def check_places(settings: Settings) -> None:
-    """Refuse a data folder, a database or a store that does not answer, before the workers start.
+    """Refuse a data folder, a database or a store that cannot be used, before the workers start.
 
-    What a driver or a file system raises is theirs to choose, so any error counts.
+    Database drivers and file systems raise classes of their own: every exception is reported.
     """
     places: dict[str, Callable[[], object]] = {
         "data": lambda: settings.data.mkdir(parents=True, exist_ok=True, mode=0o700),
@@ -104,7 +104,7 @@ def check_places(settings: Settings) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What a driver or the system says, in one line."""
+    """First line of the message of an operating system or a database driver."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     said = str(getattr(error, "orig", None) or error).partition("\n")[0]

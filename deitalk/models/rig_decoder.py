@@ -82,7 +82,7 @@ class Decoder(nn.Module):
 class ActorRanges(nn.Module):
     """How far each actor moves every control, and about what pose (not in the paper).
 
-    A stranger has a gain of 1 and no offset.
+    An actor of no capture has a gain of 1 and no offset.
 
     Parameters
     ----------
