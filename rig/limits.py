@@ -145,6 +145,8 @@ DILATION = 1024
 """Frames between the taps of a convolution."""
 MEL_BINS = 512
 """Bins of a mel spectrum."""
+TAPERS = 8
+"""Windows whose spectra are averaged."""
 WINDOW_SECONDS = 1.0
 """Length of one spectrum, seconds."""
 SPECTRA_PER_SECOND = 1000.0

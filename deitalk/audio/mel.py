@@ -40,6 +40,17 @@ def derivative(x: Tensor) -> Tensor:
     return (padded[..., 2:] - padded[..., :-2]) / 2
 
 
+def sine_tapers(length: int, count: int) -> Tensor:
+    """Orthonormal windows [shape=(count, length)] that begin and end near zero.
+
+    Taper k has k - 1 zero crossings; its spectrum lies within (k + 1) / (2 length) of a sample rate.
+    """
+    phase = torch.pi * torch.arange(1, length + 1, dtype=torch.float64, device="cpu") / (length + 1)
+    orders = torch.arange(1, count + 1, device="cpu").unsqueeze(1)
+    tapers: Tensor = (torch.sin(orders * phase) * (2 / (length + 1)) ** 0.5).float()
+    return tapers
+
+
 class MelSpectrogram(nn.Module):
     """Log-mel spectrogram with first and second derivative.
 
@@ -50,6 +61,9 @@ class MelSpectrogram(nn.Module):
     frame_rate : float
         Spectra per second.
     n_mels : int
+    tapers : int
+        Sine tapers (Riedel and Sidorenko 1995) whose spectra are averaged; 1: a Hann window. Three
+        have its main lobe and a third of the variance: noise fluctuates less.
 
     Notes
     -----
@@ -59,9 +73,12 @@ class MelSpectrogram(nn.Module):
     """
 
     filters: Tensor
-    window: Tensor
+    tapers: Tensor
+    """Windows of a spectrum [shape=(K, W)]; each has the energy of the Hann window."""
 
-    def __init__(self, window_seconds: float, frame_rate: float, n_mels: int) -> None:
+    def __init__(
+        self, window_seconds: float, frame_rate: float, n_mels: int, tapers: int = 1
+    ) -> None:
         super().__init__()
         self.frame_rate = frame_rate
         self.length = round(window_seconds * SAMPLE_RATE)
@@ -69,8 +86,9 @@ class MelSpectrogram(nn.Module):
         filters = mel_filters(SAMPLE_RATE, self.n_fft, n_mels, LOWEST_HZ, HIGHEST_HZ)
         self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
         # On the meta device it would import the compiler: two seconds.
-        window = torch.hann_window(self.length, device="cpu")
-        self.register_buffer("window", window, persistent=False)
+        hann = torch.hann_window(self.length, device="cpu").unsqueeze(0)
+        windows = hann if tapers == 1 else hann.norm() * sine_tapers(self.length, tapers)
+        self.register_buffer("tapers", windows, persistent=False)
 
     def forward(
         self,
@@ -95,7 +113,7 @@ class MelSpectrogram(nn.Module):
         half = self.length // 2
         start = int(centres[0]) - half
         stop = int(centres[-1]) + self.length
-        piece = waveform[:, max(start, 0) : max(stop, 0)].to(self.window.device)
+        piece = waveform[:, max(start, 0) : max(stop, 0)].to(self.tapers.device)
         piece = F.pad(
             piece, (max(-start, 0), max(stop - start - max(-start, 0) - piece.shape[1], 0))
         )
@@ -104,8 +122,9 @@ class MelSpectrogram(nn.Module):
 
     def power(self, windows: Tensor) -> Tensor:
         """Mel power (B, L, F) of windows (B, L, window) of samples."""
-        spectrum = torch.fft.rfft(windows * self.window, self.n_fft)
-        power = torch.view_as_real(spectrum).square().sum(dim=-1)  # (B, L, bins)
+        spectra = [torch.fft.rfft(windows * taper, self.n_fft) for taper in self.tapers]
+        powers = [torch.view_as_real(spectrum).square().sum(dim=-1) for spectrum in spectra]
+        power = powers[0] if len(powers) == 1 else sum(powers) / len(powers)  # (B, L, bins)
         mel: Tensor = power @ self.filters / self.length
         return mel
 

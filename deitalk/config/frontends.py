@@ -30,6 +30,9 @@ class MelConfig(Section):
         default=0.064, description="length of one spectrum (FFT_win)"
     )
     frame_rate: SpectraRate = Field(default=125.0, description="spectra per second; 1 / FFT_hop")
+    tapers: int = Field(
+        default=1, ge=1, le=limits.TAPERS, description="windows of a spectrum; 1: Hann (the paper)"
+    )
     n_mels: int = Field(default=128, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
     conv_channels: tuple[Width, Width, Width] = (32, 64, 64)
     spec_hidden: Width = Field(default=32, description="Spec-BiLSTM units per direction")

@@ -138,7 +138,7 @@ class CausalMelFrontend(nn.Module):
         batch, count, _ = windows.shape
         spectra = self.config.frame_spectra
         power = self.mel.power(windows.to(self.project.weight.device))  # (B, G P, F)
-        scale = 2 * self.mel.length / (self.mel.n_fft * self.mel.window.square().sum())
+        scale = 2 * self.mel.length / (self.mel.n_fft * self.mel.tapers.square().sum())
         loud = power.sum(dim=2).view(batch, -1, spectra).mean(dim=2) * scale
         level, kept = follow_level(loud, state.level)
         gain = (USUAL_POWER / level).repeat_interleave(spectra, dim=1).unsqueeze(2)

@@ -225,7 +225,9 @@ class MelFrontend(nn.Module):
         super().__init__()
         self.config = config
         self.output_size = 2 * config.time_hidden
-        self.mel = MelSpectrogram(config.window_seconds, config.frame_rate, config.n_mels)
+        self.mel = MelSpectrogram(
+            config.window_seconds, config.frame_rate, config.n_mels, config.tapers
+        )
         self.shifts = phase_shifts(config.phases, config.frame_rate)
         self.spectral = SpectralGathering(
             config.n_mels, config.conv_channels, config.spec_hidden, config.spectral_size

@@ -134,7 +134,7 @@ def _memory(
     """
     centres = nearest_spectra(n_frames, frontend.config.frame_rate, frontend.config.time_stack)
     length, lstm = int(centres[-1]) + 1, frontend.recurrent
-    width, device = 2 * lstm.hidden_size, frontend.mel.window.device
+    width, device = 2 * lstm.hidden_size, frontend.mel.tapers.device
     # One block of memory for input and outputs: pieces of it would not go back to the system.
     shape = max(length, 2 * n_frames), max(lstm.input_size, width)
     block = torch.empty(shape, dtype=store, device=device)

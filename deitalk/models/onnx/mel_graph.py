@@ -15,12 +15,13 @@ MARGIN = 4096
 
 
 def fourier_products(mel: MelSpectrogram) -> tuple[Tensor, Tensor]:
-    """Matrices of mel power: samples (W,) to real and imaginary parts, their squares to (F,)."""
+    """Matrices of mel power: samples (W,) to the parts of every taper's spectrum, squares to (F,)."""
     angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
     angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
     waves = torch.cat((angle.cos(), angle.sin()), dim=1)
-    transform = (mel.window.double()[:, None] * waves).float()
-    return transform, torch.cat((mel.filters, mel.filters)) / mel.length
+    tapers = mel.tapers.double()
+    transform = torch.cat([taper[:, None] * waves for taper in tapers], dim=1).float()
+    return transform, mel.filters.repeat(2 * len(tapers), 1) / (mel.length * len(tapers))
 
 
 class MelGraph(nn.Module):
@@ -69,7 +70,7 @@ class ProductMel(MelSpectrogram):
     @classmethod
     def of(cls, mel: MelSpectrogram) -> "ProductMel":
         """The same spectrogram."""
-        found = cls(mel.length / SAMPLE_RATE, mel.frame_rate, mel.filters.shape[1])
+        found = cls(mel.length / SAMPLE_RATE, mel.frame_rate, mel.filters.shape[1], len(mel.tapers))
         transform, summed = fourier_products(mel)
         found.register_buffer("transform", transform)
         found.register_buffer("summed", summed)

@@ -6,14 +6,21 @@ import pytest
 import torch
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.mel import FLOOR, MelSpectrogram, derivative, nearest_spectra, spectra_centres
+from deitalk.audio.mel import (
+    FLOOR,
+    MelSpectrogram,
+    derivative,
+    nearest_spectra,
+    sine_tapers,
+    spectra_centres,
+)
 from deitalk.config import MelConfig
 
-SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80)]
-"""SDFA's, and those of configs/mel.yaml."""
+SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80), (0.032, 60.0, 80, 3)]
+"""SDFA's, and those of configs/mel.yaml by one window and by tapers."""
 
 
-@pytest.fixture(params=SETTINGS, ids=["sdfa", "mel"])
+@pytest.fixture(params=SETTINGS, ids=["sdfa", "mel", "tapers"])
 def mel(request):
     return MelSpectrogram(*request.param)
 
@@ -115,3 +122,26 @@ def test_silence_around_a_clip_leaves_its_spectra_unchanged(mel):
     padded = torch.nn.functional.pad(waveform, (hop, 5 * SAMPLE_RATE))
     ahead = int(mel.frame_rate / 5)
     torch.testing.assert_close(mel(padded, 30, first=ahead)[:, 0], mel(waveform, 30)[:, 0])
+
+
+def test_sine_tapers_by_hand():
+    root = np.sqrt(0.5)  # of 3 samples: sin(pi t / 4) and sin(pi t / 2), of energy 2
+    expected = np.array([[root, 1, root], [1, 0, -1]]) * root
+    np.testing.assert_allclose(sine_tapers(3, 2).numpy(), expected, atol=1e-7)
+    product = sine_tapers(512, 4).double()
+    torch.testing.assert_close(
+        product @ product.T, torch.eye(4, dtype=torch.float64), atol=1e-6, rtol=0
+    )
+
+
+def test_three_tapers_have_the_power_of_one_window_and_a_third_of_its_variance():
+    sound = noise(60.0)
+    powers = []
+    for tapers in (1, 3):
+        mel = MelSpectrogram(0.032, 30.0, 80, tapers)  # windows do not overlap
+        mel.filters = torch.eye(257)[:, 8:-8]  # bins of the Fourier transform alone
+        powers.append(mel.power(mel.windows(sound, 1800))[0, 1:-1].double())
+    means, variances = zip(*((p.mean(), p.var(dim=0).mean()) for p in powers), strict=True)
+    assert means[1] / means[0] == pytest.approx(1, abs=0.02)
+    assert variances[0] / means[0] ** 2 == pytest.approx(1, abs=0.05)  # of an exponential law
+    assert variances[1] / means[1] ** 2 == pytest.approx(1 / 3, abs=0.03)

@@ -33,6 +33,7 @@ FIELDS = [
     (lambda v: frontend(kind="mel", time_hidden=v), limits.WIDTH),
     (lambda v: frontend(kind="mel", time_layers=v), limits.RECURRENT_LAYERS),
     (lambda v: frontend(kind="mel", n_mels=v), limits.MEL_BINS),
+    (lambda v: frontend(kind="mel", tapers=v), limits.TAPERS),
     (lambda v: frontend(kind="mel", window_frames=v), limits.WINDOW_FRAMES),
     (lambda v: frontend(kind="mel", frame_rate=v), limits.SPECTRA_PER_SECOND),
     (lambda v: frontend(kind="mel", window_seconds=v), limits.WINDOW_SECONDS),

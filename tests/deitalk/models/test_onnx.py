@@ -29,7 +29,7 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
 
-RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2}
+RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2, "tapers": 3}
 TOLERANCE = 1e-4
 """Of a control's range."""
 CONTROL_FLOW = {"If", "Loop", "Scan", "DFT", "STFT", "ScatterElements", "ScatterND"}
