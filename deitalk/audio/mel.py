@@ -43,7 +43,7 @@ def derivative(x: Tensor) -> Tensor:
 def sine_tapers(length: int, count: int) -> Tensor:
     """Orthonormal windows [shape=(count, length)] that begin and end near zero.
 
-    Taper k has k - 1 zero crossings; its spectrum lies within (k + 1) / (2 length) of a sample rate.
+    Taper k has k - 1 zero crossings; its spectrum lies within (k + 1) / (2 length) of the rate.
     """
     phase = torch.pi * torch.arange(1, length + 1, dtype=torch.float64, device="cpu") / (length + 1)
     orders = torch.arange(1, count + 1, device="cpu").unsqueeze(1)
@@ -124,7 +124,7 @@ class MelSpectrogram(nn.Module):
         """Mel power (B, L, F) of windows (B, L, window) of samples."""
         spectra = [torch.fft.rfft(windows * taper, self.n_fft) for taper in self.tapers]
         powers = [torch.view_as_real(spectrum).square().sum(dim=-1) for spectrum in spectra]
-        power = powers[0] if len(powers) == 1 else sum(powers) / len(powers)  # (B, L, bins)
+        power = powers[0] if len(powers) == 1 else torch.stack(powers).mean(dim=0)  # (B, L, bins)
         mel: Tensor = power @ self.filters / self.length
         return mel
 

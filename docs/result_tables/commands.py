@@ -13,7 +13,8 @@ WEIGHTS = {
     "default-fresh": f"{_EVALUATE} --data fresh/ --split test --probes 12",
     "default-lips": f"{_EVALUATE} --lips LIPS --speaker s03 --speaker s32",
     "default-acted": f"{_EVALUATE} --acted CREMA.csv --split test",
-    "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 --noise UNHEARD",
+    "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 "
+    "--noise UNHEARD",
     "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
     "default-attention": "deitalk attention corpus/ --clips 20 -o OUT/attention.png --json",
     "known-words": f"{_PEOPLE}.words --data corpus/ --split test --most 90",

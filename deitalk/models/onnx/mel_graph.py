@@ -15,7 +15,7 @@ MARGIN = 4096
 
 
 def fourier_products(mel: MelSpectrogram) -> tuple[Tensor, Tensor]:
-    """Matrices of mel power: samples (W,) to the parts of every taper's spectrum, squares to (F,)."""
+    """Matrices of mel power: samples (W,) to parts of each taper's spectrum, squares to (F,)."""
     angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
     angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
     waves = torch.cat((angle.cos(), angle.sin()), dim=1)
