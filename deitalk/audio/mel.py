@@ -63,7 +63,8 @@ class MelSpectrogram(nn.Module):
     n_mels : int
     tapers : int
         Sine tapers (Riedel and Sidorenko 1995) whose spectra are averaged; 1: a Hann window. Three
-        have its main lobe and a third of the variance: noise fluctuates less.
+        have its main lobe and a third of the variance: noise fluctuates less. Deviation: SDFA has
+        one window.
 
     Notes
     -----

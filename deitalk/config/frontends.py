@@ -15,6 +15,7 @@ from deitalk.config.section import (
     Section,
     SpectraRate,
     SpectrumSeconds,
+    Tapers,
     Width,
     Window,
     check_encoder,
@@ -30,9 +31,7 @@ class MelConfig(Section):
         default=0.064, description="length of one spectrum (FFT_win)"
     )
     frame_rate: SpectraRate = Field(default=125.0, description="spectra per second; 1 / FFT_hop")
-    tapers: int = Field(
-        default=1, ge=1, le=limits.TAPERS, description="windows of a spectrum; 1: Hann (the paper)"
-    )
+    tapers: Tapers = 1
     n_mels: int = Field(default=128, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
     conv_channels: tuple[Width, Width, Width] = (32, 64, 64)
     spec_hidden: Width = Field(default=32, description="Spec-BiLSTM units per direction")
@@ -88,6 +87,7 @@ class CausalMelConfig(Section):
 
     kind: Literal["causal_mel"] = "causal_mel"
     window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
+    tapers: Tapers = 1
     frame_spectra: Annotated[int, Field(ge=1, le=8)] = Field(
         default=2, description="spectra a rig frame; 2 are 60 a second"
     )

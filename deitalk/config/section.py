@@ -26,6 +26,12 @@ Recurrent = Annotated[int, Field(ge=1, le=limits.RECURRENT_LAYERS)]
 Dilation = Annotated[int, Field(ge=1, le=limits.DILATION)]
 Phases = Annotated[int, Field(ge=1, le=limits.PHASES)]
 SpectrumSeconds = Annotated[float, Field(gt=0, le=limits.WINDOW_SECONDS)]
+Tapers = Annotated[
+    int,
+    Field(
+        ge=1, le=limits.TAPERS, description="windows of a spectrum; 1: a Hann window (the paper)"
+    ),
+]
 SpectraRate = Annotated[float, Field(gt=1, le=limits.SPECTRA_PER_SECOND)]
 Steps = Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)]
 Seed = Annotated[int, Field(ge=0, le=limits.SEED)]

@@ -71,7 +71,7 @@ class CausalMelFrontend(nn.Module):
         self.slope_groups = -(-SLOPE_REACH // config.frame_spectra)
         self.delay = config.lookahead_frames + self.slope_groups
         rate = float(FRAME_RATE * config.frame_spectra)
-        self.mel = MelSpectrogram(config.window_seconds, rate, config.n_mels)
+        self.mel = MelSpectrogram(config.window_seconds, rate, config.n_mels, config.tapers)
         self.spectral = SpectralGathering(
             config.n_mels, config.conv_channels, config.spec_hidden, config.spectral_size
         )

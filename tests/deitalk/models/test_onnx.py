@@ -53,8 +53,8 @@ CONFORMER = {
     "heads": 2, "intermediate_size": 24, "kernel_size": 5, "phases": 2,
 }  # fmt: skip
 CAUSAL = {
-    "kind": "causal_mel", "conv_channels": (4, 4, 4), "spec_hidden": 4, "spectral_size": 16,
-    "time_hidden": 24,
+    "kind": "causal_mel", "tapers": 2, "conv_channels": (4, 4, 4), "spec_hidden": 4,
+    "spectral_size": 16, "time_hidden": 24,
 }  # fmt: skip
 
 
