@@ -189,6 +189,8 @@ def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
     start = require_model(name, DEITalk).frontend
     try:
         assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
+        for setting in ("window_seconds", "frame_rate", "tapers"):  # which no shape shows
+            assert getattr(encoder.frontend.config, setting) == getattr(start.config, setting)
         left_out = {*new, "rig"}
         if encoder.frontend.normalise is None:
             left_out.add("normalise")
@@ -197,8 +199,9 @@ def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
         assert not unexpected and {key.split(".")[0] for key in missing} <= set(new)
     except (AssertionError, RuntimeError):
         raise ConfigError(
-            f"train.start_encoder={name!r}: its encoder is not of model.frontend's sizes; copy "
-            "them from its config.yaml, name what differs in train.start_new, or leave it out"
+            f"train.start_encoder={name!r}: its encoder is built otherwise than model.frontend; "
+            "copy the settings from its config.yaml, name what differs in train.start_new, or "
+            "leave it out"
         ) from None
 
 

@@ -99,7 +99,7 @@ PLACES = {
     "LIBRISPEECH": "folder of its recordings",
     "SPEECHOCEAN.tsv": "the same of speechocean762",
     "NOISE": "folder of recordings of noise",
-    "UNHEARD": "folder of two of them, a tap and a cat, that no training used",
+    "UNHEARD": "two recordings of noise, a tap and a cat, that no training used",
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
     "BEFORE": "weights before measured lips (model card)",

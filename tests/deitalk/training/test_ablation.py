@@ -185,8 +185,8 @@ def test_variants_of_a_mesh_model_share_the_meshes_of_the_first_run(tmp_path):
 
 def test_variants_of_sdfa_change_the_parts_in_their_names():
     variants = {v.name: v for v in read_variants(CONFIGS / "mesh_ablations")}
-    common = {"train.start_encoder", "train.evaluate_every"}
     frontend = "model.frontend."
+    common = {"train.start_encoder", "train.evaluate_every", frontend + "tapers"}
     assert differences(variants["full"]) == common
     for name, key in (("no_spec_bilstm", "gathering"), ("no_attention", "summary")):
         assert differences(variants[name]) == common | {frontend + key}

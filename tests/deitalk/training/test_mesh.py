@@ -335,10 +335,19 @@ def test_lip_weight_rejects_data_without_lips(tmp_path):
 
 
 def test_start_encoder_rejects_other_sizes(sequences, tmp_path):
-    with pytest.raises(ConfigError, match="its encoder is not of"):
+    with pytest.raises(ConfigError, match="its encoder is built otherwise"):
         train_mesh(tiny(start_encoder="default"), sequences, tmp_path / "run")
     with pytest.raises(CheckpointError, match="no model there"):
         train_mesh(tiny(start_encoder=str(tmp_path / "no")), sequences, tmp_path / "other")
+
+
+def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path):
+    start = load_config(CONFIGS / "tiny.yaml")
+    save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
+    sizes = start.model.frontend.model_dump()
+    for other in ({"tapers": 2}, {"frame_rate": 120.0}, {"window_seconds": 0.03}):
+        with pytest.raises(ConfigError, match="its encoder is built otherwise"):
+            built(tiny(sizes | other, start_encoder=str(tmp_path / "m")), sequences)
 
 
 def test_copied_encoder_keeps_the_parts_that_an_ablation_replaces(tmp_path):
