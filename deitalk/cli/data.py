@@ -206,6 +206,10 @@ def lips(
     model: Annotated[
         str, typer.Option(help="Model whose curves are fitted to the measures.")
     ] = "default",
+    listener: Annotated[
+        str | None,
+        typer.Option(help="Model whose speech features correct the corpus; by default MODEL."),
+    ] = None,
     validation: Annotated[
         list[str] | None, typer.Option(help="Speaker of the validation split; repeatable.")
     ] = None,
@@ -250,11 +254,13 @@ def lips(
         from deitalk.models.curve_model import DEITalk
 
         network = require_model(model, DEITalk)
+        heard = None if listener is None else require_model(listener, DEITalk)
     with bar("fitting") as progress:
         count = write_lip_dataset(
             folder,
             out,
             network,
+            listener=heard,
             validation=validation or (),
             test=test or (),
             most=most,

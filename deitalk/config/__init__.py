@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         SDFAMelConfig,
         VocaConfig,
         Wav2VecConfig,
+        WhisperConfig,
     )
     from deitalk.config.load import AnyConfig, load_config, parse_config
     from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
@@ -50,6 +51,7 @@ __all__ = [
     "VocaConfig",
     "VoiceIntensity",
     "Wav2VecConfig",
+    "WhisperConfig",
     "load_config",
     "parse_config",
 ]
@@ -66,6 +68,7 @@ _HOMES = {
         "SDFAMelConfig",
         "VocaConfig",
         "Wav2VecConfig",
+        "WhisperConfig",
     ),
     "load": ("AnyConfig", "load_config", "parse_config"),
     "mesh": ("MeshDataConfig", "MeshTrainConfig", "SDFAConfig", "SDFAModelConfig"),

@@ -128,6 +128,39 @@ class Wav2VecConfig(Section):
         return value
 
 
+class WhisperConfig(Section):
+    """The first layers of Whisper's encoder; the numbers are those of Whisper base."""
+
+    kind: Literal["whisper"] = "whisper"
+    checkpoint: str | None = Field(
+        default="openai/whisper-base",
+        description="hub name or folder, read before training; null: random weights",
+    )
+    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    width: Width = 512
+    heads: Width = 8
+    intermediate: Width = Field(default=2048, description="width within a layer")
+    positions: int = Field(
+        default=1500, ge=600, le=limits.TRAINING_FRAMES, description="features of 20 ms a piece"
+    )
+    layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
+        default=(2, 3),
+        min_length=1,
+        max_length=limits.LAYERS,
+        description="layers whose states are mixed; 0 is the input of the first",
+    )
+    learns: Literal["nothing", "everything"] = Field(
+        default="nothing", description="what of the encoder is trained"
+    )
+
+    @field_validator("heads")
+    @classmethod
+    def _heads_divide(cls, value: int, info: ValidationInfo) -> int:
+        if info.data.get("width", value) % value:
+            raise ValueError("width must be a multiple of heads")
+        return value
+
+
 class ConformerConfig(Section):
     """Mel spectrogram and conformer blocks; not in the papers."""
 

@@ -17,6 +17,7 @@ from deitalk.config import (
     SDFAMelConfig,
     VocaConfig,
     Wav2VecConfig,
+    WhisperConfig,
 )
 
 if TYPE_CHECKING:
@@ -41,16 +42,17 @@ class Frontend(Protocol):
 
 
 def build_frontend(
-    config: MelConfig | CausalMelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
+    config: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig | ConformerConfig,
+    pretrained: bool = True,
 ) -> Frontend:
     """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
-    config : MelConfig, CausalMelConfig, Wav2VecConfig or ConformerConfig
+    config : MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig or ConformerConfig
         Its class chooses the frontend.
     pretrained : bool
-        Read the weights of a wav2vec 2.0 checkpoint; False reads its sizes only.
+        Read the weights of a checkpoint; False reads its sizes only.
     """
     if isinstance(config, MelConfig):
         from deitalk.frontends.mel_bilstm import MelFrontend
@@ -64,6 +66,10 @@ def build_frontend(
         from deitalk.frontends.conformer import ConformerFrontend
 
         return ConformerFrontend(config)
+    if isinstance(config, WhisperConfig):
+        from deitalk.frontends.whisper import WhisperFrontend
+
+        return WhisperFrontend.build(config, pretrained=pretrained)
     from deitalk.frontends.wav2vec import Wav2VecFrontend
 
     return Wav2VecFrontend.build(config, pretrained=pretrained)

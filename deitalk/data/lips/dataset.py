@@ -42,6 +42,7 @@ def write_lip_dataset(
     out: Path,
     model: DEITalk,
     *,
+    listener: DEITalk | None = None,
     validation: Sequence[str] = (),
     test: Sequence[str] = (),
     most: int | None = None,
@@ -60,6 +61,8 @@ def write_lip_dataset(
         Dataset folder.
     model : DEITalk
         Predicts what the measures leave open: tongue, teeth, cheeks, upper face.
+    listener : DEITalk or None
+        Model whose speech features the lips of the corpus are predicted from; None: `model`.
     validation, test : sequence of str
         Speakers of these splits; the others train.
     most : int or None
@@ -97,7 +100,7 @@ def write_lip_dataset(
     inputs = (folder,) if corpus is None else (folder, corpus)
     total = len(clips) + len(acted)
     with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
-        writer = _Writer(stage, model, lips)
+        writer = _Writer(stage, model, listener or model, lips)
         for clip in clips:
             split = SPLITS[1 if clip.speaker in validation else 2 if clip.speaker in test else 0]
             writer.measured(clip, split)
@@ -161,6 +164,7 @@ class _Writer:
 
     stage: Path
     model: DEITalk
+    listener: DEITalk
     lips: HeadLips
     rows: list[dict[str, str]] = field(default_factory=list)
     training: list[tuple[str, Float32, Float32, Float32]] = field(default_factory=list)
@@ -171,7 +175,7 @@ class _Writer:
         recording = load_audio(clip.sound)
         n = min(recording.n_frames, len(clip.measures))
         sound = torch.tensor(normalise_level(recording.waveform))
-        features, prior = neutral_reading(self.model, sound, recording.n_frames)
+        features, prior = neutral_reading(self.model, sound, recording.n_frames, self.listener)
         measures = clip.measures[:n]
         values = fit_curves(prior[:n], torch.tensor(measures), self.lips, self.model.controls)
         if split == SPLITS[0]:
@@ -193,7 +197,9 @@ class _Writer:
         n_frames = n_clip_frames(len(material.waveform))
         sound, curves, _, _ = cut(material, 0, n_frames)
         speaking = speech_activity(sound)[:n_frames] > 0
-        values = transfer.correct(self.model, self.lips, torch.tensor(sound), curves, speaking)
+        reading = neutral_reading(self.model, torch.tensor(sound), n_frames, self.listener)
+        controls = self.model.controls
+        values = transfer.correct(reading, self.lips, controls, curves, speaking)
         copied = {
             kind: self._copy(kind, path, clip.name)
             for kind, path in (("phones", clip.phones), ("intensity", clip.intensity))
