@@ -138,7 +138,10 @@ class EncodedPasses:
             In evaluation mode.
         surroundings : Surroundings
             Noise and rooms of the other passes; each changes the speed of a recording too.
-        passes, seed : int
+        passes : int
+            Number of encodings of every recording.
+        seed : int
+            Of what is changed.
         """
         folder.mkdir(parents=True, exist_ok=True)
         for k in range(passes):

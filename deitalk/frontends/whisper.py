@@ -81,6 +81,7 @@ class LogMel(nn.Module):
         Parameters
         ----------
         waveform : Tensor [shape=(B, S)]
+            16 kHz.
         peak : Tensor or None
             `peak` of the whole clip; None: each row is a whole clip.
         """

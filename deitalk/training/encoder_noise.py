@@ -1,10 +1,10 @@
-"""Tuning of the first layers of a Whisper encoder to noise, without labels.
+r"""Tuning of the first layers of a Whisper encoder to noise, without labels.
 
 The encoder is given speech in noise and rooms and learns to give the states that the published
 weights give for the same speech without them (feature distillation, as `train.teacher` does for a
 whole model): what is trained on the clean states hears the noisy ones better::
 
-    python -m deitalk.training.encoder_noise SPEECH --checkpoint WHISPER --noise NOISE \\
+    python -m deitalk.training.encoder_noise SPEECH --checkpoint WHISPER --noise NOISE \
         --rooms ROOMS -o encoder.safetensors
 
 SPEECH holds recordings as for ``deitalk corpus build``; only training speakers are used. Not in the
@@ -125,11 +125,12 @@ def _sound(path: Path) -> Float32:
 
 
 def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, float]]:
-    """Train and write the mean weights every 100 steps; gives step and mean loss.
+    """Train and write the mean weights every 50 steps; gives step and mean loss.
 
     Parameters
     ----------
     task : EncoderNoise
+        What is trained.
     out : Path
         Weights: ``model.safetensors`` of an encoder alone.
     steps : int
