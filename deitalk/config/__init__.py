@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from deitalk.config.finetuning import FinetuneConfig, TuneConfig
     from deitalk.config.frontends import (
         CausalMelConfig,
-        ConformerConfig,
         DEITalkFeaturesConfig,
         KarrasConfig,
         MelConfig,
@@ -29,7 +28,6 @@ __all__ = [
     "AnyConfig",
     "CausalMelConfig",
     "Config",
-    "ConformerConfig",
     "DEITalkFeaturesConfig",
     "DataConfig",
     "FinetuneConfig",
@@ -61,7 +59,6 @@ _HOMES = {
     "finetuning": ("FinetuneConfig", "TuneConfig"),
     "frontends": (
         "CausalMelConfig",
-        "ConformerConfig",
         "DEITalkFeaturesConfig",
         "KarrasConfig",
         "MelConfig",

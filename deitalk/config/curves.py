@@ -6,7 +6,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from deitalk.config.frontends import (
     CausalMelConfig,
-    ConformerConfig,
     MelConfig,
     Wav2VecConfig,
     WhisperConfig,
@@ -27,7 +26,7 @@ from rig import limits
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig | ConformerConfig = Field(
+    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
     control_set: str = Field(

@@ -161,25 +161,6 @@ class WhisperConfig(Section):
         return value
 
 
-class ConformerConfig(Section):
-    """Mel spectrogram and conformer blocks; not in the papers."""
-
-    kind: Literal["conformer"] = "conformer"
-    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
-    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
-    stem_channels: Width = 256
-    hidden_size: Width = Field(default=384, description="width of a block")
-    layers: int = Field(default=2, ge=1, le=limits.LAYERS)
-    heads: Width = 4
-    intermediate_size: Width = Field(default=512, description="width within a block")
-    kernel_size: Odd = Field(default=15, description="rig frames of a block's convolution")
-    phases: Phases = Field(
-        default=1,
-        description="passes over a clip, shifted by parts of a spectrum; features are their mean",
-    )
-    dropout: float = Field(default=0.1, ge=0, lt=1)
-
-
 class SDFAMelConfig(MelConfig):
     """SDFA's encoder, and its two ablations (SDFA §5.2.2)."""
 

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from deitalk.config import (
     CausalMelConfig,
-    ConformerConfig,
     KarrasConfig,
     MelConfig,
     SDFAMelConfig,
@@ -42,14 +41,13 @@ class Frontend(Protocol):
 
 
 def build_frontend(
-    config: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig | ConformerConfig,
-    pretrained: bool = True,
+    config: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig, pretrained: bool = True
 ) -> Frontend:
     """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
-    config : MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig or ConformerConfig
+    config : MelConfig, CausalMelConfig, Wav2VecConfig or WhisperConfig
         Its class chooses the frontend.
     pretrained : bool
         Read the weights of a checkpoint; False reads its sizes only.
@@ -62,10 +60,6 @@ def build_frontend(
         from deitalk.frontends.causal_mel import CausalMelFrontend
 
         return CausalMelFrontend(config)
-    if isinstance(config, ConformerConfig):
-        from deitalk.frontends.conformer import ConformerFrontend
-
-        return ConformerFrontend(config)
     if isinstance(config, WhisperConfig):
         from deitalk.frontends.whisper import WhisperFrontend
 

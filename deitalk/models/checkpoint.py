@@ -17,7 +17,6 @@ from deitalk.config import (
     AnyConfig,
     CausalMelConfig,
     Config,
-    ConformerConfig,
     DEITalkFeaturesConfig,
     KarrasConfig,
     MelConfig,
@@ -362,7 +361,7 @@ class Kind(NamedTuple):
 KINDS = (
     Kind(
         Config,
-        (MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig, ConformerConfig),
+        (MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig),
         DEITalk,
         _read_curves,
         _about_curves,

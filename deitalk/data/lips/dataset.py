@@ -46,7 +46,7 @@ def write_lip_dataset(
     validation: Sequence[str] = (),
     test: Sequence[str] = (),
     most: int | None = None,
-    corpus: Path | None = None,
+    corpora: Sequence[Path] = (),
     corpus_clips: int = 1000,
     force: bool = False,
     progress: Callable[[float], None] = lambda share: None,
@@ -67,11 +67,11 @@ def write_lip_dataset(
         Speakers of these splits; the others train.
     most : int or None
         At most so many recordings of every speaker, the first ones.
-    corpus : Path or None
-        A dataset folder whose clips are added with corrected lips (`LipTransfer`, fitted to the
+    corpora : sequence of Path
+        Dataset folders whose clips are added with corrected lips (`LipTransfer`, fitted to the
         training speakers).
     corpus_clips : int
-        How many of its clips, evenly spread.
+        How many clips of each, evenly spread.
     force : bool
         Replace a dataset folder that this function wrote.
     progress : callable
@@ -93,11 +93,11 @@ def write_lip_dataset(
     lips = HeadLips(build_head())
     clips = first_clips(read_lips(folder, lips.eye_distance), most)
     check_speakers(folder, clips, (*validation, *test))
-    acted = [] if corpus is None else _spread(corpus, corpus_clips)
+    acted = [clip for corpus in corpora for clip in _spread(corpus, corpus_clips)]
     if acted and {clip.speaker for clip in clips} <= {*validation, *test}:
         raise DataError(f"{folder}: no speaker is left to train on; hold out fewer")
     check_names([*clips, *acted])
-    inputs = (folder,) if corpus is None else (folder, corpus)
+    inputs = (folder, *corpora)
     total = len(clips) + len(acted)
     with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
         writer = _Writer(stage, model, listener or model, lips)
