@@ -145,26 +145,8 @@ class EncodedPasses:
         """
         folder.mkdir(parents=True, exist_ok=True)
         for k in range(passes):
-            table = folder / f"{k}.table.npy"
-            if table.is_file():
-                continue
-            rows: list[NDArray[np.float16]] = []
-            starts, speeds = [0], []
-            for place, path in enumerate(sounds):
-                sound, speed = read(path), 1.0
-                if k:
-                    rng = np.random.default_rng((seed, k, place))
-                    speed = speed_factor(rng)
-                    others = [read(sounds[int(n)]) for n in rng.integers(len(sounds), size=4)]
-                    sound = change_speed(sound, speed)
-                    sound = augment(sound, rng, surroundings, others)
-                n_frames = max(int(np.ceil(len(sound) * FRAME_RATE / SAMPLE_RATE)), 1)
-                features = frontend.encode(torch.from_numpy(sound), n_frames)
-                rows.append(features.cpu().numpy().astype(np.float16))
-                starts.append(starts[-1] + n_frames)
-                speeds.append(speed)
-            np.save(folder / f"{k}.npy", np.concatenate(rows))
-            np.save(table, np.stack((starts, [*speeds, 1.0]), axis=1))
+            if not (folder / f"{k}.table.npy").is_file():
+                _write_pass(folder, k, sounds, read, frontend, surroundings, seed)
         return cls(folder, sounds, passes)
 
     def speed(self, k: int, sound: Path) -> float:
@@ -177,3 +159,31 @@ class EncodedPasses:
         begin, end = (int(row) for row in self.tables[k][place : place + 2, 0])
         rows = self.rows[k][min(begin + first, end - 1) : min(begin + first + n_frames, end)]
         return np.pad(rows, ((0, n_frames - len(rows)), (0, 0)), mode="edge")
+
+
+def _write_pass(
+    folder: Path,
+    k: int,
+    sounds: Sequence[Path],
+    read: Callable[[Path], Float32],
+    frontend: Frontend,
+    surroundings: Surroundings,
+    seed: int,
+) -> None:
+    """Write the features of one pass, then its table; parameters as for `EncodedPasses.write`."""
+    rows: list[NDArray[np.float16]] = []
+    starts, speeds = [0], []
+    for place, path in enumerate(sounds):
+        sound, speed = read(path), 1.0
+        if k:
+            rng = np.random.default_rng((seed, k, place))
+            speed = speed_factor(rng)
+            others = [read(sounds[int(n)]) for n in rng.integers(len(sounds), size=4)]
+            sound = augment(change_speed(sound, speed), rng, surroundings, others)
+        n_frames = max(int(np.ceil(len(sound) * FRAME_RATE / SAMPLE_RATE)), 1)
+        features = frontend.encode(torch.from_numpy(sound), n_frames)
+        rows.append(features.cpu().numpy().astype(np.float16))
+        starts.append(starts[-1] + n_frames)
+        speeds.append(speed)
+    np.save(folder / f"{k}.npy", np.concatenate(rows))
+    np.save(folder / f"{k}.table.npy", np.stack((starts, [*speeds, 1.0]), axis=1))
