@@ -69,11 +69,13 @@ class LogMel(nn.Module):
 
     def peak(self, waveform: Tensor) -> Tensor:
         """Largest value of `decades` of a clip (S,), in bounded memory."""
-        size = SURVEY_FRAMES * HOP
-        starts = range(0, max(len(waveform), 1), size)
-        device = self.window.device
-        pieces = (waveform[max(a - N_FFT, 0) : a + size + N_FFT].to(device) for a in starts)
-        return torch.stack([self.decades(piece.unsqueeze(0)).amax() for piece in pieces]).amax()
+        largest = []
+        for first in range(0, max(len(waveform), 1), SURVEY_FRAMES * HOP):
+            begin = max(first - 4 * HOP, 0)  # frames there reach before the piece
+            piece = waveform[begin : first + SURVEY_FRAMES * HOP + N_FFT].unsqueeze(0)
+            inner = slice((first - begin) // HOP, (first - begin) // HOP + SURVEY_FRAMES)
+            largest.append(self.decades(piece.to(self.window.device))[:, inner].amax())
+        return torch.stack(largest).amax()
 
     def forward(self, waveform: Tensor, peak: Tensor | None = None) -> Tensor:
         """Spectrogram (B, F, M) of (B, S).
@@ -253,6 +255,7 @@ def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor
     CheckpointError
         Not there, not reachable, without safetensors, or of another shape.
     """
+    from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     path = Path(name) / "model.safetensors"
@@ -266,7 +269,10 @@ def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor
             raise CheckpointError(
                 f"{name}: no Whisper checkpoint ({reason}); name a folder or a model of the hub"
             ) from None
-    given = load_file(path)
+    try:
+        given = load_file(path)
+    except SafetensorError as error:
+        raise CheckpointError(f"{path}: damaged ({error}); fetch or save it again") from None
     found = {}
     for key, value in wanted.items():
         names = (key, f"encoder.{key}", f"model.encoder.{key}")
