@@ -11,10 +11,12 @@ from transformers import WhisperConfig as TheirConfig
 from transformers import WhisperFeatureExtractor, WhisperForConditionalGeneration, WhisperModel
 from transformers.models.whisper.modeling_whisper import WhisperEncoder as TheirEncoder
 
+from deitalk.audio import log_mel
 from deitalk.audio.frames import frame_count
+from deitalk.audio.log_mel import loudest
 from deitalk.config import Config, WhisperConfig
 from deitalk.errors import CheckpointError
-from deitalk.frontends import build_frontend, whisper
+from deitalk.frontends import build_frontend
 from deitalk.frontends.whisper import LogMel, WhisperFrontend
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -139,17 +141,18 @@ def test_frames_of_the_spectrogram_lie_on_their_samples():
 @pytest.mark.parametrize("place", [0, 3199, 3200, 5001, 6390, 9999])
 def test_peak_of_a_clip_is_that_of_its_spectrogram(monkeypatch, place):
     """In pieces of 20 frames, wherever the loudest sound lies."""
-    monkeypatch.setattr(whisper, "SURVEY_FRAMES", 20)
-    mel, sound = LogMel(16), speech(10_001 / 16_000, seed=3)
+    monkeypatch.setattr(log_mel, "BLOCK", 20)
+    sound = speech(10_001 / 16_000, seed=3)
     sound[place : place + 2] += 20
-    torch.testing.assert_close(mel.peak(sound), mel.decades(sound[None]).amax())
+    expected = float(LogMel(16).decades(sound[None]).amax())
+    assert loudest(sound.numpy(), 16) == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_piece_with_the_peak_of_the_clip_has_the_floor_of_the_clip():
     mel, loud, quiet = LogMel(16), speech(1.0), 1e-5 * speech(1.0, seed=1)
     clip = torch.cat((loud, quiet))
     whole = mel(clip[None])
-    piece = mel(clip[None, 16_000:], mel.peak(clip))
+    piece = mel(clip[None, 16_000:], loudest(clip.numpy(), 16))
     torch.testing.assert_close(piece[..., 2:], whole[..., 102:])
     alone = mel(clip[None, 16_000:])
     assert float((alone[..., 2:] - whole[..., 102:]).abs().max()) > 0.1, "the floor matters"
@@ -179,7 +182,7 @@ def test_a_click_moves_the_rows_around_its_time():
     frontend, quiet = tiny(layers=(0,)), 1e-3 * speech(3.0)
     click = quiet.clone()
     click[32_000] += 0.01  # 2 s, row 60
-    peak = frontend.mel.peak(torch.stack((quiet, click)).abs().amax(dim=0))
+    peak = frontend.survey(click, 1.0)
     with torch.no_grad():
         change = frontend.features(click[None], peak) - frontend.features(quiet[None], peak)
     rows = frontend._rows(change, 0, 90, first_sample=0)[0].abs().amax(dim=1)
