@@ -142,7 +142,7 @@ def test_clearing_up_leaves_the_user_s_own_folders(tmp_path, queue):
 
 
 MAKE = "import sys; from pathlib import Path; from api.compute.pool import Stage\n"
-MAKE += "print(Stage(Path(sys.argv[1])).make(), flush=True); sys.stdin.read()"
+MAKE += "stage = Stage(Path(sys.argv[1])); print(stage.make(), flush=True); sys.stdin.read()"
 
 
 def test_folders_of_a_running_server_stay_and_those_of_a_killed_one_go(tmp_path):
