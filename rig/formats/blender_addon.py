@@ -1,6 +1,6 @@
 """Blender add-on: curves of deitalk on the shape keys of a face.
 
-Run in Blender VERSIONS.
+Run in Blender 3.4.1, 4.2.23, 4.3.0, 4.4.0, 4.5.15, 5.0.1, 5.1.2 and 5.2.3.
 
 ``deitalk blender deitalk_blender.py`` writes it as one file that needs nothing else. In Blender:
 Edit > Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and
@@ -33,7 +33,7 @@ bl_info = {
     "name": "deitalk curves",
     "author": "deitalk",
     "version": (1, 0, 0),
-    "blender": (4, 2, 0),
+    "blender": (3, 4, 0),
     "location": "File > Import > deitalk curves",
     "description": "Curves of a deitalk take on ARKit or MetaHuman shape keys",
     "category": "Import-Export",

@@ -77,7 +77,7 @@ out["sounds"], out["end"] = sounds(), scene.frame_end
 out["again"] = load(take + "/curves.json")
 out["after"] = values(arkit, 9)
 out["actions"], out["sounds_after"] = len(bpy.data.actions), sounds()
-raw = face("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_jawOpen", 'jaw"Left')
+raw = face("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_jawOpen", 'nose"WrinkleL')
 scene.render.fps = 60
 out["raw"] = load(take + "/hi.unreal.json", start=0.0, with_sound=False)
 out["raw_values"] = [values(raw, 0), values(raw, 20)]

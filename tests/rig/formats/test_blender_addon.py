@@ -199,12 +199,12 @@ def test_blender_moves_the_face(take, tmp_path, program):
     for found, frame in zip(out["raw_values"], (0, 10), strict=True):  # 60 fps: two each
         expected = raw["CTRL_expressions_mouthCornerPullL"][frame]
         assert found["head_lod0_mesh__mouth_corner_pull_L"] == near(expected)
-        assert found['jaw"Left'] == near(raw["CTRL_expressions_jawLeft"][frame])
+        assert found['nose"WrinkleL'] == near(raw["CTRL_expressions_noseWrinkleL"][frame])
     assert out["kinds"] == ["LINEAR"]
     for found, jaw in zip(out["glb_values"], (0, 1), strict=True):
         assert found == {"mouthClose": 0, "jawOpen": near(jaw), "moved": near(jaw)}
     assert out["objects"] == 3  # those of the GLB are gone
-    assert out["driven_values"]["jawOpen"] == 0.25
+    assert out["driven_values"]["jawOpen"] == near(0.25)
     assert "a driver moves jawOpen: no keys there" in printed
     assert "none of 1 shape keys has a name" in out["errors"][0]
     assert "is no take folder" in out["errors"][1]
