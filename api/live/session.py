@@ -16,6 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 from api.compute.order import RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
+from api.guard.protocol import SEND_SECONDS
 from api.live.causal import CausalStream
 from api.live.messages import Change, Start, frames_message
 from api.live.stream import (
@@ -35,8 +36,6 @@ from rig.curves import HEAD
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0
 """Time without a message after which a session ends."""
-SEND_SECONDS = 10.0
-"""Time in which the client must take a message."""
 TEXT_CHARACTERS = 4096
 TEXTS_PER_SECOND, TEXTS_AT_ONCE = 20.0, 40.0
 SHORTEST_SAMPLES = 1600
@@ -69,6 +68,8 @@ class Session:
         ------
         Problem
             For a message that is refused.
+        WebSocketDisconnect
+            If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
         self.start = _parsed(Start, await self._text(START_SECONDS))
         folder = self._model_folder()
@@ -235,7 +236,7 @@ class Session:
         try:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
-            raise Problem(400, "the client does not read its frames", "client_slow") from None
+            raise WebSocketDisconnect(1008, "the client does not read its frames") from None
 
 
 def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict[str, Any]:
