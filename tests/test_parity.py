@@ -63,29 +63,12 @@ LIVE = ("nothing", "label", "weights", "keys", "intensity", "style", "life", "li
         "gain", "network alone", "seed")  # fmt: skip
 
 
-def of_today(fields: dict[str, str]) -> dict[str, str]:
-    """Fields under the names that doors have today."""
-    given = dict(fields)
-    if "style" in given:
-        given["actor"] = given.pop("style")
-    if given.get("life") == "off":
-        given["idle"] = "false" if given.pop("life") else ""
-    if "rules" in given:
-        given["raw"] = "true" if given.pop("rules") == "false" else "false"
-    words = given.pop("words", "")
-    if words.startswith("phones:"):
-        given["phones"] = words.removeprefix("phones:").strip()
-    elif words:
-        given["transcript"] = words
-    return given
-
-
 @dataclass
 class Made:
     """What a door made: curves (T, C), and the settings of its take."""
 
     values: np.ndarray
-    settings: dict | None = None
+    settings: dict
 
 
 @pytest.fixture(scope="module")
@@ -130,12 +113,8 @@ def take_of(folder: Path) -> Made:
 # --- doors
 
 
-def python(fields, model="tiny"):
-    numbers = {"intensity": float, "listen": float, "seed": int, "idle": bool, "raw": bool}
-    given = of_today(fields)
-    for name in numbers.keys() & given.keys():
-        given[name] = {"true": True, "false": False}.get(given[name]) if name in ("idle", "raw") else numbers[name](given[name])  # fmt: skip
-    return animate("line.wav", model=model, **given)
+def python(fields):
+    return animate("line.wav", model="tiny", **fields)
 
 
 def run(*words):
@@ -147,13 +126,9 @@ def run(*words):
 def options(fields):
     """A command line's options."""
     found = []
-    for name, value in of_today(fields).items():
-        option = f"--{name.replace('_', '-')}"
-        if name in ("idle", "raw"):
-            option = option if value == "true" else f"--no-{name}"
-            found.append(option)
-        else:
-            found += [option, value]
+    for name, value in fields.items():
+        flag = f"--{name.replace('_', '-')}"
+        found += [f"--no-{name}"] if value == "false" else [flag, value]
     return found
 
 
@@ -173,7 +148,7 @@ def batch_line(fields, tmp_path, monkeypatch):
 
 def manifest(fields, tmp_path, monkeypatch):
     monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
-    row = {"audio": "line.wav", **of_today(fields)}
+    row = {"audio": "line.wav", **fields}
     table = Path(f"manifest-{tmp_path.name}.csv")
     quoted = (f'"{cell}"' for cell in row.values())
     table.write_text(f"{','.join(row)}\n{','.join(quoted)}\n")
@@ -189,8 +164,7 @@ def server(place, tmp_path_factory):
 
 
 def http(fields, server):
-    given = of_today(fields)
-    files = {"recording": ("line.wav", Path("line.wav").read_bytes())}
+    given, files = dict(fields), {"recording": ("line.wav", Path("line.wav").read_bytes())}
     for name in [name for name, value in given.items() if value in FILES]:
         files[name] = (given[name], FILES[given.pop(name)].encode())
     with server.client() as client:
@@ -206,16 +180,12 @@ def http(fields, server):
 
 def mesh(fields, tmp_path, monkeypatch):
     run("mesh", "line.wav", "-o", tmp_path / "m.npz", "--model", "tiny", *options(fields))
-    return Made(np.load(tmp_path / "m.npz")["vertices"])
+    return np.load(tmp_path / "m.npz")["vertices"]
 
 
 def live_python(fields):
     """The reference of the live doors, which differ from `animate` until both have one path."""
-    given = of_today(fields)
-    given |= {name: given[name] == "true" for name in ("idle", "raw") if name in given}
-    given |= {name: float(given[name]) for name in ("intensity",) if name in given}
-    given |= {name: int(given[name]) for name in ("seed",) if name in given}
-    animator = LiveAnimator("tiny", **given)
+    animator = LiveAnimator("tiny", **fields)
     return np.concatenate((animator.feed(sound()), animator.finish()))
 
 
@@ -254,9 +224,7 @@ def live_line(fields, monkeypatch):
 
 
 def websocket(fields, server):
-    given = of_today(fields)
-    if given.get("emotion") in FILES:
-        given["emotion"] = FILES[given["emotion"]]
+    given = {name: FILES.get(value, value) for name, value in fields.items()}
     url = server.url.replace("http", "ws") + "/v1/live"
     with connect(url, max_size=2**24, proxy=None) as session:
         start = {"type": "start", "model": "tiny", "head": True, "encoding": "float32"}
@@ -275,74 +243,14 @@ def websocket(fields, server):
 # --- parity
 
 
-def same(found, wanted):
+def close(found, wanted):
     assert found.shape == wanted.shape
     assert np.abs(found - wanted).max() < 1e-5
 
 
-FAILS: dict[str, tuple[str, ...]] = {
-    "command line curves": ("seed",),
-    "command line settings": tuple(CASES),
-    "batch line curves": (
-        "intensity_curve",
-        "voice",
-        "transcript",
-        "timed words",
-        "phones",
-        "seed",
-    ),
-    "batch line settings": (
-        "intensity_curve",
-        "voice",
-        "transcript",
-        "timed words",
-        "phones",
-        "seed",
-    ),
-    "manifest curves": ("life off", "network alone"),
-    "manifest settings": ("life off", "network alone"),
-    "http curves": ("voice", "style"),
-    "http settings": (
-        "nothing",
-        "label",
-        "keys",
-        "intensity",
-        "intensity_curve",
-        "voice",
-        "style",
-        "transcript",
-        "timed words",
-        "phones",
-        "life",
-        "life off",
-        "look_at",
-        "gain",
-        "listen",
-        "network alone",
-        "seed",
-    ),
-    "mesh": ("style", "life", "life off", "look_at", "gain", "listen", "network alone", "seed"),
-    "live python": ("gain",),
-    "live line": ("style", "gain", "network alone", "seed"),
-    "websocket": ("keys", "style", "gain", "network alone"),
-    "again": tuple(CASES),
-}
-"""Cases in which a door differs today."""
-
-
-def cases(door, names=tuple(CASES)):
-    return pytest.mark.parametrize(
-        "case",
-        [
-            pytest.param(name, marks=pytest.mark.xfail(strict=True))
-            if name in FAILS.get(door, ())
-            else name
-            for name in names
-        ],
-    )
-
-
-DOORS = {"command line": command_line, "batch line": batch_line, "manifest": manifest}
+def same(found, wanted):
+    close(found.values, wanted.values)
+    assert found.settings == wanted.settings
 
 
 @pytest.fixture
@@ -357,72 +265,43 @@ def wanted(here, tmp_path):
     return make
 
 
-@cases("command line curves")
-def test_command_line_gives_the_curves(wanted, case, tmp_path, monkeypatch):
-    same(command_line(fields_of(case), tmp_path, monkeypatch).values, wanted(case).values)
+every_case = pytest.mark.parametrize("case", CASES)
+every_live_case = pytest.mark.parametrize("case", LIVE)
 
 
-@cases("command line settings")
-def test_command_line_keeps_the_settings(wanted, case, tmp_path, monkeypatch):
-    found = command_line(fields_of(case), tmp_path, monkeypatch).settings
-    assert found == wanted(case).settings
+@every_case
+@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
+def test_commands_give_the_curves_and_keep_the_settings(wanted, door, case, tmp_path, monkeypatch):
+    same(door(fields_of(case), tmp_path, monkeypatch), wanted(case))
 
 
-@cases("batch line curves")
-def test_batch_command_gives_the_curves(wanted, case, tmp_path, monkeypatch):
-    same(batch_line(fields_of(case), tmp_path, monkeypatch).values, wanted(case).values)
+@every_case
+def test_http_gives_the_curves_and_keeps_the_settings(wanted, case, server):
+    same(http(fields_of(case), server), wanted(case))
 
 
-@cases("batch line settings")
-def test_batch_command_keeps_the_settings(wanted, case, tmp_path, monkeypatch):
-    assert batch_line(fields_of(case), tmp_path, monkeypatch).settings == wanted(case).settings
-
-
-@cases("manifest curves")
-def test_manifest_gives_the_curves(wanted, case, tmp_path, monkeypatch):
-    same(manifest(fields_of(case), tmp_path, monkeypatch).values, wanted(case).values)
-
-
-@cases("manifest settings")
-def test_manifest_keeps_the_settings(wanted, case, tmp_path, monkeypatch):
-    assert manifest(fields_of(case), tmp_path, monkeypatch).settings == wanted(case).settings
-
-
-@cases("http curves")
-def test_http_gives_the_curves(wanted, case, server):
-    same(http(fields_of(case), server).values, wanted(case).values)
-
-
-@cases("http settings")
-def test_http_keeps_the_settings(wanted, case, server):
-    assert http(fields_of(case), server).settings == wanted(case).settings
-
-
-@cases("mesh")
+@every_case
 def test_mesh_poses_the_same_curves(wanted, case, tmp_path, monkeypatch):
-    found = mesh(fields_of(case), tmp_path, monkeypatch).values
+    found = mesh(fields_of(case), tmp_path, monkeypatch)
     posed = build_head(0).pose(wanted(case).values)
     assert found.shape == posed.shape
     assert np.abs(found - posed).max() < 1e-5 * np.ptp(posed[0], axis=0).max()
 
 
-@cases("live python", LIVE)
-def test_live_takes_what_it_can_know(here, case):
-    assert len(live_python(fields_of(case))) == 60
-
-
-@cases("live line", LIVE)
+@every_live_case
 def test_live_command_gives_the_curves(here, case, monkeypatch):
-    same(live_line(fields_of(case), monkeypatch), live_python(fields_of(case)))
+    close(live_line(fields_of(case), monkeypatch), live_python(fields_of(case)))
 
 
-@cases("websocket", LIVE)
+@every_live_case
 def test_websocket_gives_the_curves(here, case, server):
-    same(websocket(fields_of(case), server), live_python(fields_of(case)))
+    close(websocket(fields_of(case), server), live_python(fields_of(case)))
 
 
-@cases("again")
+@every_case
 def test_settings_of_a_take_give_the_same_take(wanted, case):
     first = wanted(case)
     again = animate("line.wav", model="tiny", **first.settings)
-    same(again.curves.values, first.values)
+    close(again.curves.values, first.values)
+    assert again.acting.settings == first.settings
+    assert first.settings.keys() == CASES[case].keys()

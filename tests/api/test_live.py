@@ -131,7 +131,7 @@ def test_stream_gives_the_curves_of_the_recording(server):
     assert [index for index, *_ in found] == list(range(90))
     assert [at for _, _, at, _ in found] == pytest.approx([k / 30 for k in range(90)])
     assert all(0 <= late < 60 for _, late, _, _ in found)
-    whole = animate(wav(3.0), "happy", idle=False).curves.values
+    whole = animate(wav(3.0), "happy", life="off").curves.values
     values = np.array([values for *_, values in found])
     assert np.abs(values - whole).mean() < 0.03  # windows see less than the whole recording
 
@@ -267,7 +267,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     sound = pcm(3.0)
     with live(server) as session, live(server) as other:
         for one in (session, other):
-            header = begin(one, model="tiny", emotion="happy", idle=False)
+            header = begin(one, model="tiny", emotion="happy", life="off")
             assert header["lookahead_seconds"] <= 0.2 and header["hop_seconds"] == 1 / 30
             assert header["head"] == []
         for start in range(0, len(sound), 3000):
@@ -278,7 +278,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
         found, end = frames_of(session)
     assert end == {"type": "end", "frames": 90}
     assert [index for index, *_ in found] == list(range(90))
-    animator = LiveAnimator(folder, emotion="happy", idle=False)
+    animator = LiveAnimator(folder, emotion="happy", life="off")
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 

@@ -88,7 +88,7 @@ def test_read_actor_rejects_other_files_in_one_line(tmp_path, content):
 def test_intensity_counts_from_the_actor_s_usual_voice():
     strong = Speech.of(STRONG).strength
     plain, of_strong, of_soft = (
-        animate(STRONG, "angry", sample_rate=16_000, voice=actor, idle=False).mean_intensity
+        animate(STRONG, "angry", sample_rate=16_000, voice=actor, life="off").mean_intensity
         for actor in (None, ActorReference(strong, 1, 3.0), ActorReference(strong - 10, 1, 3.0))
     )
     assert of_strong < plain or strong < 0

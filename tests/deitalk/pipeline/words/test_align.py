@@ -144,8 +144,8 @@ def line():
 
 
 def test_words_close_the_lips_of_a_spoken_line(line):
-    plain = animate(line.waveform, sample_rate=16_000, idle=False)
-    known = animate(line.waveform, sample_rate=16_000, idle=False, transcript=line.text)
+    plain = animate(line.waveform, sample_rate=16_000, life="off")
+    known = animate(line.waveform, sample_rate=16_000, life="off", transcript=line.text)
     assert plain.words is None and known.words.fits
     names = [p.name for p in known.words.phones if p.name in "PBM"]
     assert names == [p.name for p in line.phones if p.name in "PBM"]
@@ -162,9 +162,9 @@ def test_words_close_the_lips_of_a_spoken_line(line):
 
 
 def test_wrong_words_leave_the_curves_and_a_note(line):
-    plain = animate(line.waveform, sample_rate=16_000, idle=False)
+    plain = animate(line.waveform, sample_rate=16_000, life="off")
     wrong = animate(
-        line.waveform, sample_rate=16_000, idle=False, transcript="Seven years since the ship sank"
+        line.waveform, sample_rate=16_000, life="off", transcript="Seven years since the ship sank"
     )
     np.testing.assert_array_equal(wrong.curves.values, plain.curves.values)
     assert wrong.recording.warnings[-1].startswith("the words do not fit the sound")
@@ -172,4 +172,4 @@ def test_wrong_words_leave_the_curves_and_a_note(line):
 
 def test_words_without_rules_are_refused(line):
     with pytest.raises(DeitalkError, match="raw"):
-        animate(line.waveform, sample_rate=16_000, raw=True, phones="B AA B")
+        animate(line.waveform, sample_rate=16_000, rules=False, phones="B AA B")
