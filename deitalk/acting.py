@@ -123,6 +123,8 @@ def _file(
     name: str, files: Mapping[str, Path] | None, error: type[UserError] = EmotionError
 ) -> Path:
     """Path of a named file: anywhere on this disk, or only one of `files`."""
+    if not name:
+        raise error("an empty path; name a file")
     if files is None:
         return Path(name)
     if name not in files:
@@ -463,10 +465,19 @@ def renamed(name: str, value: Any) -> tuple[str, Any]:
 
 
 def modern(fields: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Fields under their names of today, and a note on each that had a former one."""
+    """Fields under their names of today, and a note on each that had a former one.
+
+    Raises
+    ------
+    ConfigError
+        If one is given under both.
+    """
     found, notes = dict(fields), []
     for name in OLD_NAMES.keys() & fields.keys():
-        new, found[new] = renamed(name, found.pop(name))
+        new, value = renamed(name, found.pop(name))
+        if new in found:
+            raise ConfigError(f"{name} is now {new}, which is given too; leave one out")
+        found[new] = value
         notes.append(f"field {name} is now {new}")
     return found, notes
 

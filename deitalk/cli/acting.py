@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deitalk.acting import OLD_NAMES, Acting, renamed
+from deitalk.acting import OLD_NAMES, Acting, modern, renamed
 from deitalk.cli.console import console
 from rig import limits
 
@@ -59,10 +59,11 @@ def acting_options(
     @wraps(command)
     def run(**arguments: Any) -> None:
         found = {name: arguments.pop(name) for name in names}
-        for name in old:
-            if (value := arguments.pop(name)) is not None:
-                new, found[new] = renamed(name, value)
-                console().note(f"{_spelled(name, value)} is now {_spelled(new, found[new])}")
+        former = {n: value for n in old if (value := arguments.pop(n)) is not None}
+        changed = [name for name in names if found[name] != _SCHEMA[name]["default"]]
+        found |= modern(former | {name: found[name] for name in changed})[0]
+        for name, value in former.items():
+            console().note(f"{_spelled(name, value)} is now {_spelled(*renamed(name, value))}")
         texts = tuple(value for value in found.values() if isinstance(value, str))
         command(given=Given(Acting.of(**found), texts), **arguments)
 

@@ -14,6 +14,7 @@ from api.errors import Problem
 from api.live.messages import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
 from deitalk import LiveAnimator, animate
+from deitalk.acting import Acting
 from deitalk.config import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
@@ -68,10 +69,10 @@ def test_old_sound_is_dropped():
 def test_changes_hold_from_their_time_on():
     stream = LiveStream(RATE, False)
     stream.feed(pcm(2.0))
-    stream.change({"happy": 1.0}, 0.5)
+    stream.change(Acting.of(emotion="happy", intensity=0.5))
     stream.feed(pcm(2.0))
     _, _, options = stream.window()
-    times = [(key["time"], key["emotion"]) for key in options["keys"]]
+    times = [(key["time"], key["emotion"]) for key in json.loads(options["emotion"])]
     assert times == [(0.0, "neutral"), (2.0, "neutral"), (2.2, "happy")]
     assert options["intensity"] == 1.0  # of the frames that this window shows
 
@@ -142,7 +143,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         sound = np.zeros(48000, "<f4").tobytes()
         session.send(sound)
         session.send(
-            json.dumps({"type": "set", "emotion": "angry=0.5", "intensity": 2, "raw": True})
+            json.dumps({"type": "set", "emotion": "angry=0.5", "intensity": 2, "rules": False})
         )
         session.send(sound)
         session.send('{"type": "stop"}')
@@ -160,6 +161,9 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         (["no json"], "message_unknown"),
         (['{"type": "start", "sample_rate": 1}'], "option_invalid"),
         (['{"type": "start", "emotion": "moods.csv"}'], "emotion_invalid"),
+        (['{"type": "start", "words": "Bob"}'], "option_invalid"),
+        (['{"type": "start", "voice": "/etc/passwd"}'], "emotion_invalid"),
+        (['{"type": "start"}', '{"type": "set", "seed": 3}'], "option_invalid"),
         (['{"type": "start", "model": "../x"}'], "model_unknown"),
         (['{"type": "start", "model": "sdfa"}'], "model_unfit"),
         (['{"type": "start", "life": "nose=1"}'], "request_invalid"),
@@ -317,7 +321,9 @@ def test_changes_reach_a_causal_model(causal_server):
     with live(server) as session:
         begin(session, model="tiny", frames="json")
         session.send(sound)
-        session.send('{"type": "set", "emotion": "angry", "intensity": 2, "raw": true}')
+        session.send(
+            '{"type": "set", "emotion": "angry", "intensity": 2, "rules": false, "gain": "jaw=2"}'
+        )
         session.send(sound)
         session.send('{"type": "stop"}')
         frames = []

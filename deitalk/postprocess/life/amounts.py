@@ -86,7 +86,7 @@ def _parsed(text: str) -> dict[str, Any]:
         name, sign, value = (part.strip() for part in pair.partition("="))
         if not sign or name in factors:
             raise DeitalkError(f"life {quoted(pair)}; write it as {_EXAMPLE}, each name once")
-        if not re.fullmatch(r"\d*\.?\d+|\d+\.", value):
+        if not re.fullmatch(r"(\d*\.?\d+|\d+\.)(e-?\d+)?", value):
             raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
         factors[name] = float(value)
     return factors
