@@ -6,12 +6,9 @@ settings in ``take.json``, which give the same take again. Each field has a text
 parsed here and nowhere else.
 """
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from numbers import Integral, Real
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import (
     BaseModel,
@@ -20,234 +17,47 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     ValidationError,
-    ValidationInfo,
     WithJsonSchema,
 )
 
-from deitalk.errors import ConfigError, DataError, EmotionError
+from deitalk.acting.fields import (
+    AUTO,
+    LONGEST_LISTENING,
+    LONGEST_TEXT,
+    MOST_INTENSITY,
+    PHONES,
+    WORDS_SUFFIXES,
+    ActorReference,
+    EmotionTrack,
+    IntensityCurve,
+    Life,
+    Track,
+    Words,
+    neutral_track,
+    number_within,
+    read_curve,
+    read_emotion,
+    read_gains,
+    read_life,
+    read_place,
+    read_seed,
+    read_voice,
+    read_words,
+    written_gains,
+    written_place,
+)
+from deitalk.errors import ConfigError, EmotionError
 from rig import limits
 from rig.errors import UserError, quoted
 
-if TYPE_CHECKING:
-    from deitalk.emotions import ActorReference, EmotionTrack, IntensityCurve
-    from deitalk.postprocess.life.amounts import Life
-
-    Track = EmotionTrack | Literal["auto"]
-else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
-
-AUTO = "auto"
-"""Emotion that stands for the one that the voice suggests."""
-LONGEST_LISTENING = 600.0
-"""Seconds."""
-MOST_INTENSITY = 4.0
-LONGEST_TEXT = 1 << 20
-"""Letters of a text that comes from elsewhere."""
-PHONES = "phones:"
-"""Before words that are written as phones."""
-WORDS_SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
-_KINDS = {".csv": "table", ".tsv": "table", ".textgrid": "grid"}
-
-
-@dataclass(frozen=True)
-class Words:
-    """What is said: text, a table of words and their times, or a TextGrid.
-
-    Attributes
-    ----------
-    text : str
-        The words themselves, or the content of the file.
-    are_phones : bool
-        Whether they are written as phones, ARPABET or IPA.
-    kind : str
-        ``text``, ``table`` (columns start, end, word or phone) or ``grid``.
-    source : str
-        Name of the file; empty of a text.
-    """
-
-    text: str
-    are_phones: bool = False
-    kind: str = "text"
-    source: str = field(default="", compare=False)
-
-    @classmethod
-    def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
-        """Read words, or the file that is named; ``phones:`` before them marks phones.
-
-        Raises
-        ------
-        DataError
-            If it is neither text nor path, or the file cannot be read.
-        """
-        if isinstance(given, Words):
-            return given
-        if not isinstance(given, str | Path):
-            raise DataError(f"words {quoted(given)} must be a text or a path")
-        text = str(given)
-        are_phones = text.lower().startswith(PHONES)
-        text = text[len(PHONES) :] if are_phones else text
-        if isinstance(given, Path) or _names_words(text):
-            path = _file(text.strip(), files, DataError)
-            suffix = path.suffix.lower()
-            if suffix not in WORDS_SUFFIXES:
-                known = ", ".join(WORDS_SUFFIXES)
-                raise DataError(f"{path}: suffix {quoted(suffix)} is none of {known}")
-            from rig.files.reading import read_text
-
-            content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
-            return cls(content, are_phones, _KINDS.get(suffix, "text"), path.name)
-        if len(text) > limits.TRANSCRIPT_BYTES:
-            raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
-        return cls(text if "\n" in text else text.strip(), are_phones, _kind(text))
-
-    def __str__(self) -> str:
-        return f"{PHONES} {self.text}" if self.are_phones else self.text
-
-
-def _names_words(text: str) -> bool:
-    return "\n" not in text.strip() and text.strip().lower().endswith(WORDS_SUFFIXES)
-
-
-def _kind(text: str) -> str:
-    if "ooTextFile" in text[:200]:
-        return "grid"
-    header = {cell.strip().lower() for cell in _cells(text.lstrip().partition("\n")[0])}
-    return "table" if "\n" in text and {"start", "end"} <= header else "text"
-
-
-def _cells(line: str) -> list[str]:
-    return line.split(max(",;\t", key=line.count))
-
-
-def _file(
-    name: str, files: Mapping[str, Path] | None, error: type[UserError] = EmotionError
-) -> Path:
-    """Path of a named file: anywhere on this disk, or only one of `files`."""
-    if not name:
-        raise error("an empty path; name a file")
-    if files is None:
-        return Path(name)
-    if name not in files:
-        raise error(f"file {quoted(name)} was not sent; send it with the request, or its content")
-    return files[name]
-
-
-def _files(info: ValidationInfo) -> Mapping[str, Path] | None:
-    return None if info.context is None else info.context["files"]
-
-
-def _neutral() -> Track:
-    from deitalk.emotions import parse_emotion
-
-    return parse_emotion("neutral")
-
-
-def _emotion(given: Any, info: ValidationInfo) -> Track:
-    from deitalk.emotions import EmotionTrack, parse_emotion
-    from deitalk.emotions.tracks import names_track
-
-    if not isinstance(given, str | Path | Mapping | EmotionTrack):
-        raise EmotionError(
-            f"emotion {quoted(given)} is a {type(given).__name__}; give a name, weights such as "
-            "{'happy': 0.7}, a file or an EmotionTrack"
-        )
-    if given == AUTO:
-        return AUTO
-    if isinstance(given, str | Path) and names_track(given):
-        given = _file(str(given).strip(), _files(info))
-    return parse_emotion(given)
-
-
-def _curve(given: Any, info: ValidationInfo) -> IntensityCurve:
-    from deitalk.emotions import IntensityCurve, parse_intensity_curve
-    from deitalk.emotions.track_files import is_table
-
-    if not isinstance(given, str | Path | IntensityCurve):
-        raise EmotionError(
-            f"intensity_curve {quoted(given)} is a {type(given).__name__}; give a file or an "
-            "IntensityCurve"
-        )
-    if isinstance(given, Path) or (isinstance(given, str) and not is_table(given)):
-        given = _file(str(given).strip(), _files(info))
-    return parse_intensity_curve(given)
-
-
-def _voice(given: Any, info: ValidationInfo) -> ActorReference:
-    from deitalk.emotions import ActorReference, parse_actor, read_actor
-
-    if isinstance(given, ActorReference):
-        return given
-    if isinstance(given, Mapping):
-        return parse_actor(json.dumps(dict(given)).encode(), "voice")
-    if not isinstance(given, str | Path):
-        raise EmotionError(
-            f"voice {quoted(given)} is a {type(given).__name__}; give a file or an ActorReference"
-        )
-    if isinstance(given, str) and given.lstrip().startswith("{"):
-        return parse_actor(given.encode(errors="replace"), "voice")
-    return read_actor(_file(str(given).strip(), _files(info)))
-
-
-def _words(given: Any, info: ValidationInfo) -> Words:
-    return Words.of(given, _files(info))
-
-
-def _within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
-    """A finite number within limits, or its text with a decimal point or comma."""
-
-    def check(given: Any, info: ValidationInfo) -> float:
-        number = given
-        if isinstance(given, str):
-            try:
-                number = float(given.strip().replace(",", "."))
-            except ValueError:
-                number = None
-        is_number = isinstance(number, Real) and not isinstance(number, bool)
-        if not is_number or not low <= float(number) <= high:
-            raise ConfigError(
-                f"{info.field_name} {quoted(given)} must be a number, {low:g} to {high:g}"
-            )
-        return float(number)
-
-    return check
-
-
-def _seed(given: Any) -> int:
-    number = int(given) if isinstance(given, str) and given.strip().isdecimal() else given
-    is_whole = isinstance(number, Integral) and not isinstance(number, bool)
-    if not is_whole or not 0 <= int(number) <= limits.SEED:
-        raise ConfigError(f"seed {quoted(given)} must be a whole number, 0 to 2**63 - 1")
-    return int(number)
-
-
-def _life(given: Any) -> Life:
-    from deitalk.postprocess.life.amounts import Life
-
-    return Life.of(given)
-
-
-def _place(given: Any) -> tuple[float, float]:
-    from deitalk.postprocess.life.amounts import place_of
-
-    return place_of(given)
-
-
-def _gains(given: Any) -> dict[str, float]:
-    from rig.curves.edit import parse_gains
-
-    return parse_gains(given or None)
+__all__ = [
+    "AUTO", "LIVE_FIELDS", "LONGEST_TEXT", "OLD_NAMES", "PHONES", "WORDS_SUFFIXES", "Acting",
+    "Words", "acted_as", "modern", "renamed", "user_error",
+]  # fmt: skip
 
 
 def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
     return WithJsonSchema({"type": schema, **more})
-
-
-def _written_gains(gains: Mapping[str, float]) -> str:
-    return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
-
-
-def _written_place(place: tuple[float, float]) -> str:
-    return ",".join(f"{part:g}" for part in place)
 
 
 _STR = PlainSerializer(str, return_type=str, when_used="unless-none")
@@ -268,8 +78,8 @@ class Acting(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
-    emotion: Annotated[Track, PlainValidator(_emotion), _STR, _TEXT] = Field(
-        default_factory=_neutral,
+    emotion: Annotated[Track, PlainValidator(read_emotion), _STR, _TEXT] = Field(
+        default_factory=neutral_track,
         description="neutral, angry, happy, sad, surprised; weights such as "
         "happy=0.7,surprised=0.3; a track (.csv .json .yaml: time, emotion, strength); auto: "
         "suggested from the voice.",
@@ -278,21 +88,23 @@ class Acting(BaseModel):
     )
     intensity: Annotated[
         float,
-        PlainValidator(_within(0.0, MOST_INTENSITY)),
+        PlainValidator(number_within(0.0, MOST_INTENSITY)),
         _text("number", minimum=0, maximum=MOST_INTENSITY),
     ] = Field(
         1.0,
         description="Factor on the intensity predicted from the voice, 0 (neutral reading) to 4.",
         json_schema_extra=_extra("change"),
     )
-    intensity_curve: Annotated[IntensityCurve | None, PlainValidator(_curve), _STR, _TEXT] = Field(
-        None,
-        description="Intensity instead of the predicted one: time, intensity, such as a take's "
-        "intensity.csv.",
+    intensity_curve: Annotated[IntensityCurve | None, PlainValidator(read_curve), _STR, _TEXT] = (
+        Field(
+            None,
+            description="Intensity instead of the predicted one: time, intensity, such as a take's "
+            "intensity.csv.",
+        )
     )
     voice: Annotated[
         ActorReference | None,
-        PlainValidator(_voice),
+        PlainValidator(read_voice),
         PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
     ] = Field(
@@ -305,7 +117,7 @@ class Acting(BaseModel):
         description="Whose style, of a model tuned on several actors; by default its first.",
         json_schema_extra=_extra("start"),
     )
-    words: Annotated[Words | None, PlainValidator(_words), _STR, _TEXT] = Field(
+    words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
         None,
         description="What is said: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
         "and phones (ARPABET or IPA). Closures are met where the sound agrees.",
@@ -314,16 +126,16 @@ class Acting(BaseModel):
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         "en-us", description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …"
     )
-    life: Annotated[Life, PlainValidator(_life), _STR, _text(maxLength=200)] = Field(
-        default_factory=lambda: _life("on"),
+    life: Annotated[Life, PlainValidator(read_life), _STR, _text(maxLength=200)] = Field(
+        default_factory=lambda: read_life("on"),
         description="Factors on blinks, gaze, brows and head, 0 to 2: brows=.8,head=1.2; or off.",
         examples=["brows=.8,head=1.2,blinks=1,gaze=.5", "off"],
         json_schema_extra=_extra("start", default="on"),
     )
     look_at: Annotated[
         tuple[float, float],
-        PlainValidator(_place),
-        PlainSerializer(_written_place, return_type=str),
+        PlainValidator(read_place),
+        PlainSerializer(written_place, return_type=str),
         _text(maxLength=60),
     ] = Field(
         (0.0, 0.0),
@@ -333,8 +145,8 @@ class Acting(BaseModel):
     )
     gain: Annotated[
         dict[str, float],
-        PlainValidator(_gains),
-        PlainSerializer(_written_gains, return_type=str),
+        PlainValidator(read_gains),
+        PlainSerializer(written_gains, return_type=str),
         _text(maxLength=4096),
     ] = Field(
         {},
@@ -344,7 +156,7 @@ class Acting(BaseModel):
     )
     listen: Annotated[
         float,
-        PlainValidator(_within(0.0, LONGEST_LISTENING)),
+        PlainValidator(number_within(0.0, LONGEST_LISTENING)),
         _text("number", minimum=0, maximum=LONGEST_LISTENING),
     ] = Field(0.0, description="Seconds of living silence after the speech, 0 to 600.")
     rules: bool = Field(
@@ -353,7 +165,7 @@ class Acting(BaseModel):
         json_schema_extra=_extra("change"),
     )
     seed: Annotated[
-        int, PlainValidator(_seed), _text("integer", minimum=0, maximum=limits.SEED)
+        int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
     ] = Field(
         0,
         description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
