@@ -1,6 +1,6 @@
 """Triangular filters of equal width on the mel scale of Slaney's Auditory Toolbox.
 
-They are those of ``librosa.filters.mel(..., htk=False, norm=None)``, which takes longer to import
+They are those of ``librosa.filters.mel(..., htk=False)``, which takes longer to import
 than a recording to animate.
 """
 
@@ -30,7 +30,13 @@ def mel_to_hz(mel: Float64) -> Float64:
 
 
 def mel_filters(
-    sample_rate: float, n_fft: int, n_mels: int, lowest_hz: float, highest_hz: float
+    sample_rate: float,
+    n_fft: int,
+    n_mels: int,
+    lowest_hz: float,
+    highest_hz: float,
+    *,
+    equal_area: bool = False,
 ) -> Float32:
     """Weights of the power spectrum's bins in each band.
 
@@ -44,14 +50,19 @@ def mel_filters(
         Bands F.
     lowest_hz, highest_hz : float
         Lower edge of the first band and upper edge of the last.
+    equal_area : bool
+        Triangles of area 1 Hz (librosa's ``norm="slaney"``) instead of height 1 (``norm=None``).
 
     Returns
     -------
-    array [shape=(F, n_fft / 2 + 1), range 0 to 1]
-        Each triangle's peak would be 1, were there a bin.
+    array [shape=(F, n_fft / 2 + 1)]
+        The height of a triangle would be reached, were there a bin at its centre.
     """
     edges = mel_to_hz(np.linspace(hz_to_mel(lowest_hz), hz_to_mel(highest_hz), n_mels + 2))
     distance = edges[:, None] - np.fft.rfftfreq(n_fft, 1 / sample_rate)  # (F + 2, bins)
     width = np.diff(edges)[:, None]
     rising, falling = -distance[:-2] / width[:-1], distance[2:] / width[1:]
-    return np.maximum(0, np.minimum(rising, falling)).astype(np.float32)
+    filters = np.maximum(0, np.minimum(rising, falling))
+    if equal_area:
+        filters *= 2 / (edges[2:] - edges[:-2])[:, None]
+    return filters.astype(np.float32)

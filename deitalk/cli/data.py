@@ -206,6 +206,10 @@ def lips(
     model: Annotated[
         str, typer.Option(help="Model whose curves are fitted to the measures.")
     ] = "default",
+    listener: Annotated[
+        str | None,
+        typer.Option(help="Model whose speech features correct the corpus; by default MODEL."),
+    ] = None,
     validation: Annotated[
         list[str] | None, typer.Option(help="Speaker of the validation split; repeatable.")
     ] = None,
@@ -213,11 +217,11 @@ def lips(
         list[str] | None, typer.Option(help="Speaker of the test split; repeatable.")
     ] = None,
     corpus: Annotated[
-        Path | None,
-        typer.Option(help="Dataset folder whose clips are added, their lips corrected."),
+        list[Path] | None,
+        typer.Option(help="Dataset folder whose clips are added, lips corrected; repeatable."),
     ] = None,
     corpus_clips: Annotated[
-        int, typer.Option(min=1, max=MAX_COUNT, help="Clips of the corpus.")
+        int, typer.Option(min=1, max=MAX_COUNT, help="Clips of each corpus.")
     ] = 1000,
     as_rig: Annotated[
         bool,
@@ -239,10 +243,10 @@ def lips(
 
     deitalk data lips grid_lips/ --as-rig --most 20 -o lips_rig/
     """
-    inputs = (folder,) if corpus is None else (folder, corpus)
-    reserve_folder(out, kind="dataset", force=force, inputs=inputs)
+    corpora = tuple(corpus or ())
+    reserve_folder(out, kind="dataset", force=force, inputs=(folder, *corpora))
     if as_rig:
-        _write_measures(folder, out, corpus, validation, test, most, force)
+        _write_measures(folder, out, corpora, validation, test, most, force)
         return
     with console().status("loading"):
         from deitalk.data.lips.dataset import write_lip_dataset
@@ -250,15 +254,17 @@ def lips(
         from deitalk.models.curve_model import DEITalk
 
         network = require_model(model, DEITalk)
+        heard = None if listener is None else require_model(listener, DEITalk)
     with bar("fitting") as progress:
         count = write_lip_dataset(
             folder,
             out,
             network,
+            listener=heard,
             validation=validation or (),
             test=test or (),
             most=most,
-            corpus=corpus,
+            corpora=corpora,
             corpus_clips=corpus_clips,
             force=force,
             progress=progress,
@@ -269,7 +275,7 @@ def lips(
 def _write_measures(
     folder: Path,
     out: Path,
-    corpus: Path | None,
+    corpora: tuple[Path, ...],
     validation: list[str] | None,
     test: list[str] | None,
     most: int | None,
@@ -278,7 +284,7 @@ def _write_measures(
     """Write the measures as curves of a rig of their own."""
     from deitalk.data.lips.own_rig import write_measure_dataset
 
-    if corpus is not None:
+    if corpora:
         raise DeitalkError("--corpus: its curves are of the board; leave out --as-rig")
     with bar("writing") as progress:
         count = write_measure_dataset(

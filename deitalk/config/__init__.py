@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from deitalk.config.finetuning import FinetuneConfig, TuneConfig
     from deitalk.config.frontends import (
         CausalMelConfig,
-        ConformerConfig,
         DEITalkFeaturesConfig,
         KarrasConfig,
         MelConfig,
         SDFAMelConfig,
         VocaConfig,
         Wav2VecConfig,
+        WhisperConfig,
     )
     from deitalk.config.load import AnyConfig, load_config, parse_config
     from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
@@ -28,7 +28,6 @@ __all__ = [
     "AnyConfig",
     "CausalMelConfig",
     "Config",
-    "ConformerConfig",
     "DEITalkFeaturesConfig",
     "DataConfig",
     "FinetuneConfig",
@@ -50,6 +49,7 @@ __all__ = [
     "VocaConfig",
     "VoiceIntensity",
     "Wav2VecConfig",
+    "WhisperConfig",
     "load_config",
     "parse_config",
 ]
@@ -59,13 +59,13 @@ _HOMES = {
     "finetuning": ("FinetuneConfig", "TuneConfig"),
     "frontends": (
         "CausalMelConfig",
-        "ConformerConfig",
         "DEITalkFeaturesConfig",
         "KarrasConfig",
         "MelConfig",
         "SDFAMelConfig",
         "VocaConfig",
         "Wav2VecConfig",
+        "WhisperConfig",
     ),
     "load": ("AnyConfig", "load_config", "parse_config"),
     "mesh": ("MeshDataConfig", "MeshTrainConfig", "SDFAConfig", "SDFAModelConfig"),

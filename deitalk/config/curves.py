@@ -4,7 +4,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from deitalk.config.frontends import CausalMelConfig, ConformerConfig, MelConfig, Wav2VecConfig
+from deitalk.config.frontends import (
+    CausalMelConfig,
+    MelConfig,
+    Wav2VecConfig,
+    WhisperConfig,
+)
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import (
     Dilation,
@@ -21,7 +26,7 @@ from rig import limits
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | ConformerConfig = Field(
+    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
     control_set: str = Field(
@@ -196,6 +201,13 @@ class DataConfig(Section):
         le=100,
         description="times that train.teacher animates every recording before training, half of "
         "them augmented; its curves are the targets; needs a causal frontend",
+    )
+    encoded_passes: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="times that every recording is encoded before training, all but the first "
+        "changed in speed, room and noise; needs a frontend that does not learn",
     )
     cache_gigabytes: float = Field(
         default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"

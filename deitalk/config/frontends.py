@@ -128,23 +128,37 @@ class Wav2VecConfig(Section):
         return value
 
 
-class ConformerConfig(Section):
-    """Mel spectrogram and conformer blocks; not in the papers."""
+class WhisperConfig(Section):
+    """The first layers of Whisper's encoder; the numbers are those of Whisper base."""
 
-    kind: Literal["conformer"] = "conformer"
-    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
-    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
-    stem_channels: Width = 256
-    hidden_size: Width = Field(default=384, description="width of a block")
-    layers: int = Field(default=2, ge=1, le=limits.LAYERS)
-    heads: Width = 4
-    intermediate_size: Width = Field(default=512, description="width within a block")
-    kernel_size: Odd = Field(default=15, description="rig frames of a block's convolution")
-    phases: Phases = Field(
-        default=1,
-        description="passes over a clip, shifted by parts of a spectrum; features are their mean",
+    kind: Literal["whisper"] = "whisper"
+    checkpoint: str | None = Field(
+        default="openai/whisper-base",
+        description="hub name or folder, read before training; null: random weights",
     )
-    dropout: float = Field(default=0.1, ge=0, lt=1)
+    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    width: Width = 512
+    heads: Width = 8
+    intermediate: Width = Field(default=2048, description="width within a layer")
+    positions: int = Field(
+        default=1500, ge=600, le=limits.TRAINING_FRAMES, description="features of 20 ms a piece"
+    )
+    layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
+        default=(2, 3),
+        min_length=1,
+        max_length=limits.LAYERS,
+        description="layers whose states are mixed; 0 is the input of the first",
+    )
+    learns: Literal["nothing", "everything"] = Field(
+        default="nothing", description="what of the encoder is trained"
+    )
+
+    @field_validator("heads")
+    @classmethod
+    def _heads_divide(cls, value: int, info: ValidationInfo) -> int:
+        if info.data.get("width", value) % value:
+            raise ValueError("width must be a multiple of heads")
+        return value
 
 
 class SDFAMelConfig(MelConfig):

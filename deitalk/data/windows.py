@@ -28,7 +28,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 
 if TYPE_CHECKING:
-    from deitalk.data.frozen_features import FrozenFeatures
+    from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
 
 
 class Window(NamedTuple):
@@ -214,6 +214,8 @@ class WindowBatches(SeededBatches[Window]):
     frozen_features : FrozenFeatures or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
+    encoded : EncodedPasses or None
+        Windows carry features of a random pass instead of the sound.
     clean : bool
         Windows carry the sound before augmentation too.
     actors : sequence of str
@@ -235,6 +237,7 @@ class WindowBatches(SeededBatches[Window]):
         share: Share = Share(),
         *,
         frozen_features: "FrozenFeatures | None" = None,
+        encoded: "EncodedPasses | None" = None,
         clean: bool = False,
         actors: Sequence[str] = (),
     ) -> None:
@@ -244,6 +247,7 @@ class WindowBatches(SeededBatches[Window]):
         self.clips, self.controls, self.config = list(clips), controls, config
         self.actors = tuple(actors)
         self.frozen_features, self.clean = None if config.augment else frozen_features, clean
+        self.encoded = encoded
         self.measured, self.others = self._divided()
         self.recorded = np.array([clip.source == "recording" for clip in self.others])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
@@ -265,17 +269,23 @@ class WindowBatches(SeededBatches[Window]):
         rng = self.rng(number)
         clip = self._draw(rng)
         material = self.cache.read(clip)
-        config = self.config
+        config, turn = self.config, 0
         speed = speed_factor(rng) if config.augment else 1.0
+        if self.encoded is not None:
+            turn = int(rng.integers(len(self.encoded.rows)))
+            speed = self.encoded.speed(turn, clip.audio)
         frames = n_clip_frames(len(material.waveform), speed)
         first = int(rng.integers(n_starts(frames, config))) * config.stride_frames
         waveform, curves, intensity, total = cut(material, first, config.window_frames, speed)
         clean = torch.from_numpy(waveform if self.clean else waveform[:0])
-        if config.augment:
+        if config.augment and self.encoded is None:
             waveform = augment(waveform, rng, self.surroundings, _other_voices(self.clips, rng))
         sound = torch.from_numpy(waveform)
         if self.frozen_features is not None:
             sound = self._frozen(clip, material, first)
+        if self.encoded is not None:
+            rows = self.encoded.window(turn, clip.audio, first, config.window_frames)
+            sound = torch.from_numpy(rows.astype(np.float32))
         return Window(
             sound,
             torch.from_numpy(curves),

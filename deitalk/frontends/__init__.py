@@ -11,12 +11,12 @@ from torch import Tensor
 
 from deitalk.config import (
     CausalMelConfig,
-    ConformerConfig,
     KarrasConfig,
     MelConfig,
     SDFAMelConfig,
     VocaConfig,
     Wav2VecConfig,
+    WhisperConfig,
 )
 
 if TYPE_CHECKING:
@@ -41,16 +41,16 @@ class Frontend(Protocol):
 
 
 def build_frontend(
-    config: MelConfig | CausalMelConfig | Wav2VecConfig | ConformerConfig, pretrained: bool = True
+    config: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig, pretrained: bool = True
 ) -> Frontend:
     """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
-    config : MelConfig, CausalMelConfig, Wav2VecConfig or ConformerConfig
+    config : MelConfig, CausalMelConfig, Wav2VecConfig or WhisperConfig
         Its class chooses the frontend.
     pretrained : bool
-        Read the weights of a wav2vec 2.0 checkpoint; False reads its sizes only.
+        Read the weights of a checkpoint; False reads its sizes only.
     """
     if isinstance(config, MelConfig):
         from deitalk.frontends.mel_bilstm import MelFrontend
@@ -60,10 +60,10 @@ def build_frontend(
         from deitalk.frontends.causal_mel import CausalMelFrontend
 
         return CausalMelFrontend(config)
-    if isinstance(config, ConformerConfig):
-        from deitalk.frontends.conformer import ConformerFrontend
+    if isinstance(config, WhisperConfig):
+        from deitalk.frontends.whisper import WhisperFrontend
 
-        return ConformerFrontend(config)
+        return WhisperFrontend.build(config, pretrained=pretrained)
     from deitalk.frontends.wav2vec import Wav2VecFrontend
 
     return Wav2VecFrontend.build(config, pretrained=pretrained)

@@ -4,17 +4,17 @@ K wav2vec features at 50 Hz.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
-import torch
 from torch import Tensor, nn
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
+from deitalk.frontends.strided import StridedFrontend
 
 if TYPE_CHECKING:
     from transformers import Wav2Vec2Config
@@ -47,17 +47,10 @@ Deviation: they divide by the deviation of the whole input, pauses included. The
 is known here, so that one factor serves windows of a training and whole clips alike."""
 
 
-class Wav2VecFrontend(nn.Module):
+class Wav2VecFrontend(StridedFrontend):
     """A wav2vec 2.0 encoder with one row per rig frame.
 
-    Row i describes the time i/30 s. Feature k of the encoder describes the samples
-    320 k … 320 k + 399, so its centre is (320 k + 199.5) / 16000 s, and row i is interpolated
-    linearly between the two features around it (the ends are held).
-
-    Deviation: the paper's "linear interpolation layer" is, in the code of its predecessors, a
-    resize of K rows to T with the corners aligned. That puts feature 0 (12.5 ms) at 0 ms and the
-    last one, up to 32 ms before the clip's end, at its last frame: rows drift against the audio
-    by up to a frame, and by how much depends on the length. Here every row is exact in time.
+    Feature k describes the samples 320 k … 320 k + 399, so its centre is 320 k + 199.5.
 
     Parameters
     ----------
@@ -76,7 +69,8 @@ class Wav2VecFrontend(nn.Module):
         self.input_scale = input_scale
         config: Any = encoder.config
         self.output_size: int = config.hidden_size
-        self.receptive_field, self.stride = _receptive_field(config.conv_kernel, config.conv_stride)
+        self.margin, self.stride = _receptive_field(config.conv_kernel, config.conv_stride)
+        self.centre = (self.margin - 1) / 2
         if freeze_stem:
             encoder.freeze_feature_encoder()  # type: ignore[operator]
         if hasattr(encoder, "masked_spec_embed"):  # never used: apply_spec_augment is off
@@ -169,112 +163,12 @@ class Wav2VecFrontend(nn.Module):
         normalise = self.input_scale == SPEECH_SCALE
         return config.model_copy(update={"encoder": shape, "normalise": normalise})
 
-    def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Encode a batch of speech at 30 Hz.
-
-        Parameters
-        ----------
-        waveform : Tensor [shape=(B, S)]
-            float32, 16 kHz, speech at -23 dBFS.
-        n_frames : int
-            T.
-
-        Returns
-        -------
-        Tensor [shape=(B, T, D)]
-            Row i is time i/30 s.
-        """
-        return self._rows(self.features(waveform), 0, n_frames, first_sample=0)
-
-    def features(self, waveform: Tensor) -> Tensor:
-        """Features (B, K, D) at 50 Hz of (B, S), before interpolation."""
-        return self._encoded(waveform)
-
-    @torch.no_grad()
-    def encode(
-        self,
-        waveform: Tensor,
-        n_frames: int,
-        chunk_seconds: float = 24.0,
-        overlap_seconds: float = 2.0,
-        progress: Callable[[float], None] = lambda share: None,
-    ) -> Tensor:
-        """Encode a whole clip in chunks of bounded memory, in evaluation mode.
-
-        Neighbouring chunks overlap and are cross-faded there, so that the frames at a chunk's
-        edge, which lack context, count least. A clip of up to one chunk is encoded at once and
-        equals `forward`. On longer ones attention spans 24 s instead of the whole clip: the
-        difference is more than rounding, but small wherever attention is local. Chunks start on the
-        stem's own grid.
-
-        Parameters
-        ----------
-        waveform : Tensor [shape=(S,)]
-            As for `forward`; it may lie on the CPU, chunks are moved to the encoder.
-        n_frames : int
-            T.
-        chunk_seconds, overlap_seconds : float
-            A chunk is at least two overlaps long.
-        progress : callable
-            Called with the share done, 0 to 1.
-
-        Returns
-        -------
-        Tensor [shape=(T, D)]
-        """
-        chunk, overlap = round(chunk_seconds * FRAME_RATE), round(overlap_seconds * FRAME_RATE)
-        if overlap < 0 or chunk < max(2 * overlap, 1):
-            raise ConfigError(
-                f"chunk_seconds={chunk_seconds:g} must be at least twice "
-                f"overlap_seconds={overlap_seconds:g}; lengthen the chunks"
-            )
-        device = next(self.encoder.parameters()).device
-        rows = torch.empty(n_frames, self.output_size, device=device)
-        done = 0
-        while done < n_frames:
-            start = max(0, min(done - overlap, n_frames - chunk)) if done else 0
-            stop = min(start + chunk, n_frames)
-            first, last = self._sample_span(start, stop)
-            piece = waveform[first:last].unsqueeze(0).to(device)
-            new = self._rows(self._encoded(piece), start, stop, first_sample=first)[0]
-            kept = done - overlap if done else 0
-            fade = torch.arange(1, done - kept + 1, device=device).unsqueeze(1) / (overlap + 1)
-            rows[kept:done].lerp_(new[kept - start : done - start], fade)
-            rows[done:stop] = new[done - start :]
-            done = stop
-            progress(done / n_frames)
-        return rows
-
-    def _encoded(self, waveform: Tensor) -> Tensor:
-        """Run the encoder on (B, S); what is too short for one feature is padded with zeros."""
-        lacking = max(0, self.receptive_field - waveform.shape[-1])
+    def features(self, waveform: Tensor, context: None = None) -> Tensor:
+        """Features (B, K, D) at 50 Hz of (B, S); what is too short for one is padded with zeros."""
+        lacking = max(0, self.margin - waveform.shape[-1])
         padded = nn.functional.pad(waveform * self.input_scale, (0, lacking))
         output: Tensor = self.encoder(padded).last_hidden_state
         return output
-
-    def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
-        """Samples [first, last) that the rows start … stop - 1 are interpolated from.
-
-        `first` is a multiple of the stride, so a chunk's features lie on the whole clip's grid.
-        """
-        first = start * SAMPLE_RATE // FRAME_RATE - self.receptive_field
-        last = -(-stop * SAMPLE_RATE // FRAME_RATE) + self.receptive_field
-        return max(0, first // self.stride * self.stride), last
-
-    def _rows(self, features: Tensor, start: int, stop: int, *, first_sample: int) -> Tensor:
-        """Interpolate features (B, K, D), begun at `first_sample`, at the times of rows (B, n, D).
-
-        With stride 320, rows 0, 1, 2, 3 (samples 0, 533.3, 1066.7, 1600) lie at the feature
-        positions -0.62 (held at 0), 1.04, 2.71 and 4.38.
-        """
-        frames = torch.arange(start, stop, device=features.device, dtype=torch.float64)
-        centre = first_sample + (self.receptive_field - 1) / 2
-        position = (frames * SAMPLE_RATE / FRAME_RATE - centre) / self.stride
-        position = position.clamp(0, features.shape[1] - 1)
-        below = position.long()
-        above = (below + 1).clamp(max=features.shape[1] - 1)
-        part = (position - below).to(features.dtype).unsqueeze(-1)  # (n, 1)
-        return torch.lerp(features[:, below], features[:, above], part)
 
 
 def _receptive_field(kernels: list[int], strides: list[int]) -> tuple[int, int]:

@@ -17,7 +17,6 @@ from deitalk.config import (
     AnyConfig,
     CausalMelConfig,
     Config,
-    ConformerConfig,
     DEITalkFeaturesConfig,
     KarrasConfig,
     MelConfig,
@@ -26,6 +25,7 @@ from deitalk.config import (
     SDFAModelConfig,
     VocaConfig,
     Wav2VecConfig,
+    WhisperConfig,
     load_config,
 )
 from deitalk.config.rig_file import read_controls, rig_text
@@ -43,6 +43,7 @@ from deitalk.models.folder import (
     RIG_FILE,
     model_folder,
     read_about,
+    weight_files,
     weights_hash,
 )
 from deitalk.models.mesh_head import MeshHead
@@ -115,13 +116,14 @@ def _load(folder: Path, config: AnyConfig, device: str) -> Model:
     """Read the model of a folder whose configuration is known."""
     require_device(device)
     about = read_about(folder)
-    path = folder / "model.safetensors"
-    shapes = whole_shapes(path)
+    files = weight_files(folder)
+    shapes = {name: shape for path in files for name, shape in whole_shapes(path).items()}
     build = kind_of(config).read(folder, config, about, shapes)
-    check_fit(path, shapes, network_shapes(build))
+    check_fit(files[0], shapes, network_shapes(build))
     with without_random_numbers():
         model = build()
-    model.load_state_dict(all_numbers(read_weights(path)))  # half precision becomes float32
+    weights = {name: value for path in files for name, value in read_weights(path).items()}
+    model.load_state_dict(all_numbers(weights))  # half precision becomes float32
     try:
         return model.to(torch.device(device)).eval()
     except (RuntimeError, AssertionError) as error:
@@ -212,6 +214,11 @@ def save_model(
     }
     with output_folder(folder, kind="model", force=True) as beside:
         # save_file would make a file that nobody else may read.
+        fixed = {name: weights.pop(name) for name in list(weights) if _is_fixed(name, model)}
+        if fixed:
+            (beside / "encoder.safetensors").write_bytes(
+                save({k: _half(v) for k, v in fixed.items()})
+            )
         (beside / "model.safetensors").write_bytes(save(weights))
         if isinstance(model, MeshModel):
             write_templates(beside, model, half=half)
@@ -224,12 +231,22 @@ def save_model(
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
+def _is_fixed(name: str, model: Model) -> bool:
+    """Whether a weight is that of a published encoder, which did not learn."""
+    if not isinstance(model, DEITalk) or not isinstance(model.config.frontend, WhisperConfig):
+        return False
+    return name.startswith("frontend.encoder.") and model.config.frontend.learns == "nothing"
+
+
 def _complete(config: Config, model: DEITalk) -> Config:
     """Configuration that needs no file outside the model folder: no checkpoint, no rig file."""
     settings = config.model
     if isinstance(model.frontend, Wav2VecFrontend):
         assert isinstance(settings.frontend, Wav2VecConfig)
         frontend = model.frontend.described(settings.frontend)
+        settings = settings.model_copy(update={"frontend": frontend})
+    if isinstance(settings.frontend, WhisperConfig):
+        frontend = settings.frontend.model_copy(update={"checkpoint": None})
         settings = settings.model_copy(update={"frontend": frontend})
     if model.controls.id != DEFAULT_ID:
         settings = settings.model_copy(update={"control_set": RIG_FILE})
@@ -344,7 +361,7 @@ class Kind(NamedTuple):
 KINDS = (
     Kind(
         Config,
-        (MelConfig, CausalMelConfig, Wav2VecConfig, ConformerConfig),
+        (MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig),
         DEITalk,
         _read_curves,
         _about_curves,

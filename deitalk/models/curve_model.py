@@ -13,6 +13,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
+from deitalk.frontends.strided import StridedFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.network import Reading, Tracks, neutral_and_acted
 from deitalk.models.positions import dynamic_positions
@@ -280,7 +281,7 @@ class DEITalk(nn.Module):
         """
         if waveform.ndim == 2:
             speech = waveform
-        elif isinstance(self.frontend, MelFrontend):
+        elif isinstance(self.frontend, MelFrontend | StridedFrontend):
             speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
         else:
             speech = self.frontend.encode(waveform * gain, n_frames, progress=progress)

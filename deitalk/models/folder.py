@@ -4,6 +4,7 @@
 
     config.yaml          every setting; `kind: sdfa` marks a mesh model
     model.safetensors    weights, float16 in shipped models
+    encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
     model.json           format version, control set or speakers, training summary
     controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
     templates.npz        mesh models only: see `deitalk.models.mesh_weights`
@@ -22,6 +23,7 @@ from rig.files.reading import check_file, open_file, read_json
 
 FORMAT_VERSION = 1
 RIG_FILE = "controls.yaml"
+WEIGHT_FILES = ("model.safetensors", "encoder.safetensors")
 EMBEDDED = ("default", "live", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
@@ -104,12 +106,27 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     about.pop("controls", None)
     if (rules := read_rules(folder / "config.yaml")) is not None:
         about["rules"] = rules.model_dump(mode="json")
-    return {"name": str(name_or_path), **about, **_size_and_hash(folder / "model.safetensors")}
+    return {"name": str(name_or_path), **about, **_weights(folder)}
+
+
+def weight_files(folder: Path) -> list[Path]:
+    """The files of a model's weights that are there."""
+    return [path for name in WEIGHT_FILES if (path := folder / name).is_file()]
 
 
 def weights_hash(folder: Path) -> str:
-    """SHA-256 of a folder's weights, in hexadecimal."""
-    return str(_size_and_hash(folder / "model.safetensors")["sha256"])
+    """SHA-256 of a folder's weights, in hexadecimal; of two files, of their hashes in turn."""
+    return str(_weights(folder)["sha256"])
+
+
+def _weights(folder: Path) -> dict[str, int | str]:
+    """Size and hash of all weights of a folder."""
+    parts = [_size_and_hash(path) for path in weight_files(folder)]
+    if len(parts) == 1:
+        return parts[0]
+    hashes = "".join(str(part["sha256"]) for part in parts)
+    total = sum(int(part["bytes"]) for part in parts)
+    return {"bytes": total, "sha256": hashlib.sha256(hashes.encode()).hexdigest()}
 
 
 def _size_and_hash(path: Path) -> dict[str, int | str]:

@@ -14,11 +14,12 @@ from torch import Tensor, nn
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Config
 from deitalk.config.rig_file import read_controls
+from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
-from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.data.taught import TaughtBatches, one_clip_each, write_pass
-from deitalk.data.windows import Window, WindowBatches, count_windows
+from deitalk.data.windows import Window, WindowBatches, count_windows, read_waveform
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import (
     Example,
@@ -29,6 +30,7 @@ from deitalk.evaluation.validation import (
 )
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.causal_mel import CausalMelFrontend
+from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.comparison import network_class
 from deitalk.models.curve_model import DEITalk
@@ -42,6 +44,8 @@ from rig import ControlSet
 N_SHOWN = 2
 """Validation clips that are drawn at every evaluation."""
 JAW = "CTRL_C_jaw.ty"
+MEASURED_CLIPS = 200
+"""Training clips from which the mean and spread of an encoder's states are measured."""
 LIMITS = (-0.05, 1.05)
 """Of the axes of a picture."""
 STARTED_SLOWER = 3
@@ -120,6 +124,7 @@ class CurveTask(Task[Window]):
         self.config, self.start_from = config, start_from
         self.frozen_features = frozen_features
         self.taught: list[list[Clip]] = []
+        self.encoded: EncodedPasses | None = None
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
         self.clips = spread_clips(read_clips(data, "train"), config.data.clips)
@@ -139,6 +144,11 @@ class CurveTask(Task[Window]):
             start_as(self.model, teacher)
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
+        elif isinstance(self.model.frontend, WhisperFrontend):
+            sounds = [
+                read_waveform(clip.audio) for clip in spread_clips(self.clips, MEASURED_CLIPS)
+            ]
+            self.model.frontend.measure(sounds)
         if settings.frozen_frontend is not None:
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             self.frozen_features.copy_into(self.model)
@@ -149,6 +159,8 @@ class CurveTask(Task[Window]):
         self.shown = shown_examples(self.validation_clips, controls)
         if teacher is not None and config.data.taught_passes:
             self._teach(teacher)
+        if config.data.encoded_passes:
+            self.encoded = self._encode()
 
     def read(self, out: Path) -> None:
         """Remember where recordings that the teacher animates are kept."""
@@ -164,6 +176,20 @@ class CurveTask(Task[Window]):
         for k, clips in enumerate(self.taught):
             folder = self.out / "taught" / str(k)
             write_pass(folder, clips, teacher, student, data, (seed, k))
+
+    def _encode(self) -> EncodedPasses:
+        """Encode every recording of the training clips several times."""
+        config = self.config
+        sounds = list(dict.fromkeys(clip.audio for clip in self.clips))
+        return EncodedPasses.write(
+            self.out / "features",
+            sounds,
+            read_waveform,
+            self.model.eval().frontend,
+            Surroundings.read(config.data.noise_folder, config.data.room_folder),
+            passes=config.data.encoded_passes,
+            seed=config.train.seed,
+        )
 
     def epoch_size(self) -> int:
         """All windows of all clips."""
@@ -204,6 +230,7 @@ class CurveTask(Task[Window]):
             settings.batch_size,
             share,
             frozen_features=self.frozen_features,
+            encoded=self.encoded,
             clean=settings.teacher is not None,
         )
 
@@ -214,7 +241,7 @@ class CurveTask(Task[Window]):
     def set_training(self) -> None:
         """Put the model in training mode, but for a frontend that does not learn."""
         self.model.train()
-        if self.config.train.frozen_frontend is not None:
+        if self.config.train.frozen_frontend is not None or self.encoded is not None:
             self.model.get_submodule("frontend").eval()
         if self.taught:
             self.model.get_submodule("frontend.spectral").eval()

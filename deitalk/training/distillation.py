@@ -39,7 +39,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
         way_out = {
             "mel": f"time_hidden={wanted // 2}",
             "causal_mel": f"time_hidden={wanted}",
-            "conformer": f"hidden_size={wanted}",
+            "whisper": f"width={wanted}",
             "wav2vec": f"encoder.hidden_size={wanted}",
         }
         raise ConfigError(

@@ -28,6 +28,7 @@ import yaml
 
 from deitalk.config import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError
+from deitalk.models.folder import RIG_FILE, WEIGHT_FILES
 from deitalk.training.run_tables import truncate_log
 from rig.files import (
     atomic_write,
@@ -47,7 +48,7 @@ KIND = "run"
 """Kind of the folder in its manifest."""
 _BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
 """Files of a run that has done something."""
-_MODEL_FILES = ("config.yaml", "model.json", "model.safetensors", "controls.yaml", "templates.npz")
+_MODEL_FILES = ("config.yaml", "model.json", *WEIGHT_FILES, RIG_FILE, "templates.npz")
 
 
 @contextmanager

@@ -69,9 +69,11 @@ class Label(NamedTuple):
     shares: tuple[float, ...]
     """Of each of `NAMED` in the fit; they sum to 1."""
     weight: float
+    asked: int
+    """Place in `NAMED` of what was asked of the actor; -1 if it is none of them."""
 
 
-NEUTRAL_LABEL = Label(0, (1.0, 0.0, 0.0, 0.0), 1.0)
+NEUTRAL_LABEL = Label(0, (1.0, 0.0, 0.0, 0.0), 1.0, 0)
 
 
 class Voices(NamedTuple):
@@ -88,6 +90,11 @@ class Voices(NamedTuple):
     def majorities(self) -> Int64:
         """Places in `NAMED`, or -1 [shape=(N,)]."""
         return np.array([label.majority for label in self.labels], np.int64)
+
+    @property
+    def asked(self) -> Int64:
+        """Places in `NAMED` of the emotion asked, or -1 [shape=(N,)]."""
+        return np.array([label.asked for label in self.labels], np.int64)
 
     @property
     def is_reader(self) -> Bool:
@@ -133,7 +140,7 @@ def label_of(vote: str, asked: str) -> Label | None:
         shares *= 1 - ASKED
         shares[place] += ASKED
     majority = named[0] if len(letters) == len(named) == 1 else -1
-    return Label(majority, tuple(shares.tolist()), weight)
+    return Label(majority, tuple(shares.tolist()), weight, -1 if place is None else place)
 
 
 def read_voices(
@@ -279,14 +286,16 @@ def score(p: Float64, voices: Voices, split: str) -> dict[str, float]:
     Returns
     -------
     dict
-        ``recall NAME`` of the most probable class of actors, ``unweighted recall``, ``anger
-        against sadness``; ``calibration error``: of the most probable class, expected, classes
-        weighted alike; ``suggested`` and ``right``: of actors, share with a suggestion other than
-        neutral, and of these the share that raters named so; ``probability`` of these suggestions,
-        mean; ``readers neutral``.
+        ``recall NAME`` of the most probable class of actors, by what raters named, ``unweighted
+        recall``, the same by the emotion asked (``asked``), ``anger against sadness``;
+        ``calibration error``: of the most probable class, expected, classes weighted alike;
+        ``suggested`` and ``right``: of actors, share with a suggestion other than neutral, and of
+        these the share that raters named so; ``probability`` of these suggestions, mean;
+        ``readers neutral``.
     """
     y, reader, held = voices.majorities, voices.is_reader, voices.having(split)
     acted, read = held & ~reader & (y >= 0), held & reader
+    asked = held & ~reader & (voices.asked >= 0)
     best = p.argmax(axis=1)
     suggested = np.where(p.max(axis=1) >= SURE, best, 0)
     named = acted & (suggested > 0)
@@ -294,6 +303,9 @@ def score(p: Float64, voices: Voices, split: str) -> dict[str, float]:
     both = acted & np.isin(y, (1, 3))
     return recalls | {
         "unweighted recall": float(np.mean(list(recalls.values()))),
+        "unweighted recall, asked": float(
+            np.mean([_mean(best[asked & (voices.asked == k)] == k) for k in range(len(NAMED))])
+        ),
         "anger against sadness": _mean((p[both, 1] > p[both, 3]) == (y[both] == 1)),
         "calibration error": _calibration_error(p[acted], y[acted]),
         "suggested": float(named.sum() / acted.sum()),

@@ -42,10 +42,11 @@ def write_lip_dataset(
     out: Path,
     model: DEITalk,
     *,
+    listener: DEITalk | None = None,
     validation: Sequence[str] = (),
     test: Sequence[str] = (),
     most: int | None = None,
-    corpus: Path | None = None,
+    corpora: Sequence[Path] = (),
     corpus_clips: int = 1000,
     force: bool = False,
     progress: Callable[[float], None] = lambda share: None,
@@ -60,15 +61,17 @@ def write_lip_dataset(
         Dataset folder.
     model : DEITalk
         Predicts what the measures leave open: tongue, teeth, cheeks, upper face.
+    listener : DEITalk or None
+        Model whose speech features the lips of the corpus are predicted from; None: `model`.
     validation, test : sequence of str
         Speakers of these splits; the others train.
     most : int or None
         At most so many recordings of every speaker, the first ones.
-    corpus : Path or None
-        A dataset folder whose clips are added with corrected lips (`LipTransfer`, fitted to the
+    corpora : sequence of Path
+        Dataset folders whose clips are added with corrected lips (`LipTransfer`, fitted to the
         training speakers).
     corpus_clips : int
-        How many of its clips, evenly spread.
+        How many clips of each, evenly spread.
     force : bool
         Replace a dataset folder that this function wrote.
     progress : callable
@@ -90,14 +93,14 @@ def write_lip_dataset(
     lips = HeadLips(build_head())
     clips = first_clips(read_lips(folder, lips.eye_distance), most)
     check_speakers(folder, clips, (*validation, *test))
-    acted = [] if corpus is None else _spread(corpus, corpus_clips)
+    acted = [clip for corpus in corpora for clip in _spread(corpus, corpus_clips)]
     if acted and {clip.speaker for clip in clips} <= {*validation, *test}:
         raise DataError(f"{folder}: no speaker is left to train on; hold out fewer")
     check_names([*clips, *acted])
-    inputs = (folder,) if corpus is None else (folder, corpus)
+    inputs = (folder, *corpora)
     total = len(clips) + len(acted)
     with output_folder(out, kind="dataset", force=force, inputs=inputs) as stage:
-        writer = _Writer(stage, model, lips)
+        writer = _Writer(stage, model, listener or model, lips)
         for clip in clips:
             split = SPLITS[1 if clip.speaker in validation else 2 if clip.speaker in test else 0]
             writer.measured(clip, split)
@@ -161,6 +164,7 @@ class _Writer:
 
     stage: Path
     model: DEITalk
+    listener: DEITalk
     lips: HeadLips
     rows: list[dict[str, str]] = field(default_factory=list)
     training: list[tuple[str, Float32, Float32, Float32]] = field(default_factory=list)
@@ -171,7 +175,7 @@ class _Writer:
         recording = load_audio(clip.sound)
         n = min(recording.n_frames, len(clip.measures))
         sound = torch.tensor(normalise_level(recording.waveform))
-        features, prior = neutral_reading(self.model, sound, recording.n_frames)
+        features, prior = neutral_reading(self.model, sound, recording.n_frames, self.listener)
         measures = clip.measures[:n]
         values = fit_curves(prior[:n], torch.tensor(measures), self.lips, self.model.controls)
         if split == SPLITS[0]:
@@ -193,7 +197,9 @@ class _Writer:
         n_frames = n_clip_frames(len(material.waveform))
         sound, curves, _, _ = cut(material, 0, n_frames)
         speaking = speech_activity(sound)[:n_frames] > 0
-        values = transfer.correct(self.model, self.lips, torch.tensor(sound), curves, speaking)
+        reading = neutral_reading(self.model, torch.tensor(sound), n_frames, self.listener)
+        controls = self.model.controls
+        values = transfer.correct(reading, self.lips, controls, curves, speaking)
         copied = {
             kind: self._copy(kind, path, clip.name)
             for kind, path in (("phones", clip.phones), ("intensity", clip.intensity))

@@ -39,7 +39,9 @@ ITERATIONS = 8
 
 
 @torch.no_grad()
-def neutral_reading(model: DEITalk, sound: Tensor, n_frames: int) -> tuple[Tensor, Tensor]:
+def neutral_reading(
+    model: DEITalk, sound: Tensor, n_frames: int, listener: DEITalk | None = None
+) -> tuple[Tensor, Tensor]:
     """Speech features of a recording and the network's neutral curves, no rule applied.
 
     Parameters
@@ -50,6 +52,8 @@ def neutral_reading(model: DEITalk, sound: Tensor, n_frames: int) -> tuple[Tenso
         16 kHz, level-normalised.
     n_frames : int
         Rig frames T.
+    listener : DEITalk or None
+        Model whose frontend gives the features instead.
 
     Returns
     -------
@@ -62,7 +66,8 @@ def neutral_reading(model: DEITalk, sound: Tensor, n_frames: int) -> tuple[Tenso
     style = torch.eye(len(EMOTIONS))[EMOTIONS.index("neutral")]
     curves = model.decode(analysis, style.expand(n_frames, -1))
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    return analysis.speech, curves.clamp(low, high).float()
+    speech = analysis.speech if listener is None else listener.frontend.encode(sound, n_frames)
+    return speech, curves.clamp(low, high).float()
 
 
 def network_curves(model: DEITalk, recording: Recording) -> Tensor:

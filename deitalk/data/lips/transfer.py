@@ -14,15 +14,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deitalk.data.lips.fit import fit_curves, neutral_reading
+from deitalk.data.lips.fit import fit_curves
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.regression import LipRidge
-from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 
-MIX = 0.5
+MIX = 0.7
 """Share of the regression; the rest is the model's own lips at the measured amplitude."""
+LARGEST_GAIN = 2.0
+"""Of what a mean of predictions lacks in amplitude."""
 CONTACT = "lipsTogether"
 """Controls that close the lips, by a part of their names."""
 EDGE_FRAMES = 9
@@ -39,11 +40,15 @@ class LipTransfer:
         From features to measures.
     gain, offset : ndarray [shape=(M,)]
         What brings the model's lips to the spread and mean of measured ones.
+    spread, mean : ndarray [shape=(M,)]
+        What brings the mix of both to the spread of measured lips about their mean.
     """
 
     ridge: LipRidge
     gain: Float32
     offset: Float32
+    spread: Float32
+    mean: Float32
 
     @classmethod
     def fit(cls, recordings: Sequence[tuple[str, Float32, Float32, Float32]]) -> "LipTransfer":
@@ -55,12 +60,24 @@ class LipTransfer:
             Speaker, features, the model's own lips, measured lips (NaN where missing), both
             displacements from rest in cm.
         """
-        ridge = LipRidge.fit([(who, f, measured) for who, f, _, measured in recordings])
+        triples = [(who, f, measured) for who, f, _, measured in recordings]
+        ridge = LipRidge.fit(triples)
         known = [np.isfinite(m).all(axis=1) for _, _, _, m in recordings]
         own = np.concatenate([o[k] for (_, _, o, _), k in zip(recordings, known, strict=True)])
         real = np.concatenate([m[k] for (_, _, _, m), k in zip(recordings, known, strict=True)])
         gain = real.std(axis=0) / np.maximum(own.std(axis=0), 1e-6)
-        return cls(ridge, gain, real.mean(axis=0) - gain * own.mean(axis=0))
+        offset = real.mean(axis=0) - gain * own.mean(axis=0)
+        # The amplitude of a regression on a speaker that it was not fitted to.
+        mixed = []
+        for left_out in sorted({who for who, _, _, _ in recordings}):
+            others = [row for row in triples if row[0] != left_out] or triples
+            without = LipRidge.fit(others)
+            for (who, f, o, _), k in zip(recordings, known, strict=True):
+                if who == left_out:
+                    mixed.append((MIX * without(f) + (1 - MIX) * (gain * o + offset))[k])
+        every = np.concatenate(mixed)
+        spread = np.clip(real.std(axis=0) / np.maximum(every.std(axis=0), 1e-6), 1, LARGEST_GAIN)
+        return cls(ridge, gain, offset, spread, real.mean(axis=0))
 
     def change(self, features: Float32, own: Float32) -> Float32:
         """What to add to the lips of neutral speech [shape=(T, M)], cm.
@@ -73,13 +90,15 @@ class LipTransfer:
             Displacements that the model predicts in the neutral emotion.
         """
         amplified = self.gain * own + self.offset
-        return np.asarray(MIX * self.ridge(features) + (1 - MIX) * amplified - own, np.float32)
+        mixed = MIX * self.ridge(features) + (1 - MIX) * amplified
+        wanted = self.mean + self.spread * (mixed - self.mean)
+        return np.asarray(wanted - own, np.float32)
 
     def correct(
         self,
-        model: DEITalk,
+        reading: tuple[Tensor, Tensor],
         lips: HeadLips,
-        sound: Tensor,
+        controls: ControlSet,
         curves: Float32,
         speaking: Bool,
     ) -> Float32:
@@ -87,12 +106,12 @@ class LipTransfer:
 
         Parameters
         ----------
-        model : DEITalk
-            Gives features and neutral curves.
+        reading : (Tensor [shape=(T, D)], Tensor [shape=(T, C)])
+            Features and neutral curves of the recording (`deitalk.data.lips.fit.neutral_reading`).
         lips : HeadLips
             The head.
-        sound : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
+        controls : ControlSet
+            Columns of the curves.
         curves : ndarray [shape=(T, C)]
             Of any emotion.
         speaking : ndarray [shape=(T,)]
@@ -102,8 +121,7 @@ class LipTransfer:
         -------
         ndarray [shape=(T, C)]
         """
-        controls = model.controls
-        features, neutral = neutral_reading(model, sound, len(curves))
+        features, neutral = reading
         own, start = lips.displacements(neutral).numpy(), torch.tensor(curves)
         given = lips.displacements(start).numpy()
         shut = np.clip(_together(curves, controls), 0, 1)[:, None]

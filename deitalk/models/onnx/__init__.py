@@ -3,7 +3,7 @@
 ::
 
     graph.py            the model as one graph: torch modules between its layers
-    mel_graph.py, conformer_graph.py  parts of it
+    mel_graph.py                      parts of it
     causal_graph.py     one frame of a causal model, with its state
     export.py           graph -> file with metadata
     network.py          file -> `deitalk.models.network.CurveNetwork`; imports no torch

@@ -32,7 +32,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
     Parameters
     ----------
     model : DEITalk
-        With a mel, conformer or causal frontend and an intensity module.
+        With a mel or causal frontend and an intensity module.
     path : Path
         Replaced if it exists.
     name : str

@@ -15,12 +15,10 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import CheckpointError
-from deitalk.frontends.conformer import ConformerFrontend
 from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.network import neutral_weights
-from deitalk.models.onnx.conformer_graph import ConformerGraph
 from deitalk.models.onnx.mel_graph import MelGraph
 
 BLOCK = 64
@@ -129,7 +127,7 @@ class CurveGraph(nn.Module):
     Parameters
     ----------
     model : DEITalk
-        With a mel or conformer frontend and an intensity module.
+        With a mel frontend and an intensity module.
 
     Raises
     ------
@@ -146,12 +144,10 @@ class CurveGraph(nn.Module):
         self.frontend: nn.Module
         if isinstance(model.frontend, MelFrontend) and model.config.intensity:
             self.frontend = MelFrontendGraph(model.frontend)
-        elif isinstance(model.frontend, ConformerFrontend) and model.config.intensity:
-            self.frontend = ConformerGraph(model.frontend)
         else:
             raise CheckpointError(
-                "only models with a mel or conformer frontend and an intensity module are "
-                "exported, such as default and live"
+                "only models with a mel frontend and an intensity module are exported, such as "
+                "default and live"
             )
         self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
         size = model.frontend.output_size

@@ -25,7 +25,7 @@ PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
 """Frames of a recording that are predicted at once, and frames on either side of them that are
 predicted as context only (96 s). The memory of a recurrent network is long: with this context,
 parts and whole differ by at most 0.02 of a range. Both are multiples of 3, so that parts begin on a
-sample, and of the 64 frames of a conformer's segment, so that its parts are exact."""
+sample."""
 
 
 class OnnxFile:

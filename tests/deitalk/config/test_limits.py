@@ -37,8 +37,8 @@ FIELDS = [
     (lambda v: frontend(kind="mel", window_frames=v), limits.WINDOW_FRAMES),
     (lambda v: frontend(kind="mel", frame_rate=v), limits.SPECTRA_PER_SECOND),
     (lambda v: frontend(kind="mel", window_seconds=v), limits.WINDOW_SECONDS),
-    (lambda v: frontend(kind="conformer", layers=v), limits.LAYERS),
-    (lambda v: frontend(kind="conformer", hidden_size=v), limits.WIDTH),
+    (lambda v: frontend(kind="whisper", layers=[v]), limits.LAYERS),
+    (lambda v: frontend(kind="whisper", width=v, heads=1), limits.WIDTH),
     (lambda v: frontend(kind="wav2vec", encoder={"num_hidden_layers": v}), limits.LAYERS),
     (lambda v: frontend(kind="wav2vec", encoder={"hidden_size": v}), limits.WIDTH),
     (lambda v: frontend(kind="wav2vec", encoder={"conv_dim": [v]}), limits.WIDTH),
@@ -97,7 +97,7 @@ def test_oversized_network_is_refused_before_it_is_built():
     assert time.process_time() - start < 5
 
 
-@pytest.mark.parametrize("name", ["mel", "conformer", "tiny"])
+@pytest.mark.parametrize("name", ["mel", "default", "tiny"])
 def test_shapes_without_memory_are_those_of_the_network(name):
     from pathlib import Path
 

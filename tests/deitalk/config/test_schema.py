@@ -43,7 +43,7 @@ def test_every_file_loads_under_its_name(path):
 
 
 def test_files_are_the_expected_ones():
-    expected = {"conformer", "deitalk", "mel", "sdfa_encoder", "tiny"}
+    expected = {"default", "deitalk", "mel", "sdfa_encoder", "tiny"}
     assert expected <= {path.stem for path in FILES}
 
 
@@ -104,18 +104,6 @@ def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = load_config(FOLDER.parent / "deitalk/models/weights" / model / "config.yaml")
     wanted = load_config(FOLDER / f"{recipe}.yaml")
     assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
-
-
-def test_conformer_fits_its_teacher():
-    """The default's data and loss; the layers after the frontend can start from its weights."""
-    mel, conformer = (load_config(FOLDER / f"{name}.yaml") for name in ("mel", "conformer"))
-    unlike = {"distillation"}
-    assert conformer.loss.model_dump(exclude=unlike) == mel.loss.model_dump(exclude=unlike)
-    assert conformer.data == mel.data
-    assert conformer.train.teacher == "default"
-    decoders = [c.model.model_dump(exclude={"frontend"}) for c in (mel, conformer)]
-    assert decoders[0] == decoders[1]
-    assert conformer.model.frontend.hidden_size == 2 * mel.model.frontend.time_hidden
 
 
 @pytest.mark.parametrize(

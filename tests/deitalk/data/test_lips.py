@@ -288,7 +288,7 @@ def test_lip_dataset_rejects_clip_names_that_leave_the_folder(tmp_path, name):
     out.parent.mkdir(parents=True)
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(DataError, match="is no file name"):
-        write_lip_dataset(lips, out, None, corpus=corpus, corpus_clips=100)
+        write_lip_dataset(lips, out, None, corpora=[corpus], corpus_clips=100)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -297,14 +297,14 @@ def test_lip_dataset_rejects_a_name_used_twice(tmp_path):
     name = read_clips(corpus, "train")[0].name
     lips = write_measured(tmp_path / "lips", {name: ("one", np.linspace(0, 0.1, 50))})
     with pytest.raises(DataError, match="appears 2 times"):
-        write_lip_dataset(lips, tmp_path / "data", None, corpus=corpus, corpus_clips=100)
+        write_lip_dataset(lips, tmp_path / "data", None, corpora=[corpus], corpus_clips=100)
 
 
 def test_lip_dataset_rejects_a_corpus_without_training_speakers(measured, tmp_path):
     corpus = write_dataset(tmp_path / "corpus", 2, 2)
     with pytest.raises(DataError, match="no speaker is left to train on"):
         write_lip_dataset(
-            measured, tmp_path / "data", None, validation=["one"], test=["two"], corpus=corpus
+            measured, tmp_path / "data", None, validation=["one"], test=["two"], corpora=[corpus]
         )
     assert not (tmp_path / "data").exists()
 
@@ -356,7 +356,7 @@ def test_transfer_brings_lips_to_the_measured_amplitude(rng):
 def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
     corpus = write_dataset(tmp_path / "corpus", 2, 2)
     out, model = tmp_path / "data", require_model("default", DEITalk)
-    count = write_lip_dataset(measured, out, model, corpus=corpus, corpus_clips=3)
+    count = write_lip_dataset(measured, out, model, corpora=[corpus], corpus_clips=3)
     clips = read_clips(out)
     assert len(clips) == count == 3 + len([c for c in clips if c.source != "measured"])
     originals = {clip.name: clip for clip in read_clips(corpus)}

@@ -12,7 +12,7 @@ from deitalk.audio.load import write_wav
 from deitalk.audio.mel import nearest_spectra
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.cli import app
-from deitalk.config import ConformerConfig, ModelConfig, parse_config
+from deitalk.config import ModelConfig, WhisperConfig, parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.evaluation.attention import attention_of, corpus_attention
 from deitalk.evaluation.report import identified
@@ -85,7 +85,7 @@ def test_models_without_temporal_attention_are_refused():
         attention_of(network(recurrence="window"), speech())
 
     class Other:
-        config = ModelConfig(frontend=ConformerConfig(kind="conformer"))
+        config = ModelConfig(frontend=WhisperConfig(checkpoint=None))
 
     with pytest.raises(CheckpointError, match="no temporal attention"):
         attention_of(Other(), speech())

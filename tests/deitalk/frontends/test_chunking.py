@@ -7,7 +7,7 @@ import torch
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.config import ConformerConfig, MelConfig
+from deitalk.config import MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.chunking import phase_shifts
 
@@ -24,11 +24,9 @@ MEL = {
     "query_frames": 5,
     "weight_norm": False,
 }
-CONFORMER = {"n_mels": 16, "stem_channels": 12, "hidden_size": 16, "heads": 2, "layers": 1}
 FRONTENDS = {
     "segment": lambda phases: MelConfig(**MEL, recurrence="segment", phases=phases),
     "window": lambda phases: MelConfig(**MEL, recurrence="window", phases=phases),
-    "conformer": lambda phases: ConformerConfig(**CONFORMER, phases=phases),
 }
 
 
@@ -67,7 +65,7 @@ def test_a_shifted_spectrum_is_that_of_the_sound_so_much_later(shift):
 @pytest.mark.parametrize("make", FRONTENDS.values(), ids=FRONTENDS.keys())
 @torch.no_grad()
 def test_two_phases_give_the_mean_of_two_encodings(make):
-    n_frames = 70  # two segments of the conformer
+    n_frames = 70
     sound = torch.cat([torch.zeros(SAMPLE_RATE // 2), noise(n_frames / 30 - 1)])
     torch.manual_seed(1)
     once = build_frontend(make(1)).eval()

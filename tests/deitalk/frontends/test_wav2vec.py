@@ -90,15 +90,15 @@ def test_checkpoint_without_normalisation_takes_the_samples_unchanged(checkpoint
 
 def test_geometry_comes_from_the_configuration(checkpoint):
     frontend = Wav2VecFrontend.from_pretrained(str(checkpoint))
-    assert (frontend.receptive_field, frontend.stride) == (400, 320)
+    assert (frontend.margin, frontend.stride) == (400, 320)
     other = Wav2VecFrontend.from_config(
         TINY | {"conv_dim": (8, 8), "conv_kernel": (4, 3), "conv_stride": (2, 3)}
     )
     # feature 0 of the second layer sees 3 features of the first, 2 samples apart and 4 long
-    assert (other.receptive_field, other.stride) == (8, 6)
+    assert (other.margin, other.stride) == (8, 6)
 
 
-def test_one_feature_depends_on_exactly_its_receptive_field():
+def test_one_feature_depends_on_exactly_its_margin():
     frontend = Wav2VecFrontend.from_config(TINY).eval()
     stem = frontend.encoder.feature_extractor
     with torch.no_grad():

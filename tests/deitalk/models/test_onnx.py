@@ -14,7 +14,6 @@ from deitalk.config import Config, MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.frontends.conformer import SEGMENT_FRAMES
 from deitalk.live.animator import LiveAnimator, live_frames
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -48,10 +47,6 @@ def tiny(**settings):
     return model
 
 
-CONFORMER = {
-    "kind": "conformer", "n_mels": 16, "stem_channels": 16, "hidden_size": 16, "layers": 2,
-    "heads": 2, "intermediate_size": 24, "kernel_size": 5, "phases": 2,
-}  # fmt: skip
 CAUSAL = {
     "kind": "causal_mel", "tapers": 2, "conv_channels": (4, 4, 4), "spec_hidden": 4,
     "spectral_size": 16, "time_hidden": 24,
@@ -115,21 +110,6 @@ def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
     rows = weights(n_frames, happy=0.6, sad=0.4)
     assert_equal(exported.read(sound, rows, "bob"), model.read(sound, rows, "bob"))
-
-
-def test_conformer_equals_torch_at_any_length(tmp_path):
-    """Also where a kept decoder has a guidance of its own."""
-    kept = default_controls().names[40:]
-    model = of_frontend(CONFORMER, kept_controls=kept, kept_intensity=True)
-    with torch.no_grad():
-        model.decoder.kept.output.weight.normal_(std=0.2)
-    export_onnx(model, tmp_path / "conformer.onnx")
-    exported = load_onnx(tmp_path / "conformer.onnx")
-    for n_frames in (1, 33, 64, 97, 128, 200):  # part of a segment, one, with and without context
-        sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
-        rows = weights(n_frames, happy=0.6, sad=0.4)
-        assert_equal(exported.read(sound, rows), model.read(sound, rows))
-    assert not set(operators(tmp_path / "conformer.onnx")) & CONTROL_FLOW
 
 
 def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal):
@@ -205,10 +185,9 @@ def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, mon
     assert np.abs(parts.emotional - whole.emotional).max() < 0.01
 
 
-def test_parts_begin_on_samples_and_on_segments_of_the_conformer():
+def test_parts_begin_on_samples():
     for frames in (network_module.PART_FRAMES, network_module.CONTEXT_FRAMES):
         assert frames % 3 == 0, "frame 3 k lies on sample 1600 k"
-        assert frames % SEGMENT_FRAMES == 0
 
 
 def test_metadata_describes_controls_rules_and_input(model, exported):

@@ -39,7 +39,6 @@ def test_variants_change_the_settings_in_their_names():
     weights = "loss.control_weights."
     assert changed == {
         "full": set(),
-        "conformer": set(),
         "no_dei": {"model.intensity", "loss.contrast", "loss.intensity"},
         "no_dpe": {"model.positions"},
         "no_velocity": {"loss.velocity"},
@@ -47,7 +46,6 @@ def test_variants_change_the_settings_in_their_names():
         "no_real_speech": {"data.real_fraction"},
         "no_contact": {"loss.contact", weights + "lipsTogether", weights + "lipBiteD"},
     }
-    assert variants["conformer"].config(2, 7).model.frontend.kind == "conformer"
     run = variants["no_dei"].config(2, 7, ["train.batch_size=8", "loss.contrast=3"])
     assert (run.train.seed, run.train.steps, run.train.batch_size) == (2, 7, 8)
     assert run.loss.contrast == 0  # the overrides of the variant come last

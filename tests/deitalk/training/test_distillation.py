@@ -17,13 +17,13 @@ from tests.dataset import write_dataset
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 FRONTEND = (
-    "{kind: conformer, n_mels: 16, stem_channels: 12, hidden_size: 32, layers: 1, heads: 2, "
-    "intermediate_size: 32, kernel_size: 5}"
+    "{kind: whisper, checkpoint: null, n_mels: 16, width: 32, heads: 2, intermediate: 32, "
+    "layers: [0, 1], learns: everything}"
 )
 
 
 def student(teacher: Path | str, *overrides: str) -> Config:
-    """Conformer blocks before tiny.yaml's decoder."""
+    """A small Whisper encoder before tiny.yaml's decoder."""
     mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={FRONTEND}")
     return load_config(TINY, (*mine, f"train.teacher={teacher}", *overrides))
 
