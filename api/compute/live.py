@@ -15,6 +15,7 @@ from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem, describe, internal_problem
+from deitalk.acting import Acting
 from rig.arrays import Float32
 
 ORDER_SECONDS = 20.0
@@ -45,9 +46,9 @@ class Voice:
         if len(samples):
             self.voices.add({"voice": self.number, "do": "feed", "count": len(samples)}, samples)
 
-    def change(self, **options: Any) -> None:
-        """Change emotion, intensity or rules; as `LiveAnimator.set`."""
-        self.voices.add({"voice": self.number, "do": "set", "options": options})
+    def change(self, fields: dict[str, Any]) -> None:
+        """Change fields of the acting; as `LiveAnimator.set`."""
+        self.voices.add({"voice": self.number, "do": "set", "fields": fields})
 
     def finish(self) -> None:
         """Take the end of the sound."""
@@ -99,11 +100,10 @@ class Voices:
         self.task: asyncio.Task[None] | None = None
         self.is_ready = True
 
-    async def open(self, model: str, motion: dict[str, Any]) -> tuple[Voice, float]:
+    async def open(self, model: str, acting: Acting) -> tuple[Voice, float]:
         """Begin a voice; return it and the look-ahead of its model, seconds.
 
-        ``motion`` has ``idle``, ``life``, ``look_at`` and ``seed``, as for `LiveAnimator`; a
-        seed of None is another one for each voice.
+        Where `acting` gives no seed, each voice has another.
 
         Raises
         ------
@@ -117,9 +117,9 @@ class Voices:
             self.task = asyncio.create_task(self._run())
         self.number += 1
         voice = self.known[self.number] = Voice(self, self.number)
-        if motion["seed"] is None:
-            motion = motion | {"seed": self.number}
-        self.add({"voice": voice.number, "do": "open", "model": model, "motion": motion})
+        fields = {"seed": self.number} if "seed" not in acting.model_fields_set else {}
+        fields = acting.settings | fields
+        self.add({"voice": voice.number, "do": "open", "model": model, "fields": fields})
         try:
             return voice, await asyncio.wait_for(voice.opened, OPEN_SECONDS)
         except TimeoutError:
