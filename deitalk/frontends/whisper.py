@@ -227,13 +227,14 @@ class WhisperFrontend(StridedFrontend):
     @torch.no_grad()
     def measure(self, sounds: Sequence[Float32]) -> None:
         """Take mean and variance of the states from recordings at the normal level [shape=(S,)]."""
-        for norm in self.norms:
+        norms = [norm for norm in self.norms if isinstance(norm, nn.BatchNorm1d)]
+        for norm in norms:
             norm.reset_running_stats()
             norm.momentum = None  # the mean of all
         self.norms.train()
         for sound in sounds:
             self.features(torch.from_numpy(sound[: 10 * SAMPLE_RATE]).unsqueeze(0))
-        for norm in self.norms:
+        for norm in norms:
             norm.momentum = MOMENTUM
         self.norms.eval()
 
@@ -269,7 +270,7 @@ def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor
 
     path = Path(name) / "model.safetensors"
     if not path.is_file():
-        from transformers.utils import cached_file
+        from transformers.utils.hub import cached_file
 
         try:
             path = Path(str(cached_file(name, "model.safetensors")))

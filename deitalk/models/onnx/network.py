@@ -25,9 +25,9 @@ NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
 """Frames of a recording that are predicted at once, and frames on either side of them that are
-predicted as context only (96 s), unless the file says otherwise. The memory of a recurrent network is long: with this context,
-parts and whole differ by at most 0.02 of a range. Both are multiples of 3, so that parts begin on a
-sample."""
+predicted as context only (96 s), unless the file says otherwise. The memory of a recurrent network
+is long: with this context, parts and whole differ by at most 0.02 of a range. Both are multiples of
+3, so that parts begin on a sample."""
 
 
 class OnnxFile:

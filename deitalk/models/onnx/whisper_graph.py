@@ -8,7 +8,7 @@ Letters: N pieces, W features of the longest, K features of all pieces together,
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -127,7 +127,7 @@ class WhisperGraph(nn.Module):
         states = [x.reshape(-1, x.shape[-1])[places]]
         back = (pieces.offset[:, None] + width).clamp_max(places.shape[0] - 1)
         unseen = UNSEEN * (1 - pieces.is_inside.to(x.dtype))[:, None, None]
-        for layer in encoder.layers:
+        for layer in cast(Any, encoder.layers):
             rows = layer.self_attn_layer_norm(states[-1])
             rows = states[-1] + _attended(layer.self_attn, rows, back, places, unseen)
             inner = F.gelu(layer.fc1(layer.final_layer_norm(rows)))
@@ -136,12 +136,16 @@ class WhisperGraph(nn.Module):
 
 
 def _pieces(n_frames: Tensor, n_samples: Tensor) -> Pieces:
-    number = torch.arange(((n_frames + STEP - OVERLAP - 1) // STEP).clamp_min(1))
+    count: Any = ((n_frames + STEP - OVERLAP - 1) // STEP).clamp_min(1)
+    number = torch.arange(count)
     first = (number * STEP_FEATURES - 1).clamp_min(0)
     stop = (number * STEP + PIECE).clamp_max(n_frames)
-    last_sample = ((stop * SAMPLE_RATE + FRAME_RATE - 1) // FRAME_RATE + STRIDE).clamp_max(n_samples)
+    last_sample = ((stop * SAMPLE_RATE + FRAME_RATE - 1) // FRAME_RATE + STRIDE).clamp_max(
+        n_samples
+    )
     size = (last_sample - first * STRIDE + STRIDE - 1) // STRIDE
-    is_inside = torch.arange(size.amax()) < size[:, None]
+    longest: Any = size.amax()
+    is_inside = torch.arange(longest) < size[:, None]
     return Pieces(number, first, size, size.cumsum(0) - size, last_sample, is_inside)
 
 
