@@ -220,4 +220,4 @@ class DEITalkFeaturesConfig(Section):
     """Features of speech and emotion of a trained DEITalk model, whose weights are frozen."""
 
     kind: Literal["deitalk"] = "deitalk"
-    model: str = Field(default="default", description="name or folder of the DEITalk model")
+    model: str = Field(default="mel", description="name or folder of the DEITalk model")

@@ -24,7 +24,7 @@ from rig.files.reading import check_file, open_file, read_json
 FORMAT_VERSION = 1
 RIG_FILE = "controls.yaml"
 WEIGHT_FILES = ("model.safetensors", "encoder.safetensors")
-EMBEDDED = ("default", "live", "sdfa", "mesh_head")
+EMBEDDED = ("default", "mel", "live", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
 

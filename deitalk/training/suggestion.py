@@ -1,11 +1,10 @@
 """Fit of `deitalk.pipeline.suggest`; ``python -m deitalk.training.suggestion``.
 
-The truth is what raters named from the voice alone (CREMA-D's ``voice_vote``); readers are neutral.
-Raters' counts are not in the table, so that the emotion asked of the actor stands for those who
-disagreed with the majority: a clip's target is its majority with the share 1 - `ASKED`, and the
-emotion asked with the rest. Ties count for each of their emotions, and clips named otherwise for
-the emotion asked; both only in the fit. Classes, and actors against readers, are weighted alike.
-Multinomial logistic regression with a Gaussian prior.
+The truth is the emotion asked of the actor (CREMA-D); readers are neutral. Where raters named another
+one from the voice alone (``voice_vote``), the share `ASKED` of the target is the emotion asked and
+the rest theirs. Ties count for each of their emotions, and clips without a majority for one of
+`NAMED` with `UNSURE_WEIGHT`. Classes, and actors against readers, are weighted alike. Multinomial
+logistic regression with a Gaussian prior.
 
 Whole speakers are divided as in `deitalk.data.strength_clips`. Training and validation speakers are
 fitted together; their scores are those of five fits, each to four fifths of these speakers and
@@ -46,7 +45,7 @@ from rig.files import atomic_write, new_file
 VOTES = {"N": 0, "A": 1, "H": 2, "S": 3}
 """CREMA-D's letters of a vote, and places in `NAMED`."""
 EMOTIONS_ASKED = {"NEU": 0, "ANG": 1, "HAP": 2, "SAD": 3}
-ASKED, UNSURE_WEIGHT = 0.45, 0.7
+ASKED, UNSURE_WEIGHT = 1.0, 0.7
 """Share of the emotion asked in a target; weight of clips without a majority for one of `NAMED`."""
 PRIOR = 0.07
 """Weight of the squared map."""

@@ -16,7 +16,7 @@ WEIGHTS = {
     "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 "
     "--noise UNHEARD",
     "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
-    "default-attention": "deitalk attention corpus/ --clips 20 -o OUT/attention.png --json",
+    "mel-attention": "deitalk attention corpus/ --clips 20 --model mel -o OUT/attention.png --json",
     "known-words": f"{_PEOPLE}.words --data corpus/ --split test --most 90",
     "motion-energy": f"{_PEOPLE}.motion_energy --animate docs/samples/amiable.flac --seconds 6",
     "phone-evidence": "python -m deitalk.training.phone_evidence --data corpus/ --embedded",
@@ -43,7 +43,7 @@ OTHER = {
     "wav2vec": "deitalk evaluate runs/wav2vec/best --data corpus/ --split test --most 12 "
     "--probes 0",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
-    "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=default "
+    "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=mel "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
     "--set train.workers=0 --set train.evaluate_every=300 --set model.decoder_channels=128 "
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
