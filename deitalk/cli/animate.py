@@ -312,7 +312,7 @@ def _suggested(recording: "Recording") -> str:
         from deitalk.pipeline.suggest import suggest_emotion
 
         found = suggest_emotion(recording)
-    console().note(f"suggested from the voice: {found.label} ({found.probability:.2f})")
+    console().note(f"suggested from the voice: {found.line}")
     return found.label
 
 
