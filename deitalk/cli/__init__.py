@@ -1,6 +1,7 @@
 """The command line: one thin function per verb; heavy imports happen inside them."""
 
 import gc
+import os
 import sys
 from contextlib import suppress
 from typing import Annotated, Any, cast
@@ -139,6 +140,9 @@ def _usage(error: Any) -> str:
     """Message for a wrong command line, with the command that prints its help."""
     problem = str(error.format_message()).rstrip(".")
     command = error.ctx.command_path if error.ctx else "deitalk"
+    files = [word for word in sys.argv[1:] if word.startswith("-") and os.path.isfile(word)]
+    if files:
+        return f"{problem}; write ./{files[0]} for the file of that name"
     return f"{problem}; see `{command} --help`"
 
 

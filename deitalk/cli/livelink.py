@@ -63,14 +63,12 @@ def send(
 
     deitalk livelink send take/curves.json --protocol json --loop
     """
-    from rig.livelink.protocols import with_head
-
-    _rig_id(rig)
+    _check_rig(rig, protocol)
     signals = [_signal(start_signal)] if start_signal else []
     port = checked_port(host, port, protocol, subject, fps)
     curves, audio = _source(source, given.acting, model)
     if protocol == "json":
-        curves = with_head(_as_rig(curves, rig))
+        curves = _as_rig(curves, rig)
     started = [_player(audio), *signals] if play else signals
     _send(curves, protocol, host, port, subject, fps, loop, started)
 
@@ -262,9 +260,23 @@ def _source(source: Path, acting: "Acting", model: str) -> "tuple[RigCurves, Pat
 
 
 def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
+    """Curves of a rig with their head, as a receiver of that rig takes it."""
     from rig.conversion.convert import convert
+    from rig.formats.livelink_csv import with_subject
+    from rig.livelink.protocols import with_head
 
-    return convert(curves, _rig_id(rig))
+    curves = convert(curves, _rig_id(rig))
+    return with_subject(curves) if rig == "raw" else with_head(curves)
+
+
+def _check_rig(rig: str, protocol: str) -> None:
+    """Raise for an unknown rig, and for one that the protocol does not send."""
+    _rig_id(rig)
+    if rig == "raw" and protocol != "json":
+        raise DeitalkError(
+            f"--rig raw does not apply to --protocol {protocol}, which sends ARKit's values; "
+            "use --protocol json, or leave it out"
+        )
 
 
 def _rig_id(rig: str) -> str:

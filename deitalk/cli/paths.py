@@ -32,6 +32,7 @@ def reserve_file(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
     """
     from rig.files import check_file, remove_leftovers
 
+    _refuse_stdout(path)
     check_file(path, force=force, inputs=inputs)
     _claim(path)
     remove_leftovers(Path(os.path.realpath(path)).parent, Path(os.path.realpath(path)).name)
@@ -47,6 +48,7 @@ def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -
     """
     from rig.files import check_folder, recover
 
+    _refuse_stdout(path)
     _claim(path)
     recover(path)
     check_folder(path, kind=kind, force=force, inputs=inputs)
@@ -67,6 +69,11 @@ def reserve_mesh(out: str, *, force: bool, inputs: Inputs = ()) -> None:
         reserve_folder(Path(out), kind="frames", force=force, inputs=inputs)
     else:
         reserve_file(Path(out), force=force, inputs=inputs)
+
+
+def _refuse_stdout(path: Path) -> None:
+    if str(path) == "-":
+        raise DeitalkError("-o -: nothing is written to stdout; name a file or a folder")
 
 
 def _claim(path: Path) -> None:

@@ -21,7 +21,7 @@ def preview(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help=".mp4 or .html; by default both, beside the source."),
+        typer.Option("--out", "-o", help=".html, or .mp4 for a video; preview.html in the take."),
     ] = None,
     identity: Identity = "0",
     view: Annotated[
@@ -34,7 +34,7 @@ def preview(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Render a review video of a take, or an interactive page.
+    """Write an interactive page of a take, or a review video.
 
     Examples
     --------
@@ -53,33 +53,29 @@ def preview(
     others = versus or []
     shown = [load_source(path) for path in others]
     shown = [load_source(source, audio, phones), *shown]
-    targets = [out] if out else _beside(source)[: None if shown[0].is_board else 1]
+    target = out or _beside(source)
     if shown[0].is_board:
-        for note in check_needs(targets, backend):  # type: ignore[arg-type]
+        for note in check_needs([target], backend):  # type: ignore[arg-type]
             console().note(note)
-    for target in targets:
-        reserve_file(target, force=force, inputs=(source, audio, phones, *others))
+    reserve_file(target, force=force, inputs=(source, audio, phones, *others))
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
-    for target in targets:
-        if target.suffix.lower() in PAGES:
-            render_page(shown, target, identity=identity, force=force)
-        else:
-            with bar("drawing") as progress:
-                render_video(
-                    shown[0], target, identity=identity, second_view=view,
-                    backend=backend,  # type: ignore[arg-type]
-                    force=force, progress=progress,
-                )  # fmt: skip
-        _record(source, target)
-        console().print(str(target))
+    if target.suffix.lower() in PAGES:
+        render_page(shown, target, identity=identity, force=force)
+    else:
+        with bar("drawing") as progress:
+            render_video(
+                shown[0], target, identity=identity, second_view=view,
+                backend=backend,  # type: ignore[arg-type]
+                force=force, progress=progress,
+            )  # fmt: skip
+    _record(source, target)
+    console().print(str(target))
 
 
-def _beside(source: Path) -> list[Path]:
-    """Default targets of page and video: in a take folder, or beside a file of curves."""
-    if source.is_dir():
-        return [source / "preview.html", source / "preview.mp4"]
-    return [source.with_name(source.stem + suffix) for suffix in (".html", ".mp4")]
+def _beside(source: Path) -> Path:
+    """Default page: in a take folder, or beside a file of curves."""
+    return source / "preview.html" if source.is_dir() else source.with_name(source.stem + ".html")
 
 
 def _record(source: Path, target: Path) -> None:

@@ -102,6 +102,4 @@ def _commands() -> Any:
     try:
         return import_module("api.commands")
     except ModuleNotFoundError as error:
-        raise MissingError(
-            f"the service needs {error.name}; install it with pip install 'deitalk[api]'"
-        ) from None
+        raise MissingError(f"the service needs {error.name}; install the package again") from None

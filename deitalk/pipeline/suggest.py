@@ -65,6 +65,15 @@ class Suggestion:
         """Probability of the label."""
         return self.probabilities[self.label]
 
+    @property
+    def line(self) -> str:
+        """The label with its probability, or the two most probable ones where none is suggested."""
+        best, second = sorted(NAMED, key=lambda name: -self.probabilities[name])[:2]
+        if best == self.label:
+            return f"{self.label} ({self.probability:.2f})"
+        both = ", ".join(f"{name} {self.probabilities[name]:.2f}" for name in (best, second))
+        return f"unsure: {both}; taken as {self.label}"
+
 
 class EmotionMap:
     """Numbers of a voice to probabilities: multinomial logistic regression.

@@ -128,6 +128,12 @@ def cues_to_curves(given: Sequence[Cue], fps: float = 30.0) -> RigCurves:
     return posed(uniform_filter1d(amounts, size, axis=0, mode="nearest"), fps)
 
 
+def weights_to_curves(shares: Float32, fps: float) -> RigCurves:
+    """Return board curves of `weights` of the Oculus visemes [shape=(T, 15), rows sum to 1]."""
+    check_clip(len(shares), len(default_controls()))
+    return posed(shares @ _poses(OCULUS), fps)
+
+
 def gestures(curves: RigCurves) -> Float32:
     """Return the ten gestures [shape=(T, 10), range 0 to 1]; controls that are absent rest."""
     board = curves.reorder(default_controls())

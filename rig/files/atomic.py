@@ -1,5 +1,6 @@
 """Atomic writing of one file: written beside its place, then renamed."""
 
+import errno
 import hashlib
 import os
 import re
@@ -60,6 +61,10 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
             with suppress(OSError):
                 shutil.copymode(path, beside)
         os.replace(beside, path)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:  # numpy and others do not name the file
+            error.filename = str(path)
+        raise
     finally:
         with suppress(OSError):
             beside.unlink(missing_ok=True)

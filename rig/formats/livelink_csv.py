@@ -234,22 +234,21 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 
 def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
     """Write ARKit shapes, or raw curves as a MetaHuman subject has them, from a time of day (s)."""
-    values, names = curves.values, curves.names
     if curves.control_set == RAW_ID:
-        names = (*names, *SUBJECT_REST)
-        values = np.column_stack([values, _subject_rest(curves)])
+        curves = with_subject(curves)
     ticks = frame_ticks(len(curves), curves.fps) + round(start * TICKS_PER_SECOND)
-    write_take(path, LiveLinkTake(ticks, values, names))
+    write_take(path, LiveLinkTake(ticks, curves.values, curves.names))
 
 
-def _subject_rest(curves: RigCurves) -> Float32:
-    """Values [shape=(T, 9)] of `SUBJECT_REST`."""
+def with_subject(curves: RigCurves) -> RigCurves:
+    """Raw curves with `SUBJECT_REST` as columns: switch and turn of the head, and constants."""
     rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
     if curves.head is not None:
         rest[:, 0] = 1
         rest[:, 1:7] = curves.head[:, _HEAD_COLUMNS] * _HEAD_SIGNS
     rest[:, 7:] = 1
-    return rest
+    values = np.column_stack([curves.values, rest])
+    return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
 
 
 def _head_track(columns: Mapping[str, Float64]) -> Float32 | None:

@@ -5,6 +5,7 @@ Times are seconds with two decimals, as Rhubarb writes them.
 
 import itertools
 import json
+import wave
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,16 @@ from rig.errors import FormatError, quoted
 from rig.files.reading import check_expansion, check_file, read_text
 from rig.formats.curves_json import read_object
 from rig.limits import CUES_BYTES, SECONDS
+
+
+def _duration(curves: RigCurves, sound: str) -> float:
+    """Seconds of the sound where it can be read, which the last frame may pass; of the curves else."""
+    try:
+        with wave.open(sound) as file:
+            seconds = file.getnframes() / file.getframerate()
+    except (OSError, EOFError, wave.Error):
+        return curves.duration
+    return seconds if abs(seconds - curves.duration) < 1 / curves.fps else curves.duration
 
 
 def write_tsv(path: Path, curves: RigCurves) -> None:
@@ -40,13 +51,14 @@ def read_tsv(path: Path, controls: ControlSet | None = None, fps: float | None =
 
 def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
     """Write ``metadata`` with the path of the sound, and ``mouthCues``."""
+    seconds = _duration(curves, sound)
     rows = [
-        f'    {{ "start": {cue.start:.2f}, "end": {cue.end:.2f}, "value": "{cue.shape}" }}'
+        f'    {{ "start": {cue.start:.2f}, "end": {min(cue.end, seconds):.2f}, "value": "{cue.shape}" }}'
         for cue in cues(curves)
     ]
     text = (
         f'{{\n  "metadata": {{\n    "soundFile": {json.dumps(sound)},\n'
-        f'    "duration": {curves.duration:.2f}\n  }},\n  "mouthCues": [\n'
+        f'    "duration": {seconds:.2f}\n  }},\n  "mouthCues": [\n'
         + ",\n".join(rows)
         + "\n  ]\n}\n"
     )
@@ -74,14 +86,15 @@ def write_xml(path: Path, curves: RigCurves, sound: str = "") -> None:
     """Write ``rhubarbResult`` with the path of the sound."""
     from xml.sax.saxutils import escape  # imports a client of HTTP
 
+    seconds = _duration(curves, sound)
     lines = [
-        f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
+        f'    <mouthCue start="{cue.start:.2f}" end="{min(cue.end, seconds):.2f}">{cue.shape}</mouthCue>\n'
         for cue in cues(curves)
     ]
     text = (
         '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
         f"    <soundFile>{escape(sound)}</soundFile>\n"
-        f"    <duration>{curves.duration:.2f}</duration>\n"
+        f"    <duration>{seconds:.2f}</duration>\n"
         "  </metadata>\n  <mouthCues>\n" + "".join(lines) + "  </mouthCues>\n</rhubarbResult>\n"
     )
     path.write_text(text, encoding="utf-8", newline="\n")

@@ -194,8 +194,9 @@ FORMATS: tuple[Format, ...] = (
         "visemes",
         (".visemes.json",),
         "weights of the 15 Oculus visemes",
-        write=viseme_json.write,
-        control_set=DEFAULT_ID,
+        viseme_json.read,
+        viseme_json.write,
+        DEFAULT_ID,
     ),
     Format(
         "rhubarb-json",

@@ -24,6 +24,7 @@ from rig.conversion.arkit import (
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
+from rig.formats.livelink_csv import SUBJECT_REST
 from rig.livelink import osc
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
 
@@ -120,9 +121,9 @@ def with_head(curves: RigCurves) -> RigCurves:
 
 
 def rest_values(control_set: str, names: Sequence[str]) -> Float32:
-    """Values of a face at rest; 0 for names that the control set has not."""
+    """Values of a face at rest; 0 for names that the control set has not, but for constants."""
     controls = known_controls(control_set)
-    values = np.zeros(len(names), np.float32)
+    values = np.array([name in SUBJECT_REST[-2:] for name in names], np.float32)
     if controls is not None:
         known = [i for i, name in enumerate(names) if name in controls.names]
         values[known] = controls.rest[controls.indices([names[i] for i in known])]

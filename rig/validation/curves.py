@@ -21,6 +21,7 @@ from rig.validation.motion import motion
 CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb")
 OTHER_CSV = ("intensity.csv",)
 """Tables of a take that hold no curves."""
+FRAME_RATE = 30.0
 SHORT = 0.6
 """Seconds of a Live Link CSV that may hold its last frame to be read at its rate."""
 WRINKLES = tuple(f"{PREFIX}noseWrinkleUpper{side}" for side in "LR")
@@ -103,6 +104,10 @@ def _file(path: Path) -> list[Finding]:
                 return [Finding("note", path, check(path))]
         if path.suffix.lower() == ".csv" and is_live_link(path):
             return check_live_link(path)
+        if path.suffix.lower() == ".txt":  # EmoFace's hold no rate
+            curves = read_curves(path, fps=FRAME_RATE, control_set=None)
+            note = Finding("note", path, f"holds no frame rate: checked at {FRAME_RATE:g} fps")
+            return [note, *_curves(path, curves)]
         return _curves(path, read_curves(path, control_set=None))
     except RigError as error:
         return [Finding("error", path, str(error))]

@@ -1,5 +1,6 @@
 """Checks of files that are only written: JSON for Unreal, visemes, GLB."""
 
+import ast
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 
 from rig.conversion.raw import raw_controls
 from rig.errors import FormatError, quoted
+from rig.files.reading import read_text
 from rig.formats.curves_json import read_object
+from rig.limits import CURVES_BYTES
 
 Note = str
 
@@ -49,24 +52,38 @@ def check_visemes(path: Path) -> Note:
     Raises
     ------
     FormatError
-        If rows differ in length, or a row does not sum to 1.
+        As `rig.formats.viseme_json.read`.
     """
-    from rig.formats.viseme_json import SCHEMA
+    from rig.formats.viseme_json import read
 
-    data = read_object(path, SCHEMA)
-    names, fps = data.get("names"), data.get("fps")
-    if not (isinstance(names, list) and isinstance(fps, (int, float)) and fps > 0):
-        raise FormatError(f"{path} needs 'names' and an 'fps' above 0")
+    curves = read(path)
+    return f"{len(curves)} frames at {curves.fps:g} fps of visemes"
+
+
+def check_maya(path: Path) -> Note:
+    """Return a summary of a ``*.maya.py``, which is parsed and not run.
+
+    Raises
+    ------
+    FormatError
+        If it is no script of ours: its rate or a curve is missing or damaged.
+    """
+    text = read_text(path, CURVES_BYTES)
     try:
-        values = np.array(data.get("values"), dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.ndim != 2 or values.shape[1] != len(names):
-        raise FormatError(f"{path}: 'values' must be rows of {len(names)} numbers")
-    off = np.abs(values.sum(axis=1) - 1) > 0.01
-    if off.any():
-        raise FormatError(f"{path}: data row {int(np.argmax(off)) + 1} does not sum to 1")
-    return f"{len(values)} frames at {fps:g} fps of {len(names)} visemes"
+        given = {
+            node.targets[0].id: ast.literal_eval(node.value)
+            for node in ast.parse(text).body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and node.targets[0].id in ("FPS", "CURVES")
+        }
+        lengths = {len(values) for values in given["CURVES"].values()}
+        rate, frames = float(given["FPS"]), max(lengths)
+    except (SyntaxError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise FormatError(f"{path} is no script of deitalk: FPS and CURVES are needed") from None
+    if lengths - {1, frames}:
+        raise FormatError(f"{path}: its curves have {sorted(lengths)} values; 1 or {frames}")
+    return f"{frames} frames at {rate:g} fps of {len(given['CURVES'])} channels; for Maya"
 
 
 def check_glb(path: Path) -> Note:
@@ -96,6 +113,7 @@ def check_glb(path: Path) -> Note:
 CHECKS: dict[str, Callable[[Path], Note]] = {
     ".unreal.json": check_unreal_json,
     ".visemes.json": check_visemes,
+    ".maya.py": check_maya,
     ".glb": check_glb,
 }
 """Check by the end of the file name."""
