@@ -26,8 +26,8 @@ STUDIO_PATH = "/"
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", STUDIO_PATH)
 """Answered without a key: they tell nothing about anyone's work."""
 PROBE_PATHS = ("/healthz", "/readyz")
-"""Answered without a count. Balancers and the container itself get these by the service's address, which is none of `hosts`;
-another site's page has a name."""
+"""Answered without a count. Balancers and the container itself get these by the service's
+address, which is none of `hosts`; another site's page has a name."""
 MOST_HEADERS = 100
 HEADER_BYTES = 16 * 1024
 SUBPROTOCOL, KEY_SUBPROTOCOL = "deitalk", "deitalk.key."

@@ -38,7 +38,7 @@ async def live(websocket: WebSocket) -> None:
 
 
 async def _serve(websocket: WebSocket, service: Service) -> None:
-    """Close the connection after the session, within `SEND_SECONDS`, with a problem if it has one."""
+    """Serve a session, and close the connection within `SEND_SECONDS`."""
     problem = None
     try:
         async with service.stage.folder() as folder:

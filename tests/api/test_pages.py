@@ -102,3 +102,17 @@ def test_pages_without_a_key_are_counted_by_address_and_probes_are_not():
         assert statuses[0] == 400 or path != "/"
         assert statuses[-1] == 429 and other == 400, path
     assert set(asyncio.run(ask("/healthz"))) == {400}
+
+
+def test_drawings_that_wait_end_with_the_server(pages):
+    async def ask():
+        asked = [asyncio.create_task(pages.page(str(head))) for head in range(5)]
+        async with asyncio.timeout(10):
+            while not pages.worker.at_work:
+                await asyncio.sleep(0.001)
+        pages.stop()
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    ended = asyncio.run(ask())
+    assert all(isinstance(error, asyncio.CancelledError) for error in ended)
+    assert len(pages.worker.drawn) == 1
