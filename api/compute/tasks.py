@@ -261,6 +261,15 @@ def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
     return {"file": str(out), "facts": {"frames": len(performance.curves)}}
 
 
+def _studio(order: Order, limits: Limits, progress: Progress) -> Answer:
+    """The page of the studio with a head."""
+    from deitalk.preview.page import render_studio
+
+    out = Path(OUT) / "studio.html"
+    out.write_text(render_studio(order["options"]["head"]), encoding="utf-8")
+    return {"file": str(out)}
+
+
 TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "animation": _animation,
     "mesh": _mesh,
@@ -269,4 +278,5 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "validation": _validation,
     "live": _live,
     "voices": perform_voices,
+    "studio": _studio,
 }

@@ -31,7 +31,7 @@ class Voices:
             if kind == "open":
                 opened[voice] = self._open(voice, action["model"], action["fields"], limits)
             elif voice not in self.places:
-                continue
+                at += action.get("count", 0)
             elif kind == "feed":
                 animator, place = self._place(voice)
                 animator.take(samples[at : at + action["count"]], stream=place)

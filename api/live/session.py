@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from api.compute.order import ACTING, RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
+from api.guard.protocol import SEND_SECONDS
 from api.live.causal import CausalStream
 from api.live.messages import Start, acting_of, frames_message
 from api.live.stream import (
@@ -37,8 +38,6 @@ from rig.curves import HEAD
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0
 """Time without a message after which a session ends."""
-SEND_SECONDS = 10.0
-"""Time in which the client must take a message."""
 TEXT_CHARACTERS = 4096
 TEXTS_PER_SECOND, TEXTS_AT_ONCE = 20.0, 40.0
 SHORTEST_SAMPLES = 1600
@@ -70,6 +69,8 @@ class Session:
         ------
         Problem
             For a message that is refused.
+        WebSocketDisconnect
+            If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
         content = _json(await self._text(START_SECONDS))
         content.pop("type", None)
@@ -241,7 +242,7 @@ class Session:
         try:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
-            raise Problem(400, "the client does not read its frames", "client_slow") from None
+            raise WebSocketDisconnect(1008, "the client does not read its frames") from None
 
 
 def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict[str, Any]:

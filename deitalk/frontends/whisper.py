@@ -10,6 +10,7 @@ the names and numbers of its weights are those of ``transformers``' ``WhisperEnc
 B batch, S samples, M mel frames at 100 Hz, K = M / 2 features at 50 Hz, D width.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,19 +19,21 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.mel_filters import mel_filters
+from deitalk.audio.log_mel import (
+    DYNAMIC_RANGE,
+    HOP,
+    N_FFT,
+    SILENCE,
+    frames_of,
+    hann_window,
+    log_mel_filters,
+    loudest,
+)
 from deitalk.config import WhisperConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.strided import StridedFrontend
 from rig.arrays import Float32
 
-N_FFT, HOP = 400, 160
-"""Samples of a spectrum (25 ms) and between two."""
-DYNAMIC_RANGE = 8.0
-"""Mel power is at most so many decades below the clip's loudest."""
-SILENCE = 1e-10
-SURVEY_FRAMES = 6000
-"""Mel frames whose peak is found at once."""
 MOMENTUM = 0.01
 """Of the running mean and variance, where the encoder learns."""
 LARGEST = 6.0
@@ -52,14 +55,13 @@ class LogMel(nn.Module):
 
     def __init__(self, n_mels: int) -> None:
         super().__init__()
-        filters = mel_filters(SAMPLE_RATE, N_FFT, n_mels, 0.0, SAMPLE_RATE / 2, equal_area=True)
-        self.register_buffer("filters", torch.from_numpy(filters.T.copy()), persistent=False)
-        window = torch.hann_window(N_FFT, device="cpu")
-        self.register_buffer("window", window, persistent=False)
+        filters = torch.from_numpy(log_mel_filters(n_mels).T.copy())
+        self.register_buffer("filters", filters, persistent=False)
+        self.register_buffer("window", torch.from_numpy(hann_window()), persistent=False)
 
     def decades(self, waveform: Tensor) -> Tensor:
         """Logarithm to base 10 (B, M, F) of the mel power of (B, S); frame j is at sample 160 j."""
-        n_frames = -(-waveform.shape[1] // (2 * HOP)) * 2
+        n_frames = frames_of(waveform.shape[1])
         after = (n_frames - 1) * HOP + N_FFT // 2 - waveform.shape[1]
         padded = F.pad(waveform, (N_FFT // 2, max(after, 0)))
         pieces = padded.unfold(1, N_FFT, HOP)[:, :n_frames]  # (B, M, 400)
@@ -67,28 +69,22 @@ class LogMel(nn.Module):
         power = torch.view_as_real(spectra).square().sum(dim=-1) @ self.filters
         return power.clamp(min=SILENCE).log10()
 
-    def peak(self, waveform: Tensor) -> Tensor:
-        """Largest value of `decades` of a clip (S,), in bounded memory."""
-        size = SURVEY_FRAMES * HOP
-        starts = range(0, max(len(waveform), 1), size)
-        device = self.window.device
-        pieces = (waveform[max(a - N_FFT, 0) : a + size + N_FFT].to(device) for a in starts)
-        return torch.stack([self.decades(piece.unsqueeze(0)).amax() for piece in pieces]).amax()
-
-    def forward(self, waveform: Tensor, peak: Tensor | None = None) -> Tensor:
+    def forward(self, waveform: Tensor, peak: float | None = None) -> Tensor:
         """Spectrogram (B, F, M) of (B, S).
 
         Parameters
         ----------
         waveform : Tensor [shape=(B, S)]
             16 kHz.
-        peak : Tensor or None
-            `peak` of the whole clip; None: each row is a whole clip.
+        peak : float or None
+            `loudest` of the whole clip; None: each row is a whole clip.
         """
         decades = self.decades(waveform)
         if peak is None:
-            peak = decades.amax(dim=(1, 2), keepdim=True)
-        return ((torch.maximum(decades, peak - DYNAMIC_RANGE) + 4) / 4).transpose(1, 2)
+            decades = torch.maximum(decades, decades.amax(dim=(1, 2), keepdim=True) - DYNAMIC_RANGE)
+        else:
+            decades = decades.clamp(min=peak - DYNAMIC_RANGE)
+        return ((decades + 4) / 4).transpose(1, 2)
 
 
 class Attention(nn.Module):
@@ -209,32 +205,48 @@ class WhisperFrontend(StridedFrontend):
             )
         return frontend
 
-    def survey(self, waveform: Tensor, gain: float) -> Tensor:
+    def survey(self, waveform: Tensor, gain: float) -> float:
         """Loudest mel power of the whole clip, from which the floor of every piece follows."""
-        return self.mel.peak(waveform) + 2 * torch.tensor(gain).log10()
+        return loudest(waveform.cpu().numpy(), self.config.n_mels) + 2 * math.log10(gain)
 
-    def features(self, waveform: Tensor, context: Tensor | None = None) -> Tensor:
+    def features(self, waveform: Tensor, context: float | None = None) -> Tensor:
         """Features (B, K, D) at 50 Hz of (B, S), at most 30 s."""
         states = self.encoder(self.mel(waveform, context))
-        weights = self.mix.softmax(dim=0)
-        mixed = torch.zeros_like(states[0])
-        for weight, norm, place in zip(weights, self.norms, self.config.layers, strict=True):
-            scaled = norm(states[place].transpose(1, 2)).transpose(1, 2)
-            mixed = mixed + weight * scaled.clamp(-LARGEST, LARGEST)
-        return mixed
+        return self.mixed([state.flatten(0, 1) for state in states]).view_as(states[0])
+
+    def mixed(self, states: Sequence[Tensor]) -> Tensor:
+        """Standardised and mixed features (N, D) from the states (N, D) of all layers."""
+        scaled = [
+            weight * _standardised(states[place], norm).clamp(-LARGEST, LARGEST)
+            for weight, norm, place in zip(
+                self.mix.softmax(dim=0), self.norms, self.config.layers, strict=True
+            )
+        ]
+        return torch.stack(scaled).sum(dim=0)
 
     @torch.no_grad()
     def measure(self, sounds: Sequence[Float32]) -> None:
         """Take mean and variance of the states from recordings at the normal level [shape=(S,)]."""
-        for norm in self.norms:
+        norms = [norm for norm in self.norms if isinstance(norm, nn.BatchNorm1d)]
+        for norm in norms:
             norm.reset_running_stats()
             norm.momentum = None  # the mean of all
         self.norms.train()
         for sound in sounds:
             self.features(torch.from_numpy(sound[: 10 * SAMPLE_RATE]).unsqueeze(0))
-        for norm in self.norms:
+        for norm in norms:
             norm.momentum = MOMENTUM
         self.norms.eval()
+
+
+def _standardised(rows: Tensor, norm: nn.Module) -> Tensor:
+    """Rows (N, D) of mean 0 and deviation 1; in training those of the batch."""
+    assert isinstance(norm, nn.BatchNorm1d)
+    mean, variance = norm.running_mean, norm.running_var
+    if norm.training or mean is None or variance is None:
+        out: Tensor = norm(rows)
+        return out
+    return (rows - mean) * (variance + norm.eps).rsqrt()
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -253,20 +265,24 @@ def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor
     CheckpointError
         Not there, not reachable, without safetensors, or of another shape.
     """
+    from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     path = Path(name) / "model.safetensors"
     if not path.is_file():
-        from transformers.utils import cached_file
+        from transformers.utils.hub import cached_file
 
         try:
-            path = Path(cached_file(name, "model.safetensors"))
+            path = Path(str(cached_file(name, "model.safetensors")))
         except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise CheckpointError(
                 f"{name}: no Whisper checkpoint ({reason}); name a folder or a model of the hub"
             ) from None
-    given = load_file(path)
+    try:
+        given = load_file(path)
+    except SafetensorError as error:
+        raise CheckpointError(f"{path}: damaged ({error}); fetch or save it again") from None
     found = {}
     for key, value in wanted.items():
         names = (key, f"encoder.{key}", f"model.encoder.{key}")

@@ -1,25 +1,34 @@
 """Frames while somebody speaks: their order, their times, changes, and hostile clients."""
 
+import asyncio
 import json
+import threading
 import time
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+import uvicorn
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from api.compute.pool import Stage
 from api.errors import Problem
+from api.guard import protocol
 from api.live.messages import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
+from api.routes import live as live_route
+from api.serving import server_config
+from api.settings import Settings
 from deitalk import LiveAnimator, animate
 from deitalk.acting import Acting
 from deitalk.config import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
-from tests.api.server import serving
+from tests.api.server import free_port, serving
 from tests.deitalk.live.conftest import TINY
 
 RATE = 16000
@@ -330,3 +339,63 @@ def test_changes_reach_a_causal_model(causal_server):
         while (message := json.loads(session.recv(60)))["type"] == "frames":
             frames += message["frames"]
     assert message == {"type": "end", "frames": 60} and len(frames) == 60
+
+
+def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
+    """Neither its connection nor the application's task outlasts the time for a message."""
+    monkeypatch.setattr(protocol, "SEND_SECONDS", 0.5)
+    ended = threading.Event()
+
+    async def app(scope, receive, send):
+        assert scope["type"] == "websocket"
+        await send({"type": "websocket.accept"})
+        try:
+            while True:
+                await send({"type": "websocket.send", "bytes": bytes(1 << 16)})
+        except OSError:  # uvicorn's ClientDisconnected
+            ended.set()
+
+    port = free_port()
+    config = server_config(app, Settings(port=port))
+    config.lifespan = "off"
+    running = uvicorn.Server(config)
+    thread = threading.Thread(target=running.run)
+    thread.start()
+    try:
+        while not running.started:
+            time.sleep(0.01)
+        with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, max_queue=1) as session:
+            assert ended.wait(10)
+            with pytest.raises(ConnectionClosed):
+                while True:
+                    session.recv(10)
+    finally:
+        running.should_exit = True
+        thread.join()
+
+
+class StuckSocket:
+    """A WebSocket whose client takes nothing, and whose transport waits for it for ever."""
+
+    async def receive(self):
+        return {"type": "websocket.receive", "text": '{"type": "start"}'}
+
+    async def send_text(self, text):
+        await asyncio.Event().wait()
+
+    async def close(self, code=1000):
+        await asyncio.Event().wait()
+
+
+@pytest.mark.parametrize("fault", [None, Problem(413, "too long"), ValueError()])
+def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fault):
+    async def run(self):
+        if fault is not None:
+            raise fault
+
+    monkeypatch.setattr(live_route, "SEND_SECONDS", 0.05)
+    monkeypatch.setattr(live_route.Session, "run", run)
+    stage = Stage(tmp_path)
+    service = SimpleNamespace(stage=stage)
+    asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), service), 5))
+    stage.close()

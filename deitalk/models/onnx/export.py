@@ -13,11 +13,13 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
+from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.causal.in_torch import grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.causal_graph import OUTPUTS, CausalGraph, first_states
 from deitalk.models.onnx.graph import CurveGraph, GraphOutput
 from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
+from deitalk.models.onnx.whisper_graph import WHOLE, parts_of
 from rig.files import atomic_write
 
 OPSET = 17
@@ -32,7 +34,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
     Parameters
     ----------
     model : DEITalk
-        With a mel or causal frontend and an intensity module.
+        With a Whisper, mel or causal frontend and an intensity module.
     path : Path
         Replaced if it exists.
     name : str
@@ -57,7 +59,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
             texts = _trace_causal(model, beside)
         else:
             texts = {"schema": SCHEMA, "level_db": json.dumps(LEVEL_DB)}
-            _trace(CurveGraph(model).eval(), beside, len(model.actors))
+            texts |= _trace(CurveGraph(model).eval(), beside)
         content = onnx.load(str(beside))
         for key, value in (metadata(model, name) | texts).items():
             content.metadata_props.add(key=key, value=value)
@@ -93,18 +95,25 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
     return texts | {"rig": rig_text(controls)}
 
 
-def _trace(graph: CurveGraph, path: Path, n_actors: int) -> None:
-    """Write the graph for any length of its inputs."""
-    n_frames = FRAME_RATE
-    example = (
+def _trace(graph: CurveGraph, path: Path) -> dict[str, str]:
+    """Write the graph for any length of its inputs; return metadata of its frontend."""
+    n_frames, model = FRAME_RATE, graph.model
+    example: tuple[torch.Tensor, ...] = (
         torch.zeros(SAMPLE_RATE),
-        torch.full((n_frames, len(EMOTIONS) + n_actors), 0.2),
+        torch.full((n_frames, len(EMOTIONS) + len(model.actors)), 0.2),
         torch.arange(n_frames) / n_frames,
     )
     inputs = {"sound": "S", "emotion": "T", "place": "T"}
     axes = {name: {0: size} for name, size in inputs.items()}
     axes |= {name: {0: "T"} for name in GraphOutput._fields}
-    _export(graph, example, path, list(inputs), list(GraphOutput._fields), axes)
+    names, texts = list(inputs), {}
+    if isinstance(model.frontend, WhisperFrontend):
+        example, names = (*example, torch.tensor(WHOLE)), [*names, "peak"]
+        around = model.decoder.margin + (model.config.saliency_frames or 0) // 2
+        parts = parts_of(around)._asdict() | {"n_mels": model.frontend.config.n_mels}
+        texts = {"parts": json.dumps(parts)}
+    _export(graph, example, path, names, list(GraphOutput._fields), axes)
+    return texts
 
 
 def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:

@@ -16,10 +16,12 @@ from torch.nn import functional as F
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import CheckpointError
 from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
+from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.network import neutral_weights
 from deitalk.models.onnx.mel_graph import MelGraph
+from deitalk.models.onnx.whisper_graph import WhisperGraph
 
 BLOCK = 64
 """Frames whose attention is applied in one product."""
@@ -127,7 +129,7 @@ class CurveGraph(nn.Module):
     Parameters
     ----------
     model : DEITalk
-        With a mel frontend and an intensity module.
+        With a Whisper or mel frontend and an intensity module.
 
     Raises
     ------
@@ -144,17 +146,21 @@ class CurveGraph(nn.Module):
         self.frontend: nn.Module
         if isinstance(model.frontend, MelFrontend) and model.config.intensity:
             self.frontend = MelFrontendGraph(model.frontend)
+        elif isinstance(model.frontend, WhisperFrontend) and model.config.intensity:
+            self.frontend = WhisperGraph(model.frontend)
         else:
             raise CheckpointError(
-                "only models with a mel frontend and an intensity module are exported, such as "
-                "default and live"
+                "only models with a Whisper or mel frontend and an intensity module are exported, "
+                "such as default and live"
             )
         self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
         size = model.frontend.output_size
         exponent = torch.arange(0, size, 2, dtype=torch.float32) / size
         self.register_buffer("frequency", 20 * math.pi * 10000.0**-exponent)
 
-    def forward(self, sound: Tensor, emotion: Tensor, place: Tensor) -> GraphOutput:
+    def forward(
+        self, sound: Tensor, emotion: Tensor, place: Tensor, peak: Tensor | None = None
+    ) -> GraphOutput:
         """Predict a clip.
 
         Parameters
@@ -165,8 +171,11 @@ class CurveGraph(nn.Module):
             Weights of the styles.
         place : Tensor [shape=(T,), range 0 to 1]
             Frame i of T as i / T.
+        peak : Tensor [shape=()]
+            Of a Whisper frontend: see `WhisperGraph.forward`.
         """
-        speech = self.frontend(sound, emotion.shape[0])
+        known = () if peak is None else (peak,)
+        speech = self.frontend(sound, emotion.shape[0], *known)
         intensity = self._intensity(speech)
         placed = speech
         if self.model.config.positions:

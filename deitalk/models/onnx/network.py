@@ -1,6 +1,7 @@
 """Curve models in ONNX Runtime, without torch."""
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.log_mel import SILENCE, loudest
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import parse_controls
 from deitalk.errors import CheckpointError, MissingError
@@ -23,9 +25,9 @@ NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
 """Frames of a recording that are predicted at once, and frames on either side of them that are
-predicted as context only (96 s). The memory of a recurrent network is long: with this context,
-parts and whole differ by at most 0.02 of a range. Both are multiples of 3, so that parts begin on a
-sample."""
+predicted as context only (96 s), unless the file says otherwise. The memory of a recurrent network
+is long: with this context, parts and whole differ by at most 0.02 of a range. Both are multiples of
+3, so that parts begin on a sample."""
 
 
 class OnnxFile:
@@ -75,11 +77,24 @@ class OnnxNetwork:
     Parameters
     ----------
     file : OnnxFile
+
+    Raises
+    ------
+    CheckpointError
+        If its metadata are damaged.
     """
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
         self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
+        try:
+            parts = json.loads(self.metadata.get("parts", "{}"))
+            self._n_mels: int | None = parts.get("n_mels")
+            self._part: int = parts.get("frames", PART_FRAMES)
+            self._before: int = parts.get("before", CONTEXT_FRAMES)
+            self._after: int = parts.get("after", CONTEXT_FRAMES)
+        except (AttributeError, ValueError):
+            raise damaged(self.path) from None
 
     def read(
         self,
@@ -93,15 +108,16 @@ class OnnxNetwork:
         total = len(weights)
         styles = styles_of(weights, self.actors, actor)
         place = np.arange(total, dtype=np.float32) / np.float32(total)
+        known = self._known(sound, total, gain)
         parts = []
-        for start in range(0, total, PART_FRAMES):
-            stop = min(start + PART_FRAMES, total)
-            first, last = max(start - CONTEXT_FRAMES, 0), min(stop + CONTEXT_FRAMES, total)
+        for start in range(0, total, self._part):
+            stop = min(start + self._part, total)
+            first, last = max(start - self._before, 0), min(stop + self._after, total)
             begin, end = (frame * SAMPLE_RATE // FRAME_RATE for frame in (first, last))
             piece = sound[begin:] if last == total else sound[begin:end]
             piece = piece * np.float32(gain)
             inputs = {"sound": piece, "emotion": styles[first:last], "place": place[first:last]}
-            rows = self._session.run(None, inputs)
+            rows = self._session.run(None, inputs | known)
             parts.append([row[start - first : stop - first] for row in rows])
             progress(stop / total)
         curves, neutral, saliency, strength = (
@@ -109,6 +125,15 @@ class OnnxNetwork:
         )
         emotional = neutral if is_neutral(weights) else curves
         return Reading(neutral, emotional, Tracks(saliency, strength))
+
+    def _known(self, sound: Float32, n_frames: int, gain: float) -> dict[str, Float32]:
+        """What a part must know of the whole recording: of a Whisper frontend, its peak."""
+        if self._n_mels is None:
+            return {}
+        peak = math.log10(SILENCE)
+        if n_frames > self._part:
+            peak = loudest(sound, self._n_mels) + 2 * math.log10(gain)
+        return {"peak": np.array(peak, np.float32)}
 
 
 def _session(path: Path, threads: int) -> Any:

@@ -8,8 +8,9 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import Config, load_config
+from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
 from deitalk.data.windows import WindowBatches, load_material
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
@@ -119,3 +120,88 @@ def test_variants_share_the_features(data, source, tmp_path, monkeypatch):
         overrides=overrides,
     )  # fmt: skip
     assert set(table) == {"full", "still"} and len(made) == 1
+
+
+class Loudness:
+    """A frontend of one feature, the loudest sample of each frame; it counts its calls."""
+
+    output_size = 1
+
+    def __init__(self):
+        self.calls = 0
+
+    def encode(self, waveform, n_frames, **options):
+        self.calls += 1
+        padded = torch.nn.functional.pad(waveform, (0, 534 * n_frames - len(waveform)))
+        return padded[: 534 * n_frames].view(n_frames, 534).abs().amax(dim=1, keepdim=True)
+
+
+SOUNDS = [Path("a.wav"), Path("b.wav"), Path("c.wav")]
+
+
+def sound_of(path: Path) -> np.ndarray:
+    """A recording of 20, 40 or 60 frames."""
+    place = SOUNDS.index(path)
+    return np.random.default_rng(place).normal(0, 0.1, 533 * 20 * (place + 1)).astype(np.float32)
+
+
+def passes(folder: Path, frontend, number: int, seed: int = 0) -> EncodedPasses:
+    surroundings = Surroundings()
+    return EncodedPasses.write(
+        folder, SOUNDS, sound_of, frontend, surroundings, passes=number, seed=seed
+    )
+
+
+def test_first_pass_is_the_recordings_as_they_are(tmp_path):
+    found = passes(tmp_path, Loudness(), 2)
+    for place, path in enumerate(SOUNDS):
+        n_frames = 20 * (place + 1)
+        expected = Loudness().encode(torch.from_numpy(sound_of(path)), n_frames).numpy()
+        assert found.speed(0, path) == 1
+        np.testing.assert_allclose(found.window(0, path, 0, n_frames), expected, rtol=1e-3)
+        np.testing.assert_allclose(found.window(0, path, 7, 5), expected[7:12], rtol=1e-3)
+
+
+def test_other_passes_change_speed_and_sound(tmp_path):
+    found = passes(tmp_path, Loudness(), 6)
+    speeds = {found.speed(k, path) for k in range(1, 6) for path in SOUNDS}
+    assert len(speeds) > 5 and 0.82 <= min(speeds) < 1 < max(speeds) <= 1.25
+    for k in range(1, 6):
+        for place, path in enumerate(SOUNDS):
+            begin, end = found.tables[k][place : place + 2, 0]
+            n_frames = 20 * (place + 1) / found.speed(k, path)
+            assert end - begin == pytest.approx(n_frames, abs=1.5), "as long as it sounds"
+        assert not np.array_equal(
+            found.window(k, SOUNDS[0], 0, 10), found.window(0, SOUNDS[0], 0, 10)
+        )
+
+
+def test_beyond_its_end_a_recording_holds_its_last_row_and_reaches_no_other(tmp_path):
+    found = passes(tmp_path, Loudness(), 1)
+    whole = found.window(0, SOUNDS[1], 0, 40)
+    window = found.window(0, SOUNDS[1], 35, 12)
+    assert np.array_equal(window[:5], whole[35:])
+    assert np.array_equal(window[5:], np.repeat(whole[-1:], 7, axis=0))
+    assert np.array_equal(found.window(0, SOUNDS[1], 90, 3), np.repeat(whole[-1:], 3, axis=0))
+
+
+def test_interrupted_passes_are_continued_and_finished_ones_kept(tmp_path):
+    """An interrupted pass has no table; it is encoded again, with the same result."""
+    whole = passes(tmp_path / "whole", Loudness(), 3)
+    passes(tmp_path / "parts", Loudness(), 2)
+    (tmp_path / "parts/1.table.npy").unlink()
+    (tmp_path / "parts/1.npy").write_bytes(b"torn")
+    frontend = Loudness()
+    again = passes(tmp_path / "parts", frontend, 3)
+    assert frontend.calls == 2 * len(SOUNDS)
+    for ours, theirs in zip(again.rows + again.tables, whole.rows + whole.tables, strict=True):
+        assert np.array_equal(ours, theirs)
+    frontend = Loudness()
+    passes(tmp_path / "parts", frontend, 3)
+    assert frontend.calls == 0
+
+
+def test_another_seed_gives_other_surroundings(tmp_path):
+    one, other = (passes(tmp_path / str(seed), Loudness(), 2, seed) for seed in (1, 2))
+    assert np.array_equal(one.rows[0], other.rows[0])
+    assert {one.speed(1, path) for path in SOUNDS} != {other.speed(1, path) for path in SOUNDS}

@@ -235,27 +235,6 @@ def test_cross_fade_has_no_seam(checkpoint, rng):
     assert chunked.norm(dim=1).max() < 1.2 * whole.max()
 
 
-def test_the_longest_piece_encoded_is_a_chunk(monkeypatch):
-    frontend = Wav2VecFrontend.from_config(TINY).eval()
-    lengths = []
-    encoded = frontend._encoded
-
-    def spy(waveform):
-        lengths.append(waveform.shape[-1])
-        return encoded(waveform)
-
-    monkeypatch.setattr(frontend, "_encoded", spy)
-    frontend.encode(torch.zeros(60 * 16000), 1800, chunk_seconds=6, overlap_seconds=1)
-    assert len(lengths) == 12
-    assert max(lengths) <= 6 * 16000 + 2 * 400 + 320
-
-
-def test_encode_rejects_an_overlap_beyond_half_a_chunk():
-    frontend = Wav2VecFrontend.from_config(TINY)
-    with pytest.raises(ConfigError, match="at least twice"):
-        frontend.encode(torch.zeros(16000), 30, chunk_seconds=2, overlap_seconds=1.5)
-
-
 def test_sizes_are_read_without_weights(checkpoint):
     (checkpoint / "model.safetensors").unlink()
     frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint)), pretrained=False)

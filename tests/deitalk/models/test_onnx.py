@@ -47,6 +47,10 @@ def tiny(**settings):
     return model
 
 
+WHISPER = {
+    "kind": "whisper", "checkpoint": None, "n_mels": 16, "width": 32, "heads": 4,
+    "intermediate": 48, "positions": 600, "layers": (1, 2),
+}  # fmt: skip
 CAUSAL = {
     "kind": "causal_mel", "tapers": 2, "conv_channels": (4, 4, 4), "spec_hidden": 4,
     "spectral_size": 16, "time_hidden": 24,
@@ -110,6 +114,66 @@ def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
     rows = weights(n_frames, happy=0.6, sad=0.4)
     assert_equal(exported.read(sound, rows, "bob"), model.read(sound, rows, "bob"))
+
+
+@pytest.fixture(scope="module")
+def whisper():
+    network = of_frontend(WHISPER, actors=("ann", "bob"))
+    with torch.no_grad():  # layers and positions that matter
+        for weight in network.frontend.encoder.parameters():
+            weight.normal_(std=0.2)
+    network.frontend.measure([speechlike(4.0)])
+    return network
+
+
+@pytest.fixture(scope="module")
+def exported_whisper(whisper, tmp_path_factory):
+    path = tmp_path_factory.mktemp("onnx") / "whisper.onnx"
+    export_onnx(whisper, path, name="whisper")
+    return load_onnx(path)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
+    """One piece, two and three; the last one is short, or begins a frame before the end."""
+    sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
+    rows = weights(n_frames, happy=0.6, sad=0.4)
+    found = exported_whisper.read(sound, rows, "bob", gain=0.5)
+    assert_equal(found, whisper.read(sound, rows, "bob", gain=0.5))
+    assert not set(operators(exported_whisper.path)) & CONTROL_FLOW
+
+
+def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper, monkeypatch):
+    """Parts of 540 frames; the loudest sound, from which the floor follows, is in the first."""
+    sound, rows = speechlike(64.0), weights(1920, angry=1)
+    sound[16_000:] *= 1e-4
+    assert exported_whisper._part % 270 == 0 == exported_whisper._before % 270
+    whole = exported_whisper.read(sound, rows)
+    shares = []
+    monkeypatch.setattr(exported_whisper, "_part", 540)
+    parts = exported_whisper.read(sound, rows, progress=shares.append)
+    assert shares == [540 / 1920, 1080 / 1920, 1620 / 1920, 1]
+    expected = whisper.read(sound, rows)
+    assert_equal(whole, expected)
+    assert_equal(parts, expected)
+    monkeypatch.setattr(network_module, "loudest", lambda sound, n_mels: -10.0)
+    alone = exported_whisper.read(sound, rows)
+    assert np.abs(alone.emotional - expected.emotional).max() > 0.01, "the floor matters"
+
+
+@pytest.mark.parametrize("seconds", [3, 24])
+def test_whisper_of_silence_equals_torch(whisper, exported_whisper, seconds):
+    sound, rows = np.zeros(seconds * 16_000, np.float32), weights(30 * seconds, happy=1)
+    assert_equal(exported_whisper.read(sound, rows), whisper.read(sound, rows))
+
+
+def test_damaged_parts_are_refused_in_one_line(exported_whisper, tmp_path):
+    content = onnx.load(str(exported_whisper.path))
+    (entry,) = (entry for entry in content.metadata_props if entry.key == "parts")
+    entry.value = "[1"
+    onnx.save(content, str(tmp_path / "x.onnx"))
+    with pytest.raises(CheckpointError, match="damaged metadata; export the model again"):
+        load_onnx(tmp_path / "x.onnx")
 
 
 def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal):
