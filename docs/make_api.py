@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).with_name("api.md")
+SCHEMA = Path(__file__).parents[1] / "deitalk/preview/web/src/data/acting.json"
+"""Fields of an acting, from which the page is built."""
 HEAD = """# Python API
 
 Written by `make docs` from the docstrings; change those instead. Letters in shapes: T frames,
@@ -39,6 +41,13 @@ def page() -> str:
         parts += [_entry(n, getattr(package, n)) for n in package.__all__ if n != "__version__"]
     parts.append("## Errors\n\n" + "\n\n".join(_errors(name) for name in ERRORS))
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def acting_schema() -> str:
+    """Fields of an acting as JSON schema."""
+    from deitalk.acting import Acting
+
+    return json.dumps(Acting.model_json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def _errors(module: str) -> str:
@@ -180,3 +189,4 @@ def _items(body: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    SCHEMA.write_text(acting_schema(), encoding="utf-8")

@@ -31,6 +31,10 @@ def test_api_page_is_current(maker):
     assert written == maker.page(), "run `make docs`"
 
 
+def test_schema_of_the_page_is_current(maker):
+    assert maker.SCHEMA.read_text(encoding="utf-8") == maker.acting_schema(), "run `make docs`"
+
+
 def test_api_page_has_every_public_name_and_error(maker):
     page = maker.page()
     for _, name in PUBLIC:

@@ -91,13 +91,13 @@ class Acting(BaseModel):
         PlainValidator(number_within(0.0, MOST_INTENSITY)),
         _text("number", minimum=0, maximum=MOST_INTENSITY),
     ] = Field(
-        1.0,
+        default=1.0,
         description="Factor on the intensity predicted from the voice, 0 (neutral reading) to 4.",
         json_schema_extra=_extra("change"),
     )
     intensity_curve: Annotated[IntensityCurve | None, PlainValidator(read_curve), _STR, _TEXT] = (
         Field(
-            None,
+            default=None,
             description="Intensity instead of the predicted one: time, intensity, such as a take's "
             "intensity.csv.",
         )
@@ -108,23 +108,24 @@ class Acting(BaseModel):
         PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
     ] = Field(
-        None,
+        default=None,
         description="Usual voice of the speaker, from which intensity counts: a file of `deitalk "
         "actor build`.",
     )
     style: Annotated[str | None, Field(max_length=100)] = Field(
-        None,
+        default=None,
         description="Whose style, of a model tuned on several actors; by default its first.",
         json_schema_extra=_extra("start"),
     )
     words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
-        None,
+        default=None,
         description="What is said: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
         "and phones (ARPABET or IPA). Closures are met where the sound agrees.",
         examples=["My promise is big.", "phones: M AY | P R AA M AH S"],
     )
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
-        "en-us", description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …"
+        default="en-us",
+        description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
     )
     life: Annotated[Life, PlainValidator(read_life), _STR, _text(maxLength=200)] = Field(
         default_factory=lambda: read_life("on"),
@@ -138,7 +139,7 @@ class Acting(BaseModel):
         PlainSerializer(written_place, return_type=str),
         _text(maxLength=60),
     ] = Field(
-        (0.0, 0.0),
+        default=(0.0, 0.0),
         description="Place of the listener: degrees to the character's left and up, -35 to 35.",
         examples=["10,-5"],
         json_schema_extra=_extra("start", default="0,0"),
@@ -149,7 +150,7 @@ class Acting(BaseModel):
         PlainSerializer(written_gains, return_type=str),
         _text(maxLength=4096),
     ] = Field(
-        {},
+        default={},
         description="Factors on how far regions or controls go from rest: jaw=1.2,brow=.8.",
         examples=["jaw=1.2,brow=.8"],
         json_schema_extra=_extra("change", default=""),
@@ -158,16 +159,16 @@ class Acting(BaseModel):
         float,
         PlainValidator(number_within(0.0, LONGEST_LISTENING)),
         _text("number", minimum=0, maximum=LONGEST_LISTENING),
-    ] = Field(0.0, description="Seconds of living silence after the speech, 0 to 600.")
+    ] = Field(default=0.0, description="Seconds of living silence after the speech, 0 to 600.")
     rules: bool = Field(
-        True,
+        default=True,
         description="The model's rules after the network; without them the network alone.",
         json_schema_extra=_extra("change"),
     )
     seed: Annotated[
         int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
     ] = Field(
-        0,
+        default=0,
         description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
         json_schema_extra=_extra("start"),
     )
@@ -228,7 +229,9 @@ class Acting(BaseModel):
         """Motion above the mouth with the listener's place; None if it is off."""
         from deitalk.postprocess.life.amounts import Life
 
-        parts = {name: getattr(self.life, name) for name in ("blinks", "gaze", "brows", "head")}
+        parts: dict[str, Any] = {
+            name: getattr(self.life, name) for name in ("blinks", "gaze", "brows", "head")
+        }
         motion = Life(**parts, look_at=self.look_at)
         return None if motion.is_off else motion
 

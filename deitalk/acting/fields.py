@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pydantic import ValidationInfo
 
@@ -14,14 +14,16 @@ from rig import limits
 from rig.errors import UserError, quoted
 
 if TYPE_CHECKING:
-    from deitalk.emotions import ActorReference, EmotionTrack, IntensityCurve
-    from deitalk.postprocess.life.amounts import Life
+    from deitalk.emotions import ActorReference as ActorReference
+    from deitalk.emotions import EmotionTrack as EmotionTrack
+    from deitalk.emotions import IntensityCurve as IntensityCurve
+    from deitalk.postprocess.life.amounts import Life as Life
 
     Track = EmotionTrack | Literal["auto"]
 else:  # their modules need numpy, which a command line does without until it works
     ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
 
-AUTO = "auto"
+AUTO: Final = "auto"
 """Emotion that stands for the one that the voice suggests."""
 LONGEST_LISTENING = 600.0
 """Seconds."""

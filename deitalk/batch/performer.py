@@ -77,11 +77,11 @@ class Performer:
         """Animate lines, those of one length together; what is wrong with one is in its result."""
         ready: dict[int, list[tuple[Order, str, Prepared]]] = {}
         for order in orders:
-            prepared = self._guarded(order, partial(self._prepared, order))
-            if isinstance(prepared, Outcome):
-                yield [prepared]
+            result = self._guarded(order, partial(self._prepared, order))
+            if isinstance(result, Outcome):
+                yield [result]
                 continue
-            sound, prepared = prepared
+            sound, prepared = result
             group = ready.setdefault(len(prepared.weights), [])
             group.append((order, sound, prepared))
             if len(group) >= self._most_together(len(prepared.weights)):

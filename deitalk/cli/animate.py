@@ -136,7 +136,7 @@ def _is_folder(out: str) -> bool:
 def _check(
     out: Path,
     is_folder: bool,
-    inputs: tuple[str, *tuple[str | Path | None, ...]],
+    inputs: tuple[str, ...],
     *,
     fps: float | None,
     digits: int | None,

@@ -107,6 +107,10 @@ def edit(tab) -> None:
     tab.get_by_role("slider", name="Motion of brows").fill("2")
     tab.get_by_role("textbox", name="What is said").fill("Bob's promise")
     tab.get_by_role("textbox", name="What is said").press("Enter")
+    tab.get_by_label("look at").fill("10,-5")
+    tab.get_by_label("look at").press("Enter")
+    tab.get_by_label("seed").fill("7")
+    tab.get_by_label("seed").press("Enter")
     time.sleep(0.5)  # until the page has begun to animate again
     is_quiet(tab)
 
@@ -130,14 +134,18 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
         given.value.path()
         until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
         assert "--gain mouth=0.5" in tab.inner_text("#notice")
-        assert "--transcript 'Bob'\\''s promise' --language en-us" in tab.inner_text("#notice")
+        assert "--words 'Bob'\\''s promise' --language en-us" in tab.inner_text("#notice")
         assert tab.complaints == []
         assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
     edits = (
         "--life",
         "brows=2",
-        "--transcript",
+        "--words",
         "Bob's promise",
+        "--look-at",
+        "10,-5",
+        "--seed",
+        "7",
         "--emotion",
         tmp_path / "emotion.csv",
         "--intensity-curve",

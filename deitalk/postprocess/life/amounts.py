@@ -53,7 +53,9 @@ class Life:
                 f"life {quoted(life)} is a {type(life).__name__}; give text such as {_EXAMPLE}, or "
                 "a mapping"
             )
-        factors = {_known(name): _factor(name, value) for name, value in life.items()}
+        factors: dict[str, Any] = {
+            _known(name): _factor(name, value) for name, value in life.items()
+        }
         return cls(**factors)
 
     @property
@@ -75,7 +77,7 @@ class Life:
 
 
 PARTS = tuple(part.name for part in fields(Life) if part.name != "look_at")
-OFF = Life(**dict.fromkeys(PARTS, 0.0))
+OFF = Life(0.0, 0.0, 0.0, 0.0)
 _EXAMPLE = "brows=.8,head=1.2,blinks=1,gaze=.5"
 
 

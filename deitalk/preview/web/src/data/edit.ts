@@ -24,9 +24,11 @@ export interface Edit {
   /** What is said, and the language in which it is pronounced; no words where it is empty. */
   readonly words: string;
   readonly language: string;
+  /** Other fields of the acting as text; those that are not given have their defaults. */
+  readonly acting: Readonly<Record<string, string>>;
 }
 
-export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {}, words: "", language: "en-us" };
+export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {}, words: "", language: "en-us", acting: {} };
 export const MAX_FACTOR = 4;
 export const MAX_GAIN = 2;
 

@@ -2,6 +2,7 @@
 
 import { type Edit, gainsOf } from "../data/edit";
 import { $ } from "../dom";
+import { FIELDS } from "./form";
 
 const POLL_MS = 300;
 const KEY = "deitalk-key";
@@ -50,16 +51,16 @@ export function optionsOf(source: Source, edit: Edit): Record<string, string> {
   const words = edit.words?.trim();
   return {
     ...source.options,
+    ...edit.acting,
     ...(life.length ? { life: life.join(",") } : {}),
-    ...(words ? { transcript: words, language: edit.language || "en-us" } : {}),
+    ...(words ? { words, language: edit.language || "en-us" } : {}),
   };
 }
 
 /** An argument as the command line spells it. */
 export function optionOf(name: string, value: string): string {
-  const option = `--${name.replace("_", "-")}`;
-  if (value === "true" || value === "True") return name === "idle" ? "" : option;
-  if (value === "false" || value === "False") return name === "idle" ? "--no-idle" : "";
+  const option = `--${name.replaceAll("_", "-")}`;
+  if (FIELDS[name]?.type === "boolean") return value === "true" ? option : `--no-${name}`;
   return `${option} ${/^[\w.,=:/-]*$/.test(value) ? value : `'${value.replace(/\s+/g, " ").replace(/'/g, `'\\''`)}'`}`;
 }
 

@@ -8,6 +8,7 @@ import { $, button, messageOf, notice, save } from "../dom";
 import type { Player } from "../player";
 import { COLORS } from "../timeline/emotion";
 import { wavOf } from "./wav";
+import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
 import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
@@ -20,8 +21,10 @@ const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
   ["Video", "mp4", true], ["Page", "page", false], ["Take", "take", false],
 ];
+/** Fields that the tracks and the sound of a dropped take hold, and gains, which the page applies. */
+const OWN = ["emotion", "intensity", "intensity_curve", "gain", "listen"];
 /** Arguments of a dropped take that its edits keep. */
-const OPTIONS = ["model", "seed", "idle", "raw", "life", "look_at"];
+const OPTIONS = ["model", ...Object.keys(FIELDS)].filter((name) => !OWN.includes(name));
 /** Pause after the last edit until the take is animated again; of a recording that is a job of the service. */
 const SETTLE_MS = 350, JOB_SETTLE_MS = 1500;
 const SAVE_MS = 200;
@@ -29,13 +32,14 @@ const JOB_SECONDS = 60;
 
 /** Whether two edits need the same curves of the network. */
 const isSameReading = (a: Edit, b?: Edit) =>
-  a.keys === b?.keys && a.life === b?.life && a.words === b?.words && a.language === b?.language;
+  a.keys === b?.keys && a.life === b?.life && a.words === b?.words && a.language === b?.language && a.acting === b?.acting;
 
 export class Studio {
   private session?: Session;
   private readonly animating = new Work();
   private readonly exporting = new Work();
   private readonly live: Live;
+  private readonly showForm: () => void;
   private settling = 0;
   private saving = 0;
   /** The edit of the shown take. */
@@ -54,6 +58,8 @@ export class Studio {
     $("pick").addEventListener("click", () => $("file").click());
     this.live = new Live(player, () => this.emotion);
     bindMicrophone((file) => this.open(file));
+    this.showForm = bindForm(player.history);
+    this.showForm();
     $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)));
     $("exports").append(
       ...EXPORTS.map(([label, format, isLong]) => button(label, () => void this.export(format, isLong))),
@@ -130,7 +136,7 @@ export class Studio {
     if (!wav || !intensityCsv) return;
     const recording = new File([wav as BlobPart], this.player.take!.title, { type: "audio/wav" });
     const given = Object.entries({ ...settings, model }).filter(([name, value]) => OPTIONS.includes(name) && value !== null);
-    const options = Object.fromEntries(given.map(([name, value]) => [name, String(value)]));
+    const options = Object.fromEntries(given.map(([name, value]) => [name, typeof value === "object" ? JSON.stringify(value) : String(value)]));
     const source: Source = { recording, name: recording.name, options, weightsCsv: intensityCsv, hasOwnIntensity: true };
     const { edit } = this.player.history;
     const packed = await this.animate(source, edit, intensityCsv);
@@ -154,6 +160,7 @@ export class Studio {
   private edited(): void {
     const { session, player } = this;
     this.showEmotion();
+    this.showForm();
     if (!session) return;
     session.edit = player.history.edit;
     this.keep();
