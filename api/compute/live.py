@@ -5,6 +5,8 @@ are read in one call.
 """
 
 import asyncio
+import logging
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,17 @@ import numpy as np
 from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
-from api.errors import Problem
+from api.errors import Problem, describe, internal_problem
+from deitalk.acting import Acting
 from rig.arrays import Float32
 
 ORDER_SECONDS = 20.0
 """Time after which the worker is stopped."""
+OPEN_SECONDS = 30.0
+"""Time in which a voice is opened, the start of the worker included."""
+RESTART_SECONDS = 1.0
+"""Time between a failure and the next start of the worker."""
+log = logging.getLogger("deitalk.service")
 
 
 class Voice:
@@ -38,9 +46,9 @@ class Voice:
         if len(samples):
             self.voices.add({"voice": self.number, "do": "feed", "count": len(samples)}, samples)
 
-    def change(self, **options: Any) -> None:
-        """Change emotion, intensity or rules; as `LiveAnimator.set`."""
-        self.voices.add({"voice": self.number, "do": "set", "options": options})
+    def change(self, fields: dict[str, Any]) -> None:
+        """Change fields of the acting; as `LiveAnimator.set`."""
+        self.voices.add({"voice": self.number, "do": "set", "fields": fields})
 
     def finish(self) -> None:
         """Take the end of the sound."""
@@ -74,6 +82,12 @@ class Voices:
         Of the worker process.
     stage : Stage
         Where its folder is made.
+
+    Attributes
+    ----------
+    is_ready : bool
+        False from a failure on until the worker has started again. It starts first with the
+        first voice.
     """
 
     def __init__(self, limits: Limits, stage: Stage) -> None:
@@ -84,29 +98,33 @@ class Voices:
         self.number = 0
         self.news = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
+        self.is_ready = True
 
-    async def open(self, model: str, motion: dict[str, Any]) -> tuple[Voice, float]:
+    async def open(self, model: str, acting: Acting) -> tuple[Voice, float]:
         """Begin a voice; return it and the look-ahead of its model, seconds.
 
-        ``motion`` has ``idle``, ``life``, ``look_at`` and ``seed``, as for `LiveAnimator`; a
-        seed of None is another one for each voice.
+        Where `acting` gives no seed, each voice has another.
 
         Raises
         ------
         Problem
-            503 if there are too many voices, 413 if the worker ended.
+            503 if there are too many voices, or the worker ended or does not answer in
+            `OPEN_SECONDS`.
         """
         if len(self.known) >= MOST_VOICES:
             raise Problem(503, "all live sessions are taken; try again later", "busy")
-        if self.task is None:
+        if self.task is None or self.task.done():
             self.task = asyncio.create_task(self._run())
         self.number += 1
         voice = self.known[self.number] = Voice(self, self.number)
-        if motion["seed"] is None:
-            motion = motion | {"seed": self.number}
-        self.add({"voice": voice.number, "do": "open", "model": model, "motion": motion})
+        fields = {"seed": self.number} if "seed" not in acting.model_fields_set else {}
+        fields = acting.settings | fields
+        self.add({"voice": voice.number, "do": "open", "model": model, "fields": fields})
         try:
-            return voice, await voice.opened
+            return voice, await asyncio.wait_for(voice.opened, OPEN_SECONDS)
+        except TimeoutError:
+            voice.close()
+            raise _ended() from None
         except BaseException:
             voice.close()
             raise
@@ -125,27 +143,33 @@ class Voices:
         self.worker.stop()
 
     async def _run(self) -> None:
-        loop = asyncio.get_running_loop()
-        async with self.stage.folder() as folder:
-            while True:
-                await self.news.wait()
-                self.news.clear()
-                actions, samples = self.actions, self.samples
-                self.actions, self.samples = [], []
-                joined = np.concatenate([np.zeros(0, np.float32), *samples])
-                joined.astype("<f4").tofile(folder / SAMPLES)
-                order: Order = {
-                    "kind": "voices",
-                    "folder": str(folder),
-                    "options": {"actions": actions},
-                }
-                try:
-                    answer = checked(
-                        await loop.run_in_executor(None, self.worker.run, order, ORDER_SECONDS)
-                    )
-                    self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
-                except (OutOfTime, WorkerLost, Problem) as error:
-                    self._fail(error)
+        """Carry out orders; begin again with a new worker and folder after any failure."""
+        while True:
+            try:
+                async with self.stage.folder() as folder:
+                    await asyncio.to_thread(self.worker.start)
+                    self.is_ready = True
+                    while True:
+                        await self.news.wait()
+                        await self._order(folder)
+            except Exception as error:
+                self._fail(error)
+                await asyncio.sleep(RESTART_SECONDS)
+
+    async def _order(self, folder: Path) -> None:
+        """Send what has come to the worker, and its frames to the voices."""
+        self.news.clear()
+        actions, samples = self.actions, self.samples
+        self.actions, self.samples = [], []
+        joined = np.concatenate([np.zeros(0, np.float32), *samples])
+        joined.astype("<f4").tofile(folder / SAMPLES)
+        order: Order = {
+            "kind": "voices",
+            "folder": str(folder),
+            "options": {"actions": actions},
+        }
+        answer = checked(await asyncio.to_thread(self.worker.run, order, ORDER_SECONDS))
+        self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
 
     def _give(self, answer: Any, values: Float32) -> None:
         for number, seconds in answer["facts"]["opened"]:
@@ -160,12 +184,20 @@ class Voices:
 
     def _fail(self, error: Exception) -> None:
         """End all voices: their state is lost, or may be that of the failing one."""
-        problem = error
-        if not isinstance(error, Problem):
-            problem = Problem(503, "the live worker ended; connect again", "busy")
+        self.is_ready = False
+        if isinstance(error, (OutOfTime, WorkerLost)):
+            problem = _ended()
+        else:
+            problem = error if isinstance(error, Problem) else internal_problem(error)
+        log.error("%d live voices ended: %s", len(self.known), describe(error))
         self.worker.stop()
+        self.actions, self.samples = [], []
         for voice in list(self.known.values()):
             self.known.pop(voice.number)
             if not voice.opened.done():
                 voice.opened.set_exception(problem)
             voice.frames.put_nowait(problem)
+
+
+def _ended() -> Problem:
+    return Problem(503, "the live worker ended or does not answer; connect again", "busy")

@@ -7,15 +7,17 @@ Names of files are fixed here: no text of a request becomes a path.
     folder/                 the worker's working folder during the order
       recording             bytes of any recording
       mesh.glb … curves.csv files that a request sent, under fixed names
-      emotion.json          keyframes; or .csv
+      acting.json           fields of the acting; emotion.csv … files that they name
       out/                  what the worker wrote
 """
 
 from typing import Any, Literal, TypedDict
 
-Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "live", "voices"]
+Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "live", "voices", "studio"]
 RECORDING = "recording"
 OUT = "out"
+ACTING = "acting.json"
+"""Fields of the order's acting, as they were sent."""
 SAMPLES = "samples"
 """File of an order ``voices``: float32, those of each feed after those of the one before."""
 MOST_VOICES = 64

@@ -7,16 +7,15 @@ from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from stat import S_ISDIR
-from time import time
+
+from filelock import FileLock, Timeout
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import InternalError, Problem, named_problem
 
-ORDER_PREFIX = "deitalk-order-"
-OLD_SECONDS = 86_400.0
-"""Age of a folder that a killed server left behind."""
+SERVER_PREFIX = "deitalk-server-"
+LOCK = ".deitalk.lock"
 
 
 class Pool:
@@ -117,25 +116,38 @@ def checked(answer: Answer) -> Answer:
 
 
 class Stage:
-    """Folders of orders below one folder, with random names.
+    """Folders of orders of one server, with random names, below a folder that servers share.
 
-    Those that a killed server left behind are removed, by their prefix; nothing else is.
+    Each server has a folder of its own there, whose lock it holds until it ends, however it ends.
+    Folders whose lock is free were left behind by a killed server and are removed; nothing else is.
+
+    Parameters
+    ----------
+    root : Path
+        Made if it is missing.
     """
 
     def __init__(self, root: Path) -> None:
-        self.root = root
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
-        for left in root.glob(f"{ORDER_PREFIX}*"):
-            with suppress(OSError):
-                about = left.lstat()
-                if S_ISDIR(about.st_mode) and time() - about.st_mtime > OLD_SECONDS:
+        with FileLock(root / LOCK):  # a folder that another server makes has its lock already
+            for left in root.glob(f"{SERVER_PREFIX}*"):
+                if left.is_dir() and not left.is_symlink() and not _is_held(left):
                     shutil.rmtree(left, ignore_errors=True)
+            self.own = Path(tempfile.mkdtemp(dir=root, prefix=SERVER_PREFIX))
+            self._lock = FileLock(self.own / LOCK, thread_local=False)
+            self._lock.acquire()
 
     def make(self) -> Path:
         """Return a new folder with a place for results."""
-        folder = Path(tempfile.mkdtemp(dir=self.root, prefix=ORDER_PREFIX))
+        self.own.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(dir=self.own))
         (folder / OUT).mkdir()
         return folder
+
+    def close(self) -> None:
+        """Remove the server's folder."""
+        self._lock.release()
+        shutil.rmtree(self.own, ignore_errors=True)
 
     @asynccontextmanager
     async def folder(self) -> AsyncIterator[Path]:
@@ -145,6 +157,15 @@ class Stage:
             yield folder
         finally:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_held(folder: Path) -> bool:
+    """Whether the server that made a folder still runs."""
+    try:
+        with FileLock(folder / LOCK, timeout=0):
+            return False
+    except Timeout:
+        return True
 
 
 def result_path(folder: Path, answer: Answer) -> Path:

@@ -3,6 +3,7 @@
 The working folder is the order's: all paths are relative and fixed (`api.compute.order`).
 """
 
+import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from api.compute.networks import curve_network
-from api.compute.order import OUT, RECORDING, Answer, Limits, Order, TooLarge
+from api.compute.order import ACTING, OUT, RECORDING, Answer, Limits, Order, TooLarge
 from api.compute.voices import perform_voices
+from deitalk.acting import AUTO, Acting
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
 from deitalk.audio.original import ZERO, start_of, start_seconds
-from deitalk.emotions import read_intensity_curve
 from deitalk.errors import CheckpointError
 from deitalk.models.folder import describe_model
 from deitalk.pipeline.curves import animate
@@ -59,7 +60,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     share = NETWORK_SHARE if is_video else 1.0
     performance = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
-    notes = list(performance.recording.warnings)
+    notes = [*options.get("renamed", ()), *performance.recording.warnings]
     if performance.words is not None and performance.words.fits:
         notes.append(performance.words.line)
     if is_video or options["format"] in ("page", "packed"):
@@ -72,40 +73,21 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
     options = order["options"]
     network = curve_network(options.get("model", "default"), limits)
-    direction = _direction(options)
-    recording = _recording(order, limits)
     return animate(
-        recording,
-        model=network,
-        progress=progress,
-        **direction,
-        **_drawing(options),
-        **_words(options, limits),
+        _recording(order, limits), acting=_acting(order, limits), model=network, progress=progress
     )
 
 
-def _words(options: dict[str, Any], limits: Limits) -> dict[str, Any]:
-    """Arguments of `animate` on what is said: files of the order."""
-    files = {name: Path(options[name]) for name in ("transcript", "phones") if name in options}
-    if files and limits["backend"] == "onnx":
-        raise CheckpointError("words need torch; this service has the backend onnx")
-    return files | {"language": options["language"]} if files else {}
-
-
-def _drawing(options: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of `animate` on rules and idle motion."""
-    names = ("gain", "idle", "life", "listen", "look_at", "raw", "seed")
-    return {name: options[name] for name in names if name in options}
-
-
-def _direction(options: dict[str, Any]) -> dict[str, Any]:
-    """Emotion and intensity: weights, or files of keys under their fixed names."""
-    emotion, curve = options.get("emotion", {}), options.get("intensity_curve")
-    return {
-        "emotion": Path(emotion) if isinstance(emotion, str) else emotion,
-        "intensity": options.get("intensity", 1.0),
-        "intensity_curve": None if curve is None else read_intensity_curve(Path(curve)),
-    }
+def _acting(order: Order, limits: Limits) -> Acting:
+    """The order's acting; only files that the request sent are read."""
+    fields = json.loads(Path(ACTING).read_text(encoding="utf-8"))
+    files = {name: Path(name) for name in order["options"].get("sent", ())}
+    acting = Acting.of(files=files, **fields)
+    if limits["backend"] == "onnx" and (acting.words or acting.emotion == AUTO):
+        raise CheckpointError(
+            "words and emotion auto need torch; this service has the backend onnx"
+        )
+    return acting
 
 
 def _recording(order: Order, limits: Limits) -> Recording:
@@ -141,10 +123,7 @@ def _write(
         folder = out.with_suffix("")
         model = options.get("model", "default")
         about = describe_model(limits["models"][model]) | {"name": model}
-        settings = dict(performance.settings)
-        written = write_take(
-            folder, performance, settings=settings, model=about, fps=fps, start=start
-        )
+        written = write_take(folder, performance, model=about, fps=fps, start=start)
         _zip(written, out)
         return notes
     report = write_curves(out, performance.curves, format=name, fps=fps, start=start)
@@ -197,21 +176,16 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     if limits["backend"] == "onnx":
         raise CheckpointError("meshes need torch; this service has the backend onnx")
     from api.compute.warm import model_of
-    from deitalk.models.curve_model import DEITalk
     from deitalk.pipeline.mesh import animate_mesh
 
     network = model_of(options.get("model", "default"), limits)
-    direction = _direction(options)
-    direction |= _words(options, limits)
-    if isinstance(network, DEITalk):
-        direction |= _drawing(options)
     performance = animate_mesh(
         _recording(order, limits),
+        acting=_acting(order, limits),
         model=network,
         speaker=options.get("speaker", 0),
         fps=options.get("fps"),
         progress=progress,
-        **direction,
     )
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     if options["format"] == "ply":
@@ -279,14 +253,21 @@ def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
         samples,
         sample_rate=SAMPLE_RATE,
         model=network,
-        idle=False,
-        raw=options.get("raw", False),
+        acting=_acting(order, limits),
         progress=progress,
-        **_direction(options),
     )
     out = Path(OUT) / "frames"
     performance.curves.values.astype("<f4").tofile(out)
     return {"file": str(out), "facts": {"frames": len(performance.curves)}}
+
+
+def _studio(order: Order, limits: Limits, progress: Progress) -> Answer:
+    """The page of the studio with a head."""
+    from deitalk.preview.page import render_studio
+
+    out = Path(OUT) / "studio.html"
+    out.write_text(render_studio(order["options"]["head"]), encoding="utf-8")
+    return {"file": str(out)}
 
 
 TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
@@ -297,4 +278,5 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "validation": _validation,
     "live": _live,
     "voices": perform_voices,
+    "studio": _studio,
 }

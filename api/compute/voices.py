@@ -11,8 +11,8 @@ import numpy as np
 
 from api.compute.networks import causal_network
 from api.compute.order import MOST_VOICES, OUT, SAMPLES, Answer, Limits, Order
+from deitalk.acting import Acting
 from deitalk.live.animator import LiveAnimator
-from deitalk.postprocess.life.amounts import Life
 from rig.arrays import Float32
 
 
@@ -29,16 +29,16 @@ class Voices:
         for action in actions:
             voice, kind = int(action["voice"]), action["do"]
             if kind == "open":
-                opened[voice] = self._open(voice, action["model"], action["motion"], limits)
+                opened[voice] = self._open(voice, action["model"], action["fields"], limits)
             elif voice not in self.places:
-                continue
+                at += action.get("count", 0)
             elif kind == "feed":
                 animator, place = self._place(voice)
                 animator.take(samples[at : at + action["count"]], stream=place)
                 at += action["count"]
             elif kind == "set":
                 animator, place = self._place(voice)
-                animator.set(stream=place, **action["options"])
+                animator.set(stream=place, **action["fields"])
             elif kind == "finish":
                 animator, place = self._place(voice)
                 animator.end(place)
@@ -46,15 +46,14 @@ class Voices:
                 self.places.pop(voice)
         return opened, self._frames()
 
-    def _open(self, voice: int, model: str, motion: dict[str, Any], limits: Limits) -> float:
+    def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
             network = causal_network(model, limits)
-            self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, idle=False)
+            self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, life="off")
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)
-        life = Life.of(motion["life"], motion["look_at"]) if motion["idle"] else None
-        self.animators[model].open(place, life, motion["seed"])
+        self.animators[model].open(place, Acting.of(files={}, **fields))
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds
 

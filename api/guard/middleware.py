@@ -24,9 +24,9 @@ from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", STUDIO_PATH)
-"""Answered without a key and without a count: they tell nothing about anyone's work."""
+"""Answered without a key: they tell nothing about anyone's work."""
 PROBE_PATHS = ("/healthz", "/readyz")
-"""Balancers and the container itself get these by the service's address, which is none of `hosts`;
+"""Answered without a count. Balancers and the container itself get these by the service's address, which is none of `hosts`;
 another site's page has a name."""
 MOST_HEADERS = 100
 HEADER_BYTES = 16 * 1024
@@ -94,9 +94,12 @@ class Guard:
             self._check_host(host)
         if scope["path"] != STUDIO_PATH:  # a link of another site may open it
             self._check_origin(headers)
-        if scope["path"] in OPEN_PATHS:
+        if scope["path"] in PROBE_PATHS:
             return
         client = (scope.get("client") or ("unknown",))[0]
+        if scope["path"] in OPEN_PATHS:
+            self.rates.take(f"address {client}", self.settings.requests_per_minute)
+            return
         try:
             caller = self.keys.caller(_key(headers))
         except Problem:

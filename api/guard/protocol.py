@@ -1,9 +1,13 @@
-"""uvicorn's HTTP protocol with a time limit for a request's headers."""
+"""uvicorn's protocols with time limits: for a request's headers, and for reading of a WebSocket."""
 
 import asyncio
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+SEND_SECONDS = 10.0
+"""Time in which the client of a WebSocket must take a message."""
 
 
 class GuardedProtocol(H11Protocol):
@@ -64,3 +68,29 @@ class GuardedProtocol(H11Protocol):
         self._clock = None
         if not self.transport.is_closing():
             self.transport.close()
+
+
+class GuardedSocket(WebSocketsSansIOProtocol):
+    """Cuts off a client that does not read for `SEND_SECONDS`: a closing would wait for it too."""
+
+    _clock: asyncio.TimerHandle | None = None
+
+    def pause_writing(self) -> None:
+        """Start the clock: as much as may wait for the client waits."""
+        super().pause_writing()
+        self._clock = self.loop.call_later(SEND_SECONDS, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Stop the clock: the client has read."""
+        self._stop_clock()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the clock."""
+        self._stop_clock()
+        super().connection_lost(exc)
+
+    def _stop_clock(self) -> None:
+        if self._clock is not None:
+            self._clock.cancel()
+            self._clock = None

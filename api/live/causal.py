@@ -6,6 +6,7 @@ import numpy as np
 
 from api.compute.live import Voice
 from api.live.stream import LiveStream
+from deitalk.acting import LIVE_FIELDS, Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from rig.arrays import Float32
 
@@ -39,17 +40,10 @@ class CausalStream(LiveStream):
         super().finish()
         self.voice.finish()
 
-    def change(
-        self,
-        emotion: dict[str, float] | None = None,
-        intensity: float | None = None,
-        raw: bool | None = None,
-    ) -> None:
-        """Change emotion, intensity factor or rules from the sound on that comes next."""
-        given = {"emotion": emotion, "intensity": intensity, "raw": raw}
-        options = {name: value for name, value in given.items() if value is not None}
-        if options:
-            self.voice.change(**options)
+    def change(self, acting: Acting) -> None:
+        """Act otherwise from the sound on that comes next."""
+        fields = acting.model_dump(mode="json", include=acting.model_fields_set)
+        self.voice.change({n: v for n, v in fields.items() if LIVE_FIELDS.get(n) == "change"})
 
     def come(self, frames: Float32) -> tuple[int, list[float]]:
         """Take the next frames.

@@ -11,55 +11,39 @@
 """
 
 import struct
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from deitalk.postprocess.life.amounts import PARTS, Life
+from deitalk.acting import Acting, modern
 from rig.arrays import Float32
-from rig.limits import SEED
 
 FRAME = struct.Struct("<Ifd")
 """Number of the frame, seconds between its sound and this message, its time in the sound."""
 
 
-class Change(BaseModel):
-    """Emotion, intensity and rules from now on; what is left out stays as it is."""
+class Start(BaseModel):
+    """The first message, but for its acting; `head` is for causal models."""
 
     model_config = ConfigDict(extra="forbid")
-
-    emotion: Annotated[str, Field(max_length=400)] | dict[str, float] | None = None
-    intensity: Annotated[float, Field(ge=0, le=4)] | None = None
-    raw: bool | None = None
-
-
-class Start(Change):
-    """The first message; what follows `model` is for causal models."""
 
     sample_rate: int = Field(default=16_000, ge=8_000, le=192_000)
     encoding: Literal["pcm16", "float32"] = "pcm16"
     frames: Literal["binary", "json"] = "binary"
     model: str = Field(default="live", max_length=64)
     head: bool = False
-    idle: bool = True
-    life: Annotated[str, Field(max_length=200)] | dict[str, float] | None = None
-    look_at: str = Field(default="0,0", max_length=60)
-    seed: int | None = Field(default=None, ge=0, le=SEED)
 
-    def motion(self) -> dict[str, Any]:
-        """Motion above the mouth: without a head that is sent, the eyes do not turn against it.
 
-        Raises
-        ------
-        DeitalkError
-            If `life` or `look_at` is not as for `deitalk.animate`.
-        """
-        life = Life.of(self.life, self.look_at)
-        factors = {part: getattr(life, part) for part in PARTS}
-        if not self.head:
-            factors["head"] = 0.0
-        return {"idle": self.idle, "life": factors, "look_at": life.look_at, "seed": self.seed}
+def acting_of(fields: dict[str, Any], before: Acting | None = None) -> Acting:
+    """The acting of a message's fields; those that it does not give are those before.
+
+    Raises
+    ------
+    UserError
+        If a field is unknown, wrong, or needs the whole recording.
+    """
+    return Acting.of(before, files={}, **modern(fields)[0]).check_live()
 
 
 def frames_message(

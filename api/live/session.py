@@ -3,21 +3,23 @@
 import asyncio
 import json
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from fastapi import WebSocket
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from api.compute.order import RECORDING, Order
+from api.compute.order import ACTING, RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
+from api.guard.protocol import SEND_SECONDS
 from api.live.causal import CausalStream
-from api.live.messages import Change, Start, frames_message
+from api.live.messages import Start, acting_of, frames_message
 from api.live.stream import (
     BACKLOG_SECONDS,
     HOP_SECONDS,
@@ -25,9 +27,10 @@ from api.live.stream import (
     WINDOW_SECONDS,
     LiveStream,
 )
-from api.messages.options import weights_of
 from api.service import Service
+from deitalk.acting import LIVE_FIELDS, Acting, modern, user_error
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
 from rig.curves import HEAD
@@ -35,12 +38,9 @@ from rig.curves import HEAD
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0
 """Time without a message after which a session ends."""
-SEND_SECONDS = 10.0
-"""Time in which the client must take a message."""
 TEXT_CHARACTERS = 4096
 TEXTS_PER_SECOND, TEXTS_AT_ONCE = 20.0, 40.0
 SHORTEST_SAMPLES = 1600
-Message = TypeVar("Message", bound=BaseModel)
 
 
 class Session:
@@ -69,15 +69,22 @@ class Session:
         ------
         Problem
             For a message that is refused.
+        WebSocketDisconnect
+            If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
-        self.start = _parsed(Start, await self._text(START_SECONDS))
+        content = _json(await self._text(START_SECONDS))
+        content.pop("type", None)
+        own = {name: content.pop(name) for name in Start.model_fields if name in content}
+        self.start, self.acting = _parsed(own), acting_of(content)
         folder = self._model_folder()
         if not is_causal(folder):
             stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
             await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
             return
-        motion = self.start.motion()
-        voice, lookahead = await self.service.voices.open(self.start.model, motion)
+        if not self.start.head:  # the eyes do not turn against a head that is not sent
+            life = replace(self.acting.life, head=0.0)
+            self.acting = Acting.of(self.acting, life=life)
+        voice, lookahead = await self.service.voices.open(self.start.model, self.acting)
         try:
             causal = CausalStream(self.start.sample_rate, self.start.encoding == "float32", voice)
             await self._serve(
@@ -97,7 +104,7 @@ class Session:
         """Read and write until one of the two ends; `hop` and `lookahead` are for the header."""
         self.stream = stream
         await self._send(_header(folder, hop, lookahead, self._head_columns(folder)))
-        self._change(self.start)
+        self.stream.change(self.acting)
         self.end = monotonic() + self.service.settings.live_seconds
         reading = asyncio.create_task(self._read())
         writing = asyncio.create_task(write())
@@ -165,22 +172,22 @@ class Session:
                 await self.news.wait()
                 self.news.clear()
                 continue
-            first, samples, options = self.stream.window()
+            first, samples, fields = self.stream.window()
             self.room.set()
-            values = await self._animated(samples, options)
+            values = await self._animated(samples, fields)
             begin, frames, late = self.stream.take(first, values)
             if len(frames):
                 as_json = self.start.frames == "json"
                 await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
 
-    async def _animated(self, samples: Float32, options: dict[str, Any]) -> Float32:
+    async def _animated(self, samples: Float32, fields: dict[str, Any]) -> Float32:
         padded = np.pad(samples, (0, max(0, SHORTEST_SAMPLES - len(samples))))
         padded.astype("<f4").tofile(self.folder / RECORDING)
-        (self.folder / "emotion.json").write_text(json.dumps(options.pop("keys")))
+        (self.folder / ACTING).write_text(json.dumps(fields))
         order: Order = {
             "kind": "live",
             "folder": str(self.folder),
-            "options": options | {"model": self.start.model, "emotion": "emotion.json"},
+            "options": {"model": self.start.model},
         }
         answer = await self.service.pool.run(order)
         values = np.fromfile(result_path(self.folder, answer), "<f4")
@@ -198,16 +205,16 @@ class Session:
         if kind == "stop" and not content:
             self.stream.finish()
         elif kind == "set":
-            self._change(_parsed(Change, json.dumps(content)))
+            self._change(content)
         else:
             raise Problem(422, "type must be set or stop after the start", "message_unknown")
 
-    def _change(self, change: Change) -> None:
-        emotion = change.emotion
-        if isinstance(emotion, dict):
-            emotion = ",".join(f"{name}={weight!r}" for name, weight in emotion.items())
-        weights = None if emotion is None else weights_of(emotion)
-        self.stream.change(weights, change.intensity, change.raw)
+    def _change(self, fields: dict[str, Any]) -> None:
+        fields, _ = modern(fields)
+        if fixed := [name for name in fields if LIVE_FIELDS.get(name, "change") != "change"]:
+            raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
+        self.acting = acting_of(fields, self.acting)
+        self.stream.change(self.acting)
 
     async def _text(self, seconds: float) -> str:
         message = await self._message(seconds)
@@ -235,7 +242,7 @@ class Session:
         try:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
-            raise Problem(400, "the client does not read its frames", "client_slow") from None
+            raise WebSocketDisconnect(1008, "the client does not read its frames") from None
 
 
 def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict[str, Any]:
@@ -264,12 +271,8 @@ def _json(text: str) -> dict[str, Any]:
     return content
 
 
-def _parsed(model: type[Message], text: str) -> Message:
-    content = _json(text)
-    content.pop("type", None)
+def _parsed(content: dict[str, Any]) -> Start:
     try:
-        return model.model_validate(content)
+        return Start.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise Problem(422, f"{where}: {first['msg']}", "option_invalid") from None
+        raise Problem(422, str(user_error(error)), "option_invalid") from None

@@ -7,6 +7,7 @@ what the window before gave for them, so that the curves do not jump. Letters: T
 C controls, S samples.
 """
 
+import json
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
@@ -15,7 +16,10 @@ import numpy as np
 import soxr
 
 from api.errors import Problem
+from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import ConfigError
 from rig.arrays import Float32
 
 WINDOW_SECONDS = 8.0
@@ -58,9 +62,9 @@ class LiveStream:
         self._arrivals: list[tuple[int, float]] = []
         self._tail: tuple[int, Float32] = (0, np.zeros((0, 0), np.float32))
         self._used = 0
+        self.acting = Acting()
         self.emotions: list[tuple[float, dict[str, float]]] = [(0.0, {"neutral": 1.0})]
         self.intensities: list[tuple[float, float]] = [(0.0, 1.0)]
-        self.raw = False
 
     @property
     def end(self) -> int:
@@ -114,22 +118,23 @@ class LiveStream:
         self._append(self._resampler.resample_chunk(np.zeros(0, np.float32), last=True))
         self.is_whole = True
 
-    def change(
-        self,
-        emotion: dict[str, float] | None = None,
-        intensity: float | None = None,
-        raw: bool | None = None,
-    ) -> None:
-        """Change emotion, intensity factor or rules from the sound on that comes next."""
-        if emotion is not None:
-            self.emotions.append((self.seconds, emotion))
-        if intensity is not None:
-            self.intensities.append((self.seconds, intensity))
-        if raw is not None:
-            self.raw = raw
+    def change(self, acting: Acting) -> None:
+        """Act otherwise from the sound on that comes next.
+
+        Raises
+        ------
+        ConfigError
+            For keyframes: each window has times of its own.
+        """
+        if len(acting.track.times) > 1:
+            raise ConfigError("keyframes need a model for voices, such as live; name an emotion")
+        weights = zip(EMOTIONS, acting.track.weights[0].tolist(), strict=True)
+        self.emotions.append((self.seconds, {name: w for name, w in weights if w}))
+        self.intensities.append((self.seconds, acting.intensity))
+        self.acting = acting
 
     def window(self) -> tuple[int, Float32, dict[str, Any]]:
-        """Return the first frame of the window that is due, its samples and its options."""
+        """Return the first frame of the window that is due, its samples and its acting's fields."""
         first = max(0, self.end - round(WINDOW_SECONDS * SAMPLE_RATE))
         first = min(first, max(0, self.next_frame * SAMPLE_RATE // FRAME_RATE - 3 * SAMPLE_RATE))
         first -= first % GRID_SAMPLES
@@ -137,12 +142,13 @@ class LiveStream:
         self._used = self.end
         start = first / SAMPLE_RATE
         shown = self.next_frame / FRAME_RATE
-        options = {
-            "keys": self._keys(start),
+        fields = self.acting.settings | {
+            "emotion": json.dumps(self._keys(start)),
             "intensity": _last(self.intensities, shown),
-            "raw": self.raw,
+            "life": "off",
+            "look_at": "0,0",
         }
-        return first // GRID_SAMPLES * _GRID_FRAMES, self.samples[first - self.begin :], options
+        return first // GRID_SAMPLES * _GRID_FRAMES, self.samples[first - self.begin :], fields
 
     def take(self, first: int, values: Float32) -> tuple[int, Float32, list[float]]:
         """Return the frames of a window that have become final.

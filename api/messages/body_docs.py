@@ -15,8 +15,8 @@ DESCRIPTIONS = {
     "mapping": "Meaning of your own shape names: .csv.",
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
-    "transcript": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
-    "phones": "Phones as .txt, .csv (start, end, phone) or .TextGrid; or the text of the option.",
+    "voice": "A file of `deitalk actor build`; or its text.",
+    "words": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
 }
 
 
@@ -34,7 +34,7 @@ def body(model: type[BaseModel], files: tuple[str, ...], *, raw: bool) -> dict[s
     """
     schema = model.model_json_schema()
     options = schema.get("properties", {})
-    parts = {name: BINARY | {"description": DESCRIPTIONS[name]} for name in files}
+    parts = {n: BINARY | {"description": DESCRIPTIONS[n]} for n in files if n in DESCRIPTIONS}
     required = ["mesh"] if "mesh" in files else [files[0]]
     form = {
         "schema": {

@@ -5,34 +5,36 @@ suffix is used.
 """
 
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import anyio
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 
 from api.compute.order import CURVE_SUFFIXES, MESH_SUFFIXES, RECORDING, suffix_of
 from api.errors import Problem
-from api.messages.options import LONGEST_TEXT
+from api.messages.options import Options, Received, is_deferred
+from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, modern, user_error
+from deitalk.emotions.track_files import TRACK_SUFFIXES
+from deitalk.errors import ConfigError
 from rig.errors import quoted
 
-Options = TypeVar("Options", bound=BaseModel)
-WORDS_SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
-KEY_SUFFIXES = (".csv", ".tsv", ".json", ".yaml", ".yml")
 FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "recording": (RECORDING, ()),
     "mesh": ("mesh", MESH_SUFFIXES),
     "curves": ("curves", CURVE_SUFFIXES),
     "landmarks": ("landmarks", (".json", ".csv")),
     "mapping": ("mapping", (".csv",)),
-    "emotion": ("emotion", KEY_SUFFIXES),
-    "intensity_curve": ("intensity", KEY_SUFFIXES),
-    "transcript": ("transcript", WORDS_SUFFIXES),
+    "emotion": ("emotion", TRACK_SUFFIXES),
+    "intensity_curve": ("intensity", TRACK_SUFFIXES),
+    "voice": ("voice", (".json",)),
+    "words": ("words", WORDS_SUFFIXES),
     "phones": ("phones", WORDS_SUFFIXES),
+    "transcript": ("words", WORDS_SUFFIXES),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
@@ -41,7 +43,7 @@ MOST_FIELDS = 32
 
 async def receive(
     request: Request, folder: Path, model: type[Options], files: tuple[str, ...]
-) -> tuple[Options, dict[str, str]]:
+) -> Received[Options]:
     """Write a request's files into a folder and return its options.
 
     Parameters
@@ -54,12 +56,6 @@ async def receive(
         Of the options.
     files : tuple of str
         Names in `FILES` that this route takes.
-
-    Returns
-    -------
-    options : model
-    sent : dict
-        The fixed file name of each part that was sent.
 
     Raises
     ------
@@ -83,7 +79,9 @@ async def receive(
             )
     except ClientDisconnect:
         raise Problem(400, "the client closed the connection") from None
-    return _checked(model, fields), sent
+    fields, notes = modern(fields)
+    given = {name: value for name, value in fields.items() if not is_deferred(name, value)}
+    return Received(_checked(model, given), fields, sent, notes)
 
 
 async def _form(
@@ -109,7 +107,7 @@ async def _form(
                     raise Problem(
                         422, f"file {quoted(name)} is none of {', '.join(files)}, once each"
                     )
-                sent[name] = await _save(value, name, folder)
+                sent["words" if name == "transcript" else name] = await _save(value, name, folder)
             else:
                 fields[name] = value
     finally:
@@ -143,6 +141,9 @@ async def _raw(request: Request, folder: Path) -> dict[str, str]:
 
 def _checked(model: type[Options], fields: dict[str, Any]) -> Options:
     try:
-        return model.model_validate(fields)
+        return model.model_validate(fields, context={"files": {}})
     except ValidationError as error:
+        known = user_error(error)
+        if not isinstance(known, ConfigError):
+            raise known from None
         raise RequestValidationError(error.errors(include_url=False)) from None

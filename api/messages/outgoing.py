@@ -19,7 +19,7 @@ from api.jobs.queue import new_id
 from api.jobs.table import Job
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import OutputFormat
-from api.messages.options import MotionOptions
+from api.messages.options import SpeechOptions
 from api.messages.schemas import view_of
 from api.service import Service
 
@@ -36,7 +36,7 @@ async def answer_order(
     folder: Path,
     kind: Kind,
     options: dict[str, Any],
-    given: MotionOptions,
+    given: SpeechOptions,
     output: OutputFormat,
 ) -> Response:
     """Carry out an order now if its recording is short, else accept a job.
@@ -51,7 +51,7 @@ async def answer_order(
         Of the order.
     options : dict
         Of the order.
-    given : MotionOptions
+    given : SpeechOptions
         Of the request.
     output : OutputFormat
         Of the result.
@@ -82,7 +82,7 @@ async def accept(
     caller: Caller,
     folder: Path,
     work: Order,
-    given: MotionOptions,
+    given: SpeechOptions,
     output: OutputFormat,
 ) -> Job:
     """Put an order into the queue of jobs.

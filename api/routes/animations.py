@@ -18,11 +18,12 @@ from api.messages.formats import (
 )
 from api.messages.incoming import receive
 from api.messages.options import (
+    FIELD_FILES,
     AnimationOptions,
     ConversionOptions,
     MeshOptions,
-    MotionOptions,
     RetargetOptions,
+    SpeechOptions,
     order_options,
 )
 from api.messages.outgoing import answer_order, file_answer
@@ -31,7 +32,7 @@ from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
-SPEECH = ("recording", "emotion", "intensity_curve", "transcript", "phones")
+SPEECH = ("recording", *FIELD_FILES, "transcript", "phones")
 
 
 @router.post(
@@ -83,7 +84,8 @@ async def retargets(request: Request, service: ServiceDep, caller: AnimatorDep) 
 async def conversions(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A file of curves in another format, on the control board."""
     async with service.stage.folder() as folder:
-        given, sent = await receive(request, folder, ConversionOptions, ("curves",))
+        received = await receive(request, folder, ConversionOptions, ("curves",))
+        given, sent = received.options, received.sent
         output = choose_format(CURVE_FORMATS, given.format, request.headers.get("accept"), "json")
         options = given.order_options() | checked_curves(sent)
         options |= {"format": output.name, "suffix": output.suffix}
@@ -101,8 +103,8 @@ class NoOptions(BaseModel):
 async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -> ValidationView:
     """Check a file of curves by the rules of the programs that import it."""
     async with service.stage.folder() as folder:
-        _, sent = await receive(request, folder, NoOptions, ("curves",))
-        options = checked_curves(sent)
+        received = await receive(request, folder, NoOptions, ("curves",))
+        options = checked_curves(received.sent)
         order: Order = {"kind": "validation", "folder": str(folder), "options": options}
         answer = await service.pool.run(order)
         return ValidationView(**answer["facts"])
@@ -113,7 +115,7 @@ async def speech(
     service: Service,
     caller: Caller,
     kind: Kind,
-    model: type[MotionOptions],
+    model: type[SpeechOptions],
     formats: dict[str, OutputFormat],
     default: str,
     files: tuple[str, ...] = SPEECH,
@@ -140,10 +142,10 @@ async def speech(
         Whether a short recording is answered at once.
     """
     async with service.stage.folder() as folder:
-        given, sent = await receive(request, folder, model, files)
+        received = await receive(request, folder, model, files)
+        given = received.options
         output = choose_format(formats, given.format, request.headers.get("accept"), default)
-        options = order_options(given, folder, set(sent.values()))
-        options |= checked_files(kind, sent)
+        options = order_options(received, folder) | checked_files(kind, received.sent)
         if given.model not in service.settings.known_models:
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")

@@ -18,9 +18,11 @@ async def health() -> StatusView:
 
 @router.get("/readyz", responses=problems())
 async def ready(service: ServiceDep) -> StatusView:
-    """Whether a worker has read the models; 503 before."""
+    """Whether a worker has read the models and no live worker has ended; 503 otherwise."""
     if not service.pool.is_ready:
         raise Problem(503, "the models are being read", "starting", None, {"Retry-After": "1"})
+    if not service.voices.is_ready:
+        raise Problem(503, "the live worker starts again", "starting", None, {"Retry-After": "1"})
     return StatusView(status="ready", version=__version__)
 
 

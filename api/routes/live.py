@@ -1,5 +1,6 @@
 """`WS /v1/live`: sound in, frames out."""
 
+import asyncio
 import json
 from contextlib import suppress
 
@@ -9,6 +10,7 @@ from starlette.websockets import WebSocketDisconnect
 from api.errors import Problem, internal_problem, problem_of
 from api.guard.keys import Caller, require
 from api.guard.middleware import SUBPROTOCOL
+from api.guard.protocol import SEND_SECONDS
 from api.live.session import Session
 from api.service import Service
 from rig.errors import UserError
@@ -30,27 +32,32 @@ async def live(websocket: WebSocket) -> None:
     try:
         is_offered = SUBPROTOCOL in websocket.scope.get("subprotocols", [])
         await websocket.accept(subprotocol=SUBPROTOCOL if is_offered else None)
-        async with service.stage.folder() as folder:
-            await _serve(websocket, Session(websocket, service, folder))
+        await _serve(websocket, service)
     finally:
         service.live_sessions -= 1
 
 
-async def _serve(websocket: WebSocket, session: Session) -> None:
+async def _serve(websocket: WebSocket, service: Service) -> None:
+    """Close the connection after the session, within `SEND_SECONDS`, with a problem if it has one."""
+    problem = None
     try:
-        await session.run()
-        await websocket.close()
+        async with service.stage.folder() as folder:
+            await Session(websocket, service, folder).run()
     except WebSocketDisconnect:
         return
-    except Problem as problem:
-        await _close(websocket, problem)
+    except Problem as error:
+        problem = error
     except UserError as error:
-        await _close(websocket, problem_of(error))
+        problem = problem_of(error)
     except Exception as error:
-        await _close(websocket, internal_problem(error))
+        problem = internal_problem(error)
+    with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+        await asyncio.wait_for(_close(websocket, problem), SEND_SECONDS)
 
 
-async def _close(websocket: WebSocket, problem: Problem) -> None:
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await websocket.send_text(json.dumps({"type": "problem", **problem.content}))
-        await websocket.close(CLOSE_CODES.get(problem.status, 1011))
+async def _close(websocket: WebSocket, problem: Problem | None) -> None:
+    if problem is None:
+        await websocket.close()
+        return
+    await websocket.send_text(json.dumps({"type": "problem", **problem.content}))
+    await websocket.close(CLOSE_CODES.get(problem.status, 1011))

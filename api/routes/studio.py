@@ -3,34 +3,43 @@
 import base64
 import hashlib
 import re
+from collections.abc import AsyncIterator
 from functools import lru_cache
+from typing import Annotated
 
-import anyio
-from fastapi import APIRouter
-from starlette.responses import HTMLResponse
+from fastapi import APIRouter, Query
+from starlette.responses import StreamingResponse
+
+from api.routes.deps import ServiceDep
 
 router = APIRouter()
-_SCRIPT = re.compile(r"<script type=\"module\"[^>]*>(.*?)</script>", re.DOTALL)
+PIECE_BYTES = 1 << 16
+"""A page is sent in pieces: what a slow client has not read is not kept for it."""
+_SCRIPT = re.compile(rb"<script type=\"module\"[^>]*>(.*?)</script>", re.DOTALL)
 
 
 @router.get("/", include_in_schema=False)
-async def studio(head: str = "0") -> HTMLResponse:
+async def studio(
+    service: ServiceDep, head: Annotated[str, Query(max_length=40)] = "0"
+) -> StreamingResponse:
     """The page with a head (`/?head=child`); 503 if this installation was built without it."""
-    page, policy = await anyio.to_thread.run_sync(_page, head)
-    return HTMLResponse(page, headers={"Content-Security-Policy": policy})
+    page = await service.pages.page(head)
+    headers = {"Content-Security-Policy": _policy(page), "Content-Length": str(len(page))}
+    return StreamingResponse(_pieces(page), headers=headers, media_type="text/html")
 
 
-@lru_cache(maxsize=4)
-def _page(head: str) -> tuple[str, str]:
-    """The page and its policy: its own script, nothing from elsewhere, in no frame."""
-    from deitalk.preview.page import render_studio  # takes as long to import as all else here
+async def _pieces(page: bytes) -> AsyncIterator[bytes]:
+    for start in range(0, len(page), PIECE_BYTES):
+        yield page[start : start + PIECE_BYTES]
 
-    page = render_studio(head)
-    digests = [hashlib.sha256(script.encode()).digest() for script in _SCRIPT.findall(page)]
+
+@lru_cache(maxsize=16)
+def _policy(page: bytes) -> str:
+    """Return the page's policy: its own script, nothing from elsewhere, in no frame."""
+    digests = [hashlib.sha256(script).digest() for script in _SCRIPT.findall(page)]
     hashes = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
-    policy = (
+    return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; "
         "img-src data: blob:; media-src blob:; connect-src 'self' blob: data:; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    return page, policy

@@ -81,8 +81,8 @@ def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
     """Lines of each actor, without those with a reference of their own."""
     found: dict[str, list[Line]] = {}
     for line in lines:
-        if line.settings.actor and not line.settings.voice:
-            found.setdefault(line.settings.actor, []).append(line)
+        if line.actor and line.acting.voice is None:
+            found.setdefault(line.actor, []).append(line)
     return found
 
 

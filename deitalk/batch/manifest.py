@@ -5,16 +5,10 @@
     audio             recording, relative to the manifest or absolute; the only column that must be
     output            name in the output folder, without suffix; by default that of the recording
     formats           csv;take …  (`deitalk convert` lists them)
-    emotion           as for `deitalk animate`; a track is relative to the manifest
-    intensity         factor, 0 to 4
-    intensity_curve   edited intensity.csv of a take
-    actor             who speaks: lines of one actor share a reference
-    voice             reference of the actor, instead of the one that is measured
-    fps, digits, seed, listen   numbers
+    actor             who speaks: lines of one actor share a measured voice
+    fps, digits       numbers
     timecode          zero, recording or HH:MM:SS:FF
-    life, look_at, gain   as for `deitalk animate`
-    transcript, phones    what is said: text, or a file relative to the manifest; not both
-    language          espeak-ng's voice for the words
+    emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 
 Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 """
@@ -25,31 +19,30 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-from deitalk.batch.lines import BadLine, Line, Settings, check_settings, is_track, parse_formats
+from deitalk.acting import OLD_NAMES, Acting, modern
+from deitalk.batch.lines import BadLine, Line, Written, parse_formats
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
-from deitalk.pipeline.arguments import whole_seed
-from deitalk.pipeline.words.transcript import is_words_file
 from rig import limits
 from rig.errors import UserError, quoted
 from rig.formats.table import writable_suffixes
 
-COLUMNS = (
-    "audio", "output", "formats", "emotion", "intensity", "intensity_curve", "actor", "voice",
-    "fps", "digits", "timecode", "seed", "life", "look_at", "listen", "gain", "transcript",
-    "phones", "language",
-)  # fmt: skip
-_SETTINGS = tuple(name for name in COLUMNS if name not in ("audio", "output", "formats"))
+OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode")
+COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
+_OLD = tuple(name for name in OLD_NAMES if name not in OWN_COLUMNS)
+_SETTINGS = (*COLUMNS[3:], *_OLD)
 _SEPARATORS = ",;\t"
 _SUFFIXES = sorted(writable_suffixes(), key=len, reverse=True)
 Row = dict[str, str]
 
 
 def read_manifest(
-    text: str, where: str, base: str, defaults: Settings
+    text: str, where: str, base: str, defaults: Line
 ) -> tuple[list[Line | BadLine], tuple[str, ...]]:
-    """Lines of a manifest in their order, and the names of columns that are not used.
+    """Lines of a manifest in their order, and notes on its columns.
 
     Parameters
     ----------
@@ -59,7 +52,7 @@ def read_manifest(
         Its name, for messages.
     base : str
         Folder or URL that relative paths begin at.
-    defaults : Settings
+    defaults : Line
         For empty cells and missing columns.
 
     Raises
@@ -73,7 +66,7 @@ def read_manifest(
             f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
             f"columns {', '.join(COLUMNS)}"
         )
-    known = [name for name in header if name in COLUMNS]
+    known = [name for name in header if name in (*COLUMNS, *_OLD)]
     doubled = next((name for name in known if known.count(name) > 1), None)
     if doubled is not None:
         raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
@@ -81,7 +74,18 @@ def read_manifest(
     lines = [read.line(i, row) for i, row in enumerate(rows, 1)]
     if not lines:
         raise DataError(f"{where}: holds no rows; write one for each recording")
-    return lines, tuple(name for name in header if name and name not in COLUMNS)
+    return lines, tuple(_notes(header))
+
+
+def _notes(header: list[str]) -> Iterator[str]:
+    """What is to be said about the columns."""
+    unused = [name for name in header if name and name not in (*COLUMNS, *_OLD)]
+    if unused:
+        shown = ", ".join(unused[:5]) + (" …" if len(unused) > 5 else "")
+        yield f"columns of the manifest that are not used: {shown}"
+    for name in _OLD:
+        if name in header:
+            yield f"column {name} is now {OLD_NAMES[name]}"
 
 
 def _rows(text: str, where: str) -> tuple[list[str], Iterator[Row]]:
@@ -116,54 +120,62 @@ def _filled(reader: Iterator[list[str]], header: list[str], where: str) -> Itera
 
 
 class _Reader:
-    """Rows to lines; rows of equal settings share one object."""
+    """Rows to lines; rows of equal settings share their objects."""
 
-    def __init__(self, base: str, defaults: Settings) -> None:
+    def __init__(self, base: str, defaults: Line) -> None:
         self.base, self.defaults = base, defaults
-        self._known: dict[tuple[str | None, ...], Settings] = {}
+        self._known: dict[tuple[str | None, ...], Line] = {}
 
     def line(self, place: int, row: Row) -> Line | BadLine:
         audio = row.get("audio", "")
         try:
             if not audio:
                 raise DeitalkError("no recording is named in the column audio")
-            formats, output = _named(row, audio, self.defaults)
-            return Line(place, joined(self.base, audio), output, self._settings(row, formats))
+            formats, output = _named(row, audio, self.defaults.written)
+            like = self._like(row, formats)
+            return replace(like, number=place, audio=joined(self.base, audio), output=output)
         except UserError as error:
             return BadLine(place, audio, row.get("output", ""), str(error))
 
-    def _settings(self, row: Row, formats: tuple[str, ...]) -> Settings:
+    def _like(self, row: Row, formats: tuple[str, ...]) -> Line:
+        """A line with the settings of a row."""
         cells = (*formats, *(row.get(name) for name in _SETTINGS))
         if cells not in self._known:
-            defaults = replace(self.defaults, formats=formats)
-            self._known[cells] = _settings(row, self.base, defaults)
+            self._known[cells] = self._read(row, formats)
         return self._known[cells]
 
-
-def _settings(row: Row, base: str, defaults: Settings) -> Settings:
-    found: dict[str, object] = {}
-    if emotion := row.get("emotion"):
-        found["emotion"] = joined(base, emotion) if is_track(emotion) else emotion
-    for name in ("intensity_curve", "voice", "transcript", "phones"):
-        if cell := row.get(name):
-            is_path = name in ("intensity_curve", "voice") or is_words_file(cell)
-            found[name] = joined(base, cell) if is_path else cell
-    for name in ("intensity", "fps", "listen"):
-        if cell := row.get(name):
-            found[name] = number(cell, name, "column")
-    for name in ("actor", "life", "look_at", "gain", "timecode", "language"):
-        if text := row.get(name):
-            found[name] = text
-    if seed := row.get("seed"):
-        found["seed"] = whole_seed(int(seed) if seed.isdecimal() else seed)
-    if digits := row.get("digits"):
-        found["digits"] = int(digits) if digits.isdecimal() else digits
-    settings = replace(defaults, **found)  # type: ignore[arg-type]
-    check_settings(settings)
-    return settings
+    def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
+        cells = {name: row[name] for name in _SETTINGS if row.get(name)}
+        names = (*Acting.model_fields, *_OLD)
+        fields, _ = modern({name: cells[name] for name in names if name in cells})
+        acting = Acting.of(self.defaults.acting, files=_Beside(self.base), **fields)
+        form: dict[str, Any] = {"formats": formats}
+        if fps := cells.get("fps"):
+            form["fps"] = number(fps, "fps", "column")
+        if digits := cells.get("digits"):
+            form["digits"] = int(digits) if digits.isdecimal() else digits
+        if timecode := cells.get("timecode"):
+            form["timecode"] = timecode
+        written = replace(self.defaults.written, **form).checked()
+        actor = cells.get("actor", self.defaults.actor)
+        return replace(self.defaults, acting=acting, written=written, actor=actor)
 
 
-def _named(row: Row, audio: str, defaults: Settings) -> tuple[tuple[str, ...], str]:
+class _Beside(dict[str, Path]):
+    """Files by the names that a manifest gives them."""
+
+    def __init__(self, base: str) -> None:
+        super().__init__()
+        self.base = base
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __getitem__(self, name: str) -> Path:
+        return Path(joined(self.base, name))
+
+
+def _named(row: Row, audio: str, defaults: Written) -> tuple[tuple[str, ...], str]:
     """Formats and output of a row; the suffix of an output is its format if none is named."""
     text = row.get("formats", "")
     formats = parse_formats(text) if text else defaults.formats

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from deitalk.acting import Acting
 from deitalk.batch.journal import File
-from deitalk.batch.lines import Settings
-from deitalk.emotions import ActorReference
+from deitalk.batch.lines import Written
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,9 +14,10 @@ class Order:
 
     output: str
     audio: str
-    settings: Settings = field(default_factory=Settings)
-    voice: ActorReference | None = None
-    """Reference of the actor, where one was measured."""
+    acting: Acting = field(default_factory=Acting)
+    """With the voice of the actor, where one was measured."""
+    written: Written = field(default_factory=Written)
+    actor: str = ""
     known: str = ""
     """SHA-256 of the recording that the outputs are of; empty: they are to be made."""
     size: float = 0.0

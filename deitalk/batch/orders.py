@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from deitalk import __version__
+from deitalk.acting import Acting
 from deitalk.batch.actors import references
 from deitalk.batch.journal import DONE, FAILED, Entry
 from deitalk.batch.lines import BadLine, Line, line_key
@@ -56,7 +57,7 @@ class Batch:
         """Measure the actors, then find what is to be done."""
         good = [line for line in self.lines if isinstance(line, Line)]
         voices = references(good, self.outputs, self.recordings.signature, run)
-        actors = {line.settings.actor for line in good if not line.settings.voice} - {""}
+        actors = {line.actor for line in good if line.acting.voice is None} - {""}
         if unmeasured := sorted(actors - voices.keys()):
             self.notes.append(
                 f"too few lines with voice for a reference of {', '.join(unmeasured[:5])}"
@@ -92,7 +93,7 @@ class Batch:
         if not self.recordings.signature(line.audio):
             raise AudioError(f"there is no recording {line.audio}; check the path")
         entry = self.journal.entry(line.output)
-        key = line_key(line, self.model, _strength(line, voices))
+        key = line_key(line, _acting(line, voices), self.model)
         fresh = Entry(line.output, line.audio, self.recordings.signature(line.audio), key=key)
         self._entries[line.output] = (len(self.rows), fresh)
         if entry is None or entry.state != DONE or entry.key != key:
@@ -111,9 +112,11 @@ class Batch:
         """Order a line; `known` is the sound that its outputs are of, if they are there."""
         _, entry = self._entries[line.output]
         self.outputs.check_free(line.targets)
-        voice = None if line.settings.voice else voices.get(line.settings.actor)
         size = self.recordings.size(line.audio)
-        order = Order(line.output, line.audio, line.settings, voice, entry.sound, size)
+        order = Order(
+            line.output, line.audio, _acting(line, voices), line.written, line.actor, entry.sound,
+            size,
+        )  # fmt: skip
         self._orders.append(order)
         return Row(line.number, line.audio, line.output, FAILED, error="was not animated")
 
@@ -142,9 +145,9 @@ class Batch:
             self.rows[number] = _finished(self.rows[number], entry, outcome)
 
 
-def _strength(line: Line, voices: dict[str, ActorReference]) -> float | None:
-    voice = None if line.settings.voice else voices.get(line.settings.actor)
-    return None if voice is None else voice.strength
+def _acting(line: Line, voices: dict[str, ActorReference]) -> Acting:
+    """The acting of a line, with the voice of its actor where none is given."""
+    return Acting.of(line.acting, voice=line.acting.voice or voices.get(line.actor))
 
 
 def _finished(row: Row, entry: Entry, outcome: Outcome) -> Row:

@@ -13,6 +13,7 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import finalize
 
+from deitalk.acting import Acting
 from deitalk.batch.journal import File
 from deitalk.batch.lines import TAKE, has_digits
 from deitalk.batch.messages import Order, Outcome, Target
@@ -22,7 +23,7 @@ from rig.errors import UserError, one_line
 
 if TYPE_CHECKING:
     from deitalk.models.network import Reading
-    from deitalk.pipeline.curves import Shot
+    from deitalk.pipeline.curves import Prepared
 
 TOGETHER = 8
 """Most recordings of one length that the network reads in one call."""
@@ -74,17 +75,17 @@ class Performer:
 
     def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Animate lines, those of one length together; what is wrong with one is in its result."""
-        ready: dict[int, list[tuple[Order, str, Shot]]] = {}
+        ready: dict[int, list[tuple[Order, str, Prepared]]] = {}
         for order in orders:
             prepared = self._guarded(order, partial(self._prepared, order))
             if isinstance(prepared, Outcome):
                 yield [prepared]
                 continue
-            sound, shot = prepared
-            group = ready.setdefault(len(shot.weights), [])
-            group.append((order, sound, shot))
-            if len(group) >= self._most_together(len(shot.weights)):
-                yield self._finished(ready.pop(len(shot.weights)))
+            sound, prepared = prepared
+            group = ready.setdefault(len(prepared.weights), [])
+            group.append((order, sound, prepared))
+            if len(group) >= self._most_together(len(prepared.weights)):
+                yield self._finished(ready.pop(len(prepared.weights)))
         for group in ready.values():
             yield self._finished(group)
 
@@ -104,13 +105,11 @@ class Performer:
             text = one_line(f"{type(error).__name__}: {error}")
             return Outcome(order.output, "failed", text)
 
-    def _prepared(self, order: Order) -> tuple[str, "Shot"] | Outcome:
+    def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
         from deitalk.pipeline.actor import voice_strength
         from deitalk.pipeline.curves import prepare
-        from deitalk.pipeline.words.transcript import LANGUAGE
 
-        settings = order.settings
         data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
@@ -118,25 +117,10 @@ class Performer:
         if order.only_voice:
             strength = voice_strength(recording)
             return Outcome(order.output, "done", seconds=recording.duration, strength=strength)
-        return sound, prepare(
-            recording,
-            settings.emotion,
-            lambda: self.network,
-            actor=self._style(settings.actor),
-            intensity=settings.intensity,
-            intensity_curve=settings.intensity_curve or None,
-            voice=settings.voice or order.voice,
-            idle=settings.idle,
-            raw=settings.raw,
-            seed=settings.seed,
-            life=settings.life or None,
-            look_at=settings.look_at or (0.0, 0.0),
-            listen=settings.listen,
-            gain=settings.gain or None,
-            transcript=settings.transcript or None,
-            phones=settings.phones or None,
-            language=settings.language or LANGUAGE,
-        )
+        acting = order.acting
+        if acting.style is None and order.actor in self.network.actors:
+            acting = Acting.of(acting, style=order.actor)
+        return sound, prepare(recording, acting, lambda: self.network)
 
     def _most_together(self, n_frames: int) -> int:
         """Recordings of a length that are animated in one call."""
@@ -145,15 +129,15 @@ class Performer:
             return 1
         return max(min(TOGETHER, TOGETHER_FRAMES // n_frames), 1)
 
-    def _finished(self, group: list[tuple[Order, str, "Shot"]]) -> list[Outcome]:
+    def _finished(self, group: list[tuple[Order, str, "Prepared"]]) -> list[Outcome]:
         """Results of prepared lines of one length; each alone if they fail together."""
         readings: Sequence[Reading | None] = [None] * len(group)
         if len(group) > 1:
             with suppress(Exception):
                 readings = self.network.read_together(
-                    [shot.speech.sound for _, _, shot in group],
-                    [shot.weights for _, _, shot in group],
-                    [shot.actor for _, _, shot in group],
+                    [prepared.speech.sound for _, _, prepared in group],
+                    [prepared.weights for _, _, prepared in group],
+                    [prepared.style for _, _, prepared in group],
                 )
         return [
             self._guarded(line[0], partial(self._performed, *line, reading))
@@ -161,19 +145,17 @@ class Performer:
         ]
 
     def _performed(
-        self, order: Order, sound: str, shot: "Shot", reading: "Reading | None"
+        self, order: Order, sound: str, prepared: "Prepared", reading: "Reading | None"
     ) -> Outcome:
         from deitalk.audio.original import start_of
         from deitalk.batch.findings import findings
         from deitalk.pipeline.curves import finish
 
         if reading is None:
-            reading = self.network.read(
-                shot.speech.waveform, shot.weights, shot.actor, gain=shot.speech.gain
-            )
-        performance = finish(shot, reading)
-        settings = order.settings
-        start, note = start_of(settings.timecode, settings.fps, shot.recording.start)
+            reading = prepared.read()
+        performance = finish(prepared, reading)
+        written = order.written
+        start, note = start_of(written.timecode, written.fps, prepared.recording.start)
         folder, targets = self._write(order, performance, start)
         staged = _files(folder, targets)
         files = tuple(staged.values())
@@ -184,7 +166,7 @@ class Performer:
             order.output,
             "done",
             sound=sound,
-            seconds=shot.recording.duration,
+            seconds=prepared.recording.duration,
             frames=len(performance.curves),
             warnings=(
                 *performance.recording.warnings,
@@ -196,25 +178,21 @@ class Performer:
             files=files,
         )
 
-    def _style(self, actor: str) -> str | None:
-        """The model's own style of an actor, if it has one."""
-        return actor if actor in self.network.actors else None
-
     def _write(
         self, order: Order, performance: Any, start: float
     ) -> tuple[Path, tuple[Target, ...]]:
         """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
 
-        form = {"fps": order.settings.fps, "start": start}
-        digits = {"digits": order.settings.digits}
+        form = {"fps": order.written.fps, "start": start}
+        digits = {"digits": order.written.digits}
         self.count += 1
         folder = self.stage / str(self.count)
         folder.mkdir(parents=True)
         targets = []
-        for place, suffix in enumerate(order.settings.formats):
+        for place, suffix in enumerate(order.written.formats):
             if suffix == TAKE:
-                self._write_take(folder / TAKE, order, performance, form | digits)
+                self._write_take(folder / TAKE, performance, form | digits)
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
@@ -224,14 +202,11 @@ class Performer:
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 
-    def _write_take(
-        self, folder: Path, order: Order, performance: Any, form: dict[str, Any]
-    ) -> None:
+    def _write_take(self, folder: Path, performance: Any, form: dict[str, Any]) -> None:
         from deitalk.pipeline.take import write_take
 
         beside = self.stage / TAKE  # one name for all, as each has a lock
-        settings = dict(performance.settings) | {"actor": order.settings.actor or None}
-        write_take(beside, performance, settings=settings, model=self.about, **form)
+        write_take(beside, performance, model=self.about, **form)
         os.rename(beside, folder)
 
 

@@ -7,14 +7,16 @@
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
+from deitalk.acting import Acting, acted_as
 from deitalk.batch.cloud import opened_cloud
-from deitalk.batch.lines import Settings, check_settings, parse_formats
+from deitalk.batch.lines import Line, Written, parse_formats
 from deitalk.batch.orders import Batch, model_identity
 from deitalk.batch.outputs import AnyOutputs, opened_folder
 from deitalk.batch.performer import Performer
@@ -23,6 +25,7 @@ from deitalk.batch.report import FAILED, BatchReport, Progress, Row, failed_text
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url
+from deitalk.emotions import EmotionTrack
 from deitalk.errors import DeitalkError
 from deitalk.models.devices import check_device, require_device
 from deitalk.models.network import Backend
@@ -32,19 +35,12 @@ from rig.errors import TargetError
 def animate_batch(
     source: str | Path,
     out: str | Path,
+    emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
-    emotion: str = "neutral",
-    intensity: float = 1.0,
+    acting: Acting | None = None,
     actor: str = "",
     formats: str = "csv",
     fps: float | None = None,
-    idle: bool = True,
-    raw: bool = False,
-    seed: int = 0,
-    life: str = "",
-    look_at: str = "",
-    listen: float = 0.0,
-    gain: str = "",
     digits: int | None = None,
     timecode: str = "zero",
     model: str | Path = "default",
@@ -54,6 +50,7 @@ def animate_batch(
     ray: str | None = None,
     force: bool = False,
     progress: Progress = lambda share, text: None,
+    **fields: Any,
 ) -> BatchReport:
     """Animate many recordings; a run that was ended goes on where it was.
 
@@ -68,10 +65,14 @@ def animate_batch(
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.
-    emotion, intensity, actor, formats, fps, idle, raw, seed, life, look_at, listen, gain, digits, \
-timecode
-        Of lines whose manifest does not give them; see `deitalk.batch.lines.Settings`. `formats`
-        is a list such as ``"csv;take"``.
+    emotion, acting, fields
+        As for `deitalk.animate`, of lines whose manifest does not give them.
+    actor : str
+        Who speaks, of lines whose manifest does not say: lines of one actor share a measured voice.
+    formats : str
+        A list such as ``"csv;take"``.
+    fps, digits, timecode
+        Of the written curves; see `deitalk.batch.lines.Written`.
     model : str or Path
         Name or folder of a curve model, or an ``.onnx`` file.
     backend : str
@@ -100,12 +101,8 @@ timecode
         must not or cannot be written.
     """
     began = monotonic()
-    defaults = Settings(
-        emotion, intensity, actor=actor, formats=parse_formats(formats), fps=fps, idle=idle,
-        raw=raw, seed=seed, life=life, look_at=look_at, listen=listen, gain=gain,
-        digits=digits, timecode=timecode,
-    )  # fmt: skip
-    check_settings(defaults)
+    written = Written(parse_formats(formats), fps, digits, timecode).checked()
+    defaults = Line(0, "", "", acted_as(emotion, acting, fields), written, actor)
     _check_device(device, ray)
     identity, count = model_identity(model, backend), _processes(workers, ray)
     plan = read_source(source, out, defaults)
@@ -117,7 +114,7 @@ timecode
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)
         _write_tables(outputs, batch.rows)
-    notes = (*_unused(plan.unused), *batch.notes)
+    notes = (*plan.notes, *batch.notes)
     return BatchReport(batch.rows, str(out), monotonic() - began, notes)
 
 
@@ -172,8 +169,3 @@ def _write_tables(outputs: AnyOutputs, rows: Sequence[Row]) -> None:
     outputs.write_table(SUMMARY, summary_text(rows))
     if failed or outputs.has_table(FAILED_TABLE):
         outputs.write_table(FAILED_TABLE, failed_text(failed))
-
-
-def _unused(columns: tuple[str, ...]) -> tuple[str, ...]:
-    shown = ", ".join(columns[:5]) + (" …" if len(columns) > 5 else "")
-    return (f"columns of the manifest that are not used: {shown}",) if columns else ()

@@ -2,11 +2,11 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from deitalk.audio.headers import RECORDINGS
-from deitalk.batch.lines import TAKE, BadLine, Line, Settings
+from deitalk.batch.lines import TAKE, BadLine, Line
 from deitalk.batch.manifest import checked_output, read_manifest
 from deitalk.batch.storage import cloud_errors, file_system, is_url
 from deitalk.errors import DataError
@@ -23,11 +23,11 @@ class Plan:
     """Lines of a batch in the order of their source."""
 
     lines: list[Line | BadLine]
-    unused: tuple[str, ...] = ()
-    """Columns of the manifest that are not used."""
+    notes: tuple[str, ...] = ()
+    """On the columns of the manifest."""
 
 
-def read_source(source: str | Path, out: str | Path, defaults: Settings) -> Plan:
+def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
     """Lines of a manifest (a file) or of all recordings in a folder and its subfolders.
 
     Hidden files and folders are left out, and the output folder where it lies in the source.
@@ -42,8 +42,8 @@ def read_source(source: str | Path, out: str | Path, defaults: Settings) -> Plan
     if names is not None:
         return Plan(distinct(list(_found(base, names, defaults))))
     text = _text_of(base)
-    lines, unused = read_manifest(text, base, os.path.dirname(base), defaults)
-    return Plan(distinct(lines), unused)
+    lines, notes = read_manifest(text, base, os.path.dirname(base), defaults)
+    return Plan(distinct(lines), notes)
 
 
 def _text_of(manifest: str) -> str:
@@ -55,7 +55,7 @@ def _text_of(manifest: str) -> str:
     return decode_text(data, manifest, error=DataError)
 
 
-def _found(folder: str, names: list[str], defaults: Settings) -> Iterator[Line | BadLine]:
+def _found(folder: str, names: list[str], defaults: Line) -> Iterator[Line | BadLine]:
     if not names:
         known = " ".join(RECORDINGS)
         raise DataError(f"{folder}: holds no recording ({known}); name another folder")
@@ -68,7 +68,7 @@ def _found(folder: str, names: list[str], defaults: Settings) -> Iterator[Line |
         except UserError as error:
             yield BadLine(number, audio, "", str(error))
         else:
-            yield Line(number, audio, output, defaults)
+            yield replace(defaults, number=number, audio=audio, output=output)
 
 
 def _names_in(folder: str, out: str | Path) -> list[str] | None:
@@ -114,7 +114,7 @@ def distinct(lines: list[Line | BadLine]) -> list[Line | BadLine]:
                 continue
             for target in line.targets:
                 owners[target.casefold()] = line
-            if TAKE in line.settings.formats:
+            if TAKE in line.written.formats:
                 takes[line.output.casefold()] = line
         result.append(line)
     return _outside_takes(result, takes)

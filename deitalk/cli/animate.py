@@ -4,31 +4,21 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.arguments import MAX_SEED
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     AnyModel,
     Backend,
     Device,
     Digits,
-    Emotion,
     Force,
-    Intensity,
-    IntensityCurve,
     Json,
-    Language,
-    LifeFactors,
-    LookAt,
-    PhonesGiven,
     Threads,
     Timecode,
-    Voice,
-    Words,
     WrittenIdentity,
 )
 from deitalk.cli.paths import reserve_file, reserve_folder
@@ -37,48 +27,25 @@ from deitalk.errors import DeitalkError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from deitalk.acting import Acting
     from deitalk.audio.load import Recording
     from deitalk.models.network import CurveNetwork
     from deitalk.pipeline.performance import Performance
     from deitalk.pipeline.take import Extra
 
-AUTO = "auto"
-"""Emotion that stands for the suggested one."""
 
-
+@acting_options
 def animate(
     speech: Annotated[str, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …) or - .")],
     out: Annotated[
         str, typer.Option("--out", "-o", help="Take folder/, or one file: .csv .json .npz …")
     ],
-    emotion: Emotion = "neutral",
-    actor: Annotated[
-        str | None, typer.Option(help="Whose style, of a model tuned on several actors.")
-    ] = None,
-    intensity: Intensity = 1.0,
-    intensity_curve: IntensityCurve = None,
-    voice: Voice = None,
+    given: Given,
     model: AnyModel = "default",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     digits: Digits = None,
-    idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
-    life: LifeFactors = None,
-    look_at: LookAt = "0,0",
-    listen: Annotated[
-        float, typer.Option(help="Seconds of living silence after the speech.")
-    ] = 0.0,
-    gain: Annotated[
-        str | None, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
-    ] = None,
-    transcript: Words = None,
-    phones: PhonesGiven = None,
-    language: Language = "en-us",
-    raw: Annotated[
-        bool, typer.Option("--raw", help="The network alone, without the model's rules.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Another drawing of them.")] = 0,
     backend: Backend = "torch",
     device: Device = "cpu",
     threads: Threads = 1,
@@ -101,47 +68,27 @@ def animate(
 
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
 
-    deitalk animate speech.wav --transcript "My promise is big." -o take/
+    deitalk animate speech.wav --words "My promise is big." -o take/
     """
     _limit_blas(threads)
     target, is_folder = Path(out), _is_folder(out)
-    inputs = (speech, emotion, intensity_curve, voice, transcript, phones)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
+    inputs = (speech, *given.texts)
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
     extras = _extras(preview, identity)
-    options: dict[str, Any] = {
-        "emotion": emotion,
-        "actor": actor,
-        "intensity": intensity,
-        "intensity_curve": intensity_curve,
-        "voice": voice,
-        "idle": idle,
-        "life": life,
-        "look_at": look_at,
-        "listen": listen,
-        "gain": gain,
-        "transcript": transcript,
-        "phones": phones,
-        "language": language,
-        "raw": raw,
-        "seed": seed,
-    }
-    performance = _perform(speech, _loader(model, backend, device, threads), options)
-    settings = options | {
-        "intensity_curve": intensity_curve and intensity_curve.name, "voice": voice and voice.name
-    }  # fmt: skip
+    performance = _perform(speech, given.acting, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
-        _write_take(target, performance, settings, model, form, extras, force=force)
+        _write_take(target, performance, model, form, extras, force=force)
     else:
         _write_file(target, performance, form | {"identity": identity})
     _note(performance)
     if as_json:
-        emit_json(_summary(target, performance, settings))
+        emit_json(_summary(target, performance))
         return
     console().print(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
-        f"{_acted(performance, options['emotion'])}"
+        f"{_acted(performance)}"
     )
 
 
@@ -168,8 +115,9 @@ def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
     return start
 
 
-def _acted(performance: "Performance", emotion: str) -> str:
+def _acted(performance: "Performance") -> str:
     """Emotion and mean intensity of the curves."""
+    emotion = performance.emotion
     if not performance.has_emotion:
         return f"emotion {emotion}: the neutral reading"
     return (
@@ -257,69 +205,19 @@ def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[]
     return load
 
 
-def _perform(
-    speech: str, load: "Callable[[], CurveNetwork]", options: dict[str, Any]
-) -> "Performance":
-    began = perf_counter()
-    sound, given = _read(speech, options)
-    reading_seconds = perf_counter() - began
-    with console().status("loading the network"):
-        from deitalk.pipeline.curves import animate as perform
+def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") -> "Performance":
+    from deitalk.pipeline.curves import finish, prepare
 
-        network = load()
+    sound = sys.stdin.buffer.read() if speech == "-" else speech
+    with console().status("loading the recording and the network"):
+        prepared = prepare(sound, acting, load)
     with bar("animating") as progress:
-        performance = perform(sound, model=network, progress=progress, **given)
-    performance.timings["audio"] += reading_seconds
-    return performance
-
-
-def _read(speech: str, options: dict[str, Any]) -> "tuple[Recording, dict[str, Any]]":
-    """Read the inputs before the network is loaded, so that errors are reported early.
-
-    An emotion `AUTO` becomes the suggested one, in `options` too.
-    """
-    from deitalk.audio.load import load_audio
-    from deitalk.emotions import (
-        check_intensity,
-        parse_emotion,
-        read_actor,
-        read_intensity_curve,
-    )
-    from deitalk.pipeline.words.transcript import Transcript
-    from deitalk.postprocess.life.amounts import Life
-    from rig.curves.edit import parse_gains
-
-    check_intensity(options["intensity"])
-    Life.of(options["life"], options["look_at"])
-    parse_gains(options["gain"])
-    is_given = options["emotion"] != AUTO
-    given = options | ({"emotion": parse_emotion(options["emotion"])} if is_given else {})
-    names = ("transcript", "phones", "language")
-    given["transcript"] = Transcript.given(*(given.pop(name) for name in names))
-    if options["intensity_curve"] is not None:
-        given["intensity_curve"] = read_intensity_curve(options["intensity_curve"])
-    if options["voice"] is not None:
-        given["voice"] = read_actor(options["voice"])
-    recording = load_audio(sys.stdin.buffer.read() if speech == "-" else speech)
-    if not is_given:
-        given["emotion"] = options["emotion"] = _suggested(recording)
-    return recording, given
-
-
-def _suggested(recording: "Recording") -> str:
-    """The emotion that the voice suggests, with a note."""
-    with console().status("measuring the voice"):
-        from deitalk.pipeline.suggest import suggest_emotion
-
-        found = suggest_emotion(recording)
-    console().note(f"suggested from the voice: {found.label} ({found.probability:.2f})")
-    return found.label
+        return finish(prepared, prepared.read(progress))
 
 
 def _write_take(
     out: Path,
     performance: "Performance",
-    settings: dict[str, Any],
     model: str,
     form: dict[str, Any],
     extras: "tuple[Extra, ...]",
@@ -330,7 +228,7 @@ def _write_take(
     from deitalk.pipeline.take import write_take
 
     about = describe_model(model)
-    write_take(out, performance, settings=settings, model=about, force=force, extras=extras, **form)
+    write_take(out, performance, model=about, force=force, extras=extras, **form)
 
 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
@@ -352,7 +250,7 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
         console().note(f"{out.name} cannot contain the {track} track; a take folder can")
 
 
-def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) -> dict[str, Any]:
+def _summary(out: Path, performance: "Performance") -> dict[str, Any]:
     return {
         "out": str(out),
         "frames": len(performance.curves),
@@ -361,6 +259,6 @@ def _summary(out: Path, performance: "Performance", settings: dict[str, Any]) ->
         "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
         "words": performance.words and performance.words.line,
-        "settings": settings,
+        "settings": performance.acting.settings,
         "timings_seconds": performance.timings,
     }

@@ -4,15 +4,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.arguments import MAX_PROCESSES, MAX_SEED
+from deitalk.cli.acting import Given, acting_options
+from deitalk.cli.arguments import MAX_PROCESSES
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     AnyModel,
     Backend,
     Device,
     Digits,
-    Emotion,
-    Intensity,
     Json,
     Timecode,
 )
@@ -21,11 +20,11 @@ if TYPE_CHECKING:
     from deitalk.batch.report import BatchReport
 
 
+@acting_options
 def batch(
     source: Annotated[str, typer.Argument(help="Folder of recordings, or a manifest; or a URL.")],
     out: Annotated[str, typer.Option("--out", "-o", help="Folder of the results, or a URL.")],
-    emotion: Emotion = "neutral",
-    intensity: Intensity = 1.0,
+    given: Given,
     actor: Annotated[
         str, typer.Option(help="Who speaks; intensity counts from the actor's usual voice.")
     ] = "",
@@ -39,23 +38,6 @@ def batch(
     ] = None,
     digits: Digits = None,
     timecode: Timecode = "zero",
-    idle: Annotated[bool, typer.Option(help="Blinks and small motions of the gaze.")] = True,
-    raw: Annotated[
-        bool, typer.Option("--raw", help="The network alone, without the model's rules.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the blinks.")] = 0,
-    life: Annotated[
-        str, typer.Option(help="Factors 0 to 2, such as brows=.8,head=1.2,blinks=1,gaze=.5.")
-    ] = "",
-    look_at: Annotated[
-        str, typer.Option(help="Place of the listener: degrees to the left and up, such as 10,-5.")
-    ] = "",
-    listen: Annotated[
-        float, typer.Option(help="Seconds of listening after each recording, 0 to 600.")
-    ] = 0.0,
-    gain: Annotated[
-        str, typer.Option(help="Factors on regions or controls: jaw=1.2,brow=.8,mouth=1.1.")
-    ] = "",
     device: Device = "cpu",
     workers: Annotated[
         int | None,
@@ -72,8 +54,7 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, emotion, intensity, intensity_curve, actor, voice, fps, digits, timecode, seed, life,
-    look_at, listen, gain, and words (docs/batch.md).
+    formats, actor, fps, digits, timecode, and the options of the acting (docs/batch.md).
 
     Examples
     --------
@@ -85,10 +66,9 @@ def batch(
 
     with bar("animating") as progress:
         report = animate_batch(
-            source, out, emotion=emotion, intensity=intensity, actor=actor, formats=formats,
-            fps=fps, idle=idle, raw=raw, seed=seed, life=life, look_at=look_at, listen=listen,
-            gain=gain, digits=digits, timecode=timecode,
-            model=model, backend=backend, device=device, workers=workers, ray=ray,  # type: ignore[arg-type]
+            source, out, acting=given.acting, actor=actor, formats=formats, fps=fps, digits=digits,
+            timecode=timecode, model=model, backend=backend, device=device,  # type: ignore[arg-type]
+            workers=workers, ray=ray,
             force=force, progress=progress,
         )  # fmt: skip
     for note in report.notes:

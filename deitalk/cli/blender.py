@@ -23,13 +23,12 @@ def blender(
     --------
     deitalk blender deitalk_blender.py
     """
-    import rig.formats
     from rig.files import atomic_write
+    from rig.formats.blender import addon_text
 
     if out.suffix.lower() != ".py":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; an add-on is a .py file")
     reserve_file(out, force=force)
-    source = Path(rig.formats.__file__).with_name("blender_addon.py")
     with atomic_write(out) as beside:
-        beside.write_bytes(source.read_bytes())
+        beside.write_text(addon_text(), encoding="utf-8")
     console().print(f"{out}: Blender > Edit > Preferences > Add-ons > Install from Disk")

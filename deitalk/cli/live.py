@@ -3,18 +3,21 @@
 import gc
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_SEED
+from deitalk.acting import LIVE_FIELDS
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console
 from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
-from deitalk.cli.options import Backend, Emotion, Intensity, LifeFactors, LookAt
+from deitalk.cli.options import Backend
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
+    from deitalk.acting import Acting
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
     from deitalk.models.causal.network import CausalNetwork
@@ -25,7 +28,9 @@ POLL_SECONDS = 0.05
 """Longest wait for sound."""
 
 
+@partial(acting_options, fields=LIVE_FIELDS)
 def live(
+    given: Given,
     speech: Annotated[
         Path | None, typer.Argument(help="Recording, played at its own pace.")
     ] = None,
@@ -33,8 +38,6 @@ def live(
     source_name: Annotated[
         str | None, typer.Option("--input", help="Name, part of it, or number of another input.")
     ] = None,
-    emotion: Emotion = "neutral",
-    intensity: Intensity = 1.0,
     model: Annotated[
         str, typer.Option(help="live, the folder of a causal model, or its .onnx file.")
     ] = "live",
@@ -43,12 +46,6 @@ def live(
     port: Port = None,
     protocol: ProtocolName = "livelink",
     subject: Subject = "deitalk",
-    idle: Annotated[bool, typer.Option(help="Blinks, gaze, brows and head on the voice.")] = True,
-    life: LifeFactors = None,
-    look_at: LookAt = "0,0",
-    seed: Annotated[
-        int, typer.Option(min=0, max=MAX_SEED, help="Another drawing of this motion.")
-    ] = 0,
     seconds: Annotated[
         float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
     ] = None,
@@ -71,19 +68,14 @@ def live(
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.causal.network import load_causal
-    from deitalk.postprocess.life.amounts import Life
 
-    motion = Life.of(life, look_at)
     network = load_causal(model, backend=backend)
     if speech is not None:
         from deitalk.audio.load import load_audio
 
         waveform = load_audio(speech).waveform
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
-    animator = _warm_animator(
-        network, source.sample_rate,
-        emotion=emotion, intensity=intensity, idle=idle, life=motion, seed=seed,
-    )  # fmt: skip
+    animator = _warm_animator(network, source.sample_rate, given.acting)
     sender = _sender(animator, protocol, host, port, subject)
     console().print(
         f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "
@@ -101,13 +93,13 @@ def live(
     _print(sender.report())
 
 
-def _warm_animator(network: "CausalNetwork", rate: int, **options: Any) -> "LiveAnimator":
+def _warm_animator(network: "CausalNetwork", rate: int, acting: "Acting") -> "LiveAnimator":
     """An animator that has read once: the first call takes longer."""
     import numpy as np
 
     from deitalk.live.animator import LiveAnimator
 
-    animator = LiveAnimator(network, sample_rate=rate, **options)
+    animator = LiveAnimator(network, acting=acting, sample_rate=rate)
     animator.feed(np.zeros(rate, np.float32))
     animator.reset()
     gc.collect()

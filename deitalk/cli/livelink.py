@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console
-from deitalk.cli.options import Emotion, Force, Intensity, Model
+from deitalk.cli.options import Force, Model
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
+    from deitalk.acting import Acting
     from rig import RigCurves
     from rig.formats.livelink_csv import LiveLinkTake
 
@@ -32,10 +34,10 @@ StartSignal = Annotated[
 
 
 @app.command()
+@acting_options
 def send(
     source: Annotated[Path, typer.Argument(help="Take folder, file of curves, or a recording.")],
-    emotion: Emotion = "neutral",
-    intensity: Intensity = 1.0,
+    given: Given,
     model: Model = "default",
     host: Host = "127.0.0.1",
     port: Port = None,
@@ -51,7 +53,7 @@ def send(
 ) -> None:
     """Send a take, a file of curves, or a recording that is animated first.
 
-    Emotion, intensity and model are for a recording. The face rests at the end and on Ctrl-C.
+    Acting and model are for a recording. The face rests at the end and on Ctrl-C.
 
     Examples
     --------
@@ -61,15 +63,12 @@ def send(
 
     deitalk livelink send take/curves.json --protocol json --loop
     """
-    from deitalk.emotions import check_intensity, parse_emotion
     from rig.livelink.protocols import with_head
 
-    check_intensity(intensity)
-    parse_emotion(emotion)
     _rig_id(rig)
     signals = [_signal(start_signal)] if start_signal else []
     port = checked_port(host, port, protocol, subject, fps)
-    curves, audio = _source(source, emotion, intensity, model)
+    curves, audio = _source(source, given.acting, model)
     if protocol == "json":
         curves = with_head(_as_rig(curves, rig))
     started = [_player(audio), *signals] if play else signals
@@ -237,9 +236,7 @@ def checked_port(
     return port
 
 
-def _source(
-    source: Path, emotion: str, intensity: float, model: str
-) -> "tuple[RigCurves, Path | None]":
+def _source(source: Path, acting: "Acting", model: str) -> "tuple[RigCurves, Path | None]":
     """Return curves to send, and the audio that belongs to them."""
     from rig import read_curves
     from rig.errors import FormatError
@@ -259,7 +256,7 @@ def _source(
         from deitalk.pipeline.curves import animate
 
         console().print(f"animating {source.name}")
-        performance = animate(source, emotion, model=model, intensity=intensity)
+        performance = animate(source, acting=acting, model=model)
         return performance.curves, source
     return read_curves(source, control_set=None), None
 

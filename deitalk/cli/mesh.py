@@ -5,19 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     Device,
-    Emotion,
     Force,
-    Intensity,
-    IntensityCurve,
     Json,
-    Language,
     MeshOut,
-    PhonesGiven,
-    Voice,
-    Words,
 )
 from deitalk.cli.paths import reserve_mesh
 from deitalk.errors import DeitalkError
@@ -26,13 +20,11 @@ if TYPE_CHECKING:
     from deitalk.pipeline.performance import MeshPerformance
 
 
+@acting_options
 def mesh(
     speech: Annotated[Path, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …).")],
     out: MeshOut,
-    emotion: Emotion = "neutral",
-    intensity: Intensity = 1.0,
-    intensity_curve: IntensityCurve = None,
-    voice: Voice = None,
+    given: Given,
     model: Annotated[
         str, typer.Option(help="default, mesh_head, sdfa, or a model folder.")
     ] = "default",
@@ -50,9 +42,6 @@ def mesh(
     fps: Annotated[
         float | None, typer.Option(help="Frames per second; an SDFA model has its own.")
     ] = None,
-    transcript: Words = None,
-    phones: PhonesGiven = None,
-    language: Language = "en-us",
     device: Device = "cpu",
     force: Force = False,
     as_json: Json = False,
@@ -74,28 +63,18 @@ def mesh(
 
     deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
     """
-    reserve_mesh(
-        out,
-        force=force,
-        inputs=(speech, emotion, intensity_curve, voice, mesh, landmarks, transcript, phones),
-    )
+    reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, *given.texts))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
-    _check(emotion, intensity, fps, mesh, landmarks)
-    settings: dict[str, Any] = {
-        "emotion": emotion,
-        "intensity": intensity,
-        "intensity_curve": intensity_curve and str(intensity_curve),
-        "voice": voice and str(voice),
-        "model": model,
-    }
+    _check(fps, mesh, landmarks)
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
-        options = settings | {"speaker": who, "fps": fps, "device": device, "progress": progress}
-        if transcript is not None or phones is not None:
-            options |= {"transcript": transcript, "phones": phones, "language": language}
+        options: dict[str, Any] = {
+            "acting": given.acting, "model": model, "speaker": who, "fps": fps, "device": device,
+            "progress": progress,
+        }  # fmt: skip
         if mesh is None:
             performance = animate_mesh(speech, **options)
             performance.save(out, force=force)
@@ -105,18 +84,14 @@ def mesh(
             summary = {
                 "frames": report.frames, "fps": rate, "shapes": report.shapes, "notes": list(notes)
             }  # fmt: skip
-    _report(out, summary | settings, as_json)
+    summary |= {"model": model, "settings": given.acting.settings}
+    _report(out, summary, as_json)
 
 
-def _check(
-    emotion: str, intensity: float, fps: float | None, mesh: Path | None, landmarks: Path | None
-) -> None:
+def _check(fps: float | None, mesh: Path | None, landmarks: Path | None) -> None:
     """Raise for inputs that cannot be used, before the recording is animated."""
-    from deitalk.emotions import check_intensity, parse_emotion
     from rig.curves import snap_fps
 
-    check_intensity(intensity)
-    parse_emotion(emotion)
     if fps is not None:
         snap_fps(fps)
     if mesh is not None and mesh.suffix.lower() != ".glb":  # a GLB may be driven without this check

@@ -7,25 +7,6 @@ import typer
 
 from deitalk.cli.arguments import MAX_COUNT, MAX_THREADS, usable_device
 
-Emotion = Annotated[
-    str,
-    typer.Option(
-        "--emotion",
-        "-e",
-        help="neutral, angry, happy, sad, surprised; weights such as happy=0.7,surprised=0.3; "
-        "a keyframed track (.csv .json .yaml); animate also: auto, suggested from the voice.",
-    ),
-]
-Intensity = Annotated[
-    float, typer.Option(help="Factor on the intensity predicted from the voice, 0 to 4.")
-]
-IntensityCurve = Annotated[
-    Path | None, typer.Option(help="Edited intensity.csv of a take, instead of the prediction.")
-]
-Voice = Annotated[
-    Path | None,
-    typer.Option(help="Usual voice of the actor, from `deitalk actor build`."),
-]
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
     str, typer.Option("--model", help="default, live, a model folder, or an .onnx file.")
@@ -49,30 +30,6 @@ Threads = Annotated[
         help="CPU threads, at most one per processor; more than one seldom helps so small a "
         "network.",
     ),
-]
-Words = Annotated[
-    str | None,
-    typer.Option(
-        "--transcript",
-        help="What is said: text, .txt, .csv (start, end, word) or .TextGrid; its closures are met "
-        "where the sound agrees.",
-    ),
-]
-PhonesGiven = Annotated[
-    str | None,
-    typer.Option(
-        "--phones", help="The same as phones (ARPABET or IPA), without espeak-ng for their sounds."
-    ),
-]
-Language = Annotated[
-    str, typer.Option(help="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …")
-]
-LifeFactors = Annotated[
-    str | None,
-    typer.Option("--life", help="Factors on them, 0 to 2: brows=.8,head=1.2,blinks=1,gaze=.5."),
-]
-LookAt = Annotated[
-    str, typer.Option(help="Listener's place: degrees to the character's left and up.")
 ]
 Most = Annotated[
     int | None,

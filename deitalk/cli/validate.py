@@ -1,24 +1,25 @@
 """`deitalk validate`: errors and warnings of importers for a file."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import emit, emit_json
-from deitalk.cli.options import Language, PhonesGiven, Words
 from rig.errors import as_line
 
 if TYPE_CHECKING:
+    from deitalk.acting import Acting
     from rig.validation.findings import Finding
 
 
+@partial(acting_options, fields=("words", "language"))
 def validate(
     path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
+    given: Given,
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 on warnings too.")] = False,
-    transcript: Words = None,
-    phones: PhonesGiven = None,
-    language: Language = "en-us",
     audio: Annotated[
         Path | None, typer.Option(help="Recording of a file of curves, for its words.")
     ] = None,
@@ -35,14 +36,14 @@ def validate(
 
     deitalk validate MySlate_1_iPhone.csv --json
 
-    deitalk validate take/ --transcript "My promise is big."
+    deitalk validate take/ --words "My promise is big."
     """
     from rig.validation.curves import validate as check
 
     validation = check(path)
     findings = list(validation.findings)
-    if validation.ok and (transcript, phones) != (None, None):
-        findings += _closures(path, audio, (transcript, phones, language))
+    if validation.ok and given.acting.words is not None:
+        findings += _closures(path, audio, given.acting)
     if as_json:
         rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)
@@ -54,13 +55,10 @@ def validate(
         raise typer.Exit(1)
 
 
-def _closures(
-    path: Path, audio: Path | None, words: tuple[str | None, str | None, str]
-) -> "list[Finding]":
+def _closures(path: Path, audio: Path | None, acting: "Acting") -> "list[Finding]":
     """Closures that the curves miss, by the words of the recording."""
     from deitalk.pipeline.words.check import check_closures
     from deitalk.pipeline.words.transcript import Transcript
 
-    given = Transcript.given(*words)
-    assert given is not None
-    return check_closures(path, given, audio)
+    assert acting.words is not None
+    return check_closures(path, Transcript.of(acting.words, acting.language), audio)

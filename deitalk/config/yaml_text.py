@@ -29,6 +29,7 @@ _BUILD_ERRORS = (
     RecursionError,
 )
 """Exceptions of PyYAML for values such as ``!!int x`` or the date 2024-99-99."""
+_TOO_DEEP = f"nested deeper than {limits.NESTING} levels"
 
 
 def read_yaml(path: Path, *, error: ErrorClass = ConfigError) -> Any:
@@ -77,6 +78,8 @@ def load_yaml(text: str, where: object, *, error: ErrorClass = ConfigError) -> A
         return yaml.load(text, Loader=_Loader)
     except _BUILD_ERRORS as problem:
         reason = " ".join(shorten(str(problem), 500).split()) or type(problem).__name__
+        if isinstance(problem, RecursionError) or "maximum nesting depth" in reason:
+            reason = _TOO_DEEP  # libyaml reads ahead, and has a limit of its own
         raise error(f"{where}: cannot be read as YAML ({shorten(reason, 200)})") from None
 
 
@@ -112,7 +115,7 @@ def _check_events(events: Iterator[Any]) -> None:
         if done is not None:
             _add(open_nodes[-1], done, anchored)
         if len(open_nodes) - 2 + open_nodes[-1].height > limits.NESTING:
-            raise ValueError(f"nested deeper than {limits.NESTING} levels")
+            raise ValueError(_TOO_DEEP)
 
 
 def _add(parent: _Node, node: _Node, anchored: dict[str, _Node]) -> None:

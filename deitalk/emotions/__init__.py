@@ -1,13 +1,13 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
 from deitalk.emotions.actor import ActorReference, parse_actor, read_actor
-from deitalk.emotions.direction import Direction
 from deitalk.emotions.tracks import (
     EMOTIONS,
     EmotionTrack,
     IntensityCurve,
     check_intensity,
     parse_emotion,
+    parse_intensity_curve,
     read_emotion_track,
     read_intensity_curve,
     write_intensity_csv,
@@ -16,12 +16,12 @@ from deitalk.emotions.tracks import (
 __all__ = [
     "EMOTIONS",
     "ActorReference",
-    "Direction",
     "EmotionTrack",
     "IntensityCurve",
     "check_intensity",
     "parse_actor",
     "parse_emotion",
+    "parse_intensity_curve",
     "read_actor",
     "read_emotion_track",
     "read_intensity_curve",

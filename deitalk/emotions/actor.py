@@ -12,7 +12,7 @@ The traits may be edited, or left out: then they are drawn for each recording.
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,18 +55,27 @@ class ActorReference:
     seconds: float
     traits: Mapping[str, float] = field(default_factory=dict)
 
-    def as_json(self) -> str:
-        """Return the content of a reference file."""
+    @property
+    def content(self) -> dict[str, Any]:
+        """What a reference file holds."""
         content: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
-            "strength": round(self.strength, 4),
+            "strength": self.strength,
             "recordings": self.recordings,
-            "seconds": round(self.seconds, 2),
+            "seconds": self.seconds,
         }
-        if self.traits:
-            content["traits"] = {name: round(value, 4) for name, value in self.traits.items()}
-        return json.dumps(content) + "\n"
+        return content | ({"traits": dict(self.traits)} if self.traits else {})
+
+    def as_json(self) -> str:
+        """Return a reference file, its numbers rounded."""
+        rounded = replace(
+            self,
+            strength=round(self.strength, 4),
+            seconds=round(self.seconds, 2),
+            traits={name: round(value, 4) for name, value in self.traits.items()},
+        )
+        return json.dumps(rounded.content) + "\n"
 
 
 def read_actor(path: Path) -> ActorReference:

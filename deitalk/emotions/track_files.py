@@ -52,7 +52,8 @@ class Columns:
 class Table(ABC):
     """Content of a file, of which columns are taken by name."""
 
-    path: Path
+    path: object
+    """Name of the file or the text, for messages."""
     names: frozenset[str]
 
     @abstractmethod
@@ -73,14 +74,26 @@ def read_table(path: Path) -> Table:
         return _sheet(path, read_text(path, limits.TRACK_BYTES, error=EmotionError))
     if suffix == ".json":
         text = read_text(path, limits.TRACK_JSON_BYTES, error=EmotionError)
-        return _keys(path, load_json(text, path, error=EmotionError))
+        return table_of(load_json(text, path, error=EmotionError), path)
     if suffix in (".yaml", ".yml"):
         from deitalk.config.yaml_text import read_yaml
 
-        return _keys(path, read_yaml(path, error=EmotionError))
+        return table_of(read_yaml(path, error=EmotionError), path)
     raise EmotionError(
         f"{path}: suffix {quoted(suffix)} is none of {', '.join(TRACK_SUFFIXES)}; rename or convert"
     )
+
+
+def is_table(text: str) -> bool:
+    """Whether a text is a table of keys itself, not a name: JSON, or rows under a header."""
+    return text.lstrip()[:1] in ("[", "{") or "\n" in text.strip()
+
+
+def table_of(content: Any, where: object) -> Table:
+    """A table of a text, as of a spreadsheet or JSON, or of a list of keys; errors name `where`."""
+    if isinstance(content, str) and content.lstrip()[:1] in ("[", "{"):
+        content = load_json(content, where, error=EmotionError)
+    return _sheet(where, content) if isinstance(content, str) else _keys(where, content)
 
 
 def number(value: object, name: str, where: str) -> float:
@@ -102,7 +115,7 @@ def _number(value: object) -> float:
     return float(value)  # type: ignore[arg-type]
 
 
-def missing(path: Path, row: int, name: str, needed: Sequence[str]) -> EmotionError:
+def missing(path: object, row: int, name: str, needed: Sequence[str]) -> EmotionError:
     """Return the error of a key without a value."""
     return EmotionError(
         f"{path}, key {row}: no {name!r}; every key needs {', '.join(dict.fromkeys(needed))}"
@@ -114,7 +127,7 @@ def missing(path: Path, row: int, name: str, needed: Sequence[str]) -> EmotionEr
 
 @dataclass(frozen=True)
 class _Sheet(Table):
-    path: Path
+    path: object
     text: str
     """Lines under the header."""
     header: tuple[str, ...]
@@ -228,11 +241,11 @@ def _complete(
     return Columns(found, kept_words, kept)
 
 
-def _no_keys(path: Path) -> EmotionError:
+def _no_keys(path: object) -> EmotionError:
     return EmotionError(f"{path} holds no keys; give a list of keys with a 'time' each")
 
 
-def _sheet(path: Path, text: str) -> _Sheet:
+def _sheet(path: object, text: str) -> _Sheet:
     """A spreadsheet's header and separator."""
     lines = text.count("\n") + text.count("\r") - text.count("\r\n")
     if lines > limits.KEYS + 2:
@@ -275,7 +288,7 @@ def _outside_quotes(line: str) -> str:
 
 @dataclass(frozen=True)
 class _Keys(Table):
-    path: Path
+    path: object
     content: list[Mapping[str, Any]]
 
     @property
@@ -297,7 +310,7 @@ class _Keys(Table):
         return Columns(found, words, np.arange(1, len(self.content) + 1))
 
 
-def _keys(path: Path, content: Any) -> _Keys:
+def _keys(path: object, content: Any) -> _Keys:
     """A list of keys, alone or as ``keys``."""
     if isinstance(content, dict):
         content = content.get("keys")

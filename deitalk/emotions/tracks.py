@@ -16,11 +16,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.emotions.track_files import TRACK_SUFFIXES, Columns, Table, number, read_table
+from deitalk.emotions.track_files import (
+    TRACK_SUFFIXES,
+    Columns,
+    Table,
+    is_table,
+    number,
+    read_table,
+    table_of,
+)
 from deitalk.errors import EmotionError
 from rig.arrays import Float32, Float64, Int64
 from rig.errors import quoted
 from rig.files import atomic_write
+from rig.files.reading import load_json
 from rig.limits import SECONDS
 
 EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
@@ -28,7 +37,7 @@ MAX_INTENSITY = 4.0  # 1: as predicted from the voice; above 4 controls reach th
 ROUNDING = 1e-4  # files round their weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EmotionTrack:
     """Emotion weights over time: linear between keys, held before the first and after the last.
 
@@ -43,6 +52,21 @@ class EmotionTrack:
     times: Float64
     weights: Float64
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, EmotionTrack) and (
+            np.array_equal(self.times, other.times) and np.array_equal(self.weights, other.weights)
+        )
+
+    def __str__(self) -> str:
+        """The text that `parse_emotion` reads: a label, weights, or a table of them."""
+        if len(self.times) == 1:
+            (row,) = self.weights
+            if row.max() == 1:
+                return EMOTIONS[int(row.argmax())]
+            named = zip(EMOTIONS[1:], row[1:], strict=True)
+            return ",".join(f"{name}={weight:.9g}" for name, weight in named if weight)
+        return _table_text(("time", *EMOTIONS), np.column_stack((self.times, self.weights)))
+
     def at(self, times: npt.ArrayLike) -> Float32:
         """Weights [shape=(T, 5)] at `times` [shape=(T,), seconds]."""
         seconds = np.asarray(times, float)
@@ -52,7 +76,7 @@ class EmotionTrack:
         return weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class IntensityCurve:
     """Emotional intensity over time, as written by a take and edited by hand.
 
@@ -66,6 +90,15 @@ class IntensityCurve:
 
     times: Float64
     values: Float64
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, IntensityCurve) and (
+            np.array_equal(self.times, other.times) and np.array_equal(self.values, other.values)
+        )
+
+    def __str__(self) -> str:
+        """The text that `parse_intensity_curve` reads."""
+        return _table_text(("time", "intensity"), np.column_stack((self.times, self.values)))
 
     def at(self, times: npt.ArrayLike) -> Float32:
         """Intensity [shape=(T,)] at `times` [seconds]: linear between keys, held outside."""
@@ -82,9 +115,9 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
     ----------
     emotion : str, Path, mapping or EmotionTrack
         ``"happy"``; ``"happy=0.7,surprised=0.3"``; ``{"happy": 0.7}``; or the path of a CSV, JSON
-        or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1). Keys at the
-        same time mix. A table ``time,<emotion>,…`` of weights, such as a take's
-        ``intensity.csv``, is read too.
+        or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1), or the text of
+        a CSV or JSON. Keys at the same time mix. A table ``time,<emotion>,…`` of weights, such as
+        a take's ``intensity.csv``, is read too.
 
     Returns
     -------
@@ -100,17 +133,32 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
         return emotion
     if isinstance(emotion, Mapping):
         return _constant(_weights(emotion, "emotion weights"))
-    if isinstance(emotion, Path) or Path(emotion).suffix.lower() in TRACK_SUFFIXES:
+    if names_track(emotion):
         return read_emotion_track(emotion)
+    assert isinstance(emotion, str)
+    if is_table(emotion):
+        content = load_json(emotion, "emotion", error=EmotionError) if "{" in emotion else emotion
+        if isinstance(content, dict) and "keys" not in content:
+            return _constant(_weights(content, "emotion weights"))
+        return _track(table_of(content, "emotion"), "emotion")
     if "=" in emotion:
         return _constant(_weights(_pairs(emotion), f"{emotion!r}"))
     return _constant(_weights({emotion.strip().lower(): 1.0}, f"{emotion!r}"))
 
 
+def names_track(given: str | Path) -> bool:
+    """Whether an emotion or an intensity curve is given as the path of a file."""
+    if isinstance(given, Path):
+        return True
+    return not is_table(given) and given.strip().lower().endswith(TRACK_SUFFIXES)
+
+
 def read_emotion_track(path: str | Path) -> EmotionTrack:
     """Read keyframes; see `parse_emotion` for the formats and errors."""
-    path = Path(path)
-    table = read_table(path)
+    return _track(read_table(Path(path)), path)
+
+
+def _track(table: Table, path: object) -> EmotionTrack:
     is_wide = "emotion" not in table.names and bool(set(EMOTIONS) & table.names)
     if is_wide:
         return _from_weights(path, table)
@@ -130,7 +178,7 @@ def read_emotion_track(path: str | Path) -> EmotionTrack:
     return EmotionTrack(times[first], _distributions(path, times[first], weights))
 
 
-def _from_weights(path: Path, table: Table) -> EmotionTrack:
+def _from_weights(path: object, table: Table) -> EmotionTrack:
     """A table of weights, one row for each time."""
     present = [name for name in EMOTIONS if name in table.names]
     keys = table.columns(("time", *present))
@@ -147,7 +195,7 @@ def _from_weights(path: Path, table: Table) -> EmotionTrack:
     return EmotionTrack(times, _distributions(path, times, weights))
 
 
-def _checked_times(path: Path, keys: Columns) -> Float64:
+def _checked_times(path: object, keys: Columns) -> Float64:
     """Times of keys, checked to be within a clip and not to fall."""
     times = keys.numbers["time"]
     outside = ~(np.abs(times) <= SECONDS)
@@ -184,7 +232,7 @@ def _first_doubled(codes: Int64) -> int | None:
     return int(np.argmax(again)) if again.any() else None
 
 
-def _distributions(path: Path, times: Float64, weights: Float64) -> Float64:
+def _distributions(path: object, times: Float64, weights: Float64) -> Float64:
     """Rows that sum to 1, as `_weights` makes them; EmotionError names the first that cannot."""
     total = weights.sum(axis=1)
     bad = (weights < 0).any(axis=1) | (total > 1 + ROUNDING)
@@ -215,8 +263,20 @@ def read_intensity_curve(path: str | Path) -> IntensityCurve:
     EmotionError
         Missing columns, times that do not rise, or intensities outside 0 … 4.
     """
-    path = Path(path)
-    keys = read_table(path).columns(("time", "intensity"))
+    return _curve(read_table(Path(path)), path)
+
+
+def parse_intensity_curve(curve: "str | Path | IntensityCurve") -> IntensityCurve:
+    """A curve of a file (`read_intensity_curve`), or of the text of a CSV or JSON."""
+    if isinstance(curve, IntensityCurve):
+        return curve
+    if isinstance(curve, Path) or not is_table(curve):
+        return read_intensity_curve(curve)
+    return _curve(table_of(curve, "intensity_curve"), "intensity_curve")
+
+
+def _curve(table: Table, path: object) -> IntensityCurve:
+    keys = table.columns(("time", "intensity"))
     times, values = _checked_times(path, keys), keys.numbers["intensity"]
     still = np.diff(times) <= 0
     if still.any():
@@ -275,6 +335,11 @@ def write_intensity_csv(
         writer.writerow(header)
         for frame, (time, *values) in enumerate(row.tolist() for row in columns):
             writer.writerow([frame, f"{time:.6f}", *(f"{value:.6g}" for value in values)])
+
+
+def _table_text(header: Sequence[str], rows: Float64) -> str:
+    lines = (",".join(f"{value:.9g}" for value in row) for row in rows.tolist())
+    return "\n".join((",".join(header), *lines)) + "\n"
 
 
 def _constant(weights: Float64) -> EmotionTrack:

@@ -118,10 +118,10 @@ class Scores(NamedTuple):
 
 def animated(recording: Recording, emotion: str, model: DEITalk, *, raw: bool) -> Performance:
     """Animate one recording without blinks; with a causal model and rules, as it is spoken."""
-    performance = animate(recording, emotion, model=model, idle=False, raw=raw)
+    performance = animate(recording, emotion, model=model, life="off", rules=not raw)
     if raw or not model.is_causal:
         return performance
-    values = live_frames(recording.waveform, model, emotion=emotion, idle=False)
+    values = live_frames(recording.waveform, model, emotion=emotion, life="off")
     return replace(performance, curves=replace(performance.curves, values=values))
 
 

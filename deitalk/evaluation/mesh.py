@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.acting import Acting
 from deitalk.data.clips import Clip, read_phones
 from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips
-from deitalk.emotions import EMOTIONS, Direction
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.mesh_emotion import acted_by_curves, expression_probe, expression_table
 from deitalk.models.mesh_head import MeshHead
@@ -251,8 +252,8 @@ def _score(
 
 def _seen(model: MeshModel, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
     """Vertices (T, V, 3) of the model, of the model before its seal, and of its curves."""
-    direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
-    unsealed = predict_mesh(model, waveform, speaker, direction, sealed=False)
+    acting = Acting.of(emotion=clip.emotion) if isinstance(model, MeshHead) else None
+    unsealed = predict_mesh(model, waveform, speaker, acting, sealed=False)
     sealed = seal_lips(unsealed, model.config.seal_mm, model.unit_mm)
     seen = {"model": sealed, "unsealed": unsealed}
     if isinstance(model, MeshHead):

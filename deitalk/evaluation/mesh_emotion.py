@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
-from deitalk.emotions import EMOTIONS, Direction
+from deitalk.emotions import EMOTIONS
 from deitalk.models.mesh_head import MeshHead
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import predict_mesh
@@ -38,7 +39,7 @@ def acted_by_curves(
 ) -> Float32:
     """Skin (T, V, 3) of an embedded head posed by the curves of the mesh head's DEITalk model."""
     performance = animate(
-        audio, emotion, model=model.encoder.network, intensity=intensity, idle=False
+        audio, emotion, model=model.encoder.network, intensity=intensity, life="off"
     )
     head = build_head(speaker)
     return head.pose(performance.curves.values)[:, head.slices["skin"]]
@@ -48,8 +49,8 @@ def acted_by_model(
     model: MeshHead, audio: Recording, speaker: str, emotion: str, intensity: float = 1.0
 ) -> Float32:
     """Skin (T, V, 3) of a mesh head."""
-    direction = Direction.of(emotion, intensity)
-    return predict_mesh(model, audio.waveform, speaker, direction)
+    acting = Acting.of(emotion=emotion, intensity=intensity)
+    return predict_mesh(model, audio.waveform, speaker, acting)
 
 
 def expression_probe(model: MeshHead, recordings: Sequence[Path]) -> dict[str, Any]:

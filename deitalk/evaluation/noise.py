@@ -34,7 +34,7 @@ def noise_report(
             if snr is not None:
                 noisy = mix(recording.waveform, noises[i % len(noises)], snr)
                 mixture = replace(recording, waveform=noisy)
-            take = animate(mixture, example.emotion, model=model, idle=False)
+            take = animate(mixture, example.emotion, model=model, life="off")
             curves = take.curves.values[: len(example.curves)]
             scores.append(closure_scores(lips_together(curves, model.controls), example.phones))
             place = model.controls.index(JAW)

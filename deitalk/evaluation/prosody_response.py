@@ -115,8 +115,8 @@ def _contours_of(model: DEITalk, recording: Recording, seed: int) -> dict[str, f
     rows = []
     for number in range(CONTOURS):
         take, contour = wandering(recording, CONTOURS * seed + number)
-        performance = animate(take, EMOTION, model=model, idle=False)
-        network = animate(take, EMOTION, model=model, raw=True).predicted
+        performance = animate(take, EMOTION, model=model, life="off")
+        network = animate(take, EMOTION, model=model, rules=False).predicted
         rows.append(follow(performance, network, contour))
     return {name: _mean([row[name] for row in rows]) for name in rows[0]}
 

@@ -56,9 +56,9 @@ def styles_report(model: DEITalk, recordings: Sequence[Recording]) -> dict[str, 
         if not speaking.any():
             continue
         for emotion in EMOTIONS:
-            curves = animate(recording, emotion, model=model, idle=False).curves.values
+            curves = animate(recording, emotion, model=model, life="off").curves.values
             full = animate(
-                recording, emotion, model=model, intensity_curve=FULL, idle=False
+                recording, emotion, model=model, intensity_curve=FULL, life="off"
             ).curves.values
             faces[emotion].append(curves[speaking].mean(axis=0))
             for name, track in (

@@ -1,23 +1,25 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
 from collections.abc import Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.prosody import measure_windows
 from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import window_levels
 from deitalk.config import RulesConfig
-from deitalk.emotions import Direction, EmotionTrack
-from deitalk.errors import AudioError
+from deitalk.emotions import EmotionTrack
+from deitalk.errors import AudioError, ConfigError
 from deitalk.live import rules
 from deitalk.live.life import RunningLife
 from deitalk.live.rules import DueRows
-from deitalk.live.stream import Change, Stream
+from deitalk.live.stream import Stream
 from deitalk.models.causal.network import (
     CausalNetwork,
     NetworkRows,
@@ -26,10 +28,9 @@ from deitalk.models.causal.network import (
     take,
 )
 from deitalk.models.network import chosen_actor, styles_of
-from deitalk.pipeline.arguments import whole_seed
-from deitalk.postprocess.life.amounts import Life
 from rig.arrays import Float32
 from rig.curves import HEAD
+from rig.limits import SEED
 
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
@@ -54,31 +55,19 @@ class LiveAnimator:
         ``torch``, or ``onnx`` for ONNX Runtime, without torch.
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
-    emotion : str, mapping, Path or EmotionTrack
-        As for `deitalk.animate`; of every stream at the start.
-    intensity : float, range 0 to 4
-        As for `deitalk.animate`.
+    emotion, acting, fields
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
+        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
+        the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
-    idle : bool
-        Add blinks, gaze, brows, head and neck on the voice, if the model's rules have them.
-    life : str or mapping, optional
-        As for `deitalk.animate`: factors on this motion; ``head=0`` for curves without a head.
-    look_at : tuple of float
-        As for `deitalk.animate`.
-    raw : bool
-        The network alone, without the model's rules.
-    seed : int
-        Seed of this motion; stream k has ``seed + k``.
-    actor : str, optional
-        Whose style, of a model that was tuned on several actors; by default its first.
 
     Raises
     ------
     CheckpointError
         If there is no such model, or it needs the whole clip.
-    EmotionError
-        If emotion or intensity is unknown or out of range.
+    EmotionError, ConfigError
+        If a field is unknown, out of range, or needs the whole recording.
     AudioError
         If the number of streams or the sample rate is out of range.
 
@@ -101,18 +90,13 @@ class LiveAnimator:
     def __init__(
         self,
         model: "str | Path | DEITalk | CausalNetwork" = "live",
-        *,
-        streams: int = 1,
         emotion: Emotion = "neutral",
-        intensity: float = 1.0,
+        *,
+        acting: Acting | None = None,
+        streams: int = 1,
         sample_rate: int = SAMPLE_RATE,
-        idle: bool = True,
-        life: str | Mapping[str, float] | Life | None = None,
-        look_at: tuple[float, float] = (0.0, 0.0),
-        raw: bool = False,
-        seed: int = 0,
-        actor: str | None = None,
         backend: str = "torch",
+        **fields: Any,
     ) -> None:
         self.network = load_causal(model, backend=backend)
         if not 1 <= streams <= 1024:
@@ -120,13 +104,10 @@ class LiveAnimator:
         if not 8_000 <= sample_rate <= 192_000:
             raise AudioError(f"sample_rate={sample_rate} must be 8000 to 192000 Hz")
         self.names, self.sample_rate = tuple(self.network.controls.names), sample_rate
-        self.actor = chosen_actor(self.network.actors, actor)
-        self.settings = RulesConfig.none() if raw else self.network.rules
-        motion = Life.of(life, look_at) if idle else None
-        self.lives = [motion] * streams
-        self.seeds = [whole_seed(seed) + k for k in range(streams)]
-        direction = Direction.of(emotion, intensity)
-        self._first = Change(0.0, direction.emotion, direction.intensity)
+        first = acted_as(emotion, acting, fields).check_live()
+        self.actings = [
+            first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
+        ]
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + rules.AHEAD / FRAME_RATE
         self.state = tuple(part.copy() for part in self.network.first_state(streams))
@@ -194,33 +175,26 @@ class LiveAnimator:
         self.heads = [head for _, head in given]
         return [frames for frames, _ in given]
 
-    def set(
-        self,
-        *,
-        emotion: Emotion | None = None,
-        intensity: float | None = None,
-        raw: bool | None = None,
-        stream: int | None = None,
-    ) -> None:
-        """Change emotion or intensity from the sound on that comes next, over 0.2 s; rules at once.
+    def set(self, *, stream: int | None = None, **fields: Any) -> None:
+        """Act otherwise from the sound on that comes next; emotion and intensity over 0.2 s.
 
         Parameters
         ----------
-        emotion, intensity, raw
-            As for the constructor; None leaves it as it is.
         stream : int, optional
             Which stream; all by default.
+        **fields
+            emotion, intensity, gain and rules; those that are not given stay as they are.
+
+        Raises
+        ------
+        ConfigError, EmotionError
+            If a field is another one, or out of range.
         """
-        direction = Direction.of(
-            "neutral" if emotion is None else emotion, 1.0 if intensity is None else intensity
-        )
+        if fixed := [name for name in fields if LIVE_FIELDS.get(name) != "change"]:
+            raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
         for one in self.streams if stream is None else [self.streams[stream]]:
-            one.change(
-                None if emotion is None else direction.emotion,
-                None if intensity is None else direction.intensity,
-            )
-            if raw is not None:
-                one.follow(RulesConfig.none() if raw else self.network.rules)
+            acting = Acting.of(one.acting, **fields).check_live()
+            one.change(acting, self._rules(acting))
 
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
@@ -228,16 +202,21 @@ class LiveAnimator:
             put(self.state, [k], self.network.first_state(1))
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
-    def open(self, stream: int, life: Life | None, seed: int) -> None:
-        """Begin a stream again, with other motion above the mouth; None: with none."""
-        self.lives[stream], self.seeds[stream] = life, whole_seed(seed)
+    def open(self, stream: int, acting: Acting) -> None:
+        """Begin a stream again, acted otherwise."""
+        self.actings[stream] = acting.check_live()
         self.reset(stream)
 
     def _stream(self, number: int) -> Stream:
-        controls, life, motion = self.network.controls, self.lives[number], None
-        if life is not None and (idle := self.settings.idle) is not None:
-            motion = RunningLife(controls, idle, life, self.seeds[number], rules.AHEAD)
-        return Stream(self.network.grid, controls, self.settings, self._first, motion)
+        controls, acting, motion = self.network.controls, self.actings[number], None
+        settings, life = self._rules(acting), acting.motion
+        if life is not None and settings.idle is not None:
+            motion = RunningLife(controls, settings.idle, life, acting.seed, rules.AHEAD)
+        style = chosen_actor(self.network.actors, acting.style)
+        return Stream(self.network.grid, controls, settings, acting, motion, style)
+
+    def _rules(self, acting: Acting) -> RulesConfig:
+        return self.network.rules if acting.rules else RulesConfig.none()
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
@@ -265,8 +244,9 @@ class LiveAnimator:
             taken = [self.streams[k].take(count) for k in ready]
             windows = np.stack([windows for windows, _ in taken])
             emotion = np.stack([emotion for _, emotion in taken])
-            styles = styles_of(emotion, self.network.actors, self.actor)
-            rows, state = self.network.advance(windows, styles, take(self.state, ready))
+            actors, names = self.network.actors, (self.streams[k].style for k in ready)
+            styles = [styles_of(*row) for row in zip(emotion, repeat(actors), names)]
+            rows, state = self.network.advance(windows, np.stack(styles), take(self.state, ready))
             put(self.state, ready, state)
             self._accept([self.streams[k] for k in ready], rows)
 

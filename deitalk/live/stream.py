@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config import RulesConfig
@@ -21,6 +22,7 @@ from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.curves import HEAD
+from rig.curves.edit import gain_factors, scale_from_rest
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
@@ -78,10 +80,12 @@ class Stream:
         Columns of the curves.
     rules : RulesConfig
         Rules after the network.
-    change : Change
-        Emotion and intensity at the start.
+    acting : Acting
+        At the start.
     life : RunningLife or None
         Blinks, gaze, brows, head and neck.
+    style : str
+        One of the network's actors, or empty.
     """
 
     def __init__(
@@ -89,10 +93,12 @@ class Stream:
         grid: SpectraGrid,
         controls: ControlSet,
         rules: RulesConfig,
-        change: Change,
+        acting: Acting,
         life: RunningLife | None,
+        style: str = "",
     ) -> None:
         self.grid, self.controls, self.settings, self.life = grid, controls, rules, life
+        self.style = style
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -101,21 +107,24 @@ class Stream:
         """Activity from the frame before the next row on."""
         self.prosody: Float64 = np.zeros((31, 0))
         """Measures from the next row on."""
-        self.sound, self.changes = Sound(), [change]
+        self.sound, self.changes = Sound(), [Change(0.0, acting.track, acting.intensity)]
+        self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.groups = self.n_measured = self.n_frames = 0
         self.n_total: int | None = None
         self.frames: list[Float32] = []
         self.heads: list[Float32] = []
 
-    def change(self, emotion: EmotionTrack | None, intensity: float | None) -> None:
-        """Change emotion or intensity from the sound on that comes next; at once before any."""
-        last = self.changes[-1]
-        new = last.emotion if emotion is None else emotion
-        factor = last.intensity if intensity is None else intensity
-        change = Change(self.sound.end / SAMPLE_RATE, new, factor)
-        self.changes = [*self.changes, change] if self.sound.end else [change]
+    def change(self, acting: Acting, rules: RulesConfig) -> None:
+        """Act otherwise from the sound on that comes next; at once before any."""
+        before, self.acting = self.acting, acting
+        change = Change(self.sound.end / SAMPLE_RATE, acting.track, acting.intensity)
+        if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
+            self.changes = [*self.changes, change] if self.sound.end else [change]
+        self.gain = gain_factors(self.controls, acting.gain)
+        if rules != self.settings:
+            self._follow(rules)
 
-    def follow(self, rules: RulesConfig) -> None:
+    def _follow(self, rules: RulesConfig) -> None:
         """Apply other rules to the frames that come next."""
         self.settings, self.rules = rules, RunningRules(Expression(self.controls, rules))
         self.activity.gates, self.intensity.rule = rules.gates, rules.voice_intensity
@@ -199,7 +208,9 @@ class Stream:
         if self.life is not None:
             shown = due.own.applied * due.gates.expression
             head = self.life.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
-        self.frames.append(np.clip(curves, self.controls.minimum, self.controls.maximum))
+        curves = np.clip(curves, self.controls.minimum, self.controls.maximum)
+        scale_from_rest(curves, self.gain, self.controls)
+        self.frames.append(curves)
         self.heads.append(head)
 
     def collect(self) -> tuple[Float32, Float32]:

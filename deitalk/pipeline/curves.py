@@ -9,26 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
-from deitalk.config import Idle, RulesConfig
-from deitalk.emotions import ActorReference, Direction, EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError, DeitalkError
+from deitalk.config import RulesConfig
+from deitalk.emotions import EmotionTrack, IntensityCurve
+from deitalk.errors import DeitalkError
 from deitalk.models.network import CurveNetwork, Reading, chosen_actor, load_network
-from deitalk.pipeline.arguments import LONGEST_LISTENING, check_progress, emotion_text, whole_seed
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
-from deitalk.pipeline.words.transcript import LANGUAGE, Transcript
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.known_phones import KnownPhone, meet_phones
-from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import TakeMotion, plan_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
-from rig.curves.edit import gain_factors, parse_gains
+from rig.curves.edit import gain_factors, scale_from_rest
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -41,24 +40,12 @@ def animate(
     audio: Audio,
     emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
-    sample_rate: float | None = None,
+    acting: Acting | None = None,
     model: str | Path | CurveNetwork = "default",
     backend: str = "torch",
-    actor: str | None = None,
-    intensity: float = 1.0,
-    intensity_curve: str | Path | IntensityCurve | None = None,
-    voice: str | Path | ActorReference | None = None,
-    idle: bool = True,
-    life: Life | Mapping[str, float] | str | None = None,
-    look_at: tuple[float, float] | str = (0.0, 0.0),
-    raw: bool = False,
-    seed: int = 0,
-    listen: float = 0.0,
-    gain: str | Mapping[str, float] | None = None,
-    transcript: str | Path | Transcript | None = None,
-    phones: str | Path | Transcript | None = None,
-    language: str = LANGUAGE,
+    sample_rate: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    **fields: Any,
 ) -> Performance:
     """Animate a face from speech.
 
@@ -68,46 +55,21 @@ def animate(
         Any recording `deitalk.audio.load.load_audio` reads, or samples [shape=(S,) or (S, C)] with
         their `sample_rate` (see `deitalk.audio.arrays.recording_from_array`).
     emotion : str, mapping, Path or EmotionTrack
-        A label (``"happy"``), weights (``"happy=0.7,surprised=0.3"``) or a keyframed track.
-    sample_rate : float, optional
-        Hz, of an array or a tensor; nothing else takes it.
+        A label (``"happy"``), weights (``"happy=0.7,surprised=0.3"``), a keyframed track, or
+        ``"auto"``: the one that the voice suggests.
+    acting : Acting, optional
+        How the recording is acted; `emotion` and `fields` replace its own.
     model : str, Path, DEITalk or OnnxNetwork
         Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
     backend : str
         ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.network.load_network`.
-    actor : str, optional
-        Whose style, of a model that was tuned on several actors; by default its first.
-    intensity : float, range 0 to 4
-        Factor on the intensity predicted from the voice; 0 gives the neutral reading.
-    intensity_curve : path or IntensityCurve, optional
-        Intensity to apply instead of the predicted one, as in a take's ``intensity.csv``.
-    voice : path or ActorReference, optional
-        Usual voice of the speaker (`deitalk actor build`), from which intensity counts.
-    idle : bool
-        Add blinks, gaze, brows and head on the voice, as the model's rules have them.
-    life : str, mapping or Life, optional
-        Factors on them, 0 (off) to 2: ``"brows=.8,head=1.2,blinks=1,gaze=.5"``.
-    look_at : tuple of float or str
-        Place of the listener: degrees to the character's left and up, -35 to 35.
-    raw : bool
-        The network alone, without the model's rules (`deitalk.config.RulesConfig`).
-    seed : int
-        Another drawing of the idle motion; each recording and each actor has its own already.
-    listen : float, range 0 to 600
-        Seconds of silence after the recording in which the face listens: its eyes and head live on.
-    gain : str or mapping, optional
-        Factors on how far controls or sets of controls go from rest: ``"jaw=1.2,brow=0.8"``; values
-        stay within their ranges.
-    transcript : str or Path, optional
-        What is said, so that its closures, bites and rounding are met: text, a ``.txt``, a table
-        ``.csv`` (start, end, word) or a ``.TextGrid``. Words that the sound contradicts are
-        reported in ``performance.words`` and not used.
-    phones : str or Path, optional
-        The same as phones, ARPABET or IPA, which needs no espeak-ng.
-    language : str
-        Voice of espeak-ng that pronounces the words: ``en-us``, ``de``, ``cmn`` …
+    sample_rate : float, optional
+        Hz, of an array or a tensor; nothing else takes it.
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
+    **fields
+        Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
+        look_at, gain, listen, rules, seed.
 
     Returns
     -------
@@ -119,143 +81,129 @@ def animate(
         One line each: the value, the rule and the way out.
     """
     check_progress(progress)
+    acted = acted_as(emotion, acting, fields)
     load = partial(load_network, model, backend=backend)
-    shot = prepare(
-        audio, emotion, load, sample_rate=sample_rate, actor=actor, intensity=intensity,
-        intensity_curve=intensity_curve, voice=voice, idle=idle, life=life, look_at=look_at,
-        raw=raw, seed=seed, listen=listen, gain=gain, transcript=transcript, phones=phones,
-        language=language,
-    )  # fmt: skip
-    reading = shot.network.read(
-        shot.speech.waveform, shot.weights, shot.actor, progress, shot.speech.gain
-    )
-    return finish(shot, reading, str(model) if isinstance(model, str | Path) else "")
+    prepared = prepare(audio, acted, load, sample_rate=sample_rate)
+    name = str(model) if isinstance(model, str | Path) else ""
+    return finish(prepared, prepared.read(progress), name)
+
+
+def check_progress(progress: Any) -> None:
+    """Refuse a progress that cannot be called."""
+    if not callable(progress):
+        raise DeitalkError(
+            f"progress {quoted(progress)} must be a function of one number, the share done"
+        )
 
 
 @dataclass(frozen=True)
-class Shot:
-    """A recording and how it is to be acted, ready for the network."""
+class Prepared:
+    """A recording and its acting, ready for the network."""
 
     network: CurveNetwork
     recording: Recording
-    direction: Direction
+    acting: Acting
+    """With the emotion that the voice suggests in place of ``auto``."""
     speech: Speech
     weights: Float32
     """Emotion of each frame [shape=(T, 5)]."""
-    actor: str
+    style: str
     rules: RulesConfig
-    idle: Idle | None
-    """Motion above the mouth; None: there is none."""
-    life: Life
-    seed: int
     gain: Float32
     """Factor of each control [shape=(C,)]."""
     words: Transcript | None
-    settings: Mapping[str, Any]
-    """Arguments of `animate`, as a take stores them."""
     clock: "_Clock"
+
+    def read(self, progress: Callable[[float], None] = lambda share: None) -> Reading:
+        """What the network reads."""
+        speech = self.speech
+        return self.network.read(speech.waveform, self.weights, self.style, progress, speech.gain)
 
 
 def prepare(
     audio: Audio,
-    emotion: Any,
+    acting: Acting,
     load: Callable[[], CurveNetwork],
     *,
     sample_rate: float | None = None,
-    actor: str | None = None,
-    intensity: float = 1.0,
-    intensity_curve: Any = None,
-    voice: Any = None,
-    idle: bool = True,
-    life: Any = None,
-    look_at: Any = (0.0, 0.0),
-    raw: bool = False,
-    seed: int = 0,
-    listen: float = 0.0,
-    gain: Any = None,
-    transcript: Any = None,
-    phones: Any = None,
-    language: str = LANGUAGE,
-) -> Shot:
+) -> Prepared:
     """Read and check what `animate` is given, and measure the speech.
 
-    `load` returns the network, after the recording was read. Other arguments and errors are those
-    of `animate`.
+    `load` returns the network, after the recording was read. Errors are those of `animate`.
     """
     clock = _Clock()
-    direction, seed = Direction.of(emotion, intensity, intensity_curve, voice), whole_seed(seed)
-    life, gains = Life.of(life, look_at), parse_gains(gain)
-    words = Transcript.given(transcript, phones, language)
-    if raw and words is not None:
-        raise DeitalkError("words belong to the rules, which raw leaves out; give one of the two")
-    recording = _extended(_with_note_on(direction.curve, recording_of(audio, sample_rate)), listen)
+    words = None if acting.words is None else Transcript.of(acting.words, acting.language)
+    if words is not None and not acting.rules:
+        raise DeitalkError("words belong to the rules, which are off; give one of the two")
+    recording = _with_note_on(acting.intensity_curve, recording_of(audio, sample_rate))
+    if acting.emotion == AUTO:
+        acting, recording = _suggested(acting, recording)
+    recording = _extended(recording, acting.listen)
     clock.lap("audio")
     network = load()
     clock.lap("model")
-    factors = gain_factors(network.controls, gains)
-    rules = RulesConfig.none() if raw else network.rules
+    factors = gain_factors(network.controls, acting.gain)
+    rules = network.rules if acting.rules else RulesConfig.none()
     speech = Speech.of_recording(recording, rules.gates)
-    weights = direction.emotion.at(speech.times)
-    name = chosen_actor(network.actors, actor)
-    moves = idle and (listen or speech.activity.any())
-    others: dict[str, Any] = {
-        "voice": _name(voice), "idle": idle, "raw": raw, "seed": seed, "actor": actor,
-        "listen": listen, "words": words and words.source, "language": language,
-    }  # fmt: skip
-    settings = _settings(emotion, direction, intensity_curve, life, gain=gains, **others)
-    motion = rules.idle if moves else None
-    return Shot(
-        network, recording, direction, speech, weights, name, rules, motion, life, seed, factors,
-        words, settings, clock,
-    )  # fmt: skip
+    weights = acting.track.at(speech.times)
+    style = chosen_actor(network.actors, acting.style)
+    return Prepared(
+        network, recording, acting, speech, weights, style, rules, factors, words, clock
+    )
+
+
+def _suggested(acting: Acting, recording: Recording) -> tuple[Acting, Recording]:
+    """The acting with the emotion that the voice suggests, and the recording with a note on it."""
+    from deitalk.pipeline.suggest import suggest_emotion  # needs torch
+
+    found = suggest_emotion(recording)
+    note = f"suggested from the voice: {found.label} ({found.probability:.2f})"
+    recording = replace(recording, warnings=(*recording.warnings, note))
+    return Acting.of(acting, emotion=found.label), recording
 
 
 def finish(
-    shot: Shot, reading: Reading, model: str = "", words: "WordFit | None" = None
+    prepared: Prepared, reading: Reading, model: str = "", words: "WordFit | None" = None
 ) -> Performance:
     """Apply the rules to what the network read.
 
     Parameters
     ----------
-    shot, reading
+    prepared, reading
         What was prepared, and read of it.
     model : str
         Its name or folder, for a take.
     words : WordFit, optional
-        Times of the shot's words, if they are known already.
+        Times of the words, if they are known already.
     """
     neutral, emotional, tracks = reading
-    speech, rules, controls, clock = shot.speech, shot.rules, shot.network.controls, shot.clock
-    intensities = measure_intensities(speech, tracks, shot.direction, rules.voice_intensity)
+    speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
+    controls, weights = prepared.network.controls, prepared.weights
+    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity)
     clock.lap("network")
     expression = Expression(controls, rules)
-    if words is None and shot.words is not None:
-        words = _aligned(speech, shot.words)
+    if words is None and prepared.words is not None:
+        words = _aligned(speech, prepared.words)
     known = () if words is None else words.known
-    values = _apply_rules(expression, neutral, emotional, shot.weights, intensities, speech, known)
+    values = _apply_rules(expression, neutral, emotional, weights, intensities, speech, known)
     head = None
-    if shot.idle is not None:
-        shown = shot.weights * intensities.applied[:, None]
-        seeds = Seeds.of(speech.waveform, shot.actor, shot.seed)
-        actor = shot.direction.voice
-        motion = _idle_motion(speech, shown, seeds, shot.idle, shot.life, actor)
+    if (motion := _motion(prepared, weights * intensities.applied[:, None])) is not None:
         motion.move(values, neutral, controls)
         head = motion.head
     clipped = _clamp(values, controls)
     _clamp(neutral, controls)
     for curves in (values, neutral):
-        _scale(curves, shot.gain, controls)
+        scale_from_rest(curves, prepared.gain, controls)
     clock.lap("expression")
-    emotion, applied = shot.weights, intensities.applied
     return Performance(
-        _curves(controls, values, emotion=emotion, intensity=applied, head=head),
+        _curves(controls, values, emotion=weights, intensity=intensities.applied, head=head),
         _curves(controls, neutral),
         intensities.saliency,
         intensities.predicted,
-        _with_note_of(words, shot.recording),
+        _with_note_of(words, prepared.recording),
         clipped,
         clock.laps,
-        shot.settings,
+        acting,
         model,
         words,
     )
@@ -292,39 +240,16 @@ def _aligned(speech: Speech, words: Transcript) -> "WordFit":
     return align_words(speech, words)
 
 
-def _idle_motion(
-    speech: Speech,
-    shown: Float32,
-    seeds: Seeds,
-    idle: Idle,
-    life: Life,
-    actor: ActorReference | None,
-) -> TakeMotion:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 5)]."""
+def _motion(prepared: Prepared, shown: Float32) -> TakeMotion | None:
+    """Motion above the mouth for the emotion that is shown [shape=(T, 5)]; None: there is none."""
+    speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
+    life, actor = acting.motion, acting.voice
+    if idle is None or life is None or not (acting.listen or speech.activity.any()):
+        return None
+    seeds = Seeds.of(speech.waveform, prepared.style, acting.seed)
     voice = measure_voice(speech.activity, speech.prosody)
     traits = Traits(**actor.traits) if actor is not None and actor.traits else None
     return plan_motion(voice, shown, seeds, idle, life, traits)
-
-
-def _settings(
-    emotion: Any, direction: Direction, curve: Any, life: Life, **others: Any
-) -> dict[str, Any]:
-    """Arguments of `animate`, as a take stores them."""
-    return {
-        "emotion": emotion_text(emotion),
-        "intensity": direction.intensity,
-        "intensity_curve": _name(curve),
-        "life": str(life),
-        "look_at": list(life.look_at),
-        **others,
-    }
-
-
-def _name(argument: Any) -> str | None:
-    """Name of the file of an optional argument."""
-    if argument is None:
-        return None
-    return Path(argument).name if isinstance(argument, str | Path) else "in memory"
 
 
 def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> RigCurves:
@@ -352,24 +277,12 @@ def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
     return replace(recording, warnings=(*recording.warnings, words.line))
 
 
-def _extended(recording: Recording, seconds: Any) -> Recording:
+def _extended(recording: Recording, seconds: float) -> Recording:
     """The recording with so much silence after it."""
-    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if not is_number or not 0 <= seconds <= LONGEST_LISTENING:
-        raise AudioError(
-            f"listen {quoted(seconds)} must be a number of seconds, 0 to {LONGEST_LISTENING:g}"
-        )
     silence = np.zeros(round(seconds * recording.sample_rate), np.float32)
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
-
-
-def _scale(values: Float32, gain: Float32, controls: ControlSet) -> None:
-    """Scale the distance of every control from rest within its range, in place."""
-    places = np.flatnonzero(gain != 1)
-    rest, low, high = (x[places] for x in (controls.rest, controls.minimum, controls.maximum))
-    values[:, places] = np.clip(rest + (values[:, places] - rest) * gain[places], low, high)
 
 
 def _clamp(values: Float32, controls: ControlSet) -> int:

@@ -20,10 +20,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
+from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
-from deitalk.emotions import Direction, EmotionTrack
+from deitalk.emotions import EmotionTrack
 from deitalk.errors import CheckpointError, EmotionError
 from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
@@ -31,8 +32,7 @@ from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.network import neutral_and_acted
-from deitalk.pipeline.arguments import check_progress, whole_seed
-from deitalk.pipeline.curves import animate
+from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.lip_seal import seal_lips
@@ -54,21 +54,22 @@ NO_EMOTION = (
     "an SDFA model has no emotion and no intensity; leave them out, or use a DEITalk model such as "
     "default"
 )
-NO_WORDS = "words move the curves of a DEITalk model such as default; a mesh model takes none"
+TO_MESH_MODELS = ("emotion", "intensity", "intensity_curve", "voice")
+"""Fields of an acting that a mesh head takes."""
 
 
 def animate_mesh(
     audio: Audio,
     emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
+    acting: Acting | None = None,
     model: str | Path | Model = "default",
     sample_rate: float | None = None,
     speaker: str | int = 0,
-    intensity: float = 1.0,
     fps: float | None = None,
     device: str = "cpu",
     progress: Progress = lambda share: None,
-    **options: Any,
+    **fields: Any,
 ) -> MeshPerformance:
     """Animate a mesh from speech.
 
@@ -76,8 +77,9 @@ def animate_mesh(
     ----------
     audio, sample_rate
         As for `deitalk.animate`.
-    emotion, intensity
-        As for `deitalk.animate`. An SDFA model has no input for them, a mesh head has.
+    emotion, acting, fields
+        As for `deitalk.animate`. An SDFA model takes none; a mesh head takes emotion, intensity,
+        intensity_curve and voice.
     model : str, Path, DEITalk, SDFA or MeshHead
         Name, folder or loaded model.
     speaker : str or int
@@ -88,9 +90,6 @@ def animate_mesh(
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     progress : callable
         Called with the share of the work that is done, 0 to 1.
-    **options
-        More of `deitalk.animate`'s: intensity_curve, voice, idle, life, look_at, listen, gain,
-        seed, transcript, phones, language.
 
     Returns
     -------
@@ -101,28 +100,34 @@ def animate_mesh(
     DeitalkError, RigError
         One line each: the value, the rule and the way out.
     """
-    direction = Direction.of(
-        emotion, intensity, options.get("intensity_curve"), options.get("voice")
-    )
-    whole_seed(options.get("seed", 0))
     check_progress(progress)
+    acted = acted_as(emotion, acting, fields)
     if fps is not None:
         fps = snap_fps(fps)
     recording = recording_of(audio, sample_rate)
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
     if isinstance(network, MeshModel):
-        if options.get("transcript") is not None or options.get("phones") is not None:
-            raise CheckpointError(NO_WORDS)
-        return _by_gradients(network.eval(), recording, speaker, fps, direction, progress)
-    act = partial(animate, recording, emotion, intensity=intensity, progress=progress, **options)
+        _check_fields(acted)
+        return _by_gradients(network.eval(), recording, speaker, fps, acted, progress)
+    act = partial(animate, recording, acting=acted, progress=progress)
     return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
+
+
+def _check_fields(acting: Acting) -> None:
+    """Refuse fields that move the curves of a DEITalk model alone."""
+    others = [name for name in acting.settings if name not in TO_MESH_MODELS]
+    if others or acting.emotion == AUTO:
+        raise CheckpointError(
+            f"{', '.join(others) or 'emotion auto'}: a mesh model takes {', '.join(TO_MESH_MODELS)}"
+            " alone; leave the others out, or use a DEITalk model such as default"
+        )
 
 
 def predict_mesh(
     model: MeshModel,
     waveform: Any,
     speaker: str | int = 0,
-    direction: Direction | None = None,
+    acting: Acting | None = None,
     template: TriMesh | None = None,
     *,
     sealed: bool = True,
@@ -137,7 +142,7 @@ def predict_mesh(
         16 kHz, any level.
     speaker : str or int
         Style, by name or number.
-    direction : Direction, optional
+    acting : Acting, optional
         Emotion and intensity, for a mesh head only; neutral if not given.
     template : TriMesh, optional
         Face to move; it must have the templates' triangles. The speaker's own if not given.
@@ -154,9 +159,9 @@ def predict_mesh(
     AudioError
         If the waveform is not one row of finite samples.
     EmotionError
-        If the model has no emotion and the direction is not neutral.
+        If the model has no emotion and the acting is not neutral.
     """
-    frames = mesh_frames(model, waveform, speaker, direction, template, sealed=sealed)
+    frames = mesh_frames(model, waveform, speaker, acting, template, sealed=sealed)
     return np.concatenate(list(frames))
 
 
@@ -164,7 +169,7 @@ def mesh_frames(
     model: MeshModel,
     waveform: Any,
     speaker: str | int = 0,
-    direction: Direction | None = None,
+    acting: Acting | None = None,
     template: TriMesh | None = None,
     *,
     sealed: bool = True,
@@ -172,7 +177,7 @@ def mesh_frames(
     """As `predict_mesh`, some frames at a time [shape=(T, V, 3)]."""
     mesh = model.template(speaker) if template is None else template
     reach_mm = model.config.seal_mm if sealed else 0.0
-    for motion in model.expand(mesh_coefficients(model, waveform, speaker, direction)):
+    for motion in model.expand(mesh_coefficients(model, waveform, speaker, acting)):
         yield seal_lips(model.vertices(motion, mesh), reach_mm, model.unit_mm)
 
 
@@ -181,26 +186,26 @@ def mesh_coefficients(
     model: MeshModel,
     waveform: Any,
     speaker: str | int = 0,
-    direction: Direction | None = None,
+    acting: Acting | None = None,
 ) -> Iterator[Coefficients]:
     """Coefficients (T, K) of a recording, some frames at a time; arguments as `predict_mesh`."""
-    direction, speech = direction or Direction.of(), Speech.of(waveform)
+    acting, speech = acting or Acting(), Speech.of(waveform)
     if isinstance(model, MeshHead):
-        return _head_coefficients(model, speech, speaker, direction)
-    if not direction.is_neutral:
+        return _head_coefficients(model, speech, speaker, acting)
+    if acting.settings.keys() & {*TO_MESH_MODELS}:
         raise EmotionError(NO_EMOTION)
     assert isinstance(model, SDFA)
     return model.coefficients(torch.from_numpy(speech.sound), speaker)
 
 
 def _head_coefficients(
-    model: MeshHead, speech: Speech, speaker: str | int, direction: Direction
+    model: MeshHead, speech: Speech, speaker: str | int, acting: Acting
 ) -> Iterator[Coefficients]:
     network = model.encoder.network
     analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
-    weights = np.stack(neutral_and_acted(direction.emotion.at(speech.times)))
+    weights = np.stack(neutral_and_acted(acting.track.at(speech.times)))
     described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
-    scale = measure_intensities(speech, analysis.tracks, direction).scale
+    scale = measure_intensities(speech, analysis.tracks, acting).scale
     readings = described[0], described[-1]
     return model.coefficients(
         *readings, torch.from_numpy(scale), torch.from_numpy(speech.shown), speaker
@@ -236,7 +241,7 @@ def _by_gradients(
     recording: Recording,
     speaker: str | int,
     fps: float | None,
-    direction: Direction,
+    acting: Acting,
     progress: Progress,
 ) -> MeshPerformance:
     """A speaker's template, moved by a mesh model."""
@@ -248,7 +253,7 @@ def _by_gradients(
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=PREDICTED_BYTES)
     parts: list[Float32] = []
-    for vertices in mesh_frames(network, recording.waveform, speaker, direction):
+    for vertices in mesh_frames(network, recording.waveform, speaker, acting):
         parts.append(vertices)
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
     name = speaker if isinstance(speaker, str) else network.speakers[speaker]
@@ -277,12 +282,14 @@ def retarget_speech(
     out: str | Path,
     emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
+    acting: Acting | None = None,
     landmarks: Path | None = None,
     model: str | Path = "default",
+    speaker: str | int = 0,
     fps: float | None = None,
     device: str = "cpu",
     progress: Progress = lambda share: None,
-    **options: Any,
+    **fields: Any,
 ) -> tuple[RetargetReport, float, tuple[str, ...]]:
     """Animate a user's mesh from speech and write it.
 
@@ -291,13 +298,10 @@ def retarget_speech(
 
     Parameters
     ----------
-    audio, emotion, model, fps, device, progress
+    audio, emotion, acting, model, speaker, fps, device, progress, fields
         As for `animate_mesh`.
     mesh, out, landmarks
         As for `rig.retarget.retarget_files.retarget_curves`.
-    **options
-        More of `animate_mesh`'s: speaker, intensity, intensity_curve, idle,
-        life, look_at, listen, seed, transcript, phones, language.
 
     Returns
     -------
@@ -307,9 +311,12 @@ def retarget_speech(
     notes : tuple of str
         Of the recording and of the retargeting.
     """
+    acted = acted_as(emotion, acting, fields)
     network = load_model(model, device=device)
     if isinstance(network, MeshModel):
-        moved = animate_mesh(audio, emotion, model=network, fps=fps, progress=progress, **options)
+        moved = animate_mesh(
+            audio, acting=acted, model=network, speaker=speaker, fps=fps, progress=progress
+        )
         report = retarget_sequence(
             moved.mesh,
             moved.vertices,
@@ -321,8 +328,7 @@ def retarget_speech(
             landmarks=landmarks,
         )
         return report, moved.fps, (*moved.recording.warnings, *report.notes)
-    options.pop("speaker", None)
-    acted = animate(audio, emotion, model=network, progress=progress, **options)
-    curves = acted.curves if fps is None else acted.curves.resample(fps)
+    performance = animate(audio, acting=acted, model=network, progress=progress)
+    curves = performance.curves if fps is None else performance.curves.resample(fps)
     report = retarget_curves(curves, mesh, out, landmarks=landmarks)
-    return report, curves.fps, (*acted.recording.warnings, *report.notes)
+    return report, curves.fps, (*performance.recording.warnings, *report.notes)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deitalk.acting import Acting
 from deitalk.audio.load import Recording
 from rig import RigCurves
 from rig.arrays import Float32, Float64
@@ -40,9 +41,8 @@ class Performance:
         Values that had to be clamped to their control's range.
     timings : dict of str to float
         Seconds spent per stage.
-    settings : mapping
-        Arguments: emotion, intensity, intensity_curve, voice, idle, life, look_at, seed, raw,
-        actor, listen, gain, words, language.
+    acting : Acting
+        How it is acted; `deitalk.acting.Acting.settings` is its JSON.
     model : str
         Name or folder of the model; empty for a loaded model.
     words : WordFit or None
@@ -56,9 +56,15 @@ class Performance:
     recording: Recording
     clipped: int
     timings: dict[str, float] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    acting: Acting = field(default_factory=Acting)
     model: str = ""
     words: "WordFit | None" = None
+
+    @property
+    def emotion(self) -> str:
+        """The emotion in a few words."""
+        track = self.acting.track
+        return str(track) if len(track.times) == 1 else f"a track of {len(track.times)} keys"
 
     @property
     def has_emotion(self) -> bool:
@@ -141,17 +147,14 @@ class Performance:
         about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
         if self.model:
             about = describe_model(self.model)
-        settings = dict(self.settings)
-        return write_take(
-            folder, self, settings=settings, model=about, fps=fps, start=start, force=force
-        )
+        return write_take(folder, self, model=about, fps=fps, start=start, force=force)
 
     def __repr__(self) -> str:
         applied = f", applied intensity {self.mean_applied_intensity:.2f}"
         return (
             f"<Performance of {self.recording.source!r}: {len(self.curves)} frames at "
             f"{self.curves.fps:g} fps, {self.recording.duration:.2f} s, "
-            f"{len(self.curves.names)} controls, emotion {self.settings.get('emotion', '?')}"
+            f"{len(self.curves.names)} controls, emotion {self.emotion}"
             f"{applied if self.has_emotion else ''}>"
         )
 

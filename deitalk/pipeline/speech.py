@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deitalk.acting import Acting
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import Recording, checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
 from deitalk.config import Gates, VoiceIntensity
-from deitalk.emotions import Direction
 from deitalk.models.network import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
@@ -126,7 +126,7 @@ class Intensities(NamedTuple):
     predicted: Float32
     """`voice` times the expression gate, 0 to 1."""
     applied: Float32
-    """`predicted` times the direction's factor, or the direction's curve, 0 to 4."""
+    """`predicted`, or the curve that was given, times the factor, 0 to 4."""
     scale: Float32
     """Factor on the difference of the emotional and the neutral reading."""
     take: float
@@ -136,10 +136,10 @@ class Intensities(NamedTuple):
 def measure_intensities(
     speech: Speech,
     tracks: Tracks,
-    direction: Direction,
+    acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
 ) -> Intensities:
-    """Intensity to apply in each frame, from the network, the voice and the direction.
+    """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` that corrects the prediction the emotional reading is shown as it is, times the factor.
@@ -150,13 +150,13 @@ def measure_intensities(
         network, saliency = tracks.strength, tracks.saliency
     voice, take = network, 0.0
     if rule is not None:
-        usual = 0.0 if direction.voice is None else direction.voice.strength
+        usual = 0.0 if acting.voice is None else acting.voice.strength
         take = take_z(speech.strength - usual, rule)
         voice = voice_intensity(network, speech.prosody, speech.activity, take, rule)
     predicted = voice * speech.shown
-    base = predicted if direction.curve is None else direction.curve.at(speech.times)
-    applied = (base * direction.intensity).astype(np.float32)
+    base = predicted if acting.intensity_curve is None else acting.intensity_curve.at(speech.times)
+    applied = (base * acting.intensity).astype(np.float32)
     scale = expression_scale(applied, network * speech.shown)
-    if rule is None and direction.curve is None:
-        scale = np.full(speech.n_frames, direction.intensity, np.float32)
+    if rule is None and acting.intensity_curve is None:
+        scale = np.full(speech.n_frames, acting.intensity, np.float32)
     return Intensities(saliency, network, voice, predicted, applied, scale, take)

@@ -58,7 +58,6 @@ def write_take(
     folder: Path,
     performance: Performance,
     *,
-    settings: dict[str, Any],
     model: dict[str, Any],
     fps: float | None = None,
     digits: int | None = None,
@@ -74,8 +73,6 @@ def write_take(
         New or empty, or a take if `force` is set; missing folders above are made.
     performance : Performance
         From `deitalk.pipeline.curves.animate`.
-    settings : dict
-        Arguments of the animation, for ``take.json``.
     model : dict
         From `deitalk.models.folder.describe_model`.
     fps : float, optional
@@ -105,7 +102,7 @@ def write_take(
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, settings, model, fps, digits, start, extras)
+            _fill(stage, performance, model, fps, digits, start, extras)
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -142,7 +139,6 @@ def check_take(
 def _fill(
     folder: Path,
     performance: Performance,
-    settings: dict[str, Any],
     model: dict[str, Any],
     fps: float | None,
     digits: int | None,
@@ -180,7 +176,7 @@ def _fill(
         "fps": curves.fps,
         "start_seconds": start,
         "frames": len(curves),
-        "settings": settings,
+        "settings": performance.acting.settings,
         "clipped_values": performance.clipped,
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,

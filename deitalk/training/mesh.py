@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deitalk.acting import Acting
 from deitalk.config import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
 from deitalk.data.mesh_features import FeatureSegments
@@ -19,7 +20,6 @@ from deitalk.data.mesh_folder import MeshClip, MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
 from deitalk.data.mesh_sources import has_lips, open_meshes
 from deitalk.data.seeded_batches import Share
-from deitalk.emotions import Direction
 from deitalk.errors import ConfigError
 from deitalk.evaluation.mesh import lip_gap
 from deitalk.figures.validation import ClipRows, Row
@@ -249,8 +249,8 @@ def _measure(model: MeshModel, folder: MeshFolder, clip: MeshClip) -> tuple[floa
     else:
         motion = np.linalg.norm(truth - template.vertices, axis=-1).max(axis=0)
         lively = np.argsort(motion)[-max(len(motion) // 20, 1) :]
-    direction = Direction.of(clip.emotion) if isinstance(model, MeshHead) else None
-    predicted = predict_mesh(model, waveform, style, direction, template)
+    acting = Acting.of(emotion=clip.emotion) if isinstance(model, MeshHead) else None
+    predicted = predict_mesh(model, waveform, style, acting, template)
     n_frames = min(len(predicted), len(truth))
     truth, predicted = truth[:n_frames], predicted[:n_frames]
     error = np.linalg.norm(predicted - truth, axis=-1)  # (T, V)

@@ -182,6 +182,23 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     return scale
 
 
+def scale_from_rest(values: Float32, factors: Float32, controls: ControlSet) -> None:
+    """Scale each control's distance from rest within its range, in place.
+
+    Parameters
+    ----------
+    values : array [shape=(T, C)]
+        Within the ranges or not.
+    factors : array [shape=(C,)]
+        From `gain_factors`.
+    controls : ControlSet
+        Of the columns.
+    """
+    places = np.flatnonzero(factors != 1)
+    rest, low, high = (x[places] for x in (controls.rest, controls.minimum, controls.maximum))
+    values[:, places] = np.clip(rest + (values[:, places] - rest) * factors[places], low, high)
+
+
 def smooth(
     curves: RigCurves,
     seconds: float,

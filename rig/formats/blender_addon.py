@@ -1,13 +1,16 @@
-"""Blender add-on (3.3 to 5): curves of deitalk on the shape keys of a face.
+"""Blender add-on: curves of deitalk on the shape keys of a face.
 
-One file that needs nothing else; ``deitalk blender deitalk_blender.py`` writes it. In Blender: Edit
-> Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and choose
-File > Import > deitalk curves: any file of a take folder, or
+Run in Blender 3.4.1, 4.2.23, 4.3.0, 4.4.0, 4.5.15, 5.0.1, 5.1.2 and 5.2.3.
+
+``deitalk blender deitalk_blender.py`` writes it as one file that needs nothing else. In Blender:
+Edit > Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and
+choose File > Import > deitalk curves: a take folder, any file of it, or
 
 - ``*.unreal.json``: shape keys named after MetaHuman's raw curves (``jawOpen``,
   ``CTRL_expressions_jawOpen``, ``head_lod0_mesh__jaw_open``);
 - a Live Link Face CSV: shape keys named after ARKit (``mouthSmileLeft``, ``mouthSmile_L``);
-- ``curves.json`` or ``.csv`` of any set whose names are those of shape keys;
+- ``curves.json`` or ``.csv`` of any set whose names are those of shape keys, spelled as for
+  ``deitalk retarget`` (``blendShape1.jawOpen``);
 - ``.glb`` of deitalk: its animation, by the names of its shapes.
 
 In a take folder the file whose names fit the face best is taken. All selected meshes with such
@@ -18,23 +21,25 @@ import csv
 import json
 import math
 import os
-import re
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
 import numpy as np
 from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
 
+from rig.retarget.blendshapes import shape_key
+
 bl_info = {
     "name": "deitalk curves",
     "author": "deitalk",
     "version": (1, 0, 0),
-    "blender": (3, 3, 0),
+    "blender": (3, 4, 0),
     "location": "File > Import > deitalk curves",
     "description": "Curves of a deitalk take on ARKit or MetaHuman shape keys",
     "category": "Import-Export",
 }
-PREFIXES = ("ctrlexpressions",)
+MARK = "deitalk"
+"""Property of the actions that the add-on makes."""
 SOUNDS = (".wav", ".flac", ".ogg", ".mp3", ".m4a")
 
 
@@ -51,14 +56,6 @@ class Curves:
 
     def __init__(self, times: Any, values: dict[str, Any], path: str) -> None:
         self.times, self.values, self.path = times, values, path
-
-
-def same_name(name: str) -> str:
-    """Return a name without case, separators, prefixes, and with L and R for left and right."""
-    name = re.sub(r"[^a-z0-9]", "", name.rsplit("__", 1)[-1].lower())
-    for prefix in PREFIXES:
-        name = name[len(prefix) :] if name.startswith(prefix) else name
-    return re.sub("left$", "l", re.sub("right$", "r", name))
 
 
 def read(path: str) -> Curves:
@@ -121,23 +118,32 @@ def _timecodes(texts: list[str]) -> Any:
 
 
 def files_of_take(path: str) -> list[str]:
-    """Return the file and the other files of curves of its take folder."""
-    folder = os.path.dirname(os.path.abspath(path))
+    """Return a file and the other files of curves of its take folder, or those of a folder.
+
+    Raises
+    ------
+    ValueError
+        If a folder is no take.
+    """
+    chosen = [] if os.path.isdir(path) else [path]
+    folder = os.path.dirname(os.path.abspath(path)) if chosen else path
     if not os.path.isfile(os.path.join(folder, "take.json")):
-        return [path]
+        if not chosen:
+            raise ValueError(f"{path} is no take folder; choose one that has a take.json")
+        return chosen
     known = (".unreal.json", ".csv", "curves.json")
     others = [
         os.path.join(folder, name)
         for name in sorted(os.listdir(folder))
         if name.endswith(known) and name != "intensity.csv"
     ]
-    return [path, *(other for other in others if not os.path.samefile(other, path))]
+    return [*chosen, *(other for other in others if other not in map(os.path.abspath, chosen))]
 
 
 def keys_of(mesh: Any) -> dict[str, Any]:
-    """Return the shape keys of a mesh object by `same_name`, without the basis."""
+    """Return the shape keys of a mesh object by `shape_key`, without the basis."""
     blocks = mesh.data.shape_keys.key_blocks if mesh.data.shape_keys else []
-    return {same_name(block.name): block for block in blocks[1:]}
+    return {shape_key(block.name): block for block in blocks[1:]}
 
 
 def best_fit(path: str, meshes: list[Any]) -> Curves:
@@ -157,7 +163,7 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
         except ValueError as error:
             reason = reason or str(error)
             continue
-        count = len(wanted & {same_name(name) for name in curves.values})
+        count = len(wanted & {shape_key(name) for name in curves.values})
         if count > most:
             best, most = curves, count
     if best is None:
@@ -169,29 +175,48 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
     return best
 
 
-def apply(curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0) -> tuple[int, float]:
-    """Key the shape keys of meshes; return how many, and the last frame.
+def apply(
+    curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0
+) -> tuple[int, float, list[str]]:
+    """Key the shape keys of meshes.
 
     Times are in seconds and are put into the frame rate of the scene; keys are linear. An action
     that is there is replaced.
+
+    Returns
+    -------
+    count : int
+        Shape keys that have keys now.
+    last : float
+        The last frame.
+    driven : list of str
+        Names of shape keys that a driver moves: they have no keys, which it would overrule.
     """
     rate = scene.render.fps / scene.render.fps_base
     frames = start + curves.times * rate
-    by_name = {same_name(name): values for name, values in curves.values.items()}
-    count = 0
+    by_name = {shape_key(name): values for name, values in curves.values.items()}
+    count, driven = 0, []
     for mesh in meshes:
+        shape_keys = mesh.data.shape_keys
         found = {name: block for name, block in keys_of(mesh).items() if name in by_name}
+        held = [name for name, block in found.items() if _path(block) in _drivers(shape_keys)]
+        driven += [found.pop(name).name for name in held]
         if not found:
             continue
-        shape_keys = mesh.data.shape_keys
         lists = _new_action(shape_keys, os.path.basename(curves.path))
         for name, block in found.items():
             values = by_name[name]
             block.slider_min = min(block.slider_min, math.floor(values.min()))
             block.slider_max = max(block.slider_max, math.ceil(values.max()))
-            _fill(lists.new(f'key_blocks["{_escaped(block.name)}"].value'), frames, values)
+            _fill(lists.new(_path(block)), frames, values)
             count += 1
-    return count, float(frames[-1])
+    return count, float(frames[-1]), driven
+
+
+def _drivers(shape_keys: Any) -> set[str]:
+    """Return the paths of what drivers move."""
+    data = shape_keys.animation_data
+    return {driver.data_path for driver in data.drivers} if data else set()
 
 
 def _fill(curve: Any, frames: Any, values: Any) -> None:
@@ -206,20 +231,26 @@ LINEAR = 1
 """Number of the interpolation LINEAR of Keyframe."""
 
 
-def _escaped(name: str) -> str:
-    return name.replace("\\", "\\\\").replace('"', '\\"')
+def _path(block: Any) -> str:
+    name = block.name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'key_blocks["{name}"].value'
 
 
 def _new_action(shape_keys: Any, name: str) -> Any:
-    """Return the list of curves of a new action of shape keys; 5.0 has it in a channel bag."""
-    data = shape_keys.animation_data or shape_keys.animation_data_create()
-    action = data.action = bpy.data.actions.new(name)
-    if hasattr(action, "fcurves"):
-        return action.fcurves
-    from bpy_extras import anim_utils  # type: ignore[import-not-found]
+    """Return the list of curves of a new action of shape keys; 4.4 and later have it in a slot.
 
-    data.action_slot = action.slots.new(id_type="KEY", name=shape_keys.name)
-    return anim_utils.action_ensure_channelbag_for_slot(action, data.action_slot).fcurves
+    The action of an earlier import is removed if nothing else uses it.
+    """
+    data = shape_keys.animation_data or shape_keys.animation_data_create()
+    before, action = data.action, bpy.data.actions.new(name)
+    data.action, action[MARK] = action, name
+    if before is not None and MARK in before and not before.users:
+        bpy.data.actions.remove(before)
+    if not hasattr(action, "slots"):
+        return action.fcurves
+    slot = data.action_slot = action.slots.new(id_type="KEY", name=shape_keys.name)
+    strip = action.layers.new(name="curves").strips.new(type="KEYFRAME")
+    return strip.channelbag(slot, ensure=True).fcurves
 
 
 def take_from_glb(path: str, meshes: list[Any]) -> Curves:
@@ -257,8 +288,11 @@ def _sampled(keys: Any, scene: Any, path: str) -> Curves:
 
 
 def sound_of(path: str) -> str:
-    """Return the sound beside a file: ``audio.wav`` of a take, else of the same name; or none."""
-    folder, name = os.path.split(os.path.abspath(path))
+    """Return the sound beside a file or in a folder.
+
+    It is ``audio.wav`` of a take, else of the file's name; empty if there is none.
+    """
+    folder, name = (path, "") if os.path.isdir(path) else os.path.split(os.path.abspath(path))
     stem = name.split(".")[0]
     for candidate in ("audio_48k.wav", "audio.wav", *(stem + suffix for suffix in SOUNDS)):
         if os.path.isfile(os.path.join(folder, candidate)):
@@ -267,9 +301,18 @@ def sound_of(path: str) -> str:
 
 
 def add_sound(path: str, scene: Any, start: float) -> None:
-    """Add a sound to the sequencer of the scene, and scrub with it."""
+    """Add a sound to the sequencer of the scene, once, and scrub with it.
+
+    Raises
+    ------
+    RuntimeError
+        If this Blender reads no sound.
+    """
     editor = scene.sequence_editor or scene.sequence_editor_create()
-    strips = getattr(editor, "strips", None) or editor.sequences
+    strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+    for strip in list(strips):
+        if strip.type == "SOUND" and bpy.path.abspath(strip.sound.filepath) == path:
+            strips.remove(strip)
     strips.new_sound(os.path.basename(path), path, 1, int(start))
     scene.use_audio_scrub = True
     scene.sync_mode = "AUDIO_SYNC"
@@ -293,18 +336,29 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
                 curves = take_from_glb(self.filepath, meshes)
             else:
                 curves = best_fit(self.filepath, meshes)
-            count, last = apply(curves, meshes, context.scene, self.start)
+            count, last, driven = apply(curves, meshes, context.scene, self.start)
+            if driven:
+                self.report({"WARNING"}, f"a driver moves {_listed(driven)}: no keys there")
             if not count:
-                raise ValueError(f"no shape key has a name of {os.path.basename(self.filepath)}")
+                raise ValueError(
+                    f"no shape key without a driver has a name of {os.path.basename(curves.path)}"
+                )
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         context.scene.frame_end = max(context.scene.frame_end, math.ceil(last))
         sound = sound_of(self.filepath) if self.with_sound else ""
-        if sound:
-            add_sound(sound, context.scene, self.start)
+        try:
+            if sound:
+                add_sound(sound, context.scene, self.start)
+        except RuntimeError as error:
+            self.report({"WARNING"}, f"keys without the sound: {error}")
         self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}")
         return {"FINISHED"}
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def _entry(menu: Any, _context: Any) -> None:

@@ -206,13 +206,13 @@ def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Col
         return None
     first = next(iter(_rows(file, element, order, left)))
     file.seek(begin)
-    fields: list[tuple[str, str] | tuple[str, str, int]] = []
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     for i, (p, value) in enumerate(zip(element.properties, first, strict=True)):
         if p.length_type is None:
             fields.append((f"value{i}", order + p.type))
         else:
             fields.append((f"length{i}", order + p.length_type))
-            fields.append((f"value{i}", order + p.type, len(value)))
+            fields.append((f"value{i}", order + p.type, (len(value),)))
     kind = np.dtype(fields)
     if kind.itemsize * element.count > left:
         return None

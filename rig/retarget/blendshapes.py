@@ -216,8 +216,13 @@ def match_shapes(
 
 
 def shape_key(name: str) -> str:
-    """Bring spellings of one shape together: lower case, the side as a last ``_l`` or ``_r``."""
-    bare = re.split(r"[.:|](?!t[xyz]$)", name)[-1].removeprefix(PREFIX)
+    """Bring spellings of one shape together: lower case, the side as a last ``_l`` or ``_r``.
+
+    What comes before the last ``.``, ``:``, ``|`` or ``__`` does not count, nor does
+    ``CTRL_expressions_``. The add-on for Blender has the text of this function.
+    """
+    bare = re.split(r"[.:|](?!t[xyz]$)|__", name)[-1]
+    bare = re.sub(r"^CTRL_expressions_", "", bare, flags=re.IGNORECASE)
     bare = re.sub(r"^CTRL_([LRC])_(.+)$", r"board_\2_\1", bare)
     bare = re.sub(r"_?(?:Left|left|LEFT|_[Ll])$", "_l", bare)
     bare = re.sub(r"_?(?:Right|right|RIGHT|_[Rr])$", "_r", bare)

@@ -46,14 +46,14 @@ def spoken():
 def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken, tmp_path):
     sound, said = spoken
     files = {"recording": ("a.wav", sound)}
-    answer = post(client, files=files, data={"transcript": said, "format": "npz"})
+    answer = post(client, files=files, data={"words": said, "format": "npz"})
     assert answer.status_code == 200, answer.text
     assert "the words fit the sound" in json.loads(answer.headers["deitalk-notes"])[-1]
     (tmp_path / "curves.npz").write_bytes(answer.content)
-    expected = animate(sound, transcript=said).curves.values
+    expected = animate(sound, words=said).curves.values
     np.testing.assert_allclose(read_curves(tmp_path / "curves.npz").values, expected, atol=1e-5)
     timed = b"start,end,word\n0,0.3,Bob\n"
-    answer = post(client, files=files | {"transcript": ("w.CSV", timed)})
+    answer = post(client, files=files | {"words": ("w.CSV", timed)})
     assert answer.status_code == 200, answer.text
     wrong = post(client, files=files, data={"phones": "S IY S IY T UW N S IY K AA T AA"})
     assert "do not fit" in json.loads(wrong.headers["deitalk-notes"])[-1]
@@ -62,10 +62,10 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        ({"transcript": "a", "phones": "AA"}, "both given"),
-        ({"transcript": "a", "language": "xx"}, "no voice of espeak-ng"),
-        ({"transcript": "?!"}, "no word"),
-        ({"transcript": "a", "raw": "true"}, "raw"),
+        ({"transcript": "a", "phones": "AA"}, "leave one out"),
+        ({"words": "a", "language": "xx"}, "no voice of espeak-ng"),
+        ({"words": "?!"}, "no word"),
+        ({"words": "a", "rules": "false"}, "rules"),
     ],
 )
 def test_wrong_words_are_problems(client, data, text):
@@ -73,9 +73,19 @@ def test_wrong_words_are_problems(client, data, text):
     assert answer.status_code == 422 and text in answer.json()["message"], answer.text
 
 
-def test_words_are_a_text_and_no_path(client, spoken):
-    answer = post(client, files={"recording": ("a.wav", spoken[0])}, data={"transcript": "w.csv"})
-    assert answer.status_code == 200, answer.text
+def test_words_are_a_text_and_no_path(client):
+    answer = post(client, data={"words": "w.csv"})
+    assert answer.status_code == 422 and "was not sent" in answer.json()["message"]
+
+
+def test_former_names_of_fields_are_read_with_a_note(client):
+    old = post(client, data={"raw": "true", "idle": "false"})
+    new = post(client, data={"rules": "false", "life": "off"})
+    assert old.status_code == new.status_code == 200
+    assert old.json() == new.json()
+    assert {"field idle is now life", "field raw is now rules"} <= set(
+        json.loads(old.headers["deitalk-notes"])
+    )
 
 
 def test_raw_body_and_form_give_the_same(client):
@@ -110,7 +120,7 @@ def test_take_holds_the_files_of_the_command(client):
         names = set(archive.namelist())
         about = json.loads(archive.read("take.json"))
     assert {"curves.csv", "curves.json", "neutral.npz", "intensity.csv", "audio.wav"} < names
-    assert about["settings"]["emotion"] == "angry=1" and about["model"]["name"] == "default"
+    assert about["settings"]["emotion"] == "angry" and about["model"]["name"] == "default"
     assert set(about["files"]) <= names
 
 
@@ -201,8 +211,8 @@ def test_wrong_bodies_are_problems(client):
 
 
 def test_mesh_models_take_no_words(client):
-    answer = post(client, "/v1/meshes", data={"model": "sdfa", "phones": "AA B AA"})
-    assert answer.status_code == 422 and "a mesh model takes none" in answer.json()["message"]
+    answer = post(client, "/v1/meshes", data={"model": "sdfa", "words": "phones: AA B AA"})
+    assert answer.status_code == 422 and "words: a mesh model takes" in answer.json()["message"]
 
 
 def test_mesh_of_a_recording(client):

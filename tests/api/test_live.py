@@ -1,24 +1,34 @@
 """Frames while somebody speaks: their order, their times, changes, and hostile clients."""
 
+import asyncio
 import json
+import threading
 import time
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+import uvicorn
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from api.compute.pool import Stage
 from api.errors import Problem
+from api.guard import protocol
 from api.live.messages import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
+from api.routes import live as live_route
+from api.serving import server_config
+from api.settings import Settings
 from deitalk import LiveAnimator, animate
+from deitalk.acting import Acting
 from deitalk.config import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
-from tests.api.server import serving
+from tests.api.server import free_port, serving
 from tests.deitalk.live.conftest import TINY
 
 RATE = 16000
@@ -68,10 +78,10 @@ def test_old_sound_is_dropped():
 def test_changes_hold_from_their_time_on():
     stream = LiveStream(RATE, False)
     stream.feed(pcm(2.0))
-    stream.change({"happy": 1.0}, 0.5)
+    stream.change(Acting.of(emotion="happy", intensity=0.5))
     stream.feed(pcm(2.0))
     _, _, options = stream.window()
-    times = [(key["time"], key["emotion"]) for key in options["keys"]]
+    times = [(key["time"], key["emotion"]) for key in json.loads(options["emotion"])]
     assert times == [(0.0, "neutral"), (2.0, "neutral"), (2.2, "happy")]
     assert options["intensity"] == 1.0  # of the frames that this window shows
 
@@ -131,7 +141,7 @@ def test_stream_gives_the_curves_of_the_recording(server):
     assert [index for index, *_ in found] == list(range(90))
     assert [at for _, _, at, _ in found] == pytest.approx([k / 30 for k in range(90)])
     assert all(0 <= late < 60 for _, late, _, _ in found)
-    whole = animate(wav(3.0), "happy", idle=False).curves.values
+    whole = animate(wav(3.0), "happy", life="off").curves.values
     values = np.array([values for *_, values in found])
     assert np.abs(values - whole).mean() < 0.03  # windows see less than the whole recording
 
@@ -142,7 +152,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         sound = np.zeros(48000, "<f4").tobytes()
         session.send(sound)
         session.send(
-            json.dumps({"type": "set", "emotion": "angry=0.5", "intensity": 2, "raw": True})
+            json.dumps({"type": "set", "emotion": "angry=0.5", "intensity": 2, "rules": False})
         )
         session.send(sound)
         session.send('{"type": "stop"}')
@@ -160,6 +170,9 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         (["no json"], "message_unknown"),
         (['{"type": "start", "sample_rate": 1}'], "option_invalid"),
         (['{"type": "start", "emotion": "moods.csv"}'], "emotion_invalid"),
+        (['{"type": "start", "words": "Bob"}'], "option_invalid"),
+        (['{"type": "start", "voice": "/etc/passwd"}'], "emotion_invalid"),
+        (['{"type": "start"}', '{"type": "set", "seed": 3}'], "option_invalid"),
         (['{"type": "start", "model": "../x"}'], "model_unknown"),
         (['{"type": "start", "model": "sdfa"}'], "model_unfit"),
         (['{"type": "start", "life": "nose=1"}'], "request_invalid"),
@@ -267,7 +280,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     sound = pcm(3.0)
     with live(server) as session, live(server) as other:
         for one in (session, other):
-            header = begin(one, model="tiny", emotion="happy", idle=False)
+            header = begin(one, model="tiny", emotion="happy", life="off")
             assert header["lookahead_seconds"] <= 0.2 and header["hop_seconds"] == 1 / 30
             assert header["head"] == []
         for start in range(0, len(sound), 3000):
@@ -278,7 +291,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
         found, end = frames_of(session)
     assert end == {"type": "end", "frames": 90}
     assert [index for index, *_ in found] == list(range(90))
-    animator = LiveAnimator(folder, emotion="happy", idle=False)
+    animator = LiveAnimator(folder, emotion="happy", life="off")
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
@@ -317,10 +330,72 @@ def test_changes_reach_a_causal_model(causal_server):
     with live(server) as session:
         begin(session, model="tiny", frames="json")
         session.send(sound)
-        session.send('{"type": "set", "emotion": "angry", "intensity": 2, "raw": true}')
+        session.send(
+            '{"type": "set", "emotion": "angry", "intensity": 2, "rules": false, "gain": "jaw=2"}'
+        )
         session.send(sound)
         session.send('{"type": "stop"}')
         frames = []
         while (message := json.loads(session.recv(60)))["type"] == "frames":
             frames += message["frames"]
     assert message == {"type": "end", "frames": 60} and len(frames) == 60
+
+
+def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
+    """Neither its connection nor the application's task outlasts the time for a message."""
+    monkeypatch.setattr(protocol, "SEND_SECONDS", 0.5)
+    ended = threading.Event()
+
+    async def app(scope, receive, send):
+        assert scope["type"] == "websocket"
+        await send({"type": "websocket.accept"})
+        try:
+            while True:
+                await send({"type": "websocket.send", "bytes": bytes(1 << 16)})
+        except OSError:  # uvicorn's ClientDisconnected
+            ended.set()
+
+    port = free_port()
+    config = server_config(app, Settings(port=port))
+    config.lifespan = "off"
+    running = uvicorn.Server(config)
+    thread = threading.Thread(target=running.run)
+    thread.start()
+    try:
+        while not running.started:
+            time.sleep(0.01)
+        with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, max_queue=1) as session:
+            assert ended.wait(10)
+            with pytest.raises(ConnectionClosed):
+                while True:
+                    session.recv(10)
+    finally:
+        running.should_exit = True
+        thread.join()
+
+
+class StuckSocket:
+    """A WebSocket whose client takes nothing, and whose transport waits for it for ever."""
+
+    async def receive(self):
+        return {"type": "websocket.receive", "text": '{"type": "start"}'}
+
+    async def send_text(self, text):
+        await asyncio.Event().wait()
+
+    async def close(self, code=1000):
+        await asyncio.Event().wait()
+
+
+@pytest.mark.parametrize("fault", [None, Problem(413, "too long"), ValueError()])
+def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fault):
+    async def run(self):
+        if fault is not None:
+            raise fault
+
+    monkeypatch.setattr(live_route, "SEND_SECONDS", 0.05)
+    monkeypatch.setattr(live_route.Session, "run", run)
+    stage = Stage(tmp_path)
+    service = SimpleNamespace(stage=stage)
+    asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), service), 5))
+    stage.close()

@@ -55,12 +55,12 @@ def test_curves_are_those_of_torch(server, model, tmp_path):
 def test_live_session_has_the_frames_of_live_animator(server):
     sound = pcm(1.0)
     with live(server) as session:
-        begin(session, model="live", emotion="happy", idle=False)
+        begin(session, model="live", emotion="happy", life="off")
         session.send(sound)
         session.send('{"type": "stop"}')
         found, end = frames_of(session)
     assert end == {"type": "end", "frames": 30}
-    animator = LiveAnimator("live", emotion="happy", idle=False)
+    animator = LiveAnimator("live", emotion="happy", life="off")
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() <= 2e-4
 

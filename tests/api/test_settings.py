@@ -19,12 +19,11 @@ from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.middleware import Guard
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
-from api.messages.options import weights_of
 from api.metrics import Metrics
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app
-from deitalk.errors import AudioError, ConfigError, EmotionError, MissingError
+from deitalk.errors import AudioError, ConfigError, MissingError
 from rig.errors import CurveError
 from tests.browser import needs_player
 
@@ -116,24 +115,6 @@ def test_format_that_nothing_writes_is_refused():
         with pytest.raises(Problem) as refused:
             choose_format(ANIMATION_FORMATS, name, accept, "json")
         assert refused.value.status == 400
-
-
-def test_weights_are_labels_or_pairs_only(tmp_path):
-    track = tmp_path / "happy.csv"
-    track.write_text("time,emotion,strength\n0,happy,1\n")
-    assert weights_of("happy") == {"happy": 1.0}
-    assert weights_of("happy=0.25, sad=0.5") == {"neutral": 0.25, "happy": 0.25, "sad": 0.5}
-    for text in (
-        str(track),
-        f"happy=1{track}",
-        "happy=0.5.json",
-        "happy=1/../x.csv",
-        "",
-        "happy=",
-        "a" * 500,
-    ):
-        with pytest.raises(EmotionError):
-            weights_of(text)
 
 
 def test_errors_of_the_library_have_their_status():

@@ -1,12 +1,15 @@
 """Files of jobs in every kind of store, and what is removed of them."""
 
 import os
+import subprocess
+import sys
 import time
 import uuid
+from pathlib import Path
 
 import pytest
 
-from api.compute.pool import ORDER_PREFIX, Stage
+from api.compute.pool import SERVER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
@@ -14,6 +17,7 @@ from api.jobs.runner import remove_old
 from api.jobs.store import Store
 from api.jobs.table import JOBS, open_database
 from api.settings import SCOPES, Settings
+from tests.api.server import ROOT
 
 CALLER = Caller("farm", SCOPES, 3, 600)
 WORK = {"order": {"kind": "animation"}, "format": "json"}
@@ -129,11 +133,35 @@ def test_clearing_up_leaves_the_user_s_own_folders(tmp_path, queue):
         (tmp_path / name).write_text("mine")
         for path in (tmp_path / name, (tmp_path / name).parent):
             os.utime(path, (time.time() - day, time.time() - day))
-    orphan = tmp_path / "stage" / f"{ORDER_PREFIX}x"
-    orphan.mkdir()
-    os.utime(orphan, (time.time() - day, time.time() - day))
+    outside = tmp_path / "stage" / f"{SERVER_PREFIX}link"
+    outside.symlink_to(tmp_path / "inputs")
     remove_old(queue, Store(str(tmp_path)), Settings())
-    Stage(tmp_path / "stage")
+    Stage(tmp_path / "stage").close()
     left = {path.name for path in tmp_path.rglob("*.*") if "sqlite" not in path.name}
-    assert left == {"take.csv", "line.wav", "notes.txt"}
-    assert not orphan.exists()
+    assert left - {".deitalk.lock"} == {"take.csv", "line.wav", "notes.txt"}
+
+
+MAKE = "import sys; from pathlib import Path; from api.compute.pool import Stage\n"
+MAKE += "stage = Stage(Path(sys.argv[1])); print(stage.make(), flush=True); sys.stdin.read()"
+
+
+def test_folders_of_a_running_server_stay_and_those_of_a_killed_one_go(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", MAKE, tmp_path],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
+    ) as other:  # fmt: skip
+        theirs = Path(other.stdout.readline().strip())
+        (theirs / "recording").write_bytes(b"speech")
+        long_ago = time.time() - 30 * 86_400
+        for path in (theirs, theirs.parent):
+            os.utime(path, (long_ago, long_ago))
+        second = Stage(tmp_path)
+        ours = second.make()
+        assert (theirs / "recording").read_bytes() == b"speech"
+        other.kill()
+        other.wait()
+    third = Stage(tmp_path)
+    assert not theirs.parent.exists() and ours.exists()
+    for stage in (second, third):
+        stage.close()
+    assert not list(tmp_path.glob(f"{SERVER_PREFIX}*"))

@@ -12,6 +12,7 @@ from deitalk.cli import app
 from rig import default_controls, read_curves
 from tests.api.conftest import KEYS, wav
 from tests.api.server import ROOT
+from tests.api.test_live import resident_mb
 from tests.browser import chromium, lateness, needs_player
 
 SECONDS = 2.0
@@ -162,11 +163,13 @@ def test_page_is_one_script_that_reaches_this_service_only(server):
 
 def test_head_of_the_page_is_chosen_in_its_address(server):
     needs_player()
+    before = resident_mb(server.process.pid)
     with server.client() as client:
         usual, child = client.get("/"), client.get("/", params={"head": "child"})
         unknown = client.get("/", params={"head": "nobody"})
     assert child.status_code == 200 and child.text != usual.text
     assert unknown.status_code == 422 and "female, male, child" in unknown.text
+    assert resident_mb(server.process.pid) < before + 50  # a head is built in another process
 
 
 def shown_values(tab) -> np.ndarray:

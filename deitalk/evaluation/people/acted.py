@@ -74,7 +74,7 @@ def evaluate_acted(
 
 def _measures(model: DEITalk, clip: StrengthClip) -> dict[str, float]:
     """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
-    performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, idle=False)
+    performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, life="off")
     speaking = speech_activity(performance.recording.waveform) > 0
     if not speaking.any():
         return dict.fromkeys(("intensity", "whole face", "opening", *PARTS), 0.0)

@@ -110,7 +110,7 @@ def _predictions(model: DEITalk, lips: HeadLips, clip: LipClip) -> dict[str, Flo
     """Measures [shape=(T, M)] by every prediction."""
     recording = load_audio(clip.sound)
     level = loudness(recording.waveform, recording.n_frames)
-    animated = animate(recording, "neutral", model=model, idle=False).curves.values
+    animated = animate(recording, "neutral", model=model, life="off").curves.values
     return {
         "network": lips(network_curves(model, recording)).numpy(),
         "animated": lips(torch.tensor(animated)).numpy(),

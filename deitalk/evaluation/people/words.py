@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.corpus.engines import espeak
 from deitalk.data.clips import read_clips, read_phones
@@ -128,20 +129,20 @@ def measure(
     network: CurveNetwork, takes: Sequence[Take]
 ) -> dict[str, dict[str, list[ClosureScores]]]:
     """Closures of every group and condition, clip by clip."""
+    still = Acting.of(life="off")
     said = [Transcript.of(take.text, take.language) for take in takes]
     found: dict[str, dict[str, list[ClosureScores]]] = defaultdict(lambda: defaultdict(list))
     for i, take in enumerate(takes):
         other = said[(i + len(takes) // 2) % len(takes)]
         given = (None, said[i], other, exchanged(said[i], other))
-        shot = prepare(take.waveform, "neutral", lambda: network, sample_rate=16_000, idle=False)
-        speech = shot.speech
-        reading = network.read(speech.waveform, shot.weights, shot.actor, gain=speech.gain)
-        evidence, prior = measure_phones(speech), phone_evidence().weights["prior"]
+        prepared = prepare(take.waveform, still, lambda: network, sample_rate=16_000)
+        reading = prepared.read()
+        evidence, prior = measure_phones(prepared.speech), phone_evidence().weights["prior"]
         for name, words in zip(CONDITIONS, given, strict=True):
             neutral = reading.neutral.copy()
             copy = reading._replace(neutral=neutral, emotional=neutral)
             fit = None if words is None else fit_words(evidence, words, prior)
-            curves = finish(shot, copy, words=fit).curves.values
+            curves = finish(prepared, copy, words=fit).curves.values
             lips = lips_together(curves, network.controls)
             found[take.group][name].append(closure_scores(lips, take.phones))
     return found

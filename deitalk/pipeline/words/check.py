@@ -1,4 +1,4 @@
-"""Closures that curves miss, by the words of the recording: ``deitalk validate --transcript``."""
+"""Closures that curves miss, by the words of the recording: ``deitalk validate --words``."""
 
 from pathlib import Path
 

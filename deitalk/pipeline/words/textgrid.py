@@ -1,12 +1,9 @@
 """Interval tiers of Praat's TextGrid files, in the long and in the short form."""
 
 import re
-from pathlib import Path
 
 from deitalk.errors import DataError
-from rig import limits
 from rig.errors import quoted
-from rig.files.reading import read_text
 
 Interval = tuple[float, float, str]
 """Start and end in seconds, and the label."""
@@ -15,15 +12,14 @@ _TOKEN = re.compile(r'"((?:[^"]|"")*)"|\[\d+\]|(?<![\w.])(-?\d+(?:\.\d+)?(?:[eE]
 values in the same order."""
 
 
-def read_textgrid(path: Path) -> dict[str, list[Interval]]:
-    """Interval tiers of a TextGrid by name, in the order of the file.
+def intervals_of(text: str, path: object) -> dict[str, list[Interval]]:
+    """Interval tiers of a TextGrid by name, in the order of the text; `path` is for messages.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or is no TextGrid with interval tiers.
+        If it is no TextGrid with interval tiers.
     """
-    text = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
     found = (match for match in _TOKEN.finditer(text) if not match[0].startswith("["))
     values = [float(m[2]) if m[2] else m[1].replace('""', '"') for m in found]
     tiers: dict[str, list[Interval]] = {}
@@ -35,7 +31,7 @@ def read_textgrid(path: Path) -> dict[str, list[Interval]]:
     return tiers
 
 
-def _intervals(path: Path, values: list[float | str]) -> list[Interval]:
+def _intervals(path: object, values: list[float | str]) -> list[Interval]:
     """Intervals of a tier from its number of intervals on."""
     count = values[0]
     if not isinstance(count, float) or not 0 <= count <= (len(values) - 1) // 3:

@@ -1,10 +1,5 @@
 """What is said in a recording: words or phones, with or without their times.
 
-==================  =================================================================
-``transcript``      text, or the path of a text, a table (start, end, word) or a TextGrid
-``phones``          phones as text, or the path of a text, a table (start, end, phone) or a TextGrid
-==================  =================================================================
-
 Words are pronounced by espeak-ng in the language of one of its voices; phones need nothing.
 """
 
@@ -13,19 +8,17 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from deitalk.acting import Words
 from deitalk.corpus.phone_alphabets import ipa_to_phones, spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.phones import PHONES, SILENCE
-from deitalk.pipeline.words.textgrid import Interval, read_textgrid
+from deitalk.pipeline.words.textgrid import Interval, intervals_of
 from rig import limits
-from rig.errors import quoted
-from rig.files.reading import read_text
+from rig.errors import quoted, shorten
 
-SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
 LANGUAGE = "en-us"
 _SILENT = frozenset(("", "sil", "sp", "spn", "pau", "<eps>", "<p:>", "<sil>", "_", "#", "..."))
 _COLUMNS = {"word": ("word", "text", "label"), "phone": ("phone", "phoneme", "text", "label")}
@@ -68,71 +61,38 @@ class Transcript:
     source: str
 
     @classmethod
-    def of(cls, given: "str | Path | Transcript", language: str = LANGUAGE) -> "Transcript":
-        """Words of a text or a file.
+    def of(cls, given: str | Path | Words, language: str = LANGUAGE) -> "Transcript":
+        """Words or phones of a text or a file, see `deitalk.acting.Words`.
 
         Parameters
         ----------
-        given : str or Path
-            Text, or a ``.txt``, a table ``.csv`` (start, end, word) or a ``.TextGrid``.
+        given : str, Path or Words
+            Phones are ARPABET in capitals, whose words ``|`` divides, or IPA with spaces between
+            words; espeak-ng is not needed for them.
         language : str
-            Voice of espeak-ng that pronounces them: ``en-us``, ``de``, ``cmn`` …
+            Voice of espeak-ng that pronounces words: ``en-us``, ``de``, ``cmn`` …
 
         Raises
         ------
         DataError
             If there is no word, or the file is not as described.
         MissingError
-            If espeak-ng is not installed; `of_phones` does without.
+            If words need espeak-ng and it is not installed.
         ConfigError
             If the language is unknown.
         """
-        if isinstance(given, Transcript):
-            return given
-        check_language(language)
-        path = _path(given)
-        if path is None or path.suffix.lower() == ".txt":
-            text, source = _text(given, path)
-            return cls(_checked(_pronounced(text, language), source), source)
-        rows = _rows(path, "word")
-        words = [_timed(row, _phones_of(row[2], language)) for row in rows]
-        return cls(_checked(words, path.name), path.name)
-
-    @classmethod
-    def of_phones(cls, given: "str | Path | Transcript", language: str = LANGUAGE) -> "Transcript":
-        """Phones of a text or a file: ARPABET in capitals, or IPA with spaces between words.
-
-        ``|`` divides words of ARPABET. Arguments and errors are those of `of`; espeak-ng is not
-        needed.
-        """
-        if isinstance(given, Transcript):
-            return given
-        path = _path(given)
-        if path is None or path.suffix.lower() == ".txt":
-            text, source = _text(given, path)
-            return cls(_checked(_written(text, language), source), source)
-        words = [_timed(row, _symbols(row[2], language)) for row in _rows(path, "phone")]
-        return cls(_checked(words, path.name), path.name)
-
-    @classmethod
-    def given(cls, transcript: Any, phones: Any, language: str) -> "Transcript | None":
-        """`of` a transcript or `of_phones` of phones, whichever is given; None if none is.
-
-        Raises
-        ------
-        DataError
-            If both are given.
-        """
-        if transcript is not None and phones is not None:
-            raise DataError("transcript and phones are both given; leave one out")
-        if phones is not None:
-            return cls.of_phones(phones, language)
-        return None if transcript is None else cls.of(transcript, language)
-
-
-def is_words_file(given: str) -> bool:
-    """Whether a transcript is the path of a file."""
-    return given.strip().lower().endswith(SUFFIXES)
+        words = Words.of(given)
+        if not words.are_phones:
+            check_language(language)
+        pronounce, phones_of = (
+            (_written, _symbols) if words.are_phones else (_pronounced, _phones_of)
+        )
+        source = words.source or shorten(words.text, 60)
+        if words.kind == "text":
+            return cls(_checked(pronounce(_checked_text(words.text), language), source), source)
+        rows = _rows(words, source)
+        timed = [Word(label, phones_of(label, language), *times) for *times, label in rows]
+        return cls(_checked(timed, source), source)
 
 
 def check_language(language: str) -> None:
@@ -148,34 +108,10 @@ def check_language(language: str) -> None:
         )
 
 
-def _path(given: object) -> Path | None:
-    """Path of a given file; None of a text."""
-    if isinstance(given, Path):
-        found = given
-    elif isinstance(given, str) and is_words_file(given):
-        found = Path(given.strip())
-    elif isinstance(given, str):
-        return None
-    else:
-        raise DataError(f"transcript {quoted(given)} must be a text or a path")
-    if found.suffix.lower() not in SUFFIXES:
-        known = ", ".join(SUFFIXES)
-        raise DataError(f"{found}: suffix {quoted(found.suffix)} is none of {known}")
-    return found
-
-
-def _text(given: object, path: Path | None) -> tuple[str, str]:
-    """A text, and what it is called."""
-    if path is not None:
-        return read_text(path, limits.TRANSCRIPT_BYTES, error=DataError), path.name
-    text = str(given)
+def _checked_text(text: str) -> str:
     if any(0xD800 <= ord(c) < 0xE000 or c == "\0" for c in text):
-        raise DataError(
-            f"transcript {quoted(given)} holds bytes that are no text; write it in UTF-8"
-        )
-    if len(text) > limits.TRANSCRIPT_BYTES:
-        raise DataError(f"the transcript has more than {limits.TRANSCRIPT_BYTES} characters")
-    return text, text if len(text) <= 60 else text[:59] + "…"
+        raise DataError(f"words {quoted(text)} hold bytes that are no text; write them in UTF-8")
+    return text
 
 
 def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
@@ -261,42 +197,43 @@ def _arpabet(token: str) -> str | None:
 # --- tables and TextGrids
 
 
-def _rows(path: Path, kind: str) -> list[Interval]:
-    """Timed words or phones of a file, without silences."""
-    rows = _tier(path, kind) if path.suffix.lower() == ".textgrid" else _table(path, kind)
-    rows = [row for row in rows if row[2].strip().lower() not in _SILENT]
+def _rows(words: Words, source: str) -> list[Interval]:
+    """Timed words or phones of a table or a TextGrid, without silences."""
+    kind = "phone" if words.are_phones else "word"
+    read = _tier if words.kind == "grid" else _table
+    rows = [row for row in read(words.text, source, kind) if row[2].strip().lower() not in _SILENT]
     ends = [0.0, *(end for _, end, _ in rows)]
     for number, (before, (start, end, label)) in enumerate(zip(ends, rows, strict=False), 1):
         if not 0 <= start < end <= limits.SECONDS or start < before - 0.02:
             raise DataError(
-                f"{path}, {kind} {number} {quoted(label)}: {start:g} to {end:g} s; times must rise"
+                f"{source}, {kind} {number} {quoted(label)}: {start:g} to {end:g} s; times must "
+                "rise"
             )
     return rows
 
 
-def _tier(path: Path, kind: str) -> Sequence[Interval]:
-    tiers = read_textgrid(path)
+def _tier(text: str, source: str, kind: str) -> Sequence[Interval]:
+    tiers = intervals_of(text, source)
     named = [name for name in tiers if kind in name.lower()]
     if not named and len(tiers) > 1:
         known = ", ".join(map(quoted, tiers))
-        raise DataError(f"{path}: no tier is named {kind}s; its tiers are {known}: rename one")
+        raise DataError(f"{source}: no tier is named {kind}s; its tiers are {known}: rename one")
     return tiers[named[0] if named else next(iter(tiers))]
 
 
-def _table(path: Path, kind: str) -> list[Interval]:
-    text = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
+def _table(text: str, source: str, kind: str) -> list[Interval]:
     first = text.partition("\n")[0]
     separator = max(",;\t", key=first.count)
-    lines = list(csv.reader(text.splitlines(), delimiter=separator))
+    lines = list(csv.reader(text.splitlines(), delimiter=separator)) or [[]]
     header = [name.strip().lower() for name in lines[0]]
     label = next((name for name in _COLUMNS[kind] if name in header), None)
     if label is None or not {"start", "end"} <= set(header):
-        raise DataError(f"{path}: the first row must name the columns start, end, {kind}")
+        raise DataError(f"{source}: the first row must name the columns start, end, {kind}")
     places = [header.index(name) for name in ("start", "end", label)]
-    return [_row(path, n, line, places) for n, line in enumerate(lines[1:], 2) if any(line)]
+    return [_row(source, n, line, places) for n, line in enumerate(lines[1:], 2) if any(line)]
 
 
-def _row(path: Path, number: int, line: list[str], places: list[int]) -> Interval:
+def _row(path: str, number: int, line: list[str], places: list[int]) -> Interval:
     try:
         start, end, label = (line[place] for place in places)
         times = float(start.replace(",", ".")), float(end.replace(",", "."))
@@ -305,7 +242,3 @@ def _row(path: Path, number: int, line: list[str], places: list[int]) -> Interva
     if not np.isfinite(times).all():
         raise DataError(f"{path}, row {number}: start and end must be finite numbers")
     return (*times, label.strip())
-
-
-def _timed(row: Interval, phones: tuple[str, ...]) -> Word:
-    return Word(row[2], phones, row[0], row[1])

@@ -34,23 +34,18 @@ class Life:
     look_at: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def of(
-        cls,
-        life: "Life | Mapping[str, float] | str | None",
-        look_at: tuple[float, float] | str = (0.0, 0.0),
-    ) -> "Life":
-        """Check arguments: text, a mapping of names to factors, or None for 1 of each.
+    def of(cls, life: "Life | Mapping[str, float] | str") -> "Life":
+        """Check text (factors, ``on`` or ``off``) or a mapping of names to factors.
 
         Raises
         ------
         DeitalkError
-            If a name is unknown, a factor is not a number from 0 to 2, or `look_at` is not two
-            numbers from -35 to 35.
+            If a name is unknown, or a factor is not a number from 0 to 2.
         """
         if isinstance(life, Life):
             return life
-        if life is None:
-            life = {}
+        if life in ("on", "off"):
+            return cls() if life == "on" else OFF
         if isinstance(life, str):
             life = _parsed(life)
         if not isinstance(life, Mapping):
@@ -59,17 +54,28 @@ class Life:
                 "a mapping"
             )
         factors = {_known(name): _factor(name, value) for name, value in life.items()}
-        return cls(**factors, look_at=_direction(look_at))
+        return cls(**factors)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether nothing moves."""
+        return not any(getattr(self, name) for name in PARTS) and self.look_at == (0.0, 0.0)
 
     def times(self, idle: Idle) -> "Life":
         """These factors on a model's own."""
         return replace(self, **{part: getattr(idle, part) * getattr(self, part) for part in PARTS})
 
     def __str__(self) -> str:
-        return ",".join(f"{name}={getattr(self, name):g}" for name in PARTS)
+        """The text that `of` reads."""
+        factors = {name: getattr(self, name) for name in PARTS}
+        if not any(factors.values()):
+            return "off"
+        named = (f"{name}={factor:.9g}" for name, factor in factors.items() if factor != 1)
+        return ",".join(named) or "on"
 
 
 PARTS = tuple(part.name for part in fields(Life) if part.name != "look_at")
+OFF = Life(**dict.fromkeys(PARTS, 0.0))
 _EXAMPLE = "brows=.8,head=1.2,blinks=1,gaze=.5"
 
 
@@ -80,7 +86,7 @@ def _parsed(text: str) -> dict[str, Any]:
         name, sign, value = (part.strip() for part in pair.partition("="))
         if not sign or name in factors:
             raise DeitalkError(f"life {quoted(pair)}; write it as {_EXAMPLE}, each name once")
-        if not re.fullmatch(r"\d*\.?\d+|\d+\.", value):
+        if not re.fullmatch(r"(\d*\.?\d+|\d+\.)(e-?\d+)?", value):
             raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
         factors[name] = float(value)
     return factors
@@ -99,8 +105,14 @@ def _factor(name: Any, value: Any) -> float:
     return float(value)
 
 
-def _direction(look_at: Any) -> tuple[float, float]:
-    """Two numbers, or text such as ``10,-5``."""
+def place_of(look_at: Any) -> tuple[float, float]:
+    """The listener's place of two numbers, or of text such as ``10,-5``.
+
+    Raises
+    ------
+    DeitalkError
+        If it is not two numbers from -35 to 35.
+    """
     parts = look_at.split(",") if isinstance(look_at, str) else look_at
     try:
         side, up = (float(part) for part in parts)

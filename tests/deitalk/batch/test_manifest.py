@@ -2,13 +2,17 @@
 
 import pytest
 
-from deitalk.batch.lines import BadLine, Line, Settings, parse_formats
+from deitalk.acting import Acting
+from deitalk.batch.lines import BadLine, Line, Written, parse_formats
 from deitalk.batch.manifest import read_manifest
 from deitalk.batch.source import distinct, read_source
+from deitalk.emotions import ActorReference
 from deitalk.errors import DataError, DeitalkError
 
+NOTHING = Line(0, "", "")
 
-def rows(text, defaults=Settings(), base="base"):
+
+def rows(text, defaults=NOTHING, base="base"):
     return read_manifest(text, "lines.csv", base, defaults)[0]
 
 
@@ -18,23 +22,48 @@ def only(text, **options):
 
 
 def test_row_keeps_the_defaults_of_empty_cells():
-    line = only("audio,emotion,intensity\nanna/1.wav,,\n", defaults=Settings("happy", 1.5))
-    assert line == Line(1, "base/anna/1.wav", "anna/1", Settings("happy", 1.5))
+    acting = Acting.of(emotion="happy", intensity=1.5)
+    line = only("audio,emotion,intensity\nanna/1.wav,,\n", defaults=Line(0, "", "", acting))
+    assert line == Line(1, "base/anna/1.wav", "anna/1", acting)
 
 
-def test_row_sets_every_column():
+def test_row_sets_every_column(tmp_path):
+    (tmp_path / "i.csv").write_text("time,intensity\n0,1\n")
+    (tmp_path / "v.json").write_text(ActorReference(1.0, 2, 3.0).as_json())
     line = only(
         "Audio;Output;Formats;Emotion;Intensity;Intensity_curve;Actor;Voice;FPS;Seed\n"
-        "a.wav;x/y;npz take;angry=0.5;1,5;i.csv;Änne;v.json;29.97;7\n"
+        "a.wav;x/y;npz take;angry=0.5;1,5;i.csv;Änne;v.json;29.97;7\n",
+        base=str(tmp_path),
     )
-    assert line.output == "x/y" and line.targets == ("x/y.npz", "x/y")
-    assert line.settings == Settings(
-        "angry=0.5", 1.5, "base/i.csv", "base/v.json", "Änne", (".npz", "take"), 29.97, seed=7
-    )
+    assert line.output == "x/y" and line.targets == ("x/y.npz", "x/y") and line.actor == "Änne"
+    assert line.written == Written((".npz", "take"), 29.97)
+    assert line.acting == Acting.of(
+        emotion="angry=0.5", intensity=1.5, intensity_curve=tmp_path / "i.csv",
+        voice=ActorReference(1.0, 2, 3.0), seed=7,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", Acting.model_fields)
+def test_every_field_of_an_acting_is_a_column(name):
+    cell = {
+        "emotion": "sad", "intensity_curve": "[{'time': 0, 'intensity': 1}]".replace("'", '""'),
+        "voice": ActorReference(1.0, 2, 3.0).as_json().strip().replace('"', '""'), "words": "a",
+        "language": "de", "life": "off", "look_at": "1,2", "gain": "jaw=2", "rules": "no",
+        "style": "eve",
+    }.get(name, "2")  # fmt: skip
+    line = only(f'audio,{name}\na.wav,"{cell}"\n')
+    assert isinstance(line, Line), line
+    assert list(line.acting.settings) == [name]
+
+
+def test_former_columns_are_read_with_a_note():
+    lines, notes = read_manifest("audio,transcript\na.wav,Bob\n", "m.csv", "", NOTHING)
+    assert lines[0].acting == Acting.of(words="Bob")
+    assert notes == ("column transcript is now words",)
 
 
 def test_digits_and_time_code_of_a_row_are_checked():
-    settings = only("audio,formats,digits,timecode\na.wav,csv npz,3,recording\n").settings
+    settings = only("audio,formats,digits,timecode\na.wav,csv npz,3,recording\n").written
     assert (settings.digits, settings.timecode) == (3, "recording")
     for cells, words in (
         ("csv,7,", "must be 2 to 6"),
@@ -50,22 +79,24 @@ def test_digits_and_time_code_of_a_row_are_checked():
     "text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n']
 )
 def test_any_spreadsheet_is_read_and_unused_columns_are_named(text):
-    lines, unused = read_manifest(text, "lines.csv", "", Settings())
-    assert [line.audio for line in lines] == ["x.wav"] and unused == ("a",)
+    lines, notes = read_manifest(text, "lines.csv", "", NOTHING)
+    assert [line.audio for line in lines] == ["x.wav"]
+    assert notes == ("columns of the manifest that are not used: a",)
 
 
-def test_track_and_url_are_found_from_the_manifest():
-    line = only("audio,emotion\ns3://sounds/a.wav,moods.csv\n")
-    assert (line.audio, line.output) == ("s3://sounds/a.wav", "a")
-    assert line.settings.emotion == "base/moods.csv"
-
-
-def test_words_are_a_text_or_a_file_beside_the_manifest():
-    text = "audio,transcript,language\na.wav,Bitte sehr,de\nb.wav,said/b.TextGrid,\n"
-    first, second = (line.settings for line in rows(text))
-    assert (first.transcript, first.language) == ("Bitte sehr", "de")
-    assert (second.transcript, second.language) == ("base/said/b.TextGrid", "")
-    assert only("audio,phones\na.wav,b.csv\n").settings.phones == "base/b.csv"
+def test_files_are_found_from_the_manifest(tmp_path):
+    (tmp_path / "moods.csv").write_text("time,emotion,strength\n0,sad,1\n")
+    (tmp_path / "said").mkdir()
+    (tmp_path / "said" / "b.txt").write_text("Bitte sehr")
+    text = (
+        "audio,emotion,words,language\ns3://sounds/a.wav,moods.csv,Bitte,de\nb.wav,,said/b.txt,\n"
+    )
+    first, second = rows(text, base=str(tmp_path))
+    assert (first.audio, first.output) == ("s3://sounds/a.wav", "a")
+    assert first.acting == Acting.of(emotion="sad", words="Bitte", language="de")
+    assert second.acting == Acting.of(words="Bitte sehr")
+    (missing,) = rows("audio,emotion\na.wav,none.csv\n", base=str(tmp_path))
+    assert isinstance(missing, BadLine) and "none.csv" in missing.error
 
 
 @pytest.mark.parametrize(
@@ -90,7 +121,7 @@ def test_suffix_of_an_output_is_its_format():
         ("a.wav,/x,1,happy", "below the output folder"),
         ("a.wav,.x/y,1,happy", "hidden"),
         ("a.wav,x,9,happy", "0 to 4"),
-        ("a.wav,x,much,happy", "finite number"),
+        ("a.wav,x,much,happy", "must be a number"),
         ("a.wav,x,1,hapy", "'hapy'"),
         ("a.wav,x,1,happy=2", "happy"),
     ],
@@ -153,11 +184,11 @@ def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):
     for name in ("b/2.wav", "b/2.txt", "a.MP3", ".b/3.wav", "b/.4.wav", "out/take/audio.wav"):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         (tmp_path / name).touch()
-    plan = read_source(tmp_path, tmp_path / "out", Settings())
+    plan = read_source(tmp_path, tmp_path / "out", NOTHING)
     assert [line.output for line in plan.lines] == ["a", "b/2"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="holds no recording"):
-        read_source(tmp_path / "empty", tmp_path / "out", Settings())
+        read_source(tmp_path / "empty", tmp_path / "out", NOTHING)
 
 
 def test_hundred_thousand_rows_are_read_in_seconds():
@@ -166,5 +197,5 @@ def test_hundred_thousand_rows_are_read_in_seconds():
     )
     lines = distinct(rows(text))
     assert len(lines) == 100_000 and lines[-1] == Line(
-        100_000, "base/99/99999.wav", "99/99999", Settings("happy")
+        100_000, "base/99/99999.wav", "99/99999", Acting.of(emotion="happy")
     )

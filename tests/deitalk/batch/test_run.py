@@ -11,7 +11,6 @@ import soundfile
 
 from deitalk import animate
 from deitalk.audio.load import write_wav
-from deitalk.batch.lines import content_hash
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.corpus.engines import espeak
 from deitalk.emotions import read_actor
@@ -71,12 +70,11 @@ def test_words_of_a_manifest_are_used_and_what_they_hold_counts(run, lines, mode
     soundfile.write(lines / "said.wav", said, 16_000, subtype="FLOAT")
     manifest, words = lines / "lines.csv", lines / "said.txt"
     words.write_text("Bob may bring my map.")
-    manifest.write_text("audio,transcript\nsaid.wav,said.txt\n")
+    manifest.write_text("audio,words\nsaid.wav,said.txt\n")
     assert run(manifest, formats="csv").counts["done"] == 1
-    animate(lines / "said.wav", model=model, transcript=words).save(tmp_path / "one.csv")
+    animate(lines / "said.wav", model=model, words=words).save(tmp_path / "one.csv")
     assert (run.out / "said.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
     words.write_text("Seven years since the ship sank.")
-    content_hash.cache_clear()
     report = run(manifest, formats="csv")
     assert report.counts["done"] == 1
     assert "the words do not fit the sound" in table(run.out / SUMMARY)[0]["warnings"]
@@ -178,12 +176,8 @@ def test_content_of_a_track_is_part_of_the_key(run, lines):
     track.write_text("time,emotion,strength\n0,happy,1\n")
     assert status(run(manifest)) == {"anna/a": "done"}
     os.utime(track, (1, 1))
-    from deitalk.batch.lines import content_hash
-
-    content_hash.cache_clear()
     assert status(run(manifest)) == {"anna/a": "unchanged"}
     track.write_text("time,emotion,strength\n0,sad,1\n")
-    content_hash.cache_clear()
     assert status(run(manifest)) == {"anna/a": "done"}
 
 
@@ -393,9 +387,9 @@ def test_lines_of_an_actor_share_a_reference(run, orders, lines):
     (reference,) = (run.out / "batch-actors").iterdir()
     assert reference.name.startswith("anna-b-") and read_actor(reference).recordings == 3
     assert report.counts["done"] == 4
-    assert [order.voice for order in orders if order.output == "c"] == [None]
+    assert [order.acting.voice for order in orders if order.output == "c"] == [None]
     assert all(
-        o.voice == read_actor(reference) for o in orders if not o.only_voice and o.output != "c"
+        o.acting.voice == read_actor(reference) for o in orders if not o.only_voice and o.output != "c"
     )
     orders.clear()
     assert run(manifest).counts["unchanged"] == 4 and not orders

@@ -1,4 +1,4 @@
-"""`deitalk animate --transcript` and `--phones`: files, notes, errors."""
+"""`deitalk animate --words`: files, notes, errors."""
 
 import json
 from dataclasses import replace
@@ -27,12 +27,12 @@ def run(*arguments):
 
 def test_fit_and_misfit_are_one_line(line, tmp_path):
     (tmp_path / "said.txt").write_text("Bob may bring my map.")
-    done = run("animate", line, "-o", tmp_path / "a/", "--transcript", tmp_path / "said.txt")
+    done = run("animate", line, "-o", tmp_path / "a/", "--words", tmp_path / "said.txt")
     assert done.exit_code == 0 and "the words fit the sound (score" in done.output
     about = json.loads((tmp_path / "a" / "take.json").read_text())
-    assert about["settings"]["transcript"].endswith("said.txt") and not about["source"]["warnings"]
+    assert about["settings"]["words"] == "Bob may bring my map." and not about["source"]["warnings"]
     done = run(
-        "animate", line, "-o", tmp_path / "b/", "--phones", "S IY S IY T UW N S IY K AA T AA"
+        "animate", line, "-o", tmp_path / "b/", "--words", "phones: S IY S IY T UW N S IY K AA T AA"
     )
     assert done.exit_code == 0 and "the words do not fit the sound" in done.output
     about = json.loads((tmp_path / "b" / "take.json").read_text())
@@ -45,38 +45,54 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
         assert done.exit_code == 1
         return str(done.exception)
 
-    assert "both given" in error("--transcript", "a", "--phones", "AA")
-    assert "'xx' is no voice of espeak-ng" in error("--transcript", "a", "--language", "xx")
-    assert "w.csv" in error("--transcript", "w.csv")
+    assert "leave one out" in error("--transcript", "a", "--phones", "AA")
+    assert "leave one out" in error("--words", "a", "--phones", "AA")
+    assert "'xx' is no voice of espeak-ng" in error("--words", "a", "--language", "xx")
+    assert "w.csv" in error("--words", "w.csv")
     monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
-    assert "pip install espeakng-loader, or give phones" in error("--transcript", "a")
+    assert "pip install espeakng-loader, or give phones" in error("--words", "a")
 
 
 def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
-    assert run("animate", line, "-o", tmp_path / "a/", "--no-idle").exit_code == 0
+    assert run("animate", line, "-o", tmp_path / "a/", "--life", "off").exit_code == 0
     said = "Bob may bring my map."
-    assert run("animate", line, "-o", tmp_path / "b.npz", "--transcript", said).exit_code == 0
-    good = run("validate", tmp_path / "b.npz", "--transcript", said, "--audio", line)
+    assert run("animate", line, "-o", tmp_path / "b.npz", "--words", said).exit_code == 0
+    good = run("validate", tmp_path / "b.npz", "--words", said, "--audio", line)
     assert "the words fit the sound" in good.stdout and "do not meet" not in good.stdout
     curves = read_curves(tmp_path / "b.npz")
     values = curves.values.copy()
     values[-25:, [i for i, name in enumerate(curves.names) if "lipsTogether" in name]] = 0
     write_curves(tmp_path / "a" / "curves.csv", replace(curves, values=values))
-    bad = run("validate", tmp_path / "a", "--transcript", said, "--json")
+    bad = run("validate", tmp_path / "a", "--words", said, "--json")
     found = [row["text"] for row in json.loads(bad.stdout)["findings"]]
     missed = [text for text in found if "do not meet" in text]
     assert missed and "p of 'map'" in missed[-1] and "(0.00 of 0.9)" in missed[-1]
     with pytest.raises(DataError, match="no recording to compare the words with"):
-        raise run("validate", tmp_path / "b.npz", "--transcript", said).exception
+        raise run("validate", tmp_path / "b.npz", "--words", said).exception
 
 
 def test_mesh_meets_words_and_tells_a_misfit(line, tmp_path):
-    said = ("--phones", "B AA B | M EY | B R IH NG | M AY | M AE P")
+    said = ("--words", "phones: B AA B | M EY | B R IH NG | M AY | M AE P")
     assert run("mesh", line, "-o", tmp_path / "a.npz").exit_code == 0
     assert run("mesh", line, "-o", tmp_path / "b.npz", *said).exit_code == 0
     plain, met = (np.load(tmp_path / f"{name}.npz")["vertices"] for name in "ab")
     assert plain.shape == met.shape and np.abs(plain - met).max() > 0.01
-    wrong = run("mesh", line, "-o", tmp_path / "c.npz", "--phones", "S IY S IY T UW N S IY K AA")
+    wrong = run(
+        "mesh", line, "-o", tmp_path / "c.npz", "--words", "phones: S IY S IY T UW N S IY K AA"
+    )
     assert wrong.exit_code == 0 and "the words do not fit the sound" in wrong.output
     refused = run("mesh", line, "-o", tmp_path / "d.npz", "--model", "sdfa", *said)
-    assert "a mesh model takes none" in str(refused.exception)
+    assert "words: a mesh model takes" in str(refused.exception)
+
+
+def test_former_options_print_the_new_line(line, tmp_path):
+    former = ("--no-idle", "--raw", "--seed", "3")
+    done = run("animate", line, "-o", tmp_path / "a.npz", *former)
+    assert done.exit_code == 0, done.output
+    assert "--no-idle is now --life off" in done.output and "--raw is now --no-rules" in done.output
+    now = ("--life", "off", "--no-rules", "--seed", "3")
+    assert run("animate", line, "-o", tmp_path / "b.npz", *now).exit_code == 0
+    a, b = (read_curves(tmp_path / f"{name}.npz").values for name in "ab")
+    np.testing.assert_array_equal(a, b)
+    shown = run("animate", "--help").output
+    assert "--idle" not in shown and "--raw" not in shown and "--words" in shown

@@ -5,6 +5,7 @@ import time
 import pytest
 import yaml
 
+from deitalk.config import yaml_text
 from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, EmotionError
@@ -71,6 +72,16 @@ def test_nesting_at_the_limit_is_read_and_above_is_not(style):
 @pytest.mark.parametrize("text", ["[" * 100_000, "- " * 50_000, "{a: " * 20_000, "? " * 20_000])
 def test_deep_nesting_is_refused_quickly(text):
     assert "deeper than 32 levels" in refused(text)
+
+
+@pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
+def test_deep_nesting_is_told_alike_by_every_parser(monkeypatch, loader):
+    if not hasattr(yaml, loader):
+        pytest.skip("PyYAML was built without libyaml")
+    monkeypatch.setattr(yaml_text, "_Loader", getattr(yaml, loader))
+    for text in ("[" * 2000 + "]" * 2000, "- " * 2000 + "x", "{a: " * 2000 + "1" + "}" * 2000):
+        message = "it.yaml: cannot be read as YAML (nested deeper than 32 levels)"
+        assert refused(text) == message
 
 
 def test_scalar_at_the_limit_is_read_and_above_is_not():

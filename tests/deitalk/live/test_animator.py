@@ -99,7 +99,7 @@ def test_intensity_0_gives_the_neutral_reading(tiny, voice):
 
 
 def test_mouth_rests_in_silence(tiny):
-    frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", idle=False)
+    frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", life="off")
     assert np.abs(frames - tiny.controls.rest).max() < 1e-6
 
 
@@ -140,7 +140,7 @@ def test_messages_name_the_value_and_the_way_out(tiny, voice):
 
 
 def test_network_alone_gives_the_curves_of_the_whole_clip(tiny, voice):
-    frames = whole(tiny, voice, emotion="happy", raw=True)
+    frames = whole(tiny, voice, emotion="happy", rules=False)
     analysis = tiny.analyse(torch.from_numpy(voice), 93)
     styles = torch.zeros(93, 5)
     styles[:, EMOTIONS.index("happy")] = 1

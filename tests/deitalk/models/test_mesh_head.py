@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.acting import Acting
 from deitalk.config import Config, load_config, parse_config
 from deitalk.data.mesh_folder import MeshSequence, read_mesh_folder, write_mesh_folder
 from deitalk.data.mesh_sources import act, acted_clips, head_templates
-from deitalk.emotions import EMOTIONS, Direction
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation import mesh_emotion as expression_module
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
@@ -79,8 +80,9 @@ def head(network, templates=None, layers=None):
     return new_mesh_model(config, layers, templates, fps=30, unit_mm=10).eval()
 
 
-def whole(model, sound, *direction):
-    rows = list(mesh_coefficients(model, sound, 0, Direction.of(*direction)))
+def whole(model, sound, emotion="neutral", intensity=1.0):
+    acting = Acting.of(emotion=emotion, intensity=intensity)
+    rows = list(mesh_coefficients(model, sound, 0, acting))
     return torch.cat([torch.cat((row["stretch"], row["rotation"]), dim=1) for row in rows])
 
 
@@ -121,7 +123,7 @@ def test_mesh_in_silence_is_the_template(network):
     for branch in model.decoder.branches.values():  # a mean that the components can undo
         layer = branch.inverse_pca
         layer.mean = 0.3 * layer.components.sum(dim=0)
-    silent = predict_mesh(model, np.zeros(RATE, np.float32), direction=Direction.of("happy"))
+    silent = predict_mesh(model, np.zeros(RATE, np.float32), acting=Acting.of(emotion="happy"))
     np.testing.assert_allclose(silent, np.tile(sheet(4).vertices, (30, 1, 1)), atol=1e-4)
 
 
@@ -151,7 +153,7 @@ def test_training_separates_emotions_of_one_sound(network, tmp_path, no_gates):
     template = model.template(0)
     for emotion, style in STYLES.items():
         waveform, truth = spoken(template, style)
-        given = predict_mesh(model, waveform, direction=Direction.of(emotion))
+        given = predict_mesh(model, waveform, acting=Acting.of(emotion=emotion))
         error, motion = (np.linalg.norm(truth - x, axis=-1) for x in (given, template.vertices))
         assert error.mean() < 0.25 * motion.mean()
 
@@ -178,7 +180,7 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
     model, sound = head(network), noise(0.5)
     save_model(tmp_path / "m", model, tiny(network), {}, half_bases=False)
     back = load_model(tmp_path / "m")
-    direction = Direction.of("sad")
+    direction = Acting.of(emotion="sad")
     np.testing.assert_array_equal(
         predict_mesh(back, sound, direction=direction),
         predict_mesh(model, sound, direction=direction),

@@ -8,9 +8,10 @@ import soundfile as sf
 from typer.testing import CliRunner
 
 from deitalk import animate
+from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
-from deitalk.emotions import ActorReference, Direction, read_actor
+from deitalk.emotions import ActorReference, read_actor
 from deitalk.emotions.actor import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.pipeline.actor import measure_actor
@@ -54,7 +55,7 @@ def test_reference_file_gives_the_reference_back(tmp_path):
     path = tmp_path / "anna.json"
     path.write_text(actor.as_json())
     assert read_actor(path) == actor
-    assert Direction.of(voice=path).voice == actor
+    assert Acting.of(voice=path).voice == actor
 
 
 PLAIN = {"format": "deitalk-actor", "version": 1, "strength": 0, "recordings": 1, "seconds": 1}
@@ -82,13 +83,13 @@ def test_read_actor_rejects_other_files_in_one_line(tmp_path, content):
         read_actor(path)
     assert "anna.json" in str(error.value) and "\n" not in str(error.value)
     with pytest.raises(EmotionError, match="give a file or an ActorReference"):
-        Direction.of(voice=3)
+        Acting.of(voice=3)
 
 
 def test_intensity_counts_from_the_actor_s_usual_voice():
     strong = Speech.of(STRONG).strength
     plain, of_strong, of_soft = (
-        animate(STRONG, "angry", sample_rate=16_000, voice=actor, idle=False).mean_intensity
+        animate(STRONG, "angry", sample_rate=16_000, voice=actor, life="off").mean_intensity
         for actor in (None, ActorReference(strong, 1, 3.0), ActorReference(strong - 10, 1, 3.0))
     )
     assert of_strong < plain or strong < 0
@@ -106,5 +107,7 @@ def test_commands_build_and_use_a_reference(recordings):
     sound = str(recordings / "strong.wav")
     done = run(app, ["animate", sound, "-e", "angry", "--voice", str(out), "-o", f"{take}/"])
     assert done.exit_code == 0, done.output
-    assert json.loads((take / "take.json").read_text())["settings"]["voice"] == "anna.json"
+    assert (
+        json.loads((take / "take.json").read_text())["settings"]["voice"] == read_actor(out).content
+    )
     assert run(app, ["actor", "build", sound, "-o", "x.wav"]).exit_code == 1

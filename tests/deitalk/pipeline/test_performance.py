@@ -9,7 +9,7 @@ import soundfile
 
 from deitalk import Recording, animate, animate_mesh
 from deitalk.emotions import EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError, CheckpointError, DeitalkError, EmotionError
+from deitalk.errors import AudioError, CheckpointError, ConfigError, DeitalkError, EmotionError
 from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from rig.files import is_folder_name
@@ -28,22 +28,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
     saved = happy.save(f"{tmp_path}/{name}")
     about = json.loads((saved / "take.json").read_text())
     assert saved == tmp_path / name.rstrip("/")
-    assert about["settings"] == {
-        "emotion": "happy",
-        "intensity": 1.5,
-        "intensity_curve": None,
-        "voice": None,
-        "idle": True,
-        "life": "blinks=1,gaze=1,brows=1,head=1",
-        "look_at": [0.0, 0.0],
-        "listen": 0.0,
-        "gain": {},
-        "words": None,
-        "language": "en-us",
-        "seed": 0,
-        "raw": False,
-        "actor": None,
-    }
+    assert about["settings"] == {"emotion": "happy", "intensity": 1.5}
     assert about["model"]["control_set"] == "metahuman-185@mh4"
 
 
@@ -156,18 +141,19 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"emotion": None}, EmotionError, "emotion None is a NoneType"),
         ({"emotion": 3}, EmotionError, "emotion 3 is a int"),
         ({"emotion": ["happy"]}, EmotionError, "is a list"),
         ({"emotion": b"happy"}, EmotionError, "is a bytes"),
         ({"emotion": {1: 0.5}}, EmotionError, "unknown emotion 1"),
         ({"emotion": {"happy": None}}, EmotionError, "happy is None"),
-        ({"intensity": "1"}, EmotionError, "intensity '1' must be a number"),
-        ({"intensity": None}, EmotionError, "must be a number"),
-        ({"intensity": True}, EmotionError, "must be a number"),
-        ({"intensity": float("nan")}, EmotionError, "intensity nan must be 0 to 4"),
+        ({"intensity": "loud"}, ConfigError, "intensity 'loud' must be a number"),
+        ({"intensity": [1]}, ConfigError, "must be a number"),
+        ({"intensity": True}, ConfigError, "must be a number"),
+        ({"intensity": float("nan")}, ConfigError, "intensity nan must be a number, 0 to 4"),
         ({"intensity_curve": 1.0}, EmotionError, "intensity_curve 1.0 is a float"),
         ({"intensity_curve": [1, 2]}, EmotionError, "is a list"),
+        ({"idle": False}, ConfigError, "idle is now life: write life='off'"),
+        ({"loudness": 1}, ConfigError, "no field 'loudness'; known are emotion, intensity"),
         ({"seed": -1}, DeitalkError, "seed -1"),
         ({"seed": 1.5}, DeitalkError, "seed 1.5"),
         ({"seed": 2**70}, DeitalkError, "seed 1180591620717411303424"),
@@ -189,13 +175,17 @@ def test_arguments_reject_other_types(network, function, arguments, error, messa
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
-def test_settings_hold_any_emotion_as_a_line(network):
+def test_settings_hold_what_files_held(network):
+    """Text that gives the same acting again, wherever the files are now."""
     sound = recording(0.2)
     mixed = animate(sound, {"happy": 0.7, "sad": 0.1}, model=network, intensity_curve=still(1.0))
-    assert mixed.settings["emotion"] == "happy=0.7,sad=0.1"
-    assert mixed.settings["intensity_curve"] == "in memory"
-    track = EmotionTrack(np.zeros(1), np.eye(5)[:1])
-    assert animate(sound, track, model=network).settings["emotion"] == "a track of 1 keys"
+    assert mixed.acting.settings == {
+        "emotion": "happy=0.7,sad=0.1", "intensity_curve": "time,intensity\n0,1\n"
+    }  # fmt: skip
+    track = EmotionTrack(np.array([0.0, 0.1]), np.eye(5)[:2])
+    acted = animate(sound, track, model=network)
+    assert "emotion a track of 2 keys" in repr(acted)
+    assert animate(sound, model=network, **acted.acting.settings).acting == acted.acting
 
 
 def test_recordings_with_names_that_are_no_utf8_are_read(tmp_path, network):

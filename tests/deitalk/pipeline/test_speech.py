@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deitalk.acting import Acting
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.audio.voice_activity import active_level_db, speech_activity
-from deitalk.emotions import Direction, IntensityCurve
+from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.network import Tracks, neutral_and_acted
@@ -66,7 +67,9 @@ def test_speech_rejects_what_is_no_row_of_finite_samples(bad):
 
 def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
     found = tracks(speech, 0.5)
-    once, twice = (measure_intensities(speech, found, Direction.of("happy", k)) for k in (1, 2))
+    once, twice = (
+        measure_intensities(speech, found, Acting.of(emotion="happy", intensity=k)) for k in (1, 2)
+    )
     np.testing.assert_array_equal(once.applied, once.predicted)
     np.testing.assert_allclose(twice.applied, 2 * once.applied)
     np.testing.assert_allclose(twice.scale, 2 * once.scale)
@@ -76,7 +79,9 @@ def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
 
 def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
     curve = IntensityCurve(np.zeros(1), np.array([0.5]))
-    found = measure_intensities(speech, tracks(speech, 0.5), Direction.of("sad", 1.0, curve))
+    found = measure_intensities(
+        speech, tracks(speech, 0.5), Acting.of(emotion="sad", intensity_curve=curve)
+    )
     np.testing.assert_array_equal(found.applied, np.float32(0.5))  # also where nobody speaks
     open_ = speech.shown == 1
     np.testing.assert_allclose(found.scale[open_], 1)
@@ -84,7 +89,7 @@ def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
 
 
 def test_network_without_intensity_predicts_one_everywhere(speech):
-    found = measure_intensities(speech, Tracks(None, None), Direction.of("happy"))
+    found = measure_intensities(speech, Tracks(None, None), Acting.of(emotion="happy"))
     np.testing.assert_array_equal(found.network, 1)
     np.testing.assert_array_equal(found.saliency, 0)
 

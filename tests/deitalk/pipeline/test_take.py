@@ -25,8 +25,7 @@ def performance(network):
 
 
 def write(folder, performance, **options):
-    settings = {"emotion": "happy"}
-    return write_take(folder, performance, settings=settings, model={"name": "test"}, **options)
+    return write_take(folder, performance, model={"name": "test"}, **options)
 
 
 def test_take_describes_each_of_its_files(tmp_path, performance):

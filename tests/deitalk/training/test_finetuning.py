@@ -319,15 +319,15 @@ def test_actors_of_one_model_move_in_their_own_style(base, data, tmp_path):
     assert model.config.actors == ("anna", "ben")
     audio = read_clips(folder)[0].audio
     jaws = {
-        actor: animate(audio, model=model, actor=actor, raw=True).curves.values[:, place].mean()
+        actor: animate(audio, model=model, style=actor, rules=False).curves.values[:, place].mean()
         for actor in ("anna", "ben", None)
     }
     assert jaws["anna"] > jaws["ben"] + 0.01
     assert jaws[None] == jaws["anna"], "the first actor is the default"
     with pytest.raises(CheckpointError, match="actor 'eve' is unknown; the model's are anna, ben"):
-        animate(audio, model=model, actor="eve")
+        animate(audio, model=model, style="eve")
     with pytest.raises(CheckpointError, match="of one actor, or of nobody"):
-        animate(audio, model=base, actor="anna")
+        animate(audio, model=base, style="anna")
 
 
 def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path):

@@ -33,7 +33,7 @@ def test_projection_is_weighted_least_squares(rng):
     basis = fit_basis(noisy, areas, most=4)
     weights = np.repeat(np.sqrt(areas / areas.mean()), 6)
     left = (noisy[5] - basis.mean) * weights
-    expected = np.linalg.lstsq((basis.components.astype(float) * weights).T, left)[0]
+    expected = np.linalg.lstsq((basis.components.astype(float) * weights).T, left, rcond=None)[0]
     np.testing.assert_allclose(basis.project(noisy[5]), expected, rtol=5e-3, atol=5e-3)
     # The four that made the frames suffice, and their coefficients have unit variance.
     np.testing.assert_allclose(basis.expand(basis.project(noisy)), noisy, atol=0.1)

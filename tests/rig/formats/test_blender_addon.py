@@ -1,7 +1,9 @@
 """The Blender add-on: its reading without Blender, the whole of it in a headless one."""
 
+import ast
 import importlib.util
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -12,19 +14,20 @@ import numpy as np
 import pytest
 import soundfile
 
-import rig.formats
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls
 from rig.conversion.raw import board_to_raw
+from rig.formats.blender import addon_text
 from rig.formats.exchange import write_exchange_files
+from rig.retarget.blendshapes import shape_key
 
-ADDON = Path(rig.formats.__file__).with_name("blender_addon.py")
+SESSION = Path(__file__).with_name("inside_blender.py")
 BOARD = default_controls()
 
 
 @pytest.fixture
-def addon(monkeypatch):
-    """The add-on with a module in place of bpy, for the functions that need no Blender."""
+def addon(monkeypatch, tmp_path):
+    """The add-on as it is written, with a module in place of bpy, for the functions that need no Blender."""
     bpy, extras, helpers = (ModuleType(n) for n in ("bpy", "bpy_extras", "bpy_extras.io_utils"))
     bpy.types = type("Types", (), {"Operator": type("Operator", (), {})})
     make = staticmethod(lambda **_: str)
@@ -33,7 +36,10 @@ def addon(monkeypatch):
     helpers.ImportHelper = type("ImportHelper", (), {})
     for name, module in (("bpy", bpy), ("bpy_extras", extras), ("bpy_extras.io_utils", helpers)):
         monkeypatch.setitem(sys.modules, name, module)
-    spec = importlib.util.spec_from_file_location("deitalk_blender", ADDON)
+    (tmp_path / "deitalk_blender.py").write_text(addon_text())
+    spec = importlib.util.spec_from_file_location(
+        "deitalk_blender", tmp_path / "deitalk_blender.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -87,17 +93,42 @@ def test_thirtieths_of_the_app_are_read_at_30(addon, tmp_path):
         ("CTRL_expressions_mouthCornerPullL", "CTRL_expressions_mouthCornerPullL"),
         ("mouthCornerPullL", "CTRL_expressions_mouthCornerPullL"),
         ("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_mouthCornerPullL"),
+        ("blendShape1.jawOpen", "JawOpen"),
+        ("Head|ctrl_expressions_jaw_open", "CTRL_expressions_jawOpen"),
     ],
 )
 def test_names_of_shape_keys_are_those_of_the_curves(addon, theirs, ours):
-    assert addon.same_name(theirs) == addon.same_name(ours)
+    assert addon.shape_key(theirs) == addon.shape_key(ours)
+    assert addon.shape_key(theirs) == shape_key(theirs)  # as `deitalk retarget` reads it
 
 
-def test_no_two_curves_of_a_set_have_one_name(addon):
+def test_no_two_curves_of_a_set_have_one_name():
     from rig.conversion.raw import raw_controls
 
     for controls in (arkit_controls(), raw_controls()):
-        assert len({addon.same_name(name) for name in controls.names}) == len(controls)
+        assert len({shape_key(name) for name in controls.names}) == len(controls)
+
+
+def test_addon_needs_no_package_of_ours():
+    modules = {
+        name
+        for node in ast.walk(ast.parse(addon_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in (
+            [node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
+        )
+    }
+    ours = {"bpy", "bpy_extras.io_utils", "numpy"}
+    assert {m for m in modules if m.partition(".")[0] not in sys.stdlib_module_names} == ours
+
+
+def test_files_of_a_folder_are_those_of_a_file_of_it(addon, take):
+    of_folder = addon.files_of_take(f"{take}/")
+    of_file = addon.files_of_take(str(take / "curves.json"))
+    assert of_file[0] == str(take / "curves.json") and sorted(of_file) == sorted(of_folder)
+    assert addon.sound_of(f"{take}/") == str(take / "audio.wav")
+    with pytest.raises(ValueError, match="is no take folder"):
+        addon.files_of_take(str(take.parent))
 
 
 @pytest.mark.parametrize(
@@ -117,99 +148,63 @@ def test_other_files_are_an_error_of_one_line(addon, tmp_path, name, text, messa
     assert "\n" not in str(error.value)
 
 
-INSIDE = """
-import bpy, importlib.util, json, sys
-import numpy
-numpy.bool = bool  # the importer of Blender 3.4 needs it, numpy dropped it
-addon_path, take, glb = sys.argv[sys.argv.index("--") + 1:]
-bpy.ops.wm.read_factory_settings(use_empty=True)
-spec = importlib.util.spec_from_file_location("deitalk_blender", addon_path)
-addon = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(addon)
-addon.register()
-
-def face(*names):
-    for other in bpy.data.objects:
-        other.select_set(False)
-    data = bpy.data.meshes.new("face")
-    data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
-    made = bpy.data.objects.new("face", data)
-    bpy.context.scene.collection.objects.link(made)
-    for name in ("Basis", *names):
-        made.shape_key_add(name=name)
-    made.select_set(True)
-    bpy.context.view_layer.objects.active = made
-    return made
-
-def values(made, frame):
-    bpy.context.scene.frame_set(frame)
-    return {b.name: b.value for b in made.data.shape_keys.key_blocks[1:]}
-
-scene = bpy.context.scene
-scene.render.fps = 30
-out = {}
-arkit = face("jawOpen", "mouthSmile_L", "unknown")
-out["arkit"] = list(bpy.ops.import_anim.deitalk(filepath=take + "/curves.json"))
-out["arkit_values"] = [values(arkit, 1), values(arkit, 11)]
-out["sounds"] = [s.sound.filepath.rsplit("/", 1)[-1] for s in scene.sequence_editor.sequences_all]
-out["end"] = scene.frame_end
-raw = face("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_jawOpen", 'jaw"Left')
-scene.render.fps = 60
-out["raw"] = list(bpy.ops.import_anim.deitalk(
-    filepath=take + "/hi.unreal.json", start=0.0, with_sound=False))
-out["raw_values"] = [values(raw, 0), values(raw, 20)]
-curves = raw.data.shape_keys.animation_data.action.fcurves
-out["kinds"] = sorted({p.interpolation for c in curves for p in c.keyframe_points})
-shapes = face("mouthClose", "jawOpen")
-scene.render.fps = 25
-out["glb"] = list(bpy.ops.import_anim.deitalk(filepath=glb, start=0.0))
-out["glb_values"] = [values(shapes, 0), values(shapes, 2)]
-out["objects"] = len(bpy.data.objects)
-face("smile")
-try:
-    bpy.ops.import_anim.deitalk(filepath=take + "/curves.json")
-except RuntimeError as error:
-    out["error"] = str(error).strip()
-addon.unregister()
-print("OUT", json.dumps(out))
-"""
+def blenders() -> list:
+    """Blender of this machine, and Python interpreters with bpy that $BPY_PYTHONS names."""
+    found = [path for path in os.environ.get("BPY_PYTHONS", "").split(os.pathsep) if path]
+    if blender := shutil.which("blender"):
+        found.append(pytest.param(blender, marks=pytest.mark.slow))
+    missing = pytest.mark.skip(reason="needs Python interpreters with bpy in BPY_PYTHONS")
+    return found or [pytest.param("", marks=missing)]
 
 
-@pytest.mark.slow
-def test_headless_blender_keys_shape_keys(take, tmp_path):
-    if shutil.which("blender") is None:
-        pytest.skip("needs blender")
+def run_inside(program: str, *arguments: Path) -> tuple[dict, str]:
+    """What the session inside Blender found, and all that was printed."""
+    command = [program]
+    if Path(program).name == "blender":
+        command += ["--background", "--factory-startup", "--python-exit-code", "3", "--python"]
+    done = subprocess.run(
+        [*command, str(SESSION), *(["--"] if len(command) > 1 else []), *map(str, arguments)],
+        capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    lines = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
+    assert done.returncode == 0 and lines, done.stdout[-2000:] + done.stderr[-2000:]
+    return json.loads(lines[-1][4:]), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("program", blenders())
+def test_blender_moves_the_face(take, tmp_path, program):
     arkit = np.zeros((3, 61), np.float32)
     names = arkit_controls().names
     arkit[:, names.index("JawOpen")] = 0, 0.5, 1
     glb = tmp_path / "a.glb"
     write_curves(glb, RigCurves(arkit, names, 25, control_set="arkit-61"))
-    (tmp_path / "inside.py").write_text(INSIDE)
-    done = subprocess.run(
-        ["blender", "--background", "--factory-startup", "--python-exit-code", "3", "--python",
-         str(tmp_path / "inside.py"), "--", str(ADDON), str(take), str(glb)],
-        capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
-    lines = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
-    assert done.returncode == 0 and lines, done.stdout[-2000:] + done.stderr[-2000:]
-    out = json.loads(lines[0][4:])
-    assert out["arkit"] == out["raw"] == out["glb"] == ["FINISHED"]
+    (tmp_path / "deitalk_blender.py").write_text(addon_text())
+    out, printed = run_inside(program, tmp_path / "deitalk_blender.py", take, glb)
+    assert {tuple(out[name]) for name in ("folder", "again", "raw", "glb", "driven")} == {
+        ("FINISHED",)
+    }
     shapes = read_curves(next(take.glob("*_take_1_deitalk.csv")), control_set=None)
     raw = board_to_raw(read_curves(take / "curves.json"))
-    for found, frame in zip(out["arkit_values"], (0, 10), strict=True):
-        assert found["jawOpen"] == pytest.approx(shapes["JawOpen"][frame], abs=1e-4)
-        assert found["mouthSmile_L"] == pytest.approx(shapes["MouthSmileLeft"][frame], abs=1e-4)
-        assert found["unknown"] == 0
+
+    def near(value):
+        return pytest.approx(value, abs=1e-4)
+
+    for found, frame in zip([*out["at_24"], out["after"]], (0, 10, 10), strict=True):
+        jaw, smile = shapes["JawOpen"][frame], shapes["MouthSmileLeft"][frame]
+        assert found["blendShape1.jawOpen"] == near(jaw) and found["mouthSmile_L"] == near(smile)
+        assert found["unknown"] == 0 and found["moved"] == near(jaw + smile)
+    assert out["rate"] == 24 and out["end"] == 250  # of the scene, which the clip does not reach
+    assert out["sounds"] == ([["audio.wav", 1]] if out["has_sound"] else [])
+    assert out["sounds_after"] == out["sounds"] and out["actions"] == 1
     for found, frame in zip(out["raw_values"], (0, 10), strict=True):  # 60 fps: two each
         expected = raw["CTRL_expressions_mouthCornerPullL"][frame]
-        assert found["head_lod0_mesh__mouth_corner_pull_L"] == pytest.approx(expected, abs=1e-4)
-        expected = raw["CTRL_expressions_jawLeft"][frame]
-        assert found['jaw"Left'] == pytest.approx(expected, abs=1e-4)
-    assert out["kinds"] == ["LINEAR"] and out["sounds"] == ["audio.wav"]
-    assert out["end"] == 250  # the end of the scene, which the clip does not reach
-    assert out["glb_values"] == [
-        {"mouthClose": 0, "jawOpen": 0},
-        {"mouthClose": 0, "jawOpen": pytest.approx(1)},
-    ]
+        assert found["head_lod0_mesh__mouth_corner_pull_L"] == near(expected)
+        assert found['nose"WrinkleL'] == near(raw["CTRL_expressions_noseWrinkleL"][frame])
+    assert out["kinds"] == ["LINEAR"]
+    for found, jaw in zip(out["glb_values"], (0, 1), strict=True):
+        assert found == {"mouthClose": 0, "jawOpen": near(jaw), "moved": near(jaw)}
     assert out["objects"] == 3  # those of the GLB are gone
-    assert "none of 1 shape keys has a name" in out["error"]
+    assert out["driven_values"]["jawOpen"] == near(0.25)
+    assert "a driver moves jawOpen: no keys there" in printed
+    assert "none of 1 shape keys has a name" in out["errors"][0]
+    assert "is no take folder" in out["errors"][1]

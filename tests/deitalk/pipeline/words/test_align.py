@@ -144,8 +144,8 @@ def line():
 
 
 def test_words_close_the_lips_of_a_spoken_line(line):
-    plain = animate(line.waveform, sample_rate=16_000, idle=False)
-    known = animate(line.waveform, sample_rate=16_000, idle=False, transcript=line.text)
+    plain = animate(line.waveform, sample_rate=16_000, life="off")
+    known = animate(line.waveform, sample_rate=16_000, life="off", words=line.text)
     assert plain.words is None and known.words.fits
     names = [p.name for p in known.words.phones if p.name in "PBM"]
     assert names == [p.name for p in line.phones if p.name in "PBM"]
@@ -158,18 +158,18 @@ def test_words_close_the_lips_of_a_spoken_line(line):
         assert abs(found.start + found.end - true.start - true.end) / 2 < 0.08
         middle = round((found.start + found.end) * 15)
         assert lips[max(middle - 1, 0) : middle + 2].max() > 0.95
-    assert known.settings["words"] == line.text
+    assert known.acting.settings["words"] == line.text
 
 
 def test_wrong_words_leave_the_curves_and_a_note(line):
-    plain = animate(line.waveform, sample_rate=16_000, idle=False)
+    plain = animate(line.waveform, sample_rate=16_000, life="off")
     wrong = animate(
-        line.waveform, sample_rate=16_000, idle=False, transcript="Seven years since the ship sank"
+        line.waveform, sample_rate=16_000, life="off", words="Seven years since the ship sank"
     )
     np.testing.assert_array_equal(wrong.curves.values, plain.curves.values)
     assert wrong.recording.warnings[-1].startswith("the words do not fit the sound")
 
 
 def test_words_without_rules_are_refused(line):
-    with pytest.raises(DeitalkError, match="raw"):
-        animate(line.waveform, sample_rate=16_000, raw=True, phones="B AA B")
+    with pytest.raises(DeitalkError, match="rules"):
+        animate(line.waveform, sample_rate=16_000, rules=False, words="phones: B AA B")

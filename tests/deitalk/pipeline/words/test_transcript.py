@@ -5,7 +5,7 @@ import pytest
 from deitalk.corpus.engines import espeak
 from deitalk.corpus.phone_alphabets import spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.pipeline.words.textgrid import read_textgrid
+from deitalk.pipeline.words.textgrid import intervals_of
 from deitalk.pipeline.words.transcript import Transcript, Word
 
 LONG = """File type = "ooTextFile"
@@ -111,7 +111,7 @@ def test_both_forms_of_a_textgrid_are_equal(tmp_path):
     tiers = []
     for name, text in (("a.TextGrid", LONG), ("b.TextGrid", SHORT)):
         (tmp_path / name).write_text(text)
-        tiers.append(read_textgrid(tmp_path / name))
+        tiers.append(intervals_of((tmp_path / name).read_text(), name))
     assert tiers[0] == tiers[1]
     assert tiers[0]["words"][1] == (0.25, 0.75, "my")
     assert tiers[0]["phones"][1] == (0.5, 1.5, 'say "a"!')
@@ -128,14 +128,14 @@ def test_timed_words_of_a_textgrid_and_of_a_table_are_equal(tmp_path):
 
 def test_phones_need_no_espeak(monkeypatch, tmp_path):
     monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
-    assert Transcript.of_phones("P L IY1 Z | SIL B AY").words == (
+    assert Transcript.of("phones: P L IY1 Z | SIL B AY").words == (
         Word("P L IY1 Z", ("P", "L", "IY", "Z")), Word("SIL B AY", ("B", "AY"))
     )  # fmt: skip
-    assert [w.phones for w in Transcript.of_phones("pliːz baɪ").words] == [
+    assert [w.phones for w in Transcript.of("phones: pliːz baɪ").words] == [
         ("P", "L", "IY", "Z"), ("B", "AY")
     ]  # fmt: skip
     (tmp_path / "p.csv").write_text("start,end,phone\n0,.1,SIL\n.1,.2,p\n.2,.4,IY0\n")
-    assert Transcript.of_phones(tmp_path / "p.csv").words == (
+    assert Transcript.of(f"phones:{tmp_path}/p.csv").words == (
         Word("p", ("P",), 0.1, 0.2), Word("IY0", ("IY",), 0.2, 0.4)
     )  # fmt: skip
     with pytest.raises(MissingError, match=r"pip install espeakng-loader, or give phones"):
@@ -171,9 +171,7 @@ def test_bad_textgrids_and_texts_are_refused(tmp_path):
         Transcript.of("nothing.txt")
     with pytest.raises(ConfigError, match="'klingonese' is no voice"):
         Transcript.of("hello", "klingonese")
-    with pytest.raises(DataError, match="no text; write it in UTF-8"):
+    with pytest.raises(DataError, match="no text; write them in UTF-8"):
         Transcript.of("caf\udce9")
-    with pytest.raises(DataError, match="both given"):
-        Transcript.given("hello", "HH", "en-us")
     with pytest.raises(DataError, match="neither ARPABET nor IPA"):
-        Transcript.of_phones("!!! ???")
+        Transcript.of("phones: !!! ???")

@@ -6,7 +6,7 @@ import pytest
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.people.nods import find_nods
-from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.amounts import Life, place_of
 from deitalk.postprocess.life.brows import (
     STEMS,
     BrowEvents,
@@ -365,4 +365,4 @@ def test_amounts_reject_other_names_and_numbers(life):
 @pytest.mark.parametrize("look", ["1", "1,2,3", "a,b", (90, 0), (float("nan"), 0), None])
 def test_look_rejects_what_are_no_two_angles(look):
     with pytest.raises(DeitalkError, match="look_at"):
-        Life.of(None, look)
+        place_of(look)

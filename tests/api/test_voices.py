@@ -1,0 +1,161 @@
+"""The voices of all live sessions: what fails ends them with a problem, and new ones go on."""
+
+import asyncio
+import json
+import logging
+import shutil
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from api.compute import live
+from api.compute.pool import Stage
+from api.compute.voices import Voices as VoicesInWorker
+from api.compute.worker import WorkerLost
+from api.errors import InternalError, Problem
+from api.routes.health import ready
+from tests.api.test_worker import limits
+
+MOTION = {"idle": False, "life": {}, "look_at": (0, 0), "seed": 1}
+
+
+class Stand:
+    """Stands for the worker process: opens voices, or fails as it is told."""
+
+    def __init__(self) -> None:
+        self.failure: Exception | None = None
+        self.starts, self.hangs = 0, None
+
+    def start(self) -> None:
+        self.starts += 1
+
+    def stop(self) -> None:
+        pass
+
+    def run(self, order, seconds):
+        if self.hangs is not None:
+            self.hangs.wait()
+        if self.failure is not None:
+            raise self.failure
+        opened = [[a["voice"], 0.2] for a in order["options"]["actions"] if a["do"] == "open"]
+        np.zeros(0, "<f4").tofile(f"{order['folder']}/out/frames")
+        return {"file": "out/frames", "facts": {"opened": opened, "frames": []}}
+
+
+@pytest.fixture
+def voices(tmp_path, monkeypatch):
+    monkeypatch.setattr(live, "RESTART_SECONDS", 0.01)
+    stage = Stage(tmp_path)
+    made = live.Voices(limits(), stage)
+    made.worker = Stand()
+    yield made
+    stage.close()
+
+
+async def until(condition) -> None:
+    async with asyncio.timeout(10):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+async def fail(voices, failure, wait=lambda: None):
+    """Fail the next order of an open voice; return the problem it ends with."""
+    voice, _ = await voices.open("live", MOTION)
+    voices.worker.failure = failure
+    wait()
+    voice.feed(np.ones(10, np.float32))
+    with pytest.raises(Problem) as ended:
+        await asyncio.wait_for(voice.next_frames(), 10)
+    return ended.value
+
+
+@pytest.mark.parametrize(
+    ("failure", "status"),
+    [
+        (OSError("disk full"), 500),
+        (InternalError("KeyError in api"), 500),
+        (ValueError("a fault of ours"), 500),
+        (WorkerLost(), 503),
+    ],
+)
+def test_any_failure_ends_the_voices_is_logged_and_told_and_new_voices_go_on(
+    voices, caplog, failure, status
+):
+    service = SimpleNamespace(pool=SimpleNamespace(is_ready=True), voices=voices)
+
+    async def run():
+        caplog.set_level(logging.INFO, "deitalk.service")
+        assert (await ready(service)).status == "ready"
+        problem = await fail(voices, failure)
+        assert problem.status == status and "disk" not in problem.message
+        with pytest.raises(Problem) as starting:
+            await ready(service)
+        assert starting.value.status == 503
+        voices.worker.failure = None
+        await until(lambda: voices.is_ready)
+        assert (await ready(service)).status == "ready"
+        assert (await voices.open("live", MOTION))[1] == 0.2
+        voices.stop()
+
+    asyncio.run(run())
+    assert voices.worker.starts == 2
+    assert [r for r in caplog.records if "1 live voices ended" in r.getMessage()]
+
+
+def test_folder_that_is_removed_does_not_end_live(voices):
+    def remove():
+        shutil.rmtree(voices.stage.own)
+
+    async def run():
+        assert (await fail(voices, None, remove)).status == 500
+        assert (await voices.open("live", MOTION))[1] == 0.2
+        voices.stop()
+
+    asyncio.run(run())
+
+
+def test_opening_ends_when_the_worker_does_not_answer(voices, monkeypatch):
+    monkeypatch.setattr(live, "OPEN_SECONDS", 0.05)
+
+    async def run():
+        voices.worker.hangs = threading.Event()
+        try:
+            with pytest.raises(Problem) as refused:
+                await asyncio.wait_for(voices.open("live", MOTION), 10)
+            assert refused.value.status == 503 and voices.known == {}
+        finally:
+            voices.worker.hangs.set()
+            voices.stop()
+
+    asyncio.run(run())
+
+
+def test_task_that_was_ended_is_begun_again(voices):
+    async def run():
+        await voices.open("live", MOTION)
+        voices.task.cancel()
+        await until(voices.task.done)
+        assert (await asyncio.wait_for(voices.open("live", MOTION), 10))[1] == 0.2
+        voices.stop()
+
+    asyncio.run(run())
+
+
+def test_sound_of_an_unknown_voice_is_not_given_to_the_next():
+    taken = {}
+    animator = SimpleNamespace(
+        take=lambda samples, stream: taken.update({stream: samples.tolist()}),
+        read=lambda: np.zeros((2, 0, 3), np.float32),
+        heads=np.zeros((2, 0, 6), np.float32),
+    )
+    voices = VoicesInWorker()
+    voices.animators["live"], voices.places[2] = animator, ("live", 1)
+    actions = [
+        {"voice": 1, "do": "feed", "count": 3},  # it has ended
+        {"voice": 1, "do": "set", "options": {}},
+        {"voice": 2, "do": "feed", "count": 2},
+    ]
+    voices.perform(json.loads(json.dumps(actions)), np.arange(5, dtype=np.float32), limits())
+    assert taken == {1: [3.0, 4.0]}

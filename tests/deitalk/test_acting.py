@@ -1,0 +1,193 @@
+"""`Acting`: text forms, ranges, files that may be named, former names, the schema."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given, strategies
+
+from deitalk.acting import LIVE_FIELDS, OLD_NAMES, Acting, Words, modern, renamed
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import ConfigError
+from rig.errors import UserError
+from rig.limits import SEED
+
+KEYS = "time,emotion,strength\n0,happy,0.2\n1,angry,1\n"
+NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ({"life": "brows=.8"}, {"life": {"brows": 0.8}}),
+        ({"life": "off"}, {"life": {"brows": 0, "head": 0, "gaze": 0, "blinks": 0}}),
+        ({"look_at": "10,-5"}, {"look_at": (10, -5)}),
+        ({"gain": "jaw=1.2,brow=.5"}, {"gain": {"jaw": 1.2, "brow": 0.5}}),
+        ({"intensity": "1,5"}, {"intensity": 1.5}),
+        ({"emotion": "happy=0.7"}, {"emotion": {"happy": 0.7}}),
+        ({"emotion": '{"happy": 0.7}'}, {"emotion": "happy=.7"}),
+        ({"rules": "no"}, {"rules": False}),
+        ({"seed": "12"}, {"seed": 12}),
+        ({}, {"emotion": "neutral", "life": "on", "gain": "", "voice": None, "words": None}),
+    ],
+)
+def test_text_and_value_are_one_acting(text, value):
+    assert Acting.of(**text) == Acting.of(**value)
+    assert Acting.of(**Acting.of(**text).settings) == Acting.of(**text)
+
+
+finite = strategies.floats(0, 2)
+actings = strategies.fixed_dictionaries(
+    {},
+    optional={
+        "emotion": strategies.sampled_from([*EMOTIONS, "happy=0.25,sad=0.5", KEYS, "auto"]),
+        "intensity": strategies.floats(0, 4),
+        "intensity_curve": strategies.just("time,intensity\n0,0.5\n1,2\n"),
+        "style": strategies.text(min_size=1, max_size=20),
+        "words": strategies.sampled_from(
+            ["Bob's map.", "phones: M AY", "start,end,word\n0,1,a\n", "two\nlines"]
+        ),
+        "life": strategies.dictionaries(strategies.sampled_from(["blinks", "head"]), finite),
+        "look_at": strategies.tuples(strategies.integers(-35, 35), strategies.integers(-35, 35)),
+        "gain": strategies.dictionaries(strategies.sampled_from(["jaw", "brow"]), finite),
+        "listen": strategies.floats(0, 600),
+        "rules": strategies.booleans(),
+        "seed": strategies.integers(0, SEED),
+    },
+)
+
+
+@given(actings)
+def test_settings_are_json_that_gives_the_acting_again(fields):
+    acting = Acting.of(**fields)
+    settings = json.loads(json.dumps(acting.settings))
+    again = Acting.of(files={}, **settings)
+    assert again.settings == acting.settings
+    assert settings.keys() <= fields.keys()  # nothing but what was given
+
+
+@given(strategies.floats(), strategies.sampled_from(sorted(NUMBERS)))
+def test_numbers_are_within_their_range_or_refused_in_one_line(value, name):
+    low, high = NUMBERS[name]
+    for given_value in (value, repr(value)):
+        if low <= value <= high:
+            assert getattr(Acting.of(**{name: given_value}), name) == value
+            continue
+        with pytest.raises(ConfigError, match=name) as refused:
+            Acting.of(**{name: given_value})
+        assert "\n" not in str(refused.value) and f"{high:g}" in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
+def test_seeds_are_whole_numbers_up_to_one_largest(seed):
+    assert Acting.of(seed=SEED).seed == SEED
+    with pytest.raises(ConfigError, match="seed"):
+        Acting.of(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("field", "name", "content"),
+    [
+        ("emotion", "keys.csv", KEYS),
+        ("emotion", "keys.json", '[{"time": 0, "emotion": "sad", "strength": 1}]'),
+        ("intensity_curve", "intensity.csv", "time,intensity\n0,1\n"),
+        ("words", "said.txt", "Bob may bring my map."),
+        ("words", "phones:said.csv", "start,end,phone\n0,1,AA\n"),
+        (
+            "voice",
+            "anna.json",
+            '{"format": "deitalk-actor", "version": 1, "strength": 1, '
+            '"recordings": 3, "seconds": 4}',
+        ),
+    ],
+)
+def test_requests_read_the_files_that_came_with_them_and_no_others(
+    field, name, content, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    plain = name.removeprefix("phones:")
+    Path(plain).write_text(content)
+    here = Acting.of(**{field: name})
+    assert Acting.of(**{field: content if ":" not in name else f"phones:{content}"}) == here
+    for named in (
+        name,
+        name.replace(plain, str(tmp_path / plain)),
+        name.replace(plain, f"../{plain}"),
+    ):
+        with pytest.raises(UserError, match="was not sent") as refused:
+            Acting.of(files={}, **{field: named})
+        assert "\n" not in str(refused.value)
+    with pytest.raises(UserError):
+        Acting.of(files={}, **{field: Path(plain)})
+    sent = Path(plain).rename(f"sent{Path(plain).suffix}")
+    assert Acting.of(files={plain: sent}, **{field: name}) == here
+
+
+@pytest.mark.parametrize(
+    "text", ["../happy.csv", "happy=1/x.csv", "happy=0.5.json", "", "happy=", "a" * 500, "a\n.csv"]
+)
+def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
+    def opened(*_, **__):
+        raise AssertionError("a file was opened")
+
+    monkeypatch.setattr("rig.files.reading.read_bytes", opened)
+    monkeypatch.setattr("deitalk.emotions.tracks.read_table", opened)
+    for field in ("emotion", "intensity_curve", "voice"):
+        with pytest.raises(UserError):
+            Acting.of(files={}, **{field: text})
+
+
+@pytest.mark.parametrize(
+    ("old", "value", "fields"),
+    [
+        ("idle", "false", {"life": "off"}),
+        ("idle", True, {}),
+        ("raw", "true", {"rules": False}),
+        ("raw", False, {}),
+        ("actor", "anna", {"style": "anna"}),
+        ("transcript", "Bob", {"words": "Bob"}),
+        ("phones", "B AA B", {"words": "phones: B AA B"}),
+    ],
+)
+def test_former_names_are_understood_by_doors_and_named_by_errors(old, value, fields):
+    found, notes = modern({old: value})
+    assert Acting.of(**found).settings == fields and old in notes[0]
+    with pytest.raises(ConfigError, match=f"{old} is now {OLD_NAMES[old]}"):
+        Acting.of(**{old: value})
+    with pytest.raises(ConfigError, match="leave one out"):
+        modern({old: value, OLD_NAMES[old]: renamed(old, value)[1]})
+
+
+def test_partial_updates_keep_the_rest():
+    first = Acting.of(emotion="sad", gain="jaw=2", look_at="3,4")
+    second = Acting.of(first, emotion="happy", gain=None)
+    assert second.settings == {"emotion": "happy", "gain": "jaw=2", "look_at": "3,4"}
+    assert first.settings["emotion"] == "sad"
+
+
+def test_live_voices_refuse_what_needs_the_whole_recording():
+    assert Acting.of(emotion="happy", life="off", seed=3).check_live().seed == 3
+    for fields in ({"words": "a"}, {"listen": 2}, {"emotion": "auto"}):
+        with pytest.raises(ConfigError, match="whole recording"):
+            Acting.of(**fields).check_live()
+    assert {name for name, when in LIVE_FIELDS.items() if when == "change"} == {
+        "emotion", "intensity", "gain", "rules"
+    }  # fmt: skip
+
+
+def test_schema_describes_every_field_with_its_default_as_text():
+    properties = Acting.model_json_schema()["properties"]
+    assert list(properties) == list(Acting.model_fields)
+    for name, schema in properties.items():
+        assert schema["description"].endswith((".", "…")), name
+        default = schema["default"]
+        assert Acting.of(**{name: default}) == Acting(), name
+    assert all(name in properties["emotion"]["description"] for name in EMOTIONS)
+
+
+def test_words_know_their_kind():
+    grid = 'File type = "ooTextFile"\nObject class = "TextGrid"\n'
+    assert Words.of("One day.").kind == "text"
+    assert Words.of("start;end;word\n0;1;a\n").kind == "table"
+    assert Words.of(grid).kind == "grid"
+    assert Words.of("Start the end, word\nfor word").kind == "text"

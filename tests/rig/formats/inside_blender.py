@@ -1,0 +1,103 @@
+"""What `test_blender_addon` does inside Blender, or inside a Python that has bpy.
+
+::
+
+    python inside_blender.py ADDON TAKE GLB      # the last line is OUT and JSON
+"""
+
+import importlib.util
+import json
+import sys
+
+import bpy
+import numpy
+
+numpy.bool = bool  # the importer of Blender 3.4 needs it, numpy dropped it
+addon_path, take, glb = sys.argv[-3:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+spec = importlib.util.spec_from_file_location("deitalk_blender", addon_path)
+addon = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(addon)
+addon.register()
+scene = bpy.context.scene
+
+
+def face(*names):
+    """A triangle, selected; each key lifts all of it by one."""
+    for other in bpy.data.objects:
+        other.select_set(False)
+    data = bpy.data.meshes.new("face")
+    data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    made = bpy.data.objects.new("face", data)
+    scene.collection.objects.link(made)
+    made.shape_key_add(name="Basis")
+    for name in names:
+        key = made.shape_key_add(name=name)
+        key.value = 0
+        for point in key.data:
+            point.co.z = 1
+    made.select_set(True)
+    bpy.context.view_layer.objects.active = made
+    return made
+
+
+def values(made, frame):
+    """Values of the keys at a frame, and how far the face has moved."""
+    scene.frame_set(frame)
+    found = {block.name: block.value for block in made.data.shape_keys.key_blocks[1:]}
+    moved = made.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return found | {"moved": moved.to_mesh().vertices[0].co.z}
+
+
+def sounds():
+    editor = scene.sequence_editor
+    strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+    return [[strip.sound.filepath.rsplit("/", 1)[-1], strip.frame_start] for strip in strips]
+
+
+def curves_of(made):
+    """Curves of the keys' action, which 5.0 and later have in the slot alone."""
+    action = made.data.shape_keys.animation_data.action
+    if hasattr(action, "fcurves"):
+        return action.fcurves
+    return action.layers[0].strips[0].channelbags[0].fcurves
+
+
+def load(path, **given):
+    return list(bpy.ops.import_anim.deitalk(filepath=path, **given))
+
+
+out = {"version": bpy.app.version_string, "has_sound": bpy.app.build_options.audaspace}
+scene.render.fps = 24
+arkit = face("blendShape1.jawOpen", "mouthSmile_L", "unknown")
+out["folder"] = load(take + "/")
+out["at_24"] = [values(arkit, 1), values(arkit, 9)]
+out["rate"] = scene.render.fps / scene.render.fps_base
+out["sounds"], out["end"] = sounds(), scene.frame_end
+out["again"] = load(take + "/curves.json")
+out["after"] = values(arkit, 9)
+out["actions"], out["sounds_after"] = len(bpy.data.actions), sounds()
+raw = face("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_jawOpen", 'nose"WrinkleL')
+scene.render.fps = 60
+out["raw"] = load(take + "/hi.unreal.json", start=0.0, with_sound=False)
+out["raw_values"] = [values(raw, 0), values(raw, 20)]
+out["kinds"] = sorted({p.interpolation for c in curves_of(raw) for p in c.keyframe_points})
+shapes = face("mouthClose", "jawOpen")
+scene.render.fps = 25
+out["glb"] = load(glb, start=0.0)
+out["glb_values"] = [values(shapes, 0), values(shapes, 2)]
+out["objects"] = len(bpy.data.objects)
+rigged = face("jawOpen", "mouthSmileLeft")
+driver = rigged.data.shape_keys.key_blocks["jawOpen"].driver_add("value")
+driver.driver.expression = "0.25"
+out["driven"] = load(take + "/")
+out["driven_values"] = values(rigged, 1 + 10)
+face("smile")
+out["errors"] = []
+for wrong in (take + "/curves.json", take + "/.."):
+    try:
+        load(wrong)
+    except RuntimeError as error:
+        out["errors"].append(str(error).strip())
+addon.unregister()
+sys.stdout.write(f"\nOUT {json.dumps(out)}\n")
