@@ -87,6 +87,14 @@ class LogMel(nn.Module):
         return ((decades + 4) / 4).transpose(1, 2)
 
 
+def _gelu(x: Tensor) -> Tensor:
+    """GELU, in the memory of its argument where no gradient needs it."""
+    if torch.is_grad_enabled():
+        return F.gelu(x)
+    out: Tensor = torch.ops.aten.gelu_(x)
+    return out
+
+
 class Attention(nn.Module):
     """Self-attention of a `Layer`; every feature attends to all others of its piece."""
 
@@ -122,8 +130,8 @@ class Layer(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, K, D) to (B, K, D)."""
-        x = x + self.self_attn(self.self_attn_layer_norm(x))
-        out: Tensor = x + self.fc2(F.gelu(self.fc1(self.final_layer_norm(x))))
+        x = self.self_attn(self.self_attn_layer_norm(x)).add_(x)
+        out: Tensor = self.fc2(_gelu(self.fc1(self.final_layer_norm(x)))).add_(x)
         return out
 
 
@@ -151,8 +159,8 @@ class WhisperEncoder(nn.Module):
         Not normalised at the end, as ``transformers`` does after its last layer. Positions are
         counted from the first frame; there must be at most `WhisperConfig.positions`.
         """
-        x = F.gelu(self.conv1(mel))
-        x = F.gelu(self.conv2(x)).transpose(1, 2)
+        x = _gelu(self.conv1(mel))
+        x = _gelu(self.conv2(x)).transpose(1, 2)
         states = [x + self.embed_positions.weight[: x.shape[1]]]
         for layer in self.layers:
             states.append(layer(states[-1]))
