@@ -1,8 +1,7 @@
 """Fit of `deitalk.pipeline.suggest`; ``python -m deitalk.training.suggestion``.
 
-The truth is the emotion asked of the actor (CREMA-D); readers are neutral. Where raters named another
-one from the voice alone (``voice_vote``), the share `ASKED` of the target is the emotion asked and
-the rest theirs. Ties count for each of their emotions, and clips without a majority for one of
+The truth is the emotion asked of the actor (CREMA-D); readers are neutral. The share of the target
+that is not `ASKED` is what raters named from the voice alone (``voice_vote``). Ties count for each of their emotions, and clips without a majority for one of
 `NAMED` with `UNSURE_WEIGHT`. Classes, and actors against readers, are weighted alike. Multinomial
 logistic regression with a Gaussian prior.
 

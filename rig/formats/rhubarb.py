@@ -20,7 +20,7 @@ from rig.limits import CUES_BYTES, SECONDS
 
 
 def _duration(curves: RigCurves, sound: str) -> float:
-    """Seconds of the sound where it can be read, which the last frame may pass; of the curves else."""
+    """Seconds of the sound where it can be read, which the last frame may pass; else the curves'."""
     try:
         with wave.open(sound) as file:
             seconds = file.getnframes() / file.getframerate()
@@ -53,7 +53,8 @@ def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
     """Write ``metadata`` with the path of the sound, and ``mouthCues``."""
     seconds = _duration(curves, sound)
     rows = [
-        f'    {{ "start": {cue.start:.2f}, "end": {min(cue.end, seconds):.2f}, "value": "{cue.shape}" }}'
+        f'    {{ "start": {cue.start:.2f}, "end": {min(cue.end, seconds):.2f}, '
+        f'"value": "{cue.shape}" }}'
         for cue in cues(curves)
     ]
     text = (
@@ -88,7 +89,8 @@ def write_xml(path: Path, curves: RigCurves, sound: str = "") -> None:
 
     seconds = _duration(curves, sound)
     lines = [
-        f'    <mouthCue start="{cue.start:.2f}" end="{min(cue.end, seconds):.2f}">{cue.shape}</mouthCue>\n'
+        f'    <mouthCue start="{cue.start:.2f}" end="{min(cue.end, seconds):.2f}">'
+        f"{cue.shape}</mouthCue>\n"
         for cue in cues(curves)
     ]
     text = (
