@@ -1,8 +1,9 @@
 """Fit of `deitalk.pipeline.suggest`; ``python -m deitalk.training.suggestion``.
 
 The truth is the emotion asked of the actor (CREMA-D); readers are neutral. The share of the target
-that is not `ASKED` is what raters named from the voice alone (``voice_vote``). Ties count for each of their emotions, and clips without a majority for one of
-`NAMED` with `UNSURE_WEIGHT`. Classes, and actors against readers, are weighted alike. Multinomial
+that is not `ASKED` is what raters named from the voice alone (``voice_vote``). Ties count
+for each of their emotions, and clips without a majority for one of `NAMED` with `UNSURE_WEIGHT`.
+Classes, and actors against readers, are weighted alike. Multinomial
 logistic regression with a Gaussian prior.
 
 Whole speakers are divided as in `deitalk.data.strength_clips`. Training and validation speakers are

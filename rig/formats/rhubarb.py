@@ -20,7 +20,7 @@ from rig.limits import CUES_BYTES, SECONDS
 
 
 def _duration(curves: RigCurves, sound: str) -> float:
-    """Seconds of the sound where it can be read, which the last frame may pass; else the curves'."""
+    """Seconds of the sound where it can be read (the last frame may pass it); else the curves'."""
     try:
         with wave.open(sound) as file:
             seconds = file.getnframes() / file.getframerate()
