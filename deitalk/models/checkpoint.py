@@ -246,8 +246,8 @@ def _complete(config: Config, model: DEITalk) -> Config:
         frontend = model.frontend.described(settings.frontend)
         settings = settings.model_copy(update={"frontend": frontend})
     if isinstance(settings.frontend, WhisperConfig):
-        frontend = settings.frontend.model_copy(update={"checkpoint": None})
-        settings = settings.model_copy(update={"frontend": frontend})
+        whisper = settings.frontend.model_copy(update={"checkpoint": None})
+        settings = settings.model_copy(update={"frontend": whisper})
     if model.controls.id != DEFAULT_ID:
         settings = settings.model_copy(update={"control_set": RIG_FILE})
     return config.model_copy(update={"model": settings})

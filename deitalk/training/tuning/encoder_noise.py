@@ -4,7 +4,7 @@ The encoder is given speech in noise and rooms and learns to give the states tha
 weights give for the same speech without them (feature distillation, as `train.teacher` does for a
 whole model): what is trained on the clean states hears the noisy ones better::
 
-    python -m deitalk.training.encoder_noise SPEECH --checkpoint WHISPER --noise NOISE \
+    python -m deitalk.training.tuning.encoder_noise SPEECH --checkpoint WHISPER --noise NOISE \
         --rooms ROOMS -o encoder.safetensors
 
 SPEECH holds recordings as for ``deitalk corpus build``; only training speakers are used. Not in the
@@ -121,7 +121,7 @@ class EncoderNoise:
 @lru_cache(maxsize=3000)
 def _sound(path: Path) -> Float32:
     """A recording at the normal level, in half precision to save memory."""
-    return normalise_level(load_audio(path).waveform).astype(np.float16)  # type: ignore[return-value]
+    return normalise_level(load_audio(path).waveform).astype(np.float16)
 
 
 def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, float]]:
@@ -145,7 +145,7 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
         optimizer.param_groups[0]["lr"] = RATE * rate
         loss = task.loss(step)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(weights, 1.0)
         optimizer.step()
         share = min(AVERAGE, (step + 1) / (step + 10))
@@ -160,7 +160,7 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
-    parser = argparse.ArgumentParser(prog="python -m deitalk.training.encoder_noise")
+    parser = argparse.ArgumentParser(prog="python -m deitalk.training.tuning.encoder_noise")
     parser.add_argument("speech", type=Path, help="folder of recordings")
     parser.add_argument("--checkpoint", required=True, help="Whisper's weights: hub name or folder")
     parser.add_argument("--noise", help="folder of recordings of noise")
