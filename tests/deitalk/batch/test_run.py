@@ -389,7 +389,9 @@ def test_lines_of_an_actor_share_a_reference(run, orders, lines):
     assert report.counts["done"] == 4
     assert [order.acting.voice for order in orders if order.output == "c"] == [None]
     assert all(
-        o.acting.voice == read_actor(reference) for o in orders if not o.only_voice and o.output != "c"
+        o.acting.voice == read_actor(reference)
+        for o in orders
+        if not o.only_voice and o.output != "c"
     )
     orders.clear()
     assert run(manifest).counts["unchanged"] == 4 and not orders

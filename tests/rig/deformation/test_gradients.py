@@ -167,7 +167,9 @@ def test_solve_is_the_least_squares_solution_of_the_full_system(rng):
     matrix, right = np.array(rows), np.array(targets)
     free = np.setdiff1d(np.arange(len(mesh.vertices)), solver.pins)
     pinned = mesh.vertices[solver.pins]
-    expected = np.linalg.lstsq(matrix[:, free], right - matrix[:, solver.pins] @ pinned, rcond=None)[0]
+    expected = np.linalg.lstsq(
+        matrix[:, free], right - matrix[:, solver.pins] @ pinned, rcond=None
+    )[0]
     np.testing.assert_allclose(solver.solve_gradients(noisy)[free], expected, atol=1e-10)
 
 
