@@ -11,7 +11,7 @@ B batch, S samples, M mel frames at 100 Hz, K = M / 2 features at 50 Hz, D width
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -210,6 +210,20 @@ class WhisperFrontend(StridedFrontend):
         """Features (B, K, D) at 50 Hz of (B, S), at most 30 s."""
         states = self.encoder(self.mel(waveform, context))
         return self.mixed([state.flatten(0, 1) for state in states]).view_as(states[0])
+
+    @torch.no_grad()
+    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Rows (B, n_frames, D) of clips (S,) of one piece, as `encode` of each, to rounding.
+
+        Those with equally many features are one batch.
+        """
+        sizes = [frames_of(len(waveform)) * HOP for waveform in waveforms]
+        rows = waveforms[0].new_empty(len(waveforms), n_frames, self.output_size)
+        for size in set(sizes):
+            places = [place for place, other in enumerate(sizes) if other == size]
+            padded = [F.pad(waveforms[p], (0, size - len(waveforms[p]))) for p in places]
+            rows[places] = self(torch.stack(padded), n_frames)
+        return rows
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
