@@ -104,7 +104,10 @@ class CausalMelConfig(Section):
 
 
 class Wav2VecConfig(Section):
-    """wav2vec 2.0 (DEITalk §3.2): a published checkpoint or an encoder of a given shape."""
+    """wav2vec 2.0 (DEITalk §3.2) or its kin: a published checkpoint or an encoder of a given shape.
+
+    Deviation: also HuBERT, WavLM and data2vec-audio, by the ``model_type`` of the checkpoint.
+    """
 
     kind: Literal["wav2vec"] = "wav2vec"
     checkpoint: str | None = Field(
@@ -113,13 +116,22 @@ class Wav2VecConfig(Section):
     )
     encoder: dict[str, Any] = Field(
         default_factory=dict,
-        description="transformers' Wav2Vec2Config keys; a saved model has those of its checkpoint",
+        description="keys of transformers' configuration, of the model_type among them; a saved "
+        "model has those of its checkpoint",
     )
     normalise: bool = Field(
         default=True,
         description="speech to unit variance, as published models expect; with `encoder`",
     )
     freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
+    layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
+        default=(),
+        max_length=limits.LAYERS,
+        description="layers whose states are mixed, 0 is the input of the first; none: the output",
+    )
+    learns: Literal["nothing", "everything"] = Field(
+        default="everything", description="what of the encoder is trained, but for a fixed stem"
+    )
 
     @field_validator("encoder")
     @classmethod

@@ -3,7 +3,7 @@
 K features of the encoder, T rig frames, D width.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -11,6 +11,12 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.errors import ConfigError
+from rig.arrays import Float32
+
+MOMENTUM = 0.01
+"""Of the running mean and variance, where the encoder learns."""
+LARGEST = 6.0
+"""Standardised features are limited to this: a few dimensions have rare, huge values."""
 
 
 class StridedFrontend(nn.Module):
@@ -32,6 +38,8 @@ class StridedFrontend(nn.Module):
     stride, centre, margin : int or float
         Samples between features, sample of feature 0, and samples around a row's own that its
         features need.
+    layers : tuple of int
+        Layers of the encoder whose states are mixed; none: its output is taken.
     """
 
     output_size: int
@@ -39,6 +47,42 @@ class StridedFrontend(nn.Module):
     centre: float
     margin: int
     chunk_seconds, overlap_seconds = 24.0, 2.0
+    layers: tuple[int, ...] = ()
+    norms: nn.ModuleList
+    mix: nn.Parameter
+
+    def mix_layers(self, layers: Sequence[int], width: int) -> None:
+        """Prepare `mixed` of these layers; 0 is the input of the first."""
+        self.layers = tuple(layers)
+        # Running mean and variance of speech: a few dimensions vary a hundred times as much.
+        self.norms = nn.ModuleList(
+            nn.BatchNorm1d(width, affine=False, momentum=MOMENTUM) for _ in layers
+        )
+        self.mix = nn.Parameter(torch.zeros(len(layers)))
+
+    def mixed(self, states: Sequence[Tensor]) -> Tensor:
+        """Standardised and mixed features (N, D) from the states (N, D) of all layers."""
+        scaled = [
+            weight * _standardised(states[layer], norm).clamp(-LARGEST, LARGEST)
+            for weight, norm, layer in zip(
+                self.mix.softmax(dim=0), self.norms, self.layers, strict=True
+            )
+        ]
+        return torch.stack(scaled).sum(dim=0)
+
+    @torch.no_grad()
+    def measure(self, sounds: Sequence[Float32]) -> None:
+        """Take mean and variance of the states from recordings at the normal level [shape=(S,)]."""
+        norms = [norm for norm in self.norms if isinstance(norm, nn.BatchNorm1d)]
+        for norm in norms:
+            norm.reset_running_stats()
+            norm.momentum = None  # the mean of all
+        self.norms.train()
+        for sound in sounds:
+            self.features(torch.from_numpy(sound[: 10 * SAMPLE_RATE]).unsqueeze(0))
+        for norm in norms:
+            norm.momentum = MOMENTUM
+        self.norms.eval()
 
     def features(self, waveform: Tensor, context: Any = None) -> Tensor:
         """Features (B, K, D) of (B, S), before interpolation; `context` is that of `survey`."""
@@ -147,3 +191,13 @@ class StridedFrontend(nn.Module):
         above = (below + 1).clamp(max=features.shape[1] - 1)
         part = (position - below).to(features.dtype).unsqueeze(-1)  # (n, 1)
         return torch.lerp(features[:, below], features[:, above], part)
+
+
+def _standardised(rows: Tensor, norm: nn.Module) -> Tensor:
+    """Rows (N, D) of mean 0 and deviation 1; in training those of the batch."""
+    assert isinstance(norm, nn.BatchNorm1d)
+    mean, variance = norm.running_mean, norm.running_var
+    if norm.training or mean is None or variance is None:
+        out: Tensor = norm(rows)
+        return out
+    return (rows - mean) * (variance + norm.eps).rsqrt()

@@ -1,10 +1,12 @@
 """wav2vec 2.0 speech features, 50 Hz brought to the rig's 30 Hz (DEITalk §3.2, §4.1).
 
-K wav2vec features at 50 Hz.
+Deviation: its kin of the same interface too, see `ENCODERS`.
+
+K features at 50 Hz.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,12 +17,21 @@ from deitalk.config import Wav2VecConfig
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.strided import StridedFrontend
+from rig.errors import quoted
 
 if TYPE_CHECKING:
-    from transformers import Wav2Vec2Config
+    from transformers import PreTrainedConfig, PreTrainedModel
 
 PUBLISHED = "facebook/wav2vec2-base-960h"
 """The encoder of the paper; transformers' defaults are its shape."""
+
+ENCODERS = {
+    "wav2vec2": "Wav2Vec2",
+    "hubert": "Hubert",
+    "wavlm": "WavLM",
+    "data2vec-audio": "Data2VecAudio",
+}
+"""Encoders by their ``model_type``: beginnings of the names of transformers' classes."""
 
 COMPACT: Mapping[str, Any] = {
     "conv_dim": (256,) * 7,
@@ -48,21 +59,37 @@ is known here, so that one factor serves windows of a training and whole clips a
 
 
 class Wav2VecFrontend(StridedFrontend):
-    """A wav2vec 2.0 encoder with one row per rig frame.
+    """A wav2vec 2.0 encoder, or one of its kin, with one row per rig frame.
 
     Feature k describes the samples 320 k … 320 k + 399, so its centre is 320 k + 199.5.
 
     Parameters
     ----------
-    encoder : transformers.Wav2Vec2Model
+    encoder : transformers.PreTrainedModel
+        One of `ENCODERS`.
     freeze_stem : bool
         Keep the convolutional stem fixed: "the TCN parameters in Wav2Vec2.0 are fixed" (§4.1).
     input_scale : float
         Factor on the waveform.
+    layers : sequence of int
+        Layers whose states are mixed; none: the output.
+    learns : bool
+        Whether the encoder is trained, but for a fixed stem.
+
+    Raises
+    ------
+    ConfigError
+        If the encoder has not so many layers.
     """
 
     def __init__(
-        self, encoder: nn.Module, *, freeze_stem: bool = True, input_scale: float = SPEECH_SCALE
+        self,
+        encoder: nn.Module,
+        *,
+        freeze_stem: bool = True,
+        input_scale: float = SPEECH_SCALE,
+        layers: Sequence[int] = (),
+        learns: bool = True,
     ) -> None:
         super().__init__()
         self.encoder = encoder
@@ -72,9 +99,26 @@ class Wav2VecFrontend(StridedFrontend):
         self.margin, self.stride = _receptive_field(config.conv_kernel, config.conv_stride)
         self.centre = (self.margin - 1) / 2
         if freeze_stem:
-            encoder.freeze_feature_encoder()  # type: ignore[operator]
+            stem: Any = encoder.feature_extractor
+            stem._freeze_parameters()
         if hasattr(encoder, "masked_spec_embed"):  # never used: apply_spec_augment is off
             encoder.masked_spec_embed.requires_grad_(False)
+        if layers:
+            if max(layers) > config.num_hidden_layers:
+                raise ConfigError(
+                    f"layers={list(layers)}: the encoder has {config.num_hidden_layers}; name those"
+                )
+            self.mix_layers(layers, config.hidden_size)
+        self.learns = learns
+        if not learns:
+            encoder.requires_grad_(False)
+
+    def train(self, mode: bool = True) -> Self:
+        """Set the mode; an encoder that does not learn stays in evaluation."""
+        super().train(mode)
+        if not self.learns:
+            self.encoder.eval()
+        return self
 
     @classmethod
     def build(cls, config: Wav2VecConfig, *, pretrained: bool = True) -> Self:
@@ -90,10 +134,14 @@ class Wav2VecFrontend(StridedFrontend):
             False takes the checkpoint's shape alone, because the weights follow. The shape is
             ``config.encoder`` if given; that of the published base model needs no download.
         """
+        mixing: dict[str, Any] = {
+            "layers": config.layers,
+            "learns": config.learns == "everything",
+        }
         if config.checkpoint is None:
-            return cls.from_config(config.encoder)
+            return cls.from_config(config.encoder, **mixing)
         if pretrained:
-            return cls.from_pretrained(config.checkpoint, freeze_stem=config.freeze_stem)
+            return cls.from_pretrained(config.checkpoint, freeze_stem=config.freeze_stem, **mixing)
         shape: Mapping[str, Any]
         if config.encoder or config.checkpoint == PUBLISHED:
             shape, scale = config.encoder, SPEECH_SCALE if config.normalise else 1.0
@@ -101,10 +149,10 @@ class Wav2VecFrontend(StridedFrontend):
             with _one_line_errors(config.checkpoint):
                 shape, scale = _read_config(config.checkpoint)
         encoder = _new_encoder(shape)
-        return cls(encoder, freeze_stem=config.freeze_stem, input_scale=scale)
+        return cls(encoder, freeze_stem=config.freeze_stem, input_scale=scale, **mixing)
 
     @classmethod
-    def from_pretrained(cls, name: str, *, freeze_stem: bool = True) -> Self:
+    def from_pretrained(cls, name: str, *, freeze_stem: bool = True, **mixing: Any) -> Self:
         """Read a published or local checkpoint; safetensors only, never a pickle.
 
         Parameters
@@ -114,18 +162,18 @@ class Wav2VecFrontend(StridedFrontend):
             with ``config.json`` and ``model.safetensors``.
         freeze_stem : bool
             As in the constructor.
+        mixing
+            `layers` and `learns`, as there.
 
         Raises
         ------
         CheckpointError
-            Not there, not reachable, not wav2vec 2.0, without safetensors, or incomplete.
+            Not there, not reachable, none of `ENCODERS`, without safetensors, or incomplete.
         """
-        from transformers import Wav2Vec2Model
-
         with _one_line_errors(name), _quiet_transformers():
             shape, scale = _read_config(name)
             encoder, report = _cached_or_fetched(
-                Wav2Vec2Model.from_pretrained,
+                _class(shape, "Model").from_pretrained,
                 name,
                 config=_encoder_config(shape),
                 use_safetensors=True,
@@ -134,24 +182,28 @@ class Wav2VecFrontend(StridedFrontend):
         missing = set(report["missing_keys"]) - {"masked_spec_embed"}
         if missing:
             raise CheckpointError(
-                f"{name} lacks {len(missing)} weights of wav2vec 2.0, such as {min(missing)}; "
+                f"{name} lacks {len(missing)} weights of its encoder, such as {min(missing)}; "
                 f"give a complete checkpoint, such as {PUBLISHED}"
             )
-        return cls(encoder.float(), freeze_stem=freeze_stem, input_scale=scale)
+        return cls(encoder.float(), freeze_stem=freeze_stem, input_scale=scale, **mixing)
 
     @classmethod
-    def from_config(cls, changes: Mapping[str, Any], *, freeze_stem: bool = False) -> Self:
+    def from_config(
+        cls, changes: Mapping[str, Any], *, freeze_stem: bool = False, **mixing: Any
+    ) -> Self:
         """A new encoder with random weights: `COMPACT` with `changes`.
 
         Parameters
         ----------
         changes : mapping
-            Keys of transformers' ``Wav2Vec2Config``.
+            Keys of transformers' configuration.
         freeze_stem : bool
             Deviation: off, for a fixed random stem carries little information.
+        mixing
+            `layers` and `learns`, as in the constructor.
         """
         encoder = _new_encoder({**COMPACT, **changes})
-        return cls(encoder, freeze_stem=freeze_stem)
+        return cls(encoder, freeze_stem=freeze_stem, **mixing)
 
     def described(self, config: Wav2VecConfig) -> Wav2VecConfig:
         """Configuration that builds the encoder where its checkpoint is no longer there."""
@@ -167,8 +219,11 @@ class Wav2VecFrontend(StridedFrontend):
         """Features (B, K, D) at 50 Hz of (B, S); what is too short for one is padded with zeros."""
         lacking = max(0, self.margin - waveform.shape[-1])
         padded = nn.functional.pad(waveform * self.input_scale, (0, lacking))
-        output: Tensor = self.encoder(padded).last_hidden_state
-        return output
+        found = self.encoder(padded, output_hidden_states=bool(self.layers))
+        output: Tensor = found.last_hidden_state
+        if not self.layers:
+            return output
+        return self.mixed([state.flatten(0, 1) for state in found.hidden_states]).view_as(output)
 
 
 def _receptive_field(kernels: list[int], strides: list[int]) -> tuple[int, int]:
@@ -180,35 +235,45 @@ def _receptive_field(kernels: list[int], strides: list[int]) -> tuple[int, int]:
     return field, jump
 
 
-def _encoder_config(shape: Mapping[str, Any]) -> "Wav2Vec2Config":
-    """A checked Wav2Vec2Config; SpecAugment, layer drop and adapter are off (Paper silent)."""
-    from transformers import Wav2Vec2Config
+def _class(shape: Mapping[str, Any], part: str) -> Any:
+    """Transformers' class of the ``model_type`` of a shape: its ``Config`` or its ``Model``."""
+    import transformers
 
-    known = Wav2Vec2Config().to_dict()
+    kind = shape.get("model_type", "wav2vec2")
+    if kind not in ENCODERS:
+        raise ConfigError(f"model_type {quoted(kind)}: it must be {', '.join(ENCODERS)}")
+    return getattr(transformers, ENCODERS[kind] + part)
+
+
+def _encoder_config(shape: Mapping[str, Any]) -> "PreTrainedConfig":
+    """A checked configuration; SpecAugment, layer drop and adapter are off (Paper silent)."""
+    kind = _class(shape, "Config")
+    known = kind().to_dict()
     for key in shape:
         if key not in known:
             raise ConfigError(
-                f"encoder key {key!r} is none of transformers' Wav2Vec2Config; it has "
+                f"encoder key {key!r} is none of transformers' {kind.__name__}; it has "
                 "hidden_size, num_hidden_layers, num_attention_heads, conv_dim"
             )
     try:
         check_encoder(shape)
     except ValueError as error:
         raise ConfigError(f"the encoder's shape is impossible: {error}; mend it") from None
-    fixed = {"apply_spec_augment": False, "layerdrop": 0.0, "add_adapter": False}
+    off = {"apply_spec_augment": False, "layerdrop": 0.0, "add_adapter": False}
+    fixed = {key: value for key, value in off.items() if key in known}
     try:
-        return Wav2Vec2Config(**{**shape, **fixed})
+        config: PreTrainedConfig = kind(**{**shape, **fixed})
+        return config
     except Exception as error:  # its validation raises classes of huggingface_hub's own
         reason = " ".join(str(error).split())
         raise ConfigError(f"the encoder's shape is impossible: {reason}; mend it") from error
 
 
 def _new_encoder(shape: Mapping[str, Any]) -> nn.Module:
-    from transformers import Wav2Vec2Model
-
     config = _encoder_config(shape)
     try:
-        return Wav2Vec2Model(config)
+        encoder: PreTrainedModel = _class(shape, "Model")(config)
+        return encoder
     except (ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"the encoder's shape is impossible: {reason}; mend it") from error
@@ -216,15 +281,15 @@ def _new_encoder(shape: Mapping[str, Any]) -> nn.Module:
 
 def _read_config(name: str) -> tuple[dict[str, Any], float]:
     """A checkpoint's shape, and its input scale."""
-    from transformers import Wav2Vec2Config, Wav2Vec2FeatureExtractor
+    from transformers import PreTrainedConfig, Wav2Vec2FeatureExtractor
 
-    values, _ = _cached_or_fetched(Wav2Vec2Config.get_config_dict, name)
-    if values.get("model_type") != "wav2vec2":
+    values, _ = _cached_or_fetched(PreTrainedConfig.get_config_dict, name)
+    if values.get("model_type") not in ENCODERS:
         raise CheckpointError(
-            f"{name} is a {values.get('model_type')!r} model; it must be wav2vec2, "
-            f"such as {PUBLISHED}"
+            f"{name} is a {values.get('model_type')!r} model; it must be "
+            f"{', '.join(ENCODERS)}, such as {PUBLISHED}"
         )
-    known = Wav2Vec2Config().to_dict()
+    known = _class(values, "Config")().to_dict()
     try:
         extractor, _ = _cached_or_fetched(Wav2Vec2FeatureExtractor.get_feature_extractor_dict, name)
     except OSError:
@@ -255,14 +320,14 @@ def _one_line_errors(name: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise CheckpointError(
-            f"cannot find a wav2vec 2.0 checkpoint with model.safetensors as {name!r}, neither as "
+            f"cannot find a speech encoder with model.safetensors as {name!r}, neither as "
             "a folder, nor in the cache, nor on the hub; check the name, go online once with "
             f"`hf download {PUBLISHED}`, or use a model with the mel frontend"
         ) from error
     except Exception as error:  # safetensors, torch and huggingface_hub each raise their own
         reason = " ".join(str(error).split())[:200]
         raise CheckpointError(
-            f"{name} cannot be read as wav2vec 2.0 ({reason}); fetch or save it again"
+            f"{name} cannot be read as a speech encoder ({reason}); fetch or save it again"
         ) from error
 
 

@@ -18,7 +18,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.log_mel import (
     DYNAMIC_RANGE,
     HOP,
@@ -32,12 +31,6 @@ from deitalk.audio.log_mel import (
 from deitalk.config import WhisperConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.strided import StridedFrontend
-from rig.arrays import Float32
-
-MOMENTUM = 0.01
-"""Of the running mean and variance, where the encoder learns."""
-LARGEST = 6.0
-"""Standardised features are limited to this: a few dimensions have rare, huge values."""
 
 
 class LogMel(nn.Module):
@@ -187,11 +180,7 @@ class WhisperFrontend(StridedFrontend):
         self.mel = LogMel(config.n_mels)
         self.encoder = WhisperEncoder(config)
         self.output_size = config.width
-        # Running mean and variance of speech: a few dimensions vary a hundred times as much.
-        self.norms = nn.ModuleList(
-            nn.BatchNorm1d(config.width, affine=False, momentum=MOMENTUM) for _ in config.layers
-        )
-        self.mix = nn.Parameter(torch.zeros(len(config.layers)))
+        self.mix_layers(config.layers, config.width)
         if config.learns == "nothing":
             self.encoder.requires_grad_(False)
 
@@ -222,39 +211,19 @@ class WhisperFrontend(StridedFrontend):
         states = self.encoder(self.mel(waveform, context))
         return self.mixed([state.flatten(0, 1) for state in states]).view_as(states[0])
 
-    def mixed(self, states: Sequence[Tensor]) -> Tensor:
-        """Standardised and mixed features (N, D) from the states (N, D) of all layers."""
-        scaled = [
-            weight * _standardised(states[place], norm).clamp(-LARGEST, LARGEST)
-            for weight, norm, place in zip(
-                self.mix.softmax(dim=0), self.norms, self.config.layers, strict=True
-            )
-        ]
-        return torch.stack(scaled).sum(dim=0)
-
     @torch.no_grad()
-    def measure(self, sounds: Sequence[Float32]) -> None:
-        """Take mean and variance of the states from recordings at the normal level [shape=(S,)]."""
-        norms = [norm for norm in self.norms if isinstance(norm, nn.BatchNorm1d)]
-        for norm in norms:
-            norm.reset_running_stats()
-            norm.momentum = None  # the mean of all
-        self.norms.train()
-        for sound in sounds:
-            self.features(torch.from_numpy(sound[: 10 * SAMPLE_RATE]).unsqueeze(0))
-        for norm in norms:
-            norm.momentum = MOMENTUM
-        self.norms.eval()
+    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Rows (B, n_frames, D) of clips (S,) of one piece, as `encode` of each, to rounding.
 
-
-def _standardised(rows: Tensor, norm: nn.Module) -> Tensor:
-    """Rows (N, D) of mean 0 and deviation 1; in training those of the batch."""
-    assert isinstance(norm, nn.BatchNorm1d)
-    mean, variance = norm.running_mean, norm.running_var
-    if norm.training or mean is None or variance is None:
-        out: Tensor = norm(rows)
-        return out
-    return (rows - mean) * (variance + norm.eps).rsqrt()
+        Those with equally many features are one batch.
+        """
+        sizes = [frames_of(len(waveform)) * HOP for waveform in waveforms]
+        rows = waveforms[0].new_empty(len(waveforms), n_frames, self.output_size)
+        for size in set(sizes):
+            places = [place for place, other in enumerate(sizes) if other == size]
+            padded = [F.pad(waveforms[p], (0, size - len(waveforms[p]))) for p in places]
+            rows[places] = self(torch.stack(padded), n_frames)
+        return rows
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:

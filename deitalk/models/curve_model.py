@@ -14,6 +14,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
 from deitalk.frontends.strided import StridedFrontend
+from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.network import Reading, Tracks, neutral_and_acted
 from deitalk.models.positions import dynamic_positions
@@ -26,6 +27,8 @@ DECODE_FRAMES = 1024
 
 TOGETHER_FRAMES = 375
 """Most rig frames of recordings that are read together (12.5 s); longer ones gain nothing."""
+WHISPER_TOGETHER_FRAMES = 120
+"""The same for a Whisper frontend (4 s)."""
 
 
 class Output(NamedTuple):
@@ -202,6 +205,8 @@ class DEITalk(nn.Module):
     def reads_together(self, n_frames: int) -> bool:
         """Whether `read_together` takes recordings of so many frames."""
         frontend = self.frontend
+        if isinstance(frontend, WhisperFrontend):
+            return n_frames <= WHISPER_TOGETHER_FRAMES
         if not isinstance(frontend, MelFrontend) or frontend.config.recurrence != "segment":
             return False
         return n_frames <= TOGETHER_FRAMES
@@ -223,12 +228,14 @@ class DEITalk(nn.Module):
         actors : sequence of str
             As for `read`, of each recording.
         """
-        assert isinstance(self.frontend, MelFrontend)
-        longest, total = max(len(sound) for sound in sounds), len(weights[0])
-        waveforms = torch.zeros(len(sounds), longest)  # silence follows a recording in `read` too
-        for row, sound in zip(waveforms, sounds, strict=True):
-            row[: len(sound)] = torch.from_numpy(sound)
-        speech = self.frontend.encode_together(waveforms.to(self.device), total)
+        assert isinstance(self.frontend, MelFrontend | WhisperFrontend)
+        clips = [torch.from_numpy(sound).to(self.device) for sound in sounds]
+        total = len(weights[0])
+        if isinstance(self.frontend, WhisperFrontend):
+            speech = self.frontend.encode_together(clips, total)
+        else:  # silence follows a recording in `read` too
+            padded = torch.nn.utils.rnn.pad_sequence(clips, batch_first=True)
+            speech = self.frontend.encode_together(padded, total)
         intensity = self.intensity(speech) if self.config.intensity else None
         return [
             self._acted(_analysis_of(speech, intensity, row), weights[row], actors[row])

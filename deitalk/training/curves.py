@@ -30,7 +30,7 @@ from deitalk.evaluation.validation import (
 )
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.causal_mel import CausalMelFrontend
-from deitalk.frontends.whisper import WhisperFrontend
+from deitalk.frontends.strided import StridedFrontend
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.comparison import network_class
 from deitalk.models.curve_model import DEITalk
@@ -144,7 +144,7 @@ class CurveTask(Task[Window]):
             start_as(self.model, teacher)
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
-        elif isinstance(self.model.frontend, WhisperFrontend):
+        elif isinstance(self.model.frontend, StridedFrontend) and self.model.frontend.layers:
             sounds = [
                 read_waveform(clip.audio) for clip in spread_clips(self.clips, MEASURED_CLIPS)
             ]

@@ -33,7 +33,8 @@ from deitalk.corpus.performance import split_of
 from deitalk.corpus.recordings import recordings
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.errors import DeitalkError
-from deitalk.frontends.whisper import LARGEST, WhisperEncoder, WhisperFrontend
+from deitalk.frontends.strided import LARGEST
+from deitalk.frontends.whisper import WhisperEncoder, WhisperFrontend
 from rig.arrays import Float32
 from rig.files import atomic_write
 

@@ -5,7 +5,18 @@ import json
 import numpy as np
 import pytest
 import torch
-from transformers import HubertConfig, Wav2Vec2Config, Wav2Vec2FeatureExtractor, Wav2Vec2Model
+from transformers import (
+    Data2VecAudioConfig,
+    Data2VecAudioModel,
+    HubertConfig,
+    HubertModel,
+    Wav2Vec2Config,
+    Wav2Vec2FeatureExtractor,
+    Wav2Vec2Model,
+    WavLMConfig,
+    WavLMModel,
+    WhisperConfig,
+)
 
 from deitalk.config import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
@@ -305,11 +316,73 @@ def test_from_pretrained_rejects_weights_of_another_shape(checkpoint):
     assert_one_line(error)
 
 
+KINDS = {
+    "wav2vec2": (Wav2Vec2Config, Wav2Vec2Model),
+    "hubert": (HubertConfig, HubertModel),
+    "wavlm": (WavLMConfig, WavLMModel),
+    "data2vec-audio": (Data2VecAudioConfig, Data2VecAudioModel),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_encoder_reads_as_in_transformers(kind, tmp_path, speech):
+    """By the name of its folder; a saved configuration builds it again."""
+    torch.manual_seed(2)
+    config, model = KINDS[kind]
+    model(config(**TINY)).save_pretrained(tmp_path)
+    theirs = model.from_pretrained(tmp_path).eval()
+    settings = Wav2VecConfig(checkpoint=str(tmp_path))
+    frontend = Wav2VecFrontend.build(settings).eval()
+    with torch.no_grad():
+        expected = theirs(speech[None] * SPEECH_SCALE).last_hidden_state
+        assert_same(frontend.features(speech[None]), expected)
+    again = Wav2VecFrontend.build(frontend.described(settings), pretrained=False).eval()
+    again.load_state_dict(frontend.state_dict())
+    assert type(again.encoder) is model
+    with torch.no_grad():
+        assert torch.equal(again.features(speech[None]), frontend.features(speech[None]))
+    frontend.train()(speech[None], 60).square().sum().backward()
+    stem = frontend.encoder.feature_extractor.parameters()
+    assert all(weight.grad is None for weight in stem), "fixed"
+
+
+def test_chosen_layers_are_standardised_and_mixed(checkpoint, speech):
+    settings = Wav2VecConfig(checkpoint=str(checkpoint), layers=(0, 2))
+    frontend = Wav2VecFrontend.build(settings).eval()
+    frontend.measure([speech.numpy()])
+    with torch.no_grad():
+        frontend.mix.copy_(torch.tensor([1.0, 3.0]).log())
+        states = frontend.encoder(speech[None] * SPEECH_SCALE, output_hidden_states=True)
+        scaled = [
+            (state - state.mean(dim=1, keepdim=True)) / state.std(dim=1, keepdim=True)
+            for state in (states.hidden_states[0], states.hidden_states[2])
+        ]
+        expected = 0.25 * scaled[0].clamp(-6, 6) + 0.75 * scaled[1].clamp(-6, 6)
+        torch.testing.assert_close(frontend.features(speech[None]), expected, atol=0.02, rtol=0)
+    frontend.train()(speech[None], 60).square().sum().backward()
+    assert frontend.mix.grad is not None
+
+
+def test_an_encoder_that_learns_nothing_stays_as_it_is(checkpoint, speech):
+    """Without gradients, and without its dropout."""
+    settings = Wav2VecConfig(checkpoint=str(checkpoint), learns="nothing")
+    frontend = Wav2VecFrontend.build(settings).train()
+    assert not any(weight.requires_grad for weight in frontend.encoder.parameters())
+    assert torch.equal(frontend.features(speech[None]), frontend.features(speech[None]))
+    assert frontend.training and not frontend.encoder.training
+
+
+def test_layers_that_the_encoder_lacks_are_refused_in_one_line(checkpoint):
+    with pytest.raises(ConfigError, match=r"layers=\[1, 3\]: the encoder has 2") as error:
+        Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint), layers=(1, 3)))
+    assert_one_line(error)
+
+
 def test_from_pretrained_rejects_another_kind_of_model(tmp_path):
-    HubertConfig().save_pretrained(tmp_path)
-    with pytest.raises(CheckpointError, match="'hubert' model") as error:
+    WhisperConfig().save_pretrained(tmp_path)
+    with pytest.raises(CheckpointError, match="'whisper' model") as error:
         Wav2VecFrontend.from_pretrained(str(tmp_path))
-    assert_one_line(error, PUBLISHED)
+    assert_one_line(error, PUBLISHED, "hubert")
 
 
 def test_from_pretrained_rejects_another_sample_rate(checkpoint):
@@ -322,6 +395,7 @@ def test_from_pretrained_rejects_another_sample_rate(checkpoint):
     ("encoder", "words"),
     [
         ({"hiden_size": 32}, "hiden_size"),
+        ({"model_type": "bert"}, "must be wav2vec2, hubert"),
         ({"hidden_size": 30, "num_attention_heads": 4}, "impossible"),
         ({"conv_dim": (32, 32)}, "impossible"),
     ],

@@ -355,3 +355,17 @@ def test_a_model_without_its_encoder_is_refused_in_one_line(tmp_path):
         load_model(tmp_path / "m")
     assert_one_line(error)
     assert json.loads((tmp_path / "m" / "model.json").read_text())["control_set"]
+
+
+def test_short_recordings_read_together_are_as_read_one_by_one(tmp_path):
+    """Also where one has a feature more than another."""
+    model, _ = network(tmp_path / "m")
+    sounds = [speech(2.0, seed=k).numpy()[: 32_000 - 130 * k] for k in range(4)]
+    assert len({log_mel.frames_of(len(sound)) for sound in sounds}) == 2
+    weights = [np.eye(5, dtype=np.float32)[[k] * 60] for k in range(4)]
+    assert model.reads_together(60) and not model.reads_together(400)
+    together = model.read_together(sounds, weights, [""] * 4)
+    for sound, rows, found in zip(sounds, weights, together, strict=True):
+        expected = model.read(sound, rows)
+        np.testing.assert_allclose(found.emotional, expected.emotional, atol=1e-5)
+        np.testing.assert_allclose(found.tracks.strength, expected.tracks.strength, atol=1e-5)
