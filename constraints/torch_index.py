@@ -21,7 +21,7 @@ def main(wish: str = "auto", index: str = INDEX) -> str:
         sys.exit(f"TORCH={wish} must be auto, cpu or pypi")
     reason = {"auto": _obstacle, "cpu": lambda _: "", "pypi": lambda _: "TORCH=pypi"}[wish](index)
     kind = f"PyPI's wheels, on Linux with CUDA ({reason})" if reason else f"CPU wheels of {index}"
-    print(f"torch: {kind}; TORCH=cpu or TORCH=pypi overrules", file=sys.stderr)
+    sys.stderr.write(f"torch: {kind}; TORCH=cpu or TORCH=pypi overrules\n")
     return "" if reason else f"--extra-index-url {index}"
 
 
@@ -38,4 +38,4 @@ def _obstacle(index: str) -> str:
 
 
 if __name__ == "__main__":
-    print(main(*sys.argv[1:]))
+    sys.stdout.write(main(*sys.argv[1:]))

@@ -328,8 +328,8 @@ def _finite_blocks(name: str, sound: SoundSource) -> Iterator[Float32]:
             at, channel = np.argwhere(~(np.abs(block) <= LOUDEST_SAMPLE))[0]
             raise AudioError(
                 f"{name}: sample {start + at} ({(start + at) / sound.rate:.3f} s) is "
-                f"{block[at, channel]}; samples must be within ±{LOUDEST_SAMPLE:g}: export it as "
-                "16-bit PCM"
+                f"{block[at, channel]}; samples must be finite, within ±{LOUDEST_SAMPLE:g}: "
+                "export it as 16-bit PCM"
             )
         yield block
         start += len(block)

@@ -42,7 +42,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     data = read_object(path, SCHEMA)
     rate, values = data.get("fps"), data.get("values")
     if data.get("names") != list(names(OCULUS)):
-        raise FormatError(f"{path}: 'names' must be {', '.join(names(OCULUS))}")
+        raise FormatError(f"{path} needs 'names' {', '.join(names(OCULUS))}")
     if not isinstance(rate, (int, float)) or not 0 < rate <= FASTEST:
         raise FormatError(f"{path}: 'fps' is {rate!r}; it must be above 0, at most {FASTEST:g}")
     try:

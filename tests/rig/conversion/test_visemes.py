@@ -170,3 +170,13 @@ def test_read_curves_rejects_invalid_cues(tmp_path, name, text, message):
 def test_weights_rejects_unknown_sets():
     with pytest.raises(FormatError, match="'disney'; known: oculus, rhubarb"):
         weights(rest_curves(1), "disney")
+
+
+def test_visemes_written_are_read_with_the_same_mouth_in_every_frame(tmp_path):
+    write_curves(tmp_path / "c.visemes.json", speech()[1])
+    shares = np.array(json.loads((tmp_path / "c.visemes.json").read_text())["values"])
+    curves = read_curves(tmp_path / "c.visemes.json")
+    is_clear = shares.max(axis=1) > 0.9
+    again = weights(curves, OCULUS).argmax(axis=1)
+    assert is_clear.any()
+    np.testing.assert_array_equal(again[is_clear], shares.argmax(axis=1)[is_clear])

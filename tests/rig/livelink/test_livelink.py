@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import FormatError
-from rig.formats.livelink_csv import read_take, write_take
+from rig.formats.livelink_csv import read_take, with_subject, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
 from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, with_head
 from rig.livelink.sender import REST_REPEATS, Clock
@@ -473,3 +473,13 @@ def test_decode_rejects_times_beyond_the_limit():
     packet = Packet("phone", "anna", 2**31 - 1, 0.0, (1, 2**31 - 1), np.zeros(61, np.float32))
     with pytest.raises(FormatError, match=r"at most 4\.29"):
         decode(encode(packet))
+
+
+def test_raw_curves_have_the_head_of_a_subject_in_degrees():
+    head = np.array([[25.0, 10.0, -5.0, 0, 0, 0]], np.float32)
+    curves = RigCurves(np.zeros((1, 1), np.float32), ("a",), control_set="mine", head=head)
+    sent = with_subject(curves)
+    row = dict(zip(sent.names, sent.values[0].tolist(), strict=True))
+    assert (row["HeadYaw"], row["HeadPitch"], row["HeadRoll"]) == (25, 10, -5)
+    assert row["HeadControlSwitch"] == row["MHFDSVersion"] == row["DisableFaceOverride"] == 1
+    assert len(row) == 1 + 9

@@ -322,3 +322,15 @@ def test_raw_subjects_are_checked_by_the_face_blueprints_of_5_6(tmp_path):
     assert any("takes the columns for ARKit shapes" in text for text in texts(path, "warning"))
     path.write_text(good.replace("HeadControlSwitch", "other"))
     assert any("leaves the head still" in text for text in texts(path, "warning"))
+
+
+@pytest.mark.parametrize("suffix", ["maya.py", "txt"])
+def test_files_for_maya_and_emoface_are_valid(tmp_path, suffix):
+    write_curves(tmp_path / f"c.{suffix}", talking())
+    assert validate(tmp_path / f"c.{suffix}").ok
+    assert "90 frames" in " ".join(texts(tmp_path / f"c.{suffix}", "note"))
+
+
+def test_script_of_another_hand_is_no_script_of_ours(tmp_path):
+    (tmp_path / "c.maya.py").write_text("import os\nFPS = 30\n")
+    assert "is no script of deitalk" in texts(tmp_path / "c.maya.py", "error")[0]
