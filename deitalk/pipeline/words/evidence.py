@@ -23,7 +23,7 @@ from deitalk.phones import PHONES
 from deitalk.pipeline.speech import Speech
 from rig.arrays import Float32, Int64
 
-MODEL = "mel"
+MODEL = "default"
 """Whose features the map was fitted to."""
 WEIGHTS = "phone_evidence.safetensors"
 RATE = 2 * FRAME_RATE
