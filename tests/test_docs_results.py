@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import load_file
 
-from deitalk.models.folder import embedded_models, model_folder, weights_hash
+from deitalk.models.folder import embedded_models, model_folder, weight_files, weights_hash
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = sorted((ROOT / "docs/results").glob("*.json"))
@@ -135,8 +135,8 @@ def test_number_is_written_without_its_zero():
 
 def test_sizes_are_those_of_the_weights():
     for name in embedded_models():
-        tensors = load_file(model_folder(name) / "model.safetensors").values()
-        assert models.numbers(name) == sum(tensor.size for tensor in tensors)
+        files = [load_file(path) for path in weight_files(model_folder(name))]
+        assert models.numbers(name) == sum(part.size for file in files for part in file.values())
 
 
 @pytest.mark.parametrize("name", COMMANDS)

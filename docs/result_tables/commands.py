@@ -90,7 +90,7 @@ GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
 COMMANDS = {**WEIGHTS, **TIMING, **OTHER}
 
 PLACES = {
-    "corpus/": "`deitalk corpus build --hours .5 --recordings SPEECH`, as in the model card",
+    "corpus/": "`deitalk corpus build --hours 1 --recordings SPEECH`, as in the model card",
     "fresh/": "the same of readers outside all trainings",
     "LIPS": "measured lips (dataset.md)",
     "lips_data/": "measured lips and a corpus that they correct (model card, step 7)",

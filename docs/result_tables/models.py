@@ -9,9 +9,10 @@ from result_tables.common import report, short, table
 WEIGHTS = Path(__file__).parents[2] / "deitalk/models/weights"
 USES = {
     "default": "curves",
+    "mel": "curves, without a pretrained encoder",
     "live": "curves while somebody speaks, 0.2 s behind ([docs/live.md](docs/live.md))",
     "sdfa": "a mesh, without curves or emotion ([docs/sdfa.md](docs/sdfa.md))",
-    "mesh_head": "a mesh with emotion, on `default`'s features "
+    "mesh_head": "a mesh with emotion, on `mel`'s features "
     "([docs/sdfa.md](docs/sdfa.md#a-mesh-head-for-deitalk))",
 }
 
@@ -42,14 +43,21 @@ def sizes() -> str:
 
 def megabytes(name: str) -> float:
     """Size of the arrays of a model folder."""
-    files = ("model.safetensors", "templates.npz")
+    files = ("model.safetensors", "encoder.safetensors", "templates.npz")
     paths = (WEIGHTS / name / file for file in files)
     return sum(path.stat().st_size for path in paths if path.is_file()) / 1e6
 
 
 def numbers(name: str) -> int:
     """Numbers in the weights of a model."""
-    with (WEIGHTS / name / "model.safetensors").open("rb") as file:
+    files = ("model.safetensors", "encoder.safetensors")
+    paths = (WEIGHTS / name / file for file in files)
+    return sum(_numbers(path) for path in paths if path.is_file())
+
+
+def _numbers(path: Path) -> int:
+    """Numbers in a safetensors file, from its header."""
+    with path.open("rb") as file:
         header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
     total = 0
     for key, tensor in header.items():

@@ -82,6 +82,7 @@ def suggestion() -> str:
     ]
     for key, text in (
         ("unweighted recall", "their mean (chance .25)"),
+        ("unweighted recall, asked", "the same by the emotion asked of the actor"),
         ("anger against sadness", "anger against sadness"),
         ("calibration error", "expected calibration error, classes weighted alike"),
         ("suggested", "clips with a suggestion other than neutral"),
