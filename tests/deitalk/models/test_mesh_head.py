@@ -180,10 +180,10 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
     model, sound = head(network), noise(0.5)
     save_model(tmp_path / "m", model, tiny(network), {}, half_bases=False)
     back = load_model(tmp_path / "m")
-    direction = Acting.of(emotion="sad")
+    acting = Acting.of(emotion="sad")
     np.testing.assert_array_equal(
-        predict_mesh(back, sound, direction=direction),
-        predict_mesh(model, sound, direction=direction),
+        predict_mesh(back, sound, acting=acting),
+        predict_mesh(model, sound, acting=acting),
     )
     (network / "model.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model there"):

@@ -241,8 +241,9 @@ def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, mon
     sound, rows = speechlike(8.0), weights(240, happy=1)
     whole = exported.read(sound, rows)
     shares = []
-    monkeypatch.setattr(network_module, "PART_FRAMES", 90)
-    monkeypatch.setattr(network_module, "CONTEXT_FRAMES", 60)
+    monkeypatch.setattr(exported, "_part", 90)
+    monkeypatch.setattr(exported, "_before", 60)
+    monkeypatch.setattr(exported, "_after", 60)
     parts = exported.read(sound, rows, progress=shares.append)
     assert shares == [90 / 240, 180 / 240, 1]
     assert parts.emotional.shape == whole.emotional.shape

@@ -133,7 +133,7 @@ def voices(seed: int = 0, shuffled: bool = False) -> Voices:
     features[240:, 5] += 8
     if shuffled:
         classes = rng.permutation(classes)
-    labels = [Label(k, tuple(np.eye(4)[k]), 1.0) for k in classes.tolist()]
+    labels = [Label(k, tuple(np.eye(4)[k]), 1.0, k) for k in classes.tolist()]
     speakers = [str(i % 30) for i in range(300)]
     splits = ["test" if i % 5 == 0 else "train" if i % 5 < 3 else "validation" for i in range(300)]
     return Voices(features, labels, speakers, splits, [i >= 240 for i in range(300)])
@@ -156,7 +156,7 @@ def test_cross_validation_leaves_the_speaker_out():
     given = voices(shuffled=True)
     places = np.array([int(name) for name in given.speakers])
     numbers = np.eye(30, dtype=np.float32)[places] * 8
-    labels = [Label(k % 4, tuple(np.eye(4)[k % 4]), 1.0) for k in places.tolist()]
+    labels = [Label(k % 4, tuple(np.eye(4)[k % 4]), 1.0, k % 4) for k in places.tolist()]
     told = given._replace(numbers=numbers, labels=labels, are_readers=[False] * 300)
     p, _ = cross_validate(told)
     fitted = told.having("validation")
@@ -173,7 +173,7 @@ def test_temperature_makes_probabilities_true():
     drawn = [
         int(rng.integers(4)) if rng.random() < 0.3 else label.majority for label in given.labels
     ]
-    noisy = given._replace(labels=[Label(k, tuple(np.eye(4)[k]), 1.0) for k in drawn])
+    noisy = given._replace(labels=[Label(k, tuple(np.eye(4)[k]), 1.0, k) for k in drawn])
     p, temperature = cross_validate(noisy)
     scores = score(p, noisy, "validation")
     assert scores["calibration error"] < 0.12
