@@ -46,8 +46,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if not isinstance(rate, (int, float)) or not 0 < rate <= FASTEST:
         raise FormatError(f"{path}: 'fps' is {rate!r}; it must be above 0, at most {FASTEST:g}")
     try:
-        shares = np.array(values, dtype=np.float32)
-    except (TypeError, ValueError):
+        with np.errstate(over="ignore"):  # a sum that is not 1
+            shares = np.array(values, dtype=np.float32)
+    except (TypeError, ValueError, OverflowError):
         shares = np.empty(0, np.float32)
     if shares.ndim != 2 or shares.shape[1] != len(names(OCULUS)):
         raise FormatError(f"{path}: 'values' must be rows of {len(names(OCULUS))} numbers")

@@ -16,9 +16,10 @@ from api.compute.voices import Voices as VoicesInWorker
 from api.compute.worker import WorkerLost
 from api.errors import InternalError, Problem
 from api.routes.health import ready
+from deitalk.acting import Acting
 from tests.api.test_worker import limits
 
-MOTION = {"idle": False, "life": {}, "look_at": (0, 0), "seed": 1}
+STILL = Acting.of(life="off", seed=1)
 
 
 class Stand:
@@ -62,7 +63,7 @@ async def until(condition) -> None:
 
 async def fail(voices, failure, wait=lambda: None):
     """Fail the next order of an open voice; return the problem it ends with."""
-    voice, _ = await voices.open("live", MOTION)
+    voice, _ = await voices.open("live", STILL)
     voices.worker.failure = failure
     wait()
     voice.feed(np.ones(10, np.float32))
@@ -96,7 +97,7 @@ def test_any_failure_ends_the_voices_is_logged_and_told_and_new_voices_go_on(
         voices.worker.failure = None
         await until(lambda: voices.is_ready)
         assert (await ready(service)).status == "ready"
-        assert (await voices.open("live", MOTION))[1] == 0.2
+        assert (await voices.open("live", STILL))[1] == 0.2
         voices.stop()
 
     asyncio.run(run())
@@ -110,7 +111,7 @@ def test_folder_that_is_removed_does_not_end_live(voices):
 
     async def run():
         assert (await fail(voices, None, remove)).status == 500
-        assert (await voices.open("live", MOTION))[1] == 0.2
+        assert (await voices.open("live", STILL))[1] == 0.2
         voices.stop()
 
     asyncio.run(run())
@@ -123,7 +124,7 @@ def test_opening_ends_when_the_worker_does_not_answer(voices, monkeypatch):
         voices.worker.hangs = threading.Event()
         try:
             with pytest.raises(Problem) as refused:
-                await asyncio.wait_for(voices.open("live", MOTION), 10)
+                await asyncio.wait_for(voices.open("live", STILL), 10)
             assert refused.value.status == 503 and voices.known == {}
         finally:
             voices.worker.hangs.set()
@@ -134,10 +135,10 @@ def test_opening_ends_when_the_worker_does_not_answer(voices, monkeypatch):
 
 def test_task_that_was_ended_is_begun_again(voices):
     async def run():
-        await voices.open("live", MOTION)
+        await voices.open("live", STILL)
         voices.task.cancel()
         await until(voices.task.done)
-        assert (await asyncio.wait_for(voices.open("live", MOTION), 10))[1] == 0.2
+        assert (await asyncio.wait_for(voices.open("live", STILL), 10))[1] == 0.2
         voices.stop()
 
     asyncio.run(run())

@@ -7,7 +7,7 @@ from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
 from tests.api.conftest import wav
 from tests.api.kill import kill
 
-OPTIONS = {"emotion": {"happy": 1.0}, "format": "json", "suffix": ".json"}
+OPTIONS = {"format": "json", "suffix": ".json"}
 
 
 def limits(**given):
@@ -32,6 +32,7 @@ def worker():
 
 def order(folder, recording, **options):
     (folder / "recording").write_bytes(recording)
+    (folder / "acting.json").write_text('{"emotion": "happy"}')
     return {
         "kind": "animation",
         "folder": str(folder),

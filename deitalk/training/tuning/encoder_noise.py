@@ -36,7 +36,7 @@ from deitalk.errors import DeitalkError
 from deitalk.frontends.strided import LARGEST
 from deitalk.frontends.whisper import WhisperEncoder, WhisperFrontend
 from rig.arrays import Float32
-from rig.files import atomic_write
+from rig.files import atomic_write, new_file
 
 WINDOW_SECONDS = 4.0
 BATCH = 8
@@ -169,7 +169,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--layers", type=int, nargs="+", default=[2, 3])
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("-o", "--out", type=Path, required=True, help="weights: FILE.safetensors")
+    parser.add_argument(
+        "-o", "--out", type=new_file, required=True, help="weights: FILE.safetensors"
+    )
     given = parser.parse_args(arguments)
     try:
         paths = [r.path for r in recordings(given.speech) if split_of(r.speaker) == "train"]

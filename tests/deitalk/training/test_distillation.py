@@ -173,9 +173,7 @@ def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
 
 def test_training_rejects_a_teacher_of_another_width_or_none(data, teacher, tmp_path):
     wide = student(teacher, "model.frontend.width=48")
-    with pytest.raises(
-        ConfigError, match=r"32 features a frame, the model 48; set .*\.width=32"
-    ):
+    with pytest.raises(ConfigError, match=r"32 features a frame, the model 48; set .*\.width=32"):
         train_curves(wide, data, tmp_path / "wide")
     assert not (tmp_path / "wide" / "metrics.csv").exists()
     with pytest.raises(CheckpointError, match="nobody: no model there"):
