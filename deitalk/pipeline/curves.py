@@ -157,7 +157,7 @@ def _suggested(acting: Acting, recording: Recording) -> tuple[Acting, Recording]
     from deitalk.pipeline.suggest import suggest_emotion  # needs torch
 
     found = suggest_emotion(recording)
-    note = f"suggested from the voice: {found.label} ({found.probability:.2f})"
+    note = f"suggested from the voice: {found.line}"
     recording = replace(recording, warnings=(*recording.warnings, note))
     return Acting.of(acting, emotion=found.label), recording
 

@@ -258,3 +258,13 @@ def test_animate_takes_the_suggested_emotion(certain, tmp_path):
     assert done.exit_code == 0, done.output
     assert "suggested from the voice: sad (0.90)" in done.output
     assert "emotion sad" in done.output
+
+
+def test_animate_says_where_the_voice_leaves_it_unsure(certain, tmp_path):
+    certain(0.34, 0.5, 0.1, 0.06)
+    soundfile.write(tmp_path / "a.wav", speechlike(2.0), 16_000)
+    done = CliRunner().invoke(
+        app, ["animate", f"{tmp_path}/a.wav", "-e", "auto", "-o", f"{tmp_path}/a.json"]
+    )
+    assert done.exit_code == 0, done.output
+    assert "unsure: angry 0.50, neutral 0.34; taken as neutral" in " ".join(done.output.split())
