@@ -1,8 +1,8 @@
 """The first layers of Whisper's speech encoder, 50 Hz brought to the rig's 30 Hz.
 
 DEITalk §3.2 takes wav2vec 2.0. Deviation: Whisper (Radford et al., "Robust Speech Recognition via
-Large-Scale Weak Supervision", 2022; MIT), whose first layers separate closed lips from vowels in
-languages and rooms that no training here had (MODEL_CARD.md).
+Large-Scale Weak Supervision", 2022; MIT), whose training heard more voices, rooms and languages
+than any here; scores are in MODEL_CARD.md.
 
 The encoder is written anew because importing ``transformers`` takes three times as long as torch;
 the names and numbers of its weights are those of ``transformers``' ``WhisperEncoder``.
