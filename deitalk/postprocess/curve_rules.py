@@ -128,9 +128,9 @@ class Expression:
         Two S-curves decide how high a peak is, and which frames beside it belong to the contact.
         A lone peak of 0.2 becomes 0.24, 0.25 one half, and 0.5 becomes 0.99; 0 and 1 stay, and
         between two peaks the lips part. With the numbers of `SharpenContacts`, chosen on validation
-        speakers with former weights, there were then on the average as many contacts as bilabials (1.00 times), of which 87 %
-        were reached and 95 % of those found held at 0.9 for two frames; 1.4 % of the vowels shut
-        the lips. An uncertain contact is brief, or it would reach into the vowels around.
+        speakers with former weights, there were then on the average as many contacts as bilabials
+        (1.00 times), of which 87 % were reached and 95 % of those found held at 0.9 for two frames;
+        1.4 % of the vowels shut the lips. An uncertain contact is brief, or it would reach into the vowels around.
 
         Parameters
         ----------
