@@ -130,7 +130,8 @@ class Expression:
         between two peaks the lips part. With the numbers of `SharpenContacts`, chosen on validation
         speakers with former weights, there were then on the average as many contacts as bilabials
         (1.00 times), of which 87 % were reached and 95 % of those found held at 0.9 for two frames;
-        1.4 % of the vowels shut the lips. An uncertain contact is brief, or it would reach into the vowels around.
+        1.4 % of the vowels shut the lips. An uncertain contact is brief, or it would reach into the
+        vowels around.
 
         Parameters
         ----------
