@@ -86,7 +86,8 @@ def import_(
         bool, typer.Option("--keep-listening", help="Keep pauses of more than 1.5 s.")
     ] = False,
     split_by: Annotated[
-        str, typer.Option(help="actor, time, or auto: actors if there are three or more.")
+        str,
+        typer.Option(help="actor, time, none, or auto: actors if there are three or more."),
     ] = "auto",
     as_json: Json = False,
     force: Force = False,

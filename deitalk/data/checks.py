@@ -23,7 +23,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.splits import APART_SECONDS
+from deitalk.data.captures.splits import APART_SECONDS, serves_tuning, too_little
 from deitalk.data.captures.survey import Survey
 from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import (
@@ -249,8 +249,11 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     total = max(sum(emotions.values()), 1)
     rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
     shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
+    split = _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})")
+    if not serves_tuning(splits):
+        split = Check("splits", "error", too_little(splits["train"], splits["validation"]))
     return [
-        _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})"),
+        split,
         _speakers(clips),
         _verdict("emotions", "warning", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
     ]

@@ -205,6 +205,10 @@ def _checked_times(path: object, keys: Columns) -> Float64:
             f"{path}, key {keys.rows[row]}: time {times[row]:g} s is beyond {SECONDS:g} s, the "
             "longest clip; times are seconds"
         )
+    if times.size and times[0] < 0:
+        raise EmotionError(
+            f"{path}, key {keys.rows[0]}: time {times[0]:g} s is before the recording; begin at 0"
+        )
     falls = np.diff(times) < 0
     if falls.any():
         row = int(np.argmax(falls)) + 1

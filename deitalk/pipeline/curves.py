@@ -135,9 +135,11 @@ def prepare(
     words = None if acting.words is None else Transcript.of(acting.words, acting.language)
     if words is not None and not acting.rules:
         raise DeitalkError("words belong to the rules, which are off; give one of the two")
-    recording = _with_note_on(acting.intensity_curve, recording_of(audio, sample_rate))
+    recording = recording_of(audio, sample_rate)
+    recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     if acting.emotion == AUTO:
         acting, recording = _suggested(acting, recording)
+    recording = _with_note_on("emotion", acting.track, recording)
     recording = _extended(recording, acting.listen)
     clock.lap("audio")
     network = load()
@@ -259,12 +261,14 @@ def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> 
     )
 
 
-def _with_note_on(curve: IntensityCurve | None, recording: Recording) -> Recording:
-    """The recording, with a note if the intensity curve was made for a longer one."""
+def _with_note_on(
+    name: str, curve: IntensityCurve | EmotionTrack | None, recording: Recording
+) -> Recording:
+    """The recording, with a note if a curve was made for a longer one."""
     if curve is None or curve.times[-1] <= recording.duration + CURVE_OVERHANG_SECONDS:
         return recording
     note = (
-        f"the intensity curve lasts {curve.times[-1]:.1f} s, the recording "
+        f"the {name} has keys until {curve.times[-1]:.1f} s, the recording lasts "
         f"{recording.duration:.1f} s: what comes after is not used"
     )
     return replace(recording, warnings=(*recording.warnings, note))

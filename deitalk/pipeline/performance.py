@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording
+from deitalk.audio.voice_activity import speech_activity
 from rig import RigCurves
 from rig.arrays import Float32, Float64
 
@@ -84,16 +85,19 @@ class Performance:
 
     @property
     def mean_intensity(self) -> float:
-        """Mean over the frames of the intensity predicted from the voice."""
-        return float(self.predicted.mean()) if len(self.predicted) else 0.0
+        """Mean over the frames of speech of the intensity predicted from the voice; 0 of none."""
+        return self._while_speaking(self.predicted)
 
     @property
     def mean_applied_intensity(self) -> float:
-        """Mean over the frames of the intensity of the emotion in the curves; 0 for neutral."""
+        """Mean over the frames of speech of the curves' intensity; 0 for neutral."""
         applied = self.curves.intensity
-        if applied is None or not len(applied) or not self.has_emotion:
-            return 0.0
-        return float(applied.mean())
+        return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
+
+    def _while_speaking(self, track: Float32) -> float:
+        """Mean of a track (T,) over the frames of speech."""
+        speaking = speech_activity(self.recording.waveform)[: len(track)] > 0
+        return float(track[: len(speaking)][speaking].mean()) if speaking.any() else 0.0
 
     def save(
         self,

@@ -31,7 +31,14 @@ from deitalk.data.captures.segments import (
     within_captured,
 )
 from deitalk.data.captures.sources import Source, find_sound, find_takes
-from deitalk.data.captures.splits import Piece, check_way, divide
+from deitalk.data.captures.splits import (
+    TRAIN,
+    Piece,
+    check_way,
+    divide,
+    serves_tuning,
+    too_little,
+)
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
@@ -92,7 +99,7 @@ def import_captures(
         Most seconds of a clip.
     keep_listening : bool
         Keep long pauses.
-    split_by : {"auto", "actor", "time"}
+    split_by : {"auto", "actor", "time", "none"}
         See `deitalk.data.captures.splits.divide`.
     force : bool
         Replace a dataset folder that deitalk wrote.
@@ -290,6 +297,12 @@ class _Writer:
                 parameter="keep_listening",
             )
         splits = divide(self.pieces, split_by)
+        is_stated = split_by == "none" or any(piece.split for piece in self.pieces)
+        if not is_stated and not serves_tuning(splits):
+            raise DataError(
+                f"the takes have {too_little(splits.count(TRAIN), 0)}, or `split_by=none`",
+                parameter="split_by",
+            )
         kept = []
         for row, split in zip(self.rows, splits, strict=True):
             if split:

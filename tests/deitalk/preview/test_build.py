@@ -73,7 +73,7 @@ def test_page_is_built_and_added_to_the_wheel(hook, source, npm):
 def test_without_npm_node_is_a_requirement_of_the_build(hook, source, monkeypatch):
     monkeypatch.setenv("PATH", str(source))
     assert hook.PreviewPageHook(source).dependencies() == [hook.NODE]
-    assert hook.PreviewPageHook(source, "sdist").dependencies() == []
+    assert hook.PreviewPageHook(source, "sdist").dependencies() == [hook.NODE]
 
 
 @pytest.mark.parametrize("script", ["echo no network; exit 1", "exit 0"])

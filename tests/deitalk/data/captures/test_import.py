@@ -2,6 +2,7 @@
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ import pytest
 import soundfile
 
 from deitalk.audio.load import load_audio
-from deitalk.data.captures.imported import import_captures
+from deitalk.data.captures import imported
 from deitalk.data.captures.labels import Labelling
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
@@ -23,6 +24,9 @@ CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 LIPS = "CTRL_L_mouth_lipsTogetherU.ty"
 ANNA = Labelling(actor="anna", emotion="happy")
+
+import_captures = partial(imported.import_captures, split_by="none")
+"""Of short takes, whose division `test_splits` tests."""
 
 
 def rows_of(folder):
@@ -196,6 +200,16 @@ def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, exp
     assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
 
 
+def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written(tmp_path):
+    write_live_link(tmp_path / "t" / "a.csv", 4)
+    with pytest.raises(DataError, match="0 to validate, needs one of each") as caught:
+        imported.import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert "\n" not in str(caught.value) and "split_by=none" in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["t"]
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert {row["split"] for row in rows_of(tmp_path / "data")} == {"train"}
+
+
 def test_all_faulty_takes_are_counted(tmp_path):
     for name in "abc":
         path = write_live_link(tmp_path / "t" / f"{name}.csv", 2)
@@ -297,8 +311,10 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
     np.testing.assert_allclose(curves["jaw"], values["jaw"][start:][: len(curves)], atol=1e-6)
     assert list(read_known(clip.known, rig)) == [True, True, False, True]
     checked = CliRunner().invoke(app, ["check", str(out), "--rig", str(tmp_path / "rig.yaml")])
-    assert checked.exit_code == 0, checked.output
-    assert "warning  jittering" in checked.stdout
+    assert [row for row in checked.stdout.splitlines() if row.startswith("error")] == [
+        next(row for row in checked.stdout.splitlines() if row.startswith("error    splits"))
+    ], "all clips train, and nothing validates"
+    assert checked.exit_code == 1 and "warning  jittering" in checked.stdout
 
 
 def test_map_and_rig_exclude_each_other(tmp_path):

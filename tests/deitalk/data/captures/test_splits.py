@@ -53,9 +53,31 @@ def test_three_actors_are_each_in_one_split():
     assert len(homes) == 4 and {s for _, s in homes} == {TRAIN, VALIDATION, TEST}
 
 
-def test_few_clips_stay_apart_or_train():
+def test_neighbours_alone_cannot_be_divided():
     assert divide(take("a", "sad", "t", 1)) == [TRAIN]
     assert divide(take("a", "sad", "t", 2)) == [TRAIN] * 2
+
+
+@pytest.mark.parametrize("clips", [1, 2, 3])
+@pytest.mark.parametrize("takes", [2, 3])
+def test_of_two_or_three_takes_the_last_validates(takes, clips):
+    """Or a part of the last one, which is apart from what is tested on; something always trains."""
+    pieces = [p for i in range(takes) for p in take("a", "sad", f"t{i}", clips)]
+    splits = divide(pieces)
+    assert {TRAIN, VALIDATION} <= set(splits)
+    homes = {
+        p.take: {s for q, s in zip(pieces, splits, strict=True) if q.take == p.take} for p in pieces
+    }
+    assert homes["t0"] == {TRAIN}
+
+
+def test_all_can_train():
+    assert divide(take("a", "sad", "t", 9), "none") == [TRAIN] * 9
+
+
+def test_the_only_take_validates_with_its_last_clip():
+    """The clip between is nearer than five seconds to both."""
+    assert divide(take("a", "sad", "t", 3)) == [TRAIN, "", VALIDATION]
 
 
 def test_actors_need_three_and_the_way_is_checked():

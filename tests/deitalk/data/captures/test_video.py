@@ -1,13 +1,14 @@
 """Filmed takes to a dataset folder: files of landmarks, videos, the detector and its absence."""
 
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import soundfile
 
-from deitalk.data.captures.imported import import_captures
+from deitalk.data.captures import imported
 from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.segments import within_captured
 from deitalk.data.captures.sources import find_sound, find_takes
@@ -25,6 +26,9 @@ from tests.takes import bursts, is_open
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 ANNA = Labelling(actor="anna", emotion="happy")
+
+import_captures = partial(imported.import_captures, split_by="none")
+"""Of short takes, whose division `test_splits` tests."""
 
 
 @pytest.fixture(scope="module")
