@@ -142,6 +142,9 @@ def output_folder(
             stage.mkdir()
             yield stage
             _commit(stage, folder, kind)
+        except OSError as error:
+            error.filename = error.filename or str(folder)  # some writers name no file
+            raise
         finally:
             recover(folder)  # where an interrupt came while files were exchanged
             shutil.rmtree(stage, ignore_errors=True)

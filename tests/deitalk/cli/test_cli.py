@@ -248,3 +248,35 @@ def test_help_is_fast_and_loads_no_heavy_package():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_names_that_begin_with_a_dash_are_told_how_to_be_written(tmp_path, speech, monkeypatch):
+    (tmp_path / "-dash.wav").write_bytes(Path(speech).read_bytes())
+    done = subprocess.run(
+        [sys.executable, "-m", "deitalk", "animate", "-dash.wav", "-o", "take"],
+        capture_output=True, text=True, cwd=tmp_path, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.splitlines()[-1].endswith("write ./-dash.wav for the file of that name")
+    assert not (tmp_path / "take").exists()
+
+
+def test_stdout_is_no_target(tmp_path, speech):
+    assert refused("animate", speech, "-o", "-") == (
+        "deitalk: -o -: nothing is written to stdout; name a file or a folder"
+    )
+    assert not (ROOT / "-").exists()
+
+
+def test_samples_beyond_any_recording_are_named(tmp_path):
+    samples = np.zeros(16_000, np.float32)
+    samples[160] = 5.9e27
+    soundfile.write(tmp_path / "loud.wav", samples, 16_000, subtype="FLOAT")
+    message = refused("animate", tmp_path / "loud.wav", "-o", tmp_path / "take")
+    assert "5.9" in message and "e+27" in message and "within ±1e+12" in message
+    assert not (tmp_path / "take").exists()
+
+
+def test_raw_controls_are_sent_by_json_alone(speech):
+    sent = ["livelink", "send", speech, "--protocol", "vmc", "--rig", "raw"]
+    assert "--rig raw does not apply to --protocol vmc" in refused(*sent)

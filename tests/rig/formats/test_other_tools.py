@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pandas as pd
 import pytest
+import soundfile
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID
@@ -236,3 +237,17 @@ def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
     assert data["metadata"]["soundFile"] == str(sound)
     write_curves(tmp_path / "none.xml", curves)
     assert ElementTree.parse(tmp_path / "none.xml").getroot().findtext("metadata/soundFile") == ""
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".flac", ".ogg"])
+def test_rhubarb_durations_are_of_the_sound(tmp_path, suffix):
+    """8.72 s are 262 frames, of 8.73 s."""
+    sound = tmp_path / f"line{suffix}"
+    soundfile.write(sound, np.zeros(round(8.72 * 16_000)), 16_000)
+    names = default_controls().names
+    curves = RigCurves(np.zeros((262, len(names)), np.float32), names, fps=30.0)
+    for name in ("c.xml", "c.rhubarb.json"):
+        write_curves(tmp_path / name, curves, sound=sound)
+    root = ElementTree.parse(tmp_path / "c.xml").getroot()
+    assert root.findtext("metadata/duration") == "8.72"
+    assert json.loads((tmp_path / "c.rhubarb.json").read_text())["metadata"]["duration"] == 8.72
