@@ -88,6 +88,20 @@ def block(page: str, name: str) -> str:
     return found[1]
 
 
+def test_a_take_gets_a_page_and_no_video_unless_one_is_asked_for(tiny_player, tmp_path):
+    from typer.testing import CliRunner
+
+    from deitalk import animate
+    from deitalk.cli import app
+
+    take = animate(np.zeros(16_000, np.float32), sample_rate=16_000).save(tmp_path / "take")
+    before = {path.name for path in take.iterdir()}
+    done = CliRunner().invoke(app, ["preview", str(take)])
+    assert done.exit_code == 0, done.output
+    assert {path.name for path in take.iterdir()} - before == {"preview.html"}
+    assert list(tmp_path.rglob("*.mp4")) == []
+
+
 def test_page_holds_the_take_and_the_recording(tiny_player, tmp_path):
     import soundfile
 
