@@ -178,7 +178,7 @@ def test_intensity_curve_longer_than_the_recording_gives_a_note(network, end, n_
     curve = IntensityCurve(np.array([0.0, end]), np.array([1.0, 1.0]))
     notes = animate(recording(3.0), "sad", model=network, intensity_curve=curve).recording.warnings
     assert len(notes) == n_notes
-    assert all("lasts 8.7 s, the recording 3.0 s" in note for note in notes)
+    assert all("keys until 8.7 s, the recording lasts 3.0 s" in note for note in notes)
 
 
 def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
