@@ -5,6 +5,7 @@ Times are seconds with two decimals, as Rhubarb writes them.
 
 import itertools
 import json
+import wave
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,11 +21,10 @@ from rig.limits import CUES_BYTES, SECONDS
 
 def _duration(curves: RigCurves, sound: str) -> float:
     """Seconds of the sound where it can be read (the last frame may pass it); else the curves'."""
-    import soundfile  # loads a library
-
     try:
-        seconds = float(soundfile.info(sound).duration)
-    except (OSError, RuntimeError):  # libsndfile's errors are the latter
+        with wave.open(sound) as file:
+            seconds = file.getnframes() / file.getframerate()
+    except (OSError, EOFError, wave.Error):
         return curves.duration
     return seconds if abs(seconds - curves.duration) < 1 / curves.fps else curves.duration
 

@@ -239,10 +239,9 @@ def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
     assert ElementTree.parse(tmp_path / "none.xml").getroot().findtext("metadata/soundFile") == ""
 
 
-@pytest.mark.parametrize("suffix", [".wav", ".flac", ".ogg"])
-def test_rhubarb_durations_are_of_the_sound(tmp_path, suffix):
+def test_rhubarb_durations_are_of_the_sound(tmp_path):
     """8.72 s are 262 frames, of 8.73 s."""
-    sound = tmp_path / f"line{suffix}"
+    sound = tmp_path / "line.wav"
     soundfile.write(sound, np.zeros(round(8.72 * 16_000)), 16_000)
     names = default_controls().names
     curves = RigCurves(np.zeros((262, len(names)), np.float32), names, fps=30.0)
