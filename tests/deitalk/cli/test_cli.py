@@ -250,7 +250,7 @@ def test_help_is_fast_and_loads_no_heavy_package():
     assert done.stdout.strip() == "[]"
 
 
-def test_names_that_begin_with_a_dash_are_told_how_to_be_written(tmp_path, speech, monkeypatch):
+def test_error_for_a_file_name_with_a_dash_first_gives_a_spelling_that_works(tmp_path, speech):
     (tmp_path / "-dash.wav").write_bytes(Path(speech).read_bytes())
     done = subprocess.run(
         [sys.executable, "-m", "deitalk", "animate", "-dash.wav", "-o", "take"],

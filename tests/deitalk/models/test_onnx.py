@@ -1,8 +1,11 @@
 """Curve models as ONNX files: equal to torch at every length, and read without torch."""
 
 import json
+import re
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +24,7 @@ from deitalk.models.folder import embedded_models
 from deitalk.models.network import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
-from rig import default_controls
+from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 
 onnx = pytest.importorskip("onnx")
@@ -372,6 +375,31 @@ def test_live_with_an_onnx_file_imports_no_torch(exported_causal):
     sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
     model = str(exported_causal.path)
     run_without_torch("live", str(sample), "--model", model, "--seconds", "0.5", "--port", "9")
+
+
+def test_packages_of_the_small_installation_are_enough(exported, tmp_path):
+    """The list of docs/onnx.md; all other requirements of the package are hidden."""
+    root = Path(__file__).parents[3]
+    document = (root / "docs/onnx.md").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"^pip install (numpy .*)$", document, re.MULTILINE)
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = {re.split(r"[\[<>=~! ]", line)[0].lower() for line in project["dependencies"]}
+    others = names - set(listed.split())
+    hidden = [
+        module
+        for module, owners in packages_distributions().items()
+        if {owner.lower() for owner in owners} & others
+    ]
+    assert {"torch", "transformers", "librosa", "fastapi"} <= set(hidden)
+    arguments = ["animate", str(root / "docs/samples/promise.flac"), "--emotion", "happy"]
+    arguments += ["--model", str(exported.path), "-o", str(tmp_path / "take")]
+    code = f"import sys; sys.modules.update(dict.fromkeys({hidden!r})); sys.argv = "
+    code += f"['deitalk', *{arguments!r}]; from deitalk.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(read_curves(tmp_path / "take/curves.csv")) == 262
 
 
 def test_animate_with_an_onnx_file_imports_no_torch(exported, tmp_path):

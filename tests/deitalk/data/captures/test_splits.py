@@ -60,8 +60,8 @@ def test_neighbours_alone_cannot_be_divided():
 
 @pytest.mark.parametrize("clips", [1, 2, 3])
 @pytest.mark.parametrize("takes", [2, 3])
-def test_of_two_or_three_takes_the_last_validates(takes, clips):
-    """Or a part of the last one, which is apart from what is tested on; something always trains."""
+def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips):
+    """The first take trains; three takes of one clip have a test too."""
     pieces = [p for i in range(takes) for p in take("a", "sad", f"t{i}", clips)]
     splits = divide(pieces)
     assert {TRAIN, VALIDATION} <= set(splits)
