@@ -82,7 +82,12 @@ def folder(sequences) -> MeshFolder:
     ("frontend", "motion", "steps", "more"),
     [
         (FRONTEND, "gradients", 400, {"schedule": "one_cycle"}),
-        (SEGMENT, "gradients", 200, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
+        (
+            SEGMENT,
+            "gradients",
+            400,
+            {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9},
+        ),
         (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
         (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),
     ],
