@@ -152,8 +152,8 @@ class WhisperConfig(Section):
     width: Width = 512
     heads: Width = 8
     intermediate: Width = Field(default=2048, description="width within a layer")
-    positions: int = Field(
-        default=1500, ge=600, le=limits.TRAINING_FRAMES, description="features of 20 ms a piece"
+    rate: Literal[30, 50] = Field(
+        default=30, description="features a second: the rig's own, or 50 as the encoder had them"
     )
     layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
         default=(2, 3),
