@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
     from deitalk.config.finetuning import FinetuneConfig, TuneConfig
     from deitalk.config.frontends import (
-        CausalMelConfig,
+        CausalWhisperConfig,
         DEITalkFeaturesConfig,
         KarrasConfig,
         MelConfig,
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         VocaConfig,
         Wav2VecConfig,
         WhisperConfig,
+        WhisperShape,
     )
     from deitalk.config.load import AnyConfig, load_config, parse_config
     from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnyConfig",
-    "CausalMelConfig",
+    "CausalWhisperConfig",
     "Config",
     "DEITalkFeaturesConfig",
     "DataConfig",
@@ -50,6 +51,7 @@ __all__ = [
     "VoiceIntensity",
     "Wav2VecConfig",
     "WhisperConfig",
+    "WhisperShape",
     "load_config",
     "parse_config",
 ]
@@ -58,7 +60,7 @@ _HOMES = {
     "curves": ("Config", "DataConfig", "LossConfig", "ModelConfig", "TrainConfig"),
     "finetuning": ("FinetuneConfig", "TuneConfig"),
     "frontends": (
-        "CausalMelConfig",
+        "CausalWhisperConfig",
         "DEITalkFeaturesConfig",
         "KarrasConfig",
         "MelConfig",
@@ -66,6 +68,7 @@ _HOMES = {
         "VocaConfig",
         "Wav2VecConfig",
         "WhisperConfig",
+        "WhisperShape",
     ),
     "load": ("AnyConfig", "load_config", "parse_config"),
     "mesh": ("MeshDataConfig", "MeshTrainConfig", "SDFAConfig", "SDFAModelConfig"),

@@ -3,7 +3,7 @@
 K features of the encoder, T rig frames, D width.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -61,8 +61,8 @@ class StridedFrontend(nn.Module):
         )
         self.mix = nn.Parameter(torch.zeros(len(layers)))
 
-    def mixed(self, states: Sequence[Tensor]) -> Tensor:
-        """Standardised and mixed features (N, D) from the states (N, D) of all layers."""
+    def mixed(self, states: Sequence[Tensor] | Mapping[int, Tensor]) -> Tensor:
+        """Standardised and mixed features (N, D) from the states (N, D) of the layers."""
         scaled = [
             weight * _standardised(states[layer], norm).clamp(-LARGEST, LARGEST)
             for weight, norm, layer in zip(

@@ -18,6 +18,7 @@ B batch, S samples, M mel frames, K features, D width.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -34,7 +35,7 @@ from deitalk.audio.log_mel import (
     log_mel_filters,
     loudest,
 )
-from deitalk.config import WhisperConfig
+from deitalk.config import WhisperShape
 from deitalk.errors import CheckpointError
 from deitalk.frontends.strided import StridedFrontend
 
@@ -68,13 +69,14 @@ class LogMel(nn.Module):
         self.register_buffer("filters", filters, persistent=False)
         self.register_buffer("window", torch.from_numpy(hann_window()), persistent=False)
 
-    def windows(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Samples (B, M, 400) of the first `n_frames` mel frames of (B, S)."""
-        places = centres(0, n_frames, self.rate)
-        after = int(places[-1]) + N_FFT // 2 - waveform.shape[1]
-        padded = F.pad(waveform, (N_FFT // 2, max(after, 0)))
-        index = torch.from_numpy(places).to(waveform.device)
-        return padded.unfold(1, N_FFT, 1)[:, index]
+    def windows(self, waveform: Tensor, n_frames: int, first: int = 0) -> Tensor:
+        """Samples (B, M, 400) of mel frames `first` … `first` + `n_frames` - 1 of (B, S)."""
+        starts = centres(first, n_frames, self.rate) - N_FFT // 2
+        begin, end = int(starts[0]), int(starts[-1]) + N_FFT
+        piece = waveform[:, max(begin, 0) : max(end, 0)]
+        before = max(-begin, 0)
+        padded = F.pad(piece, (before, end - begin - before - piece.shape[1]))
+        return padded.unfold(1, N_FFT, 1)[:, torch.from_numpy(starts - begin).to(waveform.device)]
 
     def decades(self, windows: Tensor) -> Tensor:
         """Logarithm to base 10 (B, M, F) of the mel power of windows (B, M, 400)."""
@@ -127,11 +129,15 @@ class Attention(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor | None = None) -> Tensor:
         """Map (B, K, D) to (B, K, D); `mask` is that of `WhisperEncoder.forward`."""
+        return self.mixed(x, self.k_proj(x), self.v_proj(x), mask)
+
+    def mixed(self, x: Tensor, keys: Tensor, values: Tensor, mask: Tensor | None) -> Tensor:
+        """Map rows (B, Q, D) to (B, Q, D), from keys and values (B, K, D)."""
         q, k, v = (
-            layer(x).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for layer in (self.q_proj, self.k_proj, self.v_proj)
+            rows.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for rows in (self.q_proj(x), keys, values)
         )
-        mixed = F.scaled_dot_product_attention(q, k, v, mask)  # (B, heads, K, D / heads)
+        mixed = F.scaled_dot_product_attention(q, k, v, mask)  # (B, heads, Q, D / heads)
         out: Tensor = self.out_proj(mixed.transpose(1, 2).flatten(2))
         return out
 
@@ -149,7 +155,10 @@ class Layer(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor | None = None) -> Tensor:
         """Map (B, K, D) to (B, K, D); `mask` is that of `WhisperEncoder.forward`."""
-        x = self.self_attn(self.self_attn_layer_norm(x), mask).add_(x)
+        return self.after(self.self_attn(self.self_attn_layer_norm(x), mask).add_(x))
+
+    def after(self, x: Tensor) -> Tensor:
+        """What follows attention, (B, K, D) to (B, K, D)."""
         out: Tensor = self.fc2(_gelu(self.fc1(self.final_layer_norm(x)))).add_(x)
         return out
 
@@ -159,12 +168,12 @@ class WhisperEncoder(nn.Module):
 
     Parameters
     ----------
-    config : WhisperConfig
+    config : WhisperShape
     """
 
     positions: Tensor
 
-    def __init__(self, config: WhisperConfig) -> None:
+    def __init__(self, config: WhisperShape) -> None:
         super().__init__()
         width = config.width
         self.conv1 = nn.Conv1d(config.n_mels, width, 3, padding=1)
@@ -217,13 +226,13 @@ class WhisperFrontend(StridedFrontend):
 
     Parameters
     ----------
-    config : WhisperConfig
+    config : WhisperShape
     """
 
     centre = 0.0
     chunk_seconds, overlap_seconds = 10.0, 1.0
 
-    def __init__(self, config: WhisperConfig) -> None:
+    def __init__(self, config: WhisperShape) -> None:
         super().__init__()
         self.config, self.spectra = config, SPECTRA[config.rate]
         self.stride = SAMPLE_RATE / config.rate
@@ -236,12 +245,12 @@ class WhisperFrontend(StridedFrontend):
             self.encoder.requires_grad_(False)
 
     @classmethod
-    def build(cls, config: WhisperConfig, *, pretrained: bool = True) -> "WhisperFrontend":
+    def build(cls, config: WhisperShape, *, pretrained: bool = True) -> Self:
         """Make the frontend of a configuration.
 
         Parameters
         ----------
-        config : WhisperConfig
+        config : WhisperShape
             With a checkpoint, its weights are read.
         pretrained : bool
             False leaves the weights random, because they follow.

@@ -59,7 +59,7 @@ def is_causal(name_or_path: str | Path) -> bool:
     from deitalk.config import load_config
 
     config = load_config(model_folder(name_or_path) / "config.yaml")
-    return config.model.frontend.kind == "causal_mel"
+    return config.model.frontend.kind == "causal_whisper"
 
 
 def read_about(folder: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import N_FFT, SILENCE, centres
 from deitalk.errors import DeitalkError
-from deitalk.frontends.whisper import Attention, WhisperFrontend, scaled
+from deitalk.frontends.whisper import Attention, LogMel, WhisperFrontend, scaled
 
 OVERLAP = round(WhisperFrontend.overlap_seconds * FRAME_RATE)
 PIECE = round(WhisperFrontend.chunk_seconds * FRAME_RATE)
@@ -58,6 +58,28 @@ class Pieces(NamedTuple):
     """Features that there are [shape=(N, W)]."""
 
 
+class ProductMel(LogMel):
+    """`LogMel` whose Fourier transform is a product with a matrix."""
+
+    transform: Tensor
+
+    @classmethod
+    def of(cls, mel: LogMel) -> "ProductMel":
+        """The same spectrogram."""
+        found = cls(mel.filters.shape[1], mel.rate)
+        angle = 2 * math.pi / N_FFT * torch.arange(N_FFT // 2 + 1, dtype=torch.float64)
+        angle = torch.arange(N_FFT, dtype=torch.float64)[:, None] * angle
+        window = mel.window.double()[:, None]
+        waves = torch.cat((window * angle.cos(), window * angle.sin()), dim=1)
+        found.register_buffer("transform", waves.float())  # (400, 402)
+        return found
+
+    def decades(self, windows: Tensor) -> Tensor:
+        """See `LogMel.decades`."""
+        power = (windows @ self.transform).square() @ self.filters.repeat(2, 1)
+        return power.clamp_min(SILENCE).log10()
+
+
 class WhisperGraph(nn.Module):
     """`WhisperFrontend.encode` of a whole clip.
 
@@ -72,7 +94,6 @@ class WhisperGraph(nn.Module):
         If its features are not rig frames.
     """
 
-    transform: Tensor
     begins: Tensor
 
     def __init__(self, frontend: WhisperFrontend) -> None:
@@ -81,12 +102,7 @@ class WhisperGraph(nn.Module):
             raise DeitalkError(
                 f"model.frontend.rate={frontend.config.rate} has no ONNX graph; train with 30"
             )
-        self.frontend = frontend
-        angle = 2 * math.pi / N_FFT * torch.arange(N_FFT // 2 + 1, dtype=torch.float64)
-        angle = torch.arange(N_FFT, dtype=torch.float64)[:, None] * angle
-        window = frontend.mel.window.double()[:, None]
-        waves = torch.cat((window * angle.cos(), window * angle.sin()), dim=1)
-        self.register_buffer("transform", waves.float())  # (400, 402)
+        self.frontend, self.mel = frontend, ProductMel.of(frontend.mel)
         begins = centres(0, PIECE * frontend.spectra, frontend.mel.rate) - N_FFT // 2
         self.register_buffer("begins", torch.from_numpy(begins))  # (3 · 300,)
 
@@ -110,10 +126,9 @@ class WhisperGraph(nn.Module):
         samples = sound[places.clamp_min(0).clamp_max(sound.shape[0] - 1)] * is_inside
         starts = self.begins[: spectra * width] + N_FFT // 2
         index = (starts[:, None] + torch.arange(N_FFT)).flatten()
-        windows = samples[:, index].reshape(-1, N_FFT)  # (3 N W, 400)
-        bands = self.frontend.mel.filters.repeat(2, 1)
-        power = (windows @ self.transform).square() @ bands
-        decades = power.clamp_min(SILENCE).log10().reshape(-1, spectra * width, bands.shape[1])
+        decades = self.mel.decades(
+            samples[:, index].view(samples.shape[0], -1, N_FFT)
+        )  # (N, 3 W, F)
         inside = pieces.is_inside.repeat_interleave(spectra, dim=1)
         return scaled(decades, peak) * inside[:, None]
 

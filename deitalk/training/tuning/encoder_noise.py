@@ -36,6 +36,7 @@ from deitalk.corpus.performance import split_of
 from deitalk.corpus.recordings import recordings
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.errors import DeitalkError
+from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
 from deitalk.frontends.strided import LARGEST
 from deitalk.frontends.whisper import WhisperFrontend, encoder_weights, scaled
 from rig.arrays import Float32
@@ -52,12 +53,6 @@ CAUSAL_ROWS = 4
 """Of a batch; the others are read whole."""
 CAUSAL_GAIN_DB = 4.0
 """A running level differs from that of the recording by up to this."""
-PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
-"""Rig frames around one that a layer attends to in those rows."""
-PEAK = 1.0
-"""Logarithm to base 10 of the loudest mel power of speech at the normal level; .5 to 1.6."""
-PERIOD = 10 * FRAME_RATE
-"""Frames after which the positions of a stream begin anew."""
 MOTION_WEIGHT = 2.0
 """Of the distance between neighbouring features: speaker and room change slowly, lips fast."""
 AVERAGE = 0.995

