@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deitalk.checkout import research
 from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Force, Json, Most
@@ -286,12 +287,10 @@ def _write_measures(
     force: bool,
 ) -> None:
     """Write the measures as curves of a rig of their own."""
-    from deitalk.data.lips.own_rig import write_measure_dataset
-
     if corpora:
         raise DeitalkError("--corpus: its curves are of the board; leave out --as-rig")
     with bar("writing") as progress:
-        count = write_measure_dataset(
+        count = research("lips.own_rig", "data lips --as-rig").write_measure_dataset(
             folder,
             out,
             validation=validation or (),

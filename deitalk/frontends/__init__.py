@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from torch import Tensor
 
+from deitalk.checkout import research
 from deitalk.config import (
     CausalMelConfig,
     KarrasConfig,
@@ -76,9 +77,7 @@ def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> "Encoder
 
         return SDFAEncoder(config)
     if isinstance(config, KarrasConfig):
-        from deitalk.frontends.karras import KarrasEncoder
-
-        return KarrasEncoder(config)
-    from deitalk.frontends.voca import VocaEncoder
-
-    return VocaEncoder(config)
+        karras: Encoder = research("comparison.karras", "frontend karras").KarrasEncoder(config)
+        return karras
+    voca: Encoder = research("comparison.voca", "frontend voca").VocaEncoder(config)
+    return voca

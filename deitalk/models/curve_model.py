@@ -138,7 +138,7 @@ class DEITalk(nn.Module):
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
         voice : Tensor [shape=(B, 5)] or None
-            Emotion that the voice acts; only `deitalk.models.comparison.emotalk` pairs by it.
+            Emotion that the voice acts; only `deitalk.research.comparison.emotalk` pairs by it.
         """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)

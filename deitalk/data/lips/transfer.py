@@ -1,8 +1,8 @@
 """Transfer of measured lips to other speech: corrected curves of an acted corpus.
 
-The faces of a corpus follow tables (`deitalk.corpus`). Its lips are moved towards the prediction
-of a regression on measured lips (`deitalk.data.lips.regression`) for the same speech, and towards
-the amplitude of measured lips; contacts, emotional poses and all that is not lips stay.
+The faces of a corpus follow tables (`deitalk.research.corpus`). Its lips are moved towards the
+prediction of a regression on measured lips (`deitalk.data.lips.regression`) for the same speech,
+and towards the amplitude of measured lips; contacts, emotional poses and all that is not lips stay.
 
 Letters: T frames at 30 per second, C controls, D features, M measures.
 """

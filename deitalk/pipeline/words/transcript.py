@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.acting import Words
-from deitalk.corpus.phone_alphabets import ipa_to_phones, spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.phones import PHONES, SILENCE
+from deitalk.pipeline.words.phone_alphabets import ipa_to_phones, spoken_words
 from deitalk.pipeline.words.textgrid import Interval, intervals_of
 from rig import limits
 from rig.errors import quoted, shorten
@@ -97,7 +97,7 @@ class Transcript:
 
 def check_language(language: str) -> None:
     """Refuse a language that espeak-ng has no voice for; MissingError without espeak-ng."""
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     if (reason := espeak.missing()) is not None:
         raise MissingError(f"words need espeak-ng for their sounds; {reason}, or give phones")
@@ -132,7 +132,7 @@ def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
 
 def _pronounced(text: str, language: str) -> list[Word]:
     """Words of a text with their phones, clause by clause."""
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     words: list[Word] = []
     for clause in _CLAUSE.findall(text):
@@ -149,7 +149,7 @@ def _pronounced(text: str, language: str) -> list[Word]:
 
 
 def _spoken(word: str, language: str) -> list[tuple[str, ...]]:
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     return spoken_words(espeak.pronounce(word, voice=language), language)
 

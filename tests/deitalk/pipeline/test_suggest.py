@@ -25,7 +25,7 @@ from deitalk.pipeline.suggest import (
     emotion_map,
     suggest_emotion,
 )
-from deitalk.training.suggestion import (
+from deitalk.research.training.suggestion import (
     ASKED,
     Label,
     Voices,

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from deitalk import animate
-from deitalk.corpus.engines import espeak
 from deitalk.errors import DeitalkError
 from deitalk.phones import PHONES
 from deitalk.pipeline.words.align import fit_words
 from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.pipeline.words.viterbi import best_path
+from deitalk.research.corpus.engines import espeak
 
 FLAT = np.full(len(PHONES), 1 / len(PHONES), np.float32)
 
