@@ -43,7 +43,7 @@ STAGES = {
     ),
     "curves": Stage("185 curves, 30 Hz", "rig.curves", "RigCurves", "data", 4, 1),
     "rules": Stage("rules", "deitalk.postprocess.curve_rules", "Expression", "curves", 4, 2),
-    "take": Stage("take folder", "deitalk.pipeline.take", "write_take", "data", 3, 2),
+    "take": Stage("take folder", "deitalk.pipeline.performance", "write_take", "data", 3, 2),
     "deformation": Stage(
         "deformation decoder", "deitalk.models.deformation_decoder", "MotionDecoder", "mesh", 1, 2
     ),

@@ -59,7 +59,7 @@ def test_imports_point_down_only(path):
 
 @pytest.mark.parametrize("path", [p for p in FILES if "research" not in p.parts], ids=name_of)
 def test_product_imports_nothing_of_research(path):
-    """A wheel lacks it; `deitalk.checkout.research` imports it by name, and says so where absent."""
+    """A wheel lacks it; `deitalk.installed.research` imports it by name, and says so where absent."""
     text = path.read_text(encoding="utf-8")
     assert "deitalk.research import" not in text
     assert not re.search(r"(from|import) deitalk\.research\b", text)
@@ -253,10 +253,10 @@ def test_the_version_is_written_once():
 
     assert re.fullmatch(r"\d+\.\d+\.\d+([a-z0-9.]+)?", __version__)
     text = (ROOT / "pyproject.toml").read_text()
-    assert 'dynamic = ["version"]' in text and 'path = "deitalk/__init__.py"' in text
+    assert 'dynamic = ["version"]' in text and 'path = "deitalk/installed.py"' in text
     assert not re.search(r'(?m)^version\s*=\s*"', text)
     writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", p.read_text())]
-    assert [name_of(p) for p in writers] == ["deitalk"]
+    assert [name_of(p) for p in writers] == ["deitalk.installed"]
     assert (
         f"deitalk {__version__}"
         in run("import deitalk; print('deitalk', deitalk.__version__)").stdout

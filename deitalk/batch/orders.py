@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from deitalk import __version__
 from deitalk.acting import Acting
 from deitalk.batch.actors import references
 from deitalk.batch.journal import DONE, FAILED, Entry
@@ -16,8 +15,9 @@ from deitalk.batch.storage import Recordings
 from deitalk.config import Config, load_config
 from deitalk.emotions import ActorReference
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
+from deitalk.installed import __version__
 from deitalk.models.folder import RIG_FILE, describe_model, model_folder, weights_hash
-from deitalk.models.network import BACKENDS, Backend
+from deitalk.models.load import BACKENDS, Backend
 from rig.errors import TargetError, UserError, quoted
 
 Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]

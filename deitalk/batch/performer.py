@@ -18,7 +18,7 @@ from deitalk.batch.journal import File
 from deitalk.batch.lines import TAKE, has_digits
 from deitalk.batch.messages import Order, Outcome, Target
 from deitalk.batch.storage import read_recording, upload
-from deitalk.models.network import Backend
+from deitalk.models.load import Backend
 from rig.errors import UserError, one_line
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Performer:
     backend : str
         ``torch`` or ``onnx``.
     device : str
-        Where the network is, as for `deitalk.models.network.load_network`.
+        Where the network is, as for `deitalk.models.load.load_network`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Performer:
         device: str = "cpu",
     ) -> None:
         from deitalk.models.folder import describe_model
-        from deitalk.models.network import is_onnx, load_network
+        from deitalk.models.load import is_onnx, load_network
 
         if not is_onnx(model, backend):
             import torch
@@ -203,7 +203,7 @@ class Performer:
         return folder, tuple(targets)
 
     def _write_take(self, folder: Path, performance: Any, form: dict[str, Any]) -> None:
-        from deitalk.pipeline.take import write_take
+        from deitalk.pipeline.performance import write_take
 
         beside = self.stage / TAKE  # one name for all, as each has a lock
         write_take(beside, performance, model=self.about, **form)

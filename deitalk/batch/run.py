@@ -28,7 +28,7 @@ from deitalk.batch.storage import is_url
 from deitalk.emotions import EmotionTrack
 from deitalk.errors import DeitalkError
 from deitalk.models.devices import check_device, require_device
-from deitalk.models.network import Backend
+from deitalk.models.load import Backend
 from rig.errors import TargetError
 
 

@@ -8,8 +8,6 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk import __version__
-from deitalk.checkout import VERBS, has_research, research
 from deitalk.cli.actor import app as actor_app
 from deitalk.cli.animate import animate
 from deitalk.cli.arguments import CheckedCommands
@@ -37,6 +35,7 @@ from deitalk.cli.suggest import suggest
 from deitalk.cli.train import train
 from deitalk.cli.unreal import unreal
 from deitalk.cli.validate import validate
+from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 
 app = CheckedCommands(

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from deitalk.acting import Acting
     from deitalk.audio.load import Recording
     from deitalk.models.network import CurveNetwork
-    from deitalk.pipeline.performance import Performance
-    from deitalk.pipeline.take import Extra
+    from deitalk.pipeline.performance import Extra, Performance
 
 
 @acting_options
@@ -147,7 +146,7 @@ def _check(
 ) -> None:
     """Raise for targets that cannot be written, before the recording is animated."""
     from deitalk.audio.original import start_of
-    from deitalk.pipeline.take import KIND, check_take
+    from deitalk.pipeline.performance import KIND, check_take
     from rig.curves import snap_fps
     from rig.formats import checked_digits, find_format
 
@@ -193,7 +192,7 @@ def _preview_notes(out: Path) -> tuple[str, ...]:
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
     def load() -> "CurveNetwork":
-        from deitalk.models.network import is_onnx, load_network
+        from deitalk.models.load import is_onnx, load_network
 
         most = min(threads, os.cpu_count() or 1)
         if not is_onnx(model, backend):
@@ -225,7 +224,7 @@ def _write_take(
     force: bool,
 ) -> None:
     from deitalk.models.folder import describe_model
-    from deitalk.pipeline.take import write_take
+    from deitalk.pipeline.performance import write_take
 
     about = describe_model(model)
     write_take(out, performance, model=about, force=force, extras=extras, **form)

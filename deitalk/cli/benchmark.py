@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
-from deitalk.checkout import research
 from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Json, Model, Threads
+from deitalk.installed import research
 
 MAX_SECONDS = 3 * 3600.0
 """Longest clip, seconds."""

@@ -80,7 +80,7 @@ def _beside(source: Path) -> Path:
 
 def _record(source: Path, target: Path) -> None:
     """Add a preview to the take's manifest, so that a new take removes it."""
-    from deitalk.pipeline.take import KIND, PREVIEW_FILES
+    from deitalk.pipeline.performance import KIND, PREVIEW_FILES
     from rig.files import kind_of, record
 
     is_own = target.parent == source and target.name in PREVIEW_FILES

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from torch import Tensor
 
-from deitalk.checkout import research
 from deitalk.config import (
     CausalMelConfig,
     KarrasConfig,
@@ -19,6 +18,7 @@ from deitalk.config import (
     Wav2VecConfig,
     WhisperConfig,
 )
+from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.frontends.windows import Encoder

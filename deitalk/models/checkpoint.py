@@ -13,7 +13,6 @@ import torch
 import yaml
 from safetensors.torch import save
 
-from deitalk.checkout import research
 from deitalk.config import (
     AnyConfig,
     CausalMelConfig,
@@ -35,6 +34,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.wav2vec import Wav2VecFrontend
 from deitalk.frontends.windows import Encoder
+from deitalk.installed import research
 from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA

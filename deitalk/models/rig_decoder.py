@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from deitalk.checkout import research
 from deitalk.config import ModelConfig
 from deitalk.emotions import EMOTIONS
+from deitalk.installed import research
 from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin
 from rig import ControlSet
 

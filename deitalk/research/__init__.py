@@ -10,5 +10,5 @@
     study/        blind comparisons by people
     cli/          the verbs ablate, attention, corpus and study
 
-Nothing outside imports it; `deitalk.checkout.research` finds it at run time.
+Nothing outside imports it; `deitalk.installed.research` finds it at run time.
 """

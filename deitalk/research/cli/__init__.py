@@ -8,7 +8,7 @@ from deitalk.research.cli.study import app as study_app
 
 
 def register(app: CheckedCommands) -> None:
-    """Add the verbs of `deitalk.checkout.VERBS` to the command line."""
+    """Add the verbs of `deitalk.installed.VERBS` to the command line."""
     app.command()(ablate)
     app.command()(attention)
     app.add_typer(corpus_app, name="corpus")

@@ -20,7 +20,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import identified, table, write_json
 from deitalk.figures.canvas import drawing
-from deitalk.models.network import load_network
+from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
 from rig import read_curves
 from rig.arrays import Float64

@@ -24,7 +24,8 @@ from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
 from deitalk.evaluation.report import identified, table, write_json
 from deitalk.evaluation.validation import lips_together
-from deitalk.models.network import CurveNetwork, load_network
+from deitalk.models.load import load_network
+from deitalk.models.network import CurveNetwork
 from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words

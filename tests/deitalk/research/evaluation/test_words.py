@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.errors import DataError
-from deitalk.models.network import load_network
+from deitalk.models.load import load_network
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.words import (

@@ -1,4 +1,4 @@
-"""The door to `deitalk.research`, which a checkout and the source archive have, a wheel lacks."""
+"""What is installed: the version, and `deitalk.research` in a checkout, which a wheel lacks."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -7,6 +7,7 @@ from typing import Any
 from deitalk.errors import MissingError
 from rig.errors import quoted
 
+__version__ = "0.1.0"
 VERBS = ("ablate", "attention", "corpus", "study")
 """Verbs of the command line that `deitalk.research.cli` adds."""
 
