@@ -132,17 +132,14 @@ class _Reader:
             if not audio:
                 raise DeitalkError("no recording is named in the column audio")
             formats, output = _named(row, audio, self.defaults.written)
-            like = self._like(row, formats)
+            # A line with the settings of a row.
+            cells = (*formats, *(row.get(name) for name in _SETTINGS))
+            if cells not in self._known:
+                self._known[cells] = self._read(row, formats)
+            like = self._known[cells]
             return replace(like, number=place, audio=joined(self.base, audio), output=output)
         except UserError as error:
             return BadLine(place, audio, row.get("output", ""), str(error))
-
-    def _like(self, row: Row, formats: tuple[str, ...]) -> Line:
-        """A line with the settings of a row."""
-        cells = (*formats, *(row.get(name) for name in _SETTINGS))
-        if cells not in self._known:
-            self._known[cells] = self._read(row, formats)
-        return self._known[cells]
 
     def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
         cells = {name: row[name] for name in _SETTINGS if row.get(name)}

@@ -142,19 +142,16 @@ class Batch:
         self.outputs.place(placed)
         for entry, outcome in placed:
             number, _ = self._entries[entry.output]
-            self.rows[number] = _finished(self.rows[number], entry, outcome)
+            # The row of a line that a worker has returned.
+            row = self.rows[number]
+            status = FAILED if entry.state == FAILED else outcome.status
+            place = (row.number, row.audio, row.output)
+            self.rows[number] = Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
 def _acting(line: Line, voices: dict[str, ActorReference]) -> Acting:
     """The acting of a line, with the voice of its actor where none is given."""
     return Acting.of(line.acting, voice=line.acting.voice or voices.get(line.actor))
-
-
-def _finished(row: Row, entry: Entry, outcome: Outcome) -> Row:
-    """The row of a line that a worker has returned."""
-    status = FAILED if entry.state == FAILED else outcome.status
-    place = (row.number, row.audio, row.output)
-    return Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
 def model_identity(model: str | Path, backend: Backend = "torch") -> str:

@@ -69,7 +69,8 @@ def animate(
 
     deitalk animate speech.wav --words "My promise is big." -o take/
     """
-    _limit_blas(threads)
+    # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
     target, is_folder = Path(out), _is_folder(out)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
     inputs = (speech, *given.texts)
@@ -78,10 +79,18 @@ def animate(
     performance = _perform(speech, given.acting, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
-        _write_take(target, performance, model, form, extras, force=force)
+        from deitalk.models.folder import describe_model
+        from deitalk.pipeline.performance import write_take
+
+        about = describe_model(model)
+        write_take(target, performance, model=about, force=force, extras=extras, **form)
     else:
         _write_file(target, performance, form | {"identity": identity})
-    _note(performance)
+    # Print the notes on the recording, and how well the words fit it.
+    for warning in performance.recording.warnings:
+        console().note(warning)
+    if performance.words is not None and performance.words.fits:
+        console().note(performance.words.line)
     if as_json:
         emit_json(_summary(target, performance))
         return
@@ -89,19 +98,6 @@ def animate(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"{_acted(performance)}"
     )
-
-
-def _limit_blas(threads: int) -> None:
-    """Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
-
-
-def _note(performance: "Performance") -> None:
-    """Print the notes on the recording, and how well the words fit it."""
-    for warning in performance.recording.warnings:
-        console().note(warning)
-    if performance.words is not None and performance.words.fits:
-        console().note(performance.words.line)
 
 
 def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
@@ -212,22 +208,6 @@ def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") 
         prepared = prepare(sound, acting, load)
     with bar("animating") as progress:
         return finish(prepared, prepared.read(progress))
-
-
-def _write_take(
-    out: Path,
-    performance: "Performance",
-    model: str,
-    form: dict[str, Any],
-    extras: "tuple[Extra, ...]",
-    *,
-    force: bool,
-) -> None:
-    from deitalk.models.folder import describe_model
-    from deitalk.pipeline.performance import write_take
-
-    about = describe_model(model)
-    write_take(out, performance, model=about, force=force, extras=extras, **form)
 
 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":

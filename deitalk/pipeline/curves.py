@@ -186,7 +186,10 @@ def finish(
     clock.lap("network")
     expression = Expression(controls, rules)
     if words is None and prepared.words is not None:
-        words = _aligned(speech, prepared.words)
+        # Times of the words in the sound.
+        from deitalk.pipeline.words.align import align_words
+
+        words = align_words(speech, prepared.words)
     known = () if words is None else words.known
     values = _apply_rules(expression, neutral, emotional, weights, intensities, speech, known)
     head = None
@@ -234,13 +237,6 @@ def _apply_rules(
         rules.apply_dead_zone(reading)
         rules.rest_in_silence(reading, speech.mouth, speech.shown)
     return values
-
-
-def _aligned(speech: Speech, words: Transcript) -> "WordFit":
-    """Times of the words in the sound."""
-    from deitalk.pipeline.words.align import align_words  # needs torch
-
-    return align_words(speech, words)
 
 
 def _motion(prepared: Prepared, shown: Float32) -> TakeMotion | None:

@@ -180,21 +180,19 @@ class Performance:
         from rig.formats.table import writable_suffixes
 
         if is_folder_name(target, writable_suffixes()):
-            return self._save_take(Path(target), fps, start, force)
+            folder = Path(target)
+            from deitalk.models.folder import describe_model
+
+            about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
+            if self.model:
+                about = describe_model(self.model)
+            return write_take(folder, self, model=about, fps=fps, start=start, force=force)
         from rig.files import check_file
         from rig.formats import write_curves
 
         check_file(target, force=force, inputs=(self.recording.source,))
         write_curves(target, self.curves, fps=fps, sound=self.sound_file, start=start)
         return Path(target)
-
-    def _save_take(self, folder: Path, fps: float | None, start: float, force: bool) -> Path:
-        from deitalk.models.folder import describe_model
-
-        about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
-        if self.model:
-            about = describe_model(self.model)
-        return write_take(folder, self, model=about, fps=fps, start=start, force=force)
 
     def __repr__(self) -> str:
         applied = f", applied intensity {self.mean_applied_intensity:.2f}"

@@ -101,18 +101,14 @@ def _round(curves: Float32, controls: ControlSet, phones: Sequence[KnownPhone]) 
             least = ROUNDED_SHARE * np.array(ROUNDED[phone.name]) * (FUNNEL, PURSE)
             rows = floors[max(first, 0) : stop]
             np.maximum(rows, least, out=rows)
-    floors = _sloped(floors)
-    for column, part in enumerate(("mouth_funnel", "mouth_purse")):
-        places = [i for i, name in enumerate(controls.names) if part in name]
-        block, floor = curves[:, places], floors[:, column, None]
-        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)
-
-
-def _sloped(floors: Float32) -> Float32:
-    """Floors that rise and fall by `ROUNDING_STEP` a frame around each plateau."""
+    # Floors that rise and fall by `ROUNDING_STEP` a frame around each plateau.
     out = floors.copy()
     for frames in range(1, round(1 / ROUNDING_STEP)):
         lower = floors * (1 - frames * ROUNDING_STEP)
         out[frames:] = np.maximum(out[frames:], lower[:-frames])
         out[:-frames] = np.maximum(out[:-frames], lower[frames:])
-    return out
+    floors = out
+    for column, part in enumerate(("mouth_funnel", "mouth_purse")):
+        places = [i for i, name in enumerate(controls.names) if part in name]
+        block, floor = curves[:, places], floors[:, column, None]
+        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)

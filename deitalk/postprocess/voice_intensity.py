@@ -67,7 +67,11 @@ def voice_intensity(
     z -= z[speaking].mean()  # labels of training have one mean per take
     z += rule.index_weight * prosody_index(prosody) + take
     corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
-    pauses = _through_pauses(corrected, network, speaking)
+    # Intensity with the frames without speech interpolated, or limited outside the speech.
+    frames, spoken = np.arange(len(network)), np.flatnonzero(speaking)
+    held: Float64 = np.interp(frames, spoken, corrected[spoken])
+    outside = (frames < spoken[0]) | (frames > spoken[-1])
+    pauses = np.where(outside, np.minimum(held, network), held)
     counts = np.clip(2 * gaussian_smooth(speaking.astype(float), EDGE_FRAMES, "mirror"), 0, 1)
     intensity: Float32 = (pauses + counts * (corrected - pauses)).astype(np.float32)
     return intensity
@@ -91,14 +95,6 @@ def deviation(intensity: Float32) -> Float64:
     share = np.clip((intensity.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
     z: Float64 = np.log(share / (1 - share)) / STEEPNESS
     return z
-
-
-def _through_pauses(corrected: Float64, network: Float32, speaking: Bool) -> Float64:
-    """Intensity with the frames without speech interpolated, or limited outside the speech."""
-    frames, spoken = np.arange(len(network)), np.flatnonzero(speaking)
-    held: Float64 = np.interp(frames, spoken, corrected[spoken])
-    outside = (frames < spoken[0]) | (frames > spoken[-1])
-    return np.where(outside, np.minimum(held, network), held)
 
 
 def _smoothed(z: Float64, speaking: Bool) -> Float64:

@@ -85,7 +85,7 @@ def render_page(
         return out
     player = _player()
     blocks = [_block("head", _packed_head(identity))]
-    blocks += [_block(f"take-{k}", _packed_take(take)) for k, take in enumerate(sources)]
+    blocks += [_block(f"take-{k}", pack(*_take_arrays(take))) for k, take in enumerate(sources)]
     blocks += [_block(f"audio-{k}", sound_as_wav(take)) for k, take in enumerate(sources)]
     page = player.replace(_SLOT, "\n".join(blocks))
     with atomic_write(out) as beside:
@@ -152,10 +152,6 @@ def _packed_head(identity: int | str | Identity) -> str:
         for name, view in VIEWS.items()
     }
     return pack(arrays, facts)
-
-
-def _packed_take(source: PreviewSource) -> str:
-    return pack(*_take_arrays(source))
 
 
 def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -70,7 +70,9 @@ def render_video(
         If there is no encoder for it.
     """
     out = Path(out)
-    _check_target(out, force)
+    if out.suffix.lower() != ".mp4":
+        raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a video is a .mp4 file")
+    check_file(out, force=force)
     if second_view not in VIEWS:
         raise PreviewError(f"view {second_view!r} is unknown; use one of {', '.join(VIEWS)}")
     encoder = find_encoder()
@@ -88,12 +90,6 @@ def render_video(
             encoder=encoder,
         )
     return out
-
-
-def _check_target(out: Path, force: bool) -> None:
-    if out.suffix.lower() != ".mp4":
-        raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a video is a .mp4 file")
-    check_file(out, force=force)
 
 
 def draw_frames(

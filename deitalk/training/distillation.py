@@ -74,20 +74,16 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
     if student.is_causal and not teacher.is_causal:
         for module in student.decoder.modules():
             if isinstance(module, TemporalConv):
-                _turn_to_the_past(module.conv.weight)
+                # Move the taps of a symmetric kernel (..., K) to a causal one's, in place.
+                # The taps after the centre are added to it: what does not change with time has the
+                # same result.
+                kernel = module.conv.weight
+                half = kernel.shape[-1] // 2
+                symmetric = kernel.clone()
+                kernel.zero_()
+                kernel[..., half:] = symmetric[..., : half + 1]
+                kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
     return copied
-
-
-def _turn_to_the_past(kernel: Tensor) -> None:
-    """Move the taps of a symmetric kernel (..., K) to a causal one's, in place.
-
-    The taps after the centre are added to it: what does not change with time has the same result.
-    """
-    half = kernel.shape[-1] // 2
-    symmetric = kernel.clone()
-    kernel.zero_()
-    kernel[..., half:] = symmetric[..., : half + 1]
-    kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
 
 
 MOTION_WEIGHT = 4.0

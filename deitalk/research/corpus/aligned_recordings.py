@@ -102,7 +102,11 @@ def _cached_alignment(recording: Recording, folder: Path | None) -> Alignment:
     except AudioError as error:
         return Alignment((), -np.inf, str(error))
     if path:
-        _write_alignment(path, recording, found)
+        phones = [[round(p.start, 6), round(p.end, 6), p.name] for p in found.phones]
+        content = {"audio": recording.path.name, "text": recording.text, "score": found.score,
+                   "reason": found.reason, "phones": phones}  # fmt: skip
+        with atomic_write(path) as beside:
+            beside.write_text(json.dumps(content), encoding="utf-8")
     return found
 
 
@@ -111,14 +115,6 @@ def _cache_key(recording: Recording) -> str:
     size = recording.path.stat().st_size if recording.path.is_file() else 0
     parts = (str(VERSION), recording.speaker, recording.path.name, str(size), recording.text)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
-
-
-def _write_alignment(path: Path, recording: Recording, found: Alignment) -> None:
-    phones = [[round(p.start, 6), round(p.end, 6), p.name] for p in found.phones]
-    content = {"audio": recording.path.name, "text": recording.text, "score": found.score,
-               "reason": found.reason, "phones": phones}  # fmt: skip
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(content), encoding="utf-8")
 
 
 def _read_alignment(path: Path) -> Alignment | None:

@@ -126,7 +126,13 @@ def align_scored(waveform: np.ndarray, text: str) -> Alignment:
     for width in range(len(BEAMS)):
         segments = _search(_decoder(width), pcm, words)
         if segments:
-            return _scored(segments, len(waveform) / SAMPLE_RATE)
+            # The alignment with its score, and the reason if it is bad.
+            duration = len(waveform) / SAMPLE_RATE
+            speech = [(end - start, score) for start, end, name, score in segments if name != "SIL"]
+            frames = sum(seconds for seconds, _ in speech) / FRAME_SECONDS
+            score = sum(points for _, points in speech) / max(frames, 1.0)
+            phones = contiguous(((start, end, name) for start, end, name, _ in segments), duration)
+            return Alignment(phones, score, reason_against(phones, score))
     return Alignment((), -np.inf, "no path through the recording fits the words")
 
 
@@ -198,15 +204,6 @@ def _word_segments(word: Any) -> list[tuple[float, float, str, int]]:
 def _boundary(frame: int) -> float:
     """Seconds of the boundary between a frame and the one before it."""
     return frame * FRAME_SECONDS + (BOUNDARY_SECONDS if frame else 0.0)
-
-
-def _scored(segments: list[tuple[float, float, str, int]], duration: float) -> Alignment:
-    """The alignment with its score, and the reason if it is bad."""
-    speech = [(end - start, score) for start, end, name, score in segments if name != "SIL"]
-    frames = sum(seconds for seconds, _ in speech) / FRAME_SECONDS
-    score = sum(points for _, points in speech) / max(frames, 1.0)
-    phones = contiguous(((start, end, name) for start, end, name, _ in segments), duration)
-    return Alignment(phones, score, reason_against(phones, score))
 
 
 def reason_against(phones: Sequence[Phone], score: float) -> str | None:

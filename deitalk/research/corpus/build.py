@@ -112,21 +112,15 @@ def build(
     with claim(out), _held_caches(shards):
         _begin(out, shards)
         try:
-            return _build(out, shards, workers, progress)
+            # Build in a locked folder.
+            missing = [shard for shard in shards if not _table(out, shard).is_file()]
+            for _ in range(len(shards) - len(missing)):
+                progress(0.0)
+            for seconds in _made(out, missing, workers):
+                progress(seconds)
+            return _write_clips(out, shards)
         finally:
             _clean(out)
-
-
-def _build(
-    out: Path, shards: Sequence[Shard], workers: int, progress: Callable[[float], None]
-) -> pd.DataFrame:
-    """Build in a locked folder."""
-    missing = [shard for shard in shards if not _table(out, shard).is_file()]
-    for _ in range(len(shards) - len(missing)):
-        progress(0.0)
-    for seconds in _made(out, missing, workers):
-        progress(seconds)
-    return _write_clips(out, shards)
 
 
 def _made(out: Path, shards: Sequence[Shard], workers: int) -> Iterator[float]:

@@ -73,7 +73,10 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
     phones = tuple(_moved(phone, time_map) for phone in padded.phones)
     n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
     source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
-    z = _prosody_label(padded.waveform, contour, source_times)
+    # Sum of the applied contour and the measured prosody, at seconds of the source.
+    natural = prosody_index(padded.waveform, -(-FRAME_RATE * len(padded.waveform) // SAMPLE_RATE))
+    own = np.interp(source_times, np.arange(len(natural)) / FRAME_RATE, natural)
+    z: Float64 = contour_at(contour, source_times) + NATURAL_WEIGHT * own
     return Take(
         padded,
         waveform,
@@ -96,14 +99,6 @@ def _moved(phone: Phone, time_map: tuple[Float64, Float64]) -> Phone:
     """A phone at its time after `apply_contour`."""
     start, end = np.interp((phone.start, phone.end), *time_map)
     return replace(phone, start=float(start), end=float(end))
-
-
-def _prosody_label(waveform: Float32, contour: Contour, times: Float64) -> Float64:
-    """Sum of the applied contour and the measured prosody, at seconds of the source."""
-    natural = prosody_index(waveform, -(-FRAME_RATE * len(waveform) // SAMPLE_RATE))
-    own = np.interp(times, np.arange(len(natural)) / FRAME_RATE, natural)
-    z: Float64 = contour_at(contour, times) + NATURAL_WEIGHT * own
-    return z
 
 
 def _pad(utterance: Utterance, rng: np.random.Generator) -> Utterance:

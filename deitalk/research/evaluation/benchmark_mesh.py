@@ -102,7 +102,12 @@ def table_4(threads: int = 1, repeats: int = 3, seconds: float = TABLE_4_SECONDS
         out: dict[str, Any] = {"threads": threads, "milliseconds": {}, "megabytes": {}}
         for name, model in models.items():
             out["milliseconds"][name] = _best(partial(_stages, model, sound), repeats)
-            out["megabytes"][name] = _megabytes(model)
+            fixed = sum(
+                buffer.numel() * buffer.element_size()
+                for branch in model.decoder.branches.values()
+                for buffer in branch.inverse_pca.buffers()
+            )
+            out["megabytes"][name] = {"trained": _parameters(model) / 2**20, "fixed": fixed / 2**20}
         recogniser = RecogniserSized()
         out["megabytes"]["VOCA-style"]["recogniser"] = _parameters(recogniser) / 2**20
         cepstra = torch.zeros(1, round(seconds * recogniser.RATE), 494)
@@ -264,15 +269,6 @@ def _best(run: Callable[[], dict[str, float | None]], repeats: int) -> dict[str,
         name: None if value is None else min(r[name] or 0.0 for r in runs)
         for name, value in runs[0].items()
     }
-
-
-def _megabytes(model: SDFA) -> dict[str, float]:
-    fixed = sum(
-        buffer.numel() * buffer.element_size()
-        for branch in model.decoder.branches.values()
-        for buffer in branch.inverse_pca.buffers()
-    )
-    return {"trained": _parameters(model) / 2**20, "fixed": fixed / 2**20}
 
 
 def _parameters(module: nn.Module) -> int:

@@ -87,7 +87,11 @@ def train(
     network = StrengthNetwork(members)
     for number, member in enumerate(network.members):
         assert isinstance(member, Member)
-        _standardise(member, clips)
+        # Set the mean and spread of the features over speech.
+        rows = [without_level(clip.frames)[0] for clip in clips]
+        speech = torch.tensor(np.concatenate([row[row[:, -1] > 0] for row in rows]))
+        member.mean.copy_(speech.mean(dim=0))
+        member.spread.copy_(speech.std(dim=0).clamp_min(0.1))
         _fit(member, chapters, actors, steps, np.random.default_rng((seed, number)))
     return VocalStrength(network.weights())
 
@@ -115,14 +119,6 @@ def _groups(clips: Sequence[MeasuredClip]) -> list[list[MeasuredClip]]:
     for clip in clips:
         groups.setdefault((clip.clip.kind, clip.clip.group), []).append(clip)
     return list(groups.values())
-
-
-def _standardise(network: Member, clips: Sequence[MeasuredClip]) -> None:
-    """Set the mean and spread of the features over speech."""
-    rows = [without_level(clip.frames)[0] for clip in clips]
-    speech = torch.tensor(np.concatenate([row[row[:, -1] > 0] for row in rows]))
-    network.mean.copy_(speech.mean(dim=0))
-    network.spread.copy_(speech.std(dim=0).clamp_min(0.1))
 
 
 def _reader_loss(network: Member, chapters: Sequence[list[MeasuredClip]], rng: Generator) -> Tensor:

@@ -225,20 +225,17 @@ def with_closures(
             continue
         is_pause = before == "SIL"
         longest = longest_after_pause_seconds if is_pause else longest_seconds
-        silence = _silence_start(is_quiet, int(start * sample_rate / hop), hop / sample_rate)
+        # Start of the silent run that ends at `hop`; two loud hops at its end are allowed.
+        hop_seconds = hop / sample_rate
+        first = k = min(int(start * sample_rate / hop), len(is_quiet))
+        while k > 0 and (is_quiet[k - 1] or first - k < 2):
+            k -= 1
+        silence = k * hop_seconds
         moved = max(silence, start - longest, before_start + (0.0 if is_pause else 0.02))
         if start - moved > 0.008:
             fixed[i - 1] = (before_start, moved, before)
             fixed[i] = (moved, end, name)
     return [segment for segment in fixed if segment[1] > segment[0]]
-
-
-def _silence_start(is_quiet: np.ndarray, hop: int, hop_seconds: float) -> float:
-    """Start of the silent run that ends at `hop`; two loud hops at its end are allowed."""
-    first = k = min(hop, len(is_quiet))
-    while k > 0 and (is_quiet[k - 1] or first - k < 2):
-        k -= 1
-    return k * hop_seconds
 
 
 def _to_16khz(waveform: np.ndarray, sample_rate: int) -> np.ndarray:
