@@ -32,7 +32,7 @@ STAGES = {
     "recording": Stage("recording", "deitalk.audio.load", "load_audio", "data", 0, 1),
     "features": Stage("speech features", "deitalk.frontends", "build_frontend", "curves", 1, 1),
     "positions": Stage(
-        "positional encoding", "deitalk.models.positions", "dynamic_positions", "curves", 2, 1
+        "positional encoding", "deitalk.models.curve_model", "dynamic_positions", "curves", 2, 1
     ),
     "intensity": Stage(
         "emotional intensity", "deitalk.models.intensity", "DynamicIntensity", "curves", 2, 0

@@ -47,13 +47,13 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
                 f"an array holds no sample rate; pass sample_rate in Hz with the "
                 f"{type(audio).__name__}"
             )
-        return recording_from_array(audio, sample_rate)
+        return recording_from_array(audio, sample_rate)  # type: ignore[arg-type]
     if sample_rate is not None:
         raise AudioError(
             f"sample_rate={sample_rate!r} belongs to an array of samples; leave it out, a "
             f"{type(audio).__name__} has its own"
         )
-    return audio if isinstance(audio, Recording) else load_audio(audio)  # type: ignore[arg-type]
+    return audio if isinstance(audio, Recording) else load_audio(audio)
 
 
 def recording_from_array(

@@ -61,7 +61,7 @@ def animate_batch(
     Parameters
     ----------
     source : str or Path
-        A manifest (`deitalk.batch.manifest`), or a folder of recordings, whose subfolders are
+        A manifest (`deitalk.batch.source`), or a folder of recordings, whose subfolders are
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.

@@ -39,13 +39,11 @@ def validate(
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:
-        # Closures that the curves miss, by the words of the recording.
-        acting = given.acting
         from deitalk.pipeline.words.check import check_closures
         from deitalk.pipeline.words.transcript import Transcript
 
-        assert acting.words is not None
-        findings += check_closures(path, Transcript.of(acting.words, acting.language), audio)
+        words = Transcript.of(given.acting.words, given.acting.language)
+        findings += check_closures(path, words, audio)
     if as_json:
         rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)

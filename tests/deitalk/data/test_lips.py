@@ -12,12 +12,10 @@ import torch
 
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.lips.dataset import write_lip_dataset
+from deitalk.data.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
 from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import COLUMNS, read_lips
-from deitalk.data.lips.regression import LipRidge
-from deitalk.data.lips.transfer import CONTACT, LipTransfer
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
 from deitalk.evaluation.people.lips import PREDICTIONS, as_markdown, evaluate_lips
