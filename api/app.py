@@ -15,7 +15,7 @@ from api.messages.schemas import ProblemView
 from api.routes import animations, catalogue, docs_page, health, jobs, live, studio
 from api.service import Service
 from api.settings import Settings, load_settings
-from deitalk import __version__
+from deitalk.installed import __version__
 from rig.errors import UserError
 
 DESCRIPTION = (

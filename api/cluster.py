@@ -45,7 +45,10 @@ def run(settings: Settings) -> None:
     print_settings(settings)
     logging.getLogger("ray.serve").setLevel(logging.WARNING)
     _join(settings)
-    ending = _end_of_signals()
+    # Return an event that SIGINT and SIGTERM set; after Ray, which takes the signals itself.
+    ending = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ending.set())
     try:
         _check_shared(settings, len(ray.nodes()))
         _check_free(serve.status())
@@ -107,14 +110,6 @@ def deployment(settings: Settings) -> Any:
         },
         graceful_shutdown_timeout_s=STOP_SECONDS,
     ).bind()
-
-
-def _end_of_signals() -> threading.Event:
-    """Return an event that SIGINT and SIGTERM set; after Ray, which takes the signals itself."""
-    ending = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ending.set())
-    return ending
 
 
 def _join(settings: Settings) -> None:

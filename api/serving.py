@@ -15,8 +15,8 @@ from api.guard.protocol import GuardedProtocol, GuardedSocket
 from api.jobs.store import Store
 from api.jobs.table import open_database
 from api.settings import Settings
-from deitalk import __version__
 from deitalk.errors import ConfigError
+from deitalk.installed import __version__
 from rig.errors import one_line
 
 LIVE_MESSAGE_BYTES = 1 << 20

@@ -17,7 +17,7 @@ from sqlalchemy.exc import ArgumentError
 from deitalk.config.yaml_text import read_yaml
 from deitalk.errors import ConfigError
 from deitalk.models.folder import embedded_models
-from deitalk.models.network import Backend
+from deitalk.models.load import Backend
 from rig.errors import quoted
 from rig.limits import MIB, SECONDS
 

@@ -8,7 +8,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from deitalk.installed import __version__
+
 __all__ = [
     "EMOTIONS",
     "Acting",

@@ -32,7 +32,7 @@ STAGES = {
     "recording": Stage("recording", "deitalk.audio.load", "load_audio", "data", 0, 1),
     "features": Stage("speech features", "deitalk.frontends", "build_frontend", "curves", 1, 1),
     "positions": Stage(
-        "positional encoding", "deitalk.models.positions", "dynamic_positions", "curves", 2, 1
+        "positional encoding", "deitalk.models.curve_model", "dynamic_positions", "curves", 2, 1
     ),
     "intensity": Stage(
         "emotional intensity", "deitalk.models.intensity", "DynamicIntensity", "curves", 2, 0
@@ -43,7 +43,7 @@ STAGES = {
     ),
     "curves": Stage("185 curves, 30 Hz", "rig.curves", "RigCurves", "data", 4, 1),
     "rules": Stage("rules", "deitalk.postprocess.curve_rules", "Expression", "curves", 4, 2),
-    "take": Stage("take folder", "deitalk.pipeline.take", "write_take", "data", 3, 2),
+    "take": Stage("take folder", "deitalk.pipeline.performance", "write_take", "data", 3, 2),
     "deformation": Stage(
         "deformation decoder", "deitalk.models.deformation_decoder", "MotionDecoder", "mesh", 1, 2
     ),

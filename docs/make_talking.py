@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from deitalk import animate
-from deitalk.preview.panel import label
+from deitalk.preview.video import label
 from rig.face import build_head
 from rig.face.render import View, make_renderer
 from rig.face.render.picture import Picture, text_width, write_text

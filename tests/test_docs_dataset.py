@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from deitalk.config import DataConfig, load_config
-from deitalk.corpus.build import COLUMNS
 from deitalk.data import clips as reader
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones
 from deitalk.data.windows import WindowBatches
 from deitalk.evaluation.curves import ADULT_YEARS
+from deitalk.research.corpus.build import COLUMNS
 from rig import default_controls
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,18 +10,19 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {
     "deitalk": """
+        research
         cli
         preview training batch
         evaluation
         data
         live
         pipeline
-        acting corpus
+        acting
         models
         frontends figures postprocess
         audio emotions
         config
-        metrics phones workers
+        installed metrics phones workers
         errors
     """,
     "rig": """
@@ -55,9 +56,8 @@ FLOORS = {
 both."""
 PUBLIC = ("__init__", "__main__")
 """Modules that export names; `deitalk.__version__` is imported from there."""
-MOST_FILES, MOST_LINES = 16, 400
-ONE_A_THING = ("rig/formats", "deitalk/cli")
-"""Folders with one file per format or per command."""
+MOST_LINES, MOST_FUNCTION_LINES = 600, 60
+"""Ruff limits the complexity of a function to 10."""
 
 
 def floors(package: str) -> dict[str, int]:
@@ -117,36 +117,41 @@ def test_files_import_from_lower_floors_only(package):
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("package", FLOORS)
-def test_modules_form_no_circle(package):
-    """Circles of imports at the load of a module."""
-    graph: dict[str, set[str]] = {}
-    for path in files(package):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        top = ast.Module([node for node in tree.body if not _is_typing(node)], [])
-        for node in ast.walk(top):
-            if isinstance(node, ast.FunctionDef):
-                node.body = []
-        own = module_of(path)
-        graph[own] = {m for m, _ in imports(top) if m.split(".")[0] == package} - {own}
+def test_modules_form_no_circle():
+    """Circles of imports anywhere: at the load of a module, in functions, for types."""
+    graph = {module_of(path): imported_by(path) for package in FLOORS for path in files(package)}
+    assert not list(circles(graph))
+
+
+def test_circles_are_found():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set(), "e": {"d"}}
+    assert list(circles(graph)) == [("a", "b", "c", "a")]
+
+
+def imported_by(path: Path) -> set[str]:
+    """Modules that a file imports, also within functions and under `TYPE_CHECKING`."""
+    return {module for module, _ in imports(ast.parse(path.read_text(encoding="utf-8")))} - {
+        module_of(path)
+    }
+
+
+def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
+    """Paths that end where they begin, at least one of each set of modules that has any."""
     done: set[str] = set()
 
-    def visit(module: str, above: tuple[str, ...]) -> None:
-        assert module not in above, " -> ".join((*above, module))
-        if module not in done:
-            for other in graph.get(module, ()):
-                visit(other, (*above, module))
+    def visit(module: str, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        if module in above:
+            yield (*above[above.index(module) :], module)
+        elif module not in done:
+            for other in sorted(graph.get(module, ())):
+                yield from visit(other, (*above, module))
             done.add(module)
 
     for module in graph:
-        visit(module, ())
+        yield from visit(module, ())
 
 
-def _is_typing(node: ast.stmt) -> bool:
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-
-
-@pytest.mark.parametrize(("package", "most"), [("deitalk", 23), ("rig", 16), ("api", 16)])
+@pytest.mark.parametrize(("package", "most"), [("deitalk", 24), ("rig", 16), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name for p in (ROOT / package).iterdir() if p.name not in ("__pycache__", "py.typed")
@@ -154,26 +159,24 @@ def test_packages_have_few_entries(package, most):
     assert len(entries) <= most, sorted(entries)
 
 
-def test_folders_and_files_are_small():
+def test_files_are_small():
     for package in FLOORS:
-        for folder in {path.parent for path in files(package)}:
-            held = [p for p in folder.glob("*.py") if p.stem not in PUBLIC]
-            if str(folder.relative_to(ROOT)) not in ONE_A_THING:
-                assert len(held) <= MOST_FILES, f"{folder}: {len(held)} files"
         for path in files(package):
             n_lines = path.read_text(encoding="utf-8").count("\n")
             assert n_lines <= MOST_LINES, f"{path}: {n_lines} lines"
 
 
 def test_functions_are_short():
-    """At most 40 lines without the docstring; a command's signature is its list of options."""
+    """Lines without the docstring; a command's signature is its list of options."""
     for package in FLOORS:
         for path in files(package):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                     body = node.body[1:] if ast.get_docstring(node) else node.body
                     n_lines = (body[-1].end_lineno - body[0].lineno + 1) if body else 0
-                    assert n_lines <= 40, f"{path}:{node.lineno} {node.name}: {n_lines} lines"
+                    assert n_lines <= MOST_FUNCTION_LINES, (
+                        f"{path}:{node.lineno} {node.name}: {n_lines} lines"
+                    )
 
 
 def test_array_types_have_one_home():

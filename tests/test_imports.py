@@ -5,6 +5,7 @@ import importlib
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,64 @@ def test_imports_point_down_only(path):
     if package != "api":
         allowed = {"fsspec"} if path.relative_to(ROOT) == CLOUD else set()
         assert imported(path) & SERVICE <= allowed
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if "research" not in p.parts], ids=name_of)
+def test_product_imports_nothing_of_research(path):
+    """A wheel lacks it; `deitalk.installed.research` imports it by name, and says so where absent."""
+    text = path.read_text(encoding="utf-8")
+    assert "deitalk.research import" not in text
+    assert not re.search(r"(from|import) deitalk\.research\b", text)
+
+
+def test_wheel_leaves_research_out_and_the_source_archive_has_it():
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    wheel, sdist = build["targets"]["wheel"], build["targets"]["sdist"]
+    assert "deitalk/research" in wheel["exclude"]
+    assert "deitalk" in sdist["include"] and "deitalk/research" not in sdist["exclude"]
+
+
+WHEEL = """
+import sys
+from importlib import abc
+class Absent(abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith("deitalk.research"):
+            raise ModuleNotFoundError(name)
+import importlib.util
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, package=None: (
+    None if name.startswith("deitalk.research") else found(name, package)
+)
+sys.meta_path.insert(0, Absent())
+from deitalk.cli import main
+sys.argv = ["deitalk", *{arguments!r}]
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("corpus", "build", "--hours", "1", "-o", "corpus"),
+        ("ablate", "--help"),
+        ("attention", "DATA", "-o", "x.png"),
+        ("study",),
+        ("benchmark", "--mesh", "--repeats", "1"),
+        ("data", "lips", "lips", "-o", "out", "--as-rig"),
+    ],
+)
+def test_verbs_of_a_checkout_say_in_one_line_that_a_wheel_lacks_them(arguments, tmp_path):
+    done = run(WHEEL.format(arguments=arguments))
+    assert done.returncode == 1
+    (line,) = done.stderr.strip().splitlines()
+    assert "clone the repository" in line and arguments[0] in line
+
+
+def test_wheel_lists_only_verbs_that_it_has():
+    done = run(WHEEL.format(arguments=("--help",)))
+    assert done.returncode == 0 and "animate" in done.stdout and "evaluate" in done.stdout
+    assert not re.search(r"\b(ablate|attention|corpus|study)\b", done.stdout)
 
 
 def test_walk_finds_imports_inside_functions(tmp_path):
@@ -194,10 +253,10 @@ def test_the_version_is_written_once():
 
     assert re.fullmatch(r"\d+\.\d+\.\d+([a-z0-9.]+)?", __version__)
     text = (ROOT / "pyproject.toml").read_text()
-    assert 'dynamic = ["version"]' in text and 'path = "deitalk/__init__.py"' in text
+    assert 'dynamic = ["version"]' in text and 'path = "deitalk/installed.py"' in text
     assert not re.search(r'(?m)^version\s*=\s*"', text)
     writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", p.read_text())]
-    assert [name_of(p) for p in writers] == ["deitalk"]
+    assert [name_of(p) for p in writers] == ["deitalk.installed"]
     assert (
         f"deitalk {__version__}"
         in run("import deitalk; print('deitalk', deitalk.__version__)").stdout

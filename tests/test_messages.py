@@ -71,6 +71,6 @@ def test_files_that_modules_write_are_refused_where_they_exist():
     }
     assert len(kinds) >= 8
     assert [name for name, kind in sorted(kinds) if kind != "new_file"] == [
-        "deitalk/data/lips/vocabulary.py",  # a folder
-        "deitalk/training/tuning/gains.py",  # a folder
+        "deitalk/research/lips/vocabulary.py",  # a folder
+        "deitalk/research/training/gains.py",  # a folder
     ]

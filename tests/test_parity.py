@@ -18,10 +18,10 @@ from api.live.messages import FRAME
 from deitalk import LiveAnimator, animate
 from deitalk.cli import app
 from deitalk.config import Config
-from deitalk.corpus.engines import espeak
 from deitalk.live.sources import PacedSound
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.corpus.engines import espeak
 from rig import read_curves
 from rig.face import build_head
 from tests.api.server import serving

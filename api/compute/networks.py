@@ -1,7 +1,8 @@
 """Curve networks of a worker by the backend of the settings."""
 
 from api.compute.order import Limits
-from deitalk.models.causal.network import CausalNetwork, load_causal
+from deitalk.models.causal.network import CausalNetwork
+from deitalk.models.load import load_causal
 from deitalk.models.network import CurveNetwork
 
 

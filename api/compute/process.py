@@ -25,7 +25,11 @@ def work(connection: Connection, limits: Limits) -> None:
     """Answer orders until the other side closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
-    _silence()
+    # Send what libraries print to nowhere: it may hold names of files.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
     if limits["backend"] == "onnx":
         from api.compute.warm_onnx import prepare
     else:
@@ -72,14 +76,6 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 def _send(connection: Connection, answer: Answer) -> None:
     connection.send_bytes(json.dumps(answer).encode())
-
-
-def _silence() -> None:
-    """Send what libraries print to nowhere: it may hold names of files."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
-    os.close(nowhere)
 
 
 def _limit_memory(n_bytes: int) -> None:

@@ -22,8 +22,7 @@ from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.models.folder import describe_model
 from deitalk.pipeline.curves import animate
-from deitalk.pipeline.performance import Performance
-from deitalk.pipeline.take import write_take
+from deitalk.pipeline.performance import Performance, write_take
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves

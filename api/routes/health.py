@@ -5,7 +5,7 @@ from fastapi import APIRouter, Response
 from api.errors import Problem
 from api.messages.schemas import StatusView
 from api.routes.deps import MetricsDep, ServiceDep, problems
-from deitalk import __version__
+from deitalk.installed import __version__
 
 router = APIRouter(tags=["state"])
 

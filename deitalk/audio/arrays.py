@@ -41,7 +41,7 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
     AudioError
         As raised by either of them, or if `sample_rate` is missing or not allowed.
     """
-    if _is_array(audio):
+    if hasattr(audio, "__array__") and not isinstance(audio, Recording):
         if sample_rate is None:
             raise AudioError(
                 f"an array holds no sample rate; pass sample_rate in Hz with the "
@@ -53,7 +53,7 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
             f"sample_rate={sample_rate!r} belongs to an array of samples; leave it out, a "
             f"{type(audio).__name__} has its own"
         )
-    return audio if isinstance(audio, Recording) else load_audio(audio)  # type: ignore[arg-type]
+    return audio if isinstance(audio, Recording) else load_audio(audio)
 
 
 def recording_from_array(
@@ -91,10 +91,6 @@ def recording_from_array(
             f"with up to {MOST_CHANNELS} channels: transpose it with .T"
         )
     return read_sound(name, _ArraySource(array, _rate(sample_rate)), max_seconds)
-
-
-def _is_array(audio: object) -> bool:
-    return hasattr(audio, "__array__") and not isinstance(audio, Recording)
 
 
 def _rate(sample_rate: float) -> int:

@@ -4,7 +4,7 @@ At any gain, the decibels by which the speaker is louder than usual, as far as s
 tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
 to the number. They are evaluated here in numpy, and trained in torch:
-`deitalk.training.strength_network` has the same layers.
+`deitalk.research.training.strength_network` has the same layers.
 
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """
@@ -74,7 +74,7 @@ class VocalStrength:
     Parameters
     ----------
     weights : mapping of str to array
-        State of `deitalk.training.strength_network.StrengthNetwork`.
+        State of `deitalk.research.training.strength_network.StrengthNetwork`.
     """
 
     def __init__(self, weights: Mapping[str, Float32]) -> None:

@@ -55,9 +55,19 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     samples = np.asarray(waveform, dtype=np.float32)
     if len(samples) == 0:
         return np.zeros(0, np.float32)
-    levels = _band_levels(samples)
+    # Power per band (T, K) in dB re full scale, not below `SILENCE_DB`.
+    n_frames = frame_count(len(samples))
+    levels = np.empty((n_frames, len(BAND_EDGES_HZ) - 1), np.float32)
+    for first in range(0, n_frames, 2048):
+        frames = np.arange(first, min(first + 2048, n_frames))
+        levels[frames] = window_levels(_windows(samples, frames))
     excess = np.sort(levels - _noise_floor(levels), axis=1)[:, -TOP_BANDS:].mean(axis=1)
-    speech = _hysteresis(excess >= OPEN_DB, excess >= KEEP_DB)
+    # Runs of `keeps` that hold at least one frame of `opens`.
+    opens = excess >= OPEN_DB
+    keeps = excess >= KEEP_DB
+    speech = np.zeros_like(keeps)
+    for start, stop in _runs(keeps):
+        speech[start:stop] = opens[start:stop].any()
     speech = ~_without_short(~speech, _longest_gap(excess), keep_ends=True)
     if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
         speech = _without_short(speech, SHORTEST_SPEECH - 1)
@@ -154,16 +164,6 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
     return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
 
 
-def _band_levels(samples: Float32) -> Float32:
-    """Power per band (T, K) in dB re full scale, not below `SILENCE_DB`."""
-    n_frames = frame_count(len(samples))
-    levels = np.empty((n_frames, len(BAND_EDGES_HZ) - 1), np.float32)
-    for first in range(0, n_frames, 2048):
-        frames = np.arange(first, min(first + 2048, n_frames))
-        levels[frames] = window_levels(_windows(samples, frames))
-    return levels
-
-
 def window_levels(windows: Float32) -> Float32:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
@@ -215,14 +215,6 @@ def _runs(mask: Bool) -> Int64:
     """[start, stop) of every run of True [shape=(n, 2)]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return edges.reshape(-1, 2)
-
-
-def _hysteresis(opens: Bool, keeps: Bool) -> Bool:
-    """Runs of `keeps` that hold at least one frame of `opens`."""
-    kept = np.zeros_like(keeps)
-    for start, stop in _runs(keeps):
-        kept[start:stop] = opens[start:stop].any()
-    return kept
 
 
 def _without_short(mask: Bool, longest: int, *, keep_ends: bool = False) -> Bool:

@@ -1,23 +1,25 @@
 """Lines to orders for the workers, and results to files, journal and rows of the summary."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from deitalk import __version__
 from deitalk.acting import Acting
-from deitalk.batch.actors import references
-from deitalk.batch.journal import DONE, FAILED, Entry
+from deitalk.batch.journal import DONE, FAILED, Entry, Journal
 from deitalk.batch.lines import BadLine, Line, line_key
 from deitalk.batch.messages import Order, Outcome
 from deitalk.batch.outputs import AnyOutputs
 from deitalk.batch.report import Pace, Progress, Row
+from deitalk.batch.source import ACTORS
 from deitalk.batch.storage import Recordings
 from deitalk.config import Config, load_config
-from deitalk.emotions import ActorReference
+from deitalk.emotions import ActorReference, parse_actor
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
+from deitalk.installed import __version__
 from deitalk.models.folder import RIG_FILE, describe_model, model_folder, weights_hash
-from deitalk.models.network import BACKENDS, Backend
+from deitalk.models.load import BACKENDS, Backend
+from deitalk.pipeline.actor import reference_of
 from rig.errors import TargetError, UserError, quoted
 
 Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
@@ -142,19 +144,16 @@ class Batch:
         self.outputs.place(placed)
         for entry, outcome in placed:
             number, _ = self._entries[entry.output]
-            self.rows[number] = _finished(self.rows[number], entry, outcome)
+            # The row of a line that a worker has returned.
+            row = self.rows[number]
+            status = FAILED if entry.state == FAILED else outcome.status
+            place = (row.number, row.audio, row.output)
+            self.rows[number] = Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
 def _acting(line: Line, voices: dict[str, ActorReference]) -> Acting:
     """The acting of a line, with the voice of its actor where none is given."""
     return Acting.of(line.acting, voice=line.acting.voice or voices.get(line.actor))
-
-
-def _finished(row: Row, entry: Entry, outcome: Outcome) -> Row:
-    """The row of a line that a worker has returned."""
-    status = FAILED if entry.state == FAILED else outcome.status
-    place = (row.number, row.audio, row.output)
-    return Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
 def model_identity(model: str | Path, backend: Backend = "torch") -> str:
@@ -182,3 +181,100 @@ def model_identity(model: str | Path, backend: Backend = "torch") -> str:
         if (folder / name).is_file():
             parts.append((folder / name).read_text(encoding="utf-8"))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+# References of the actors of a batch: the usual voice of each, measured on its own lines.
+#
+# A reference stays in the output folder as ``batch-actors/<actor>.json`` and is used by later runs,
+# so that a line added tomorrow does not change those of today. It is measured again once the file
+# is removed.
+
+
+MOST_LINES = 100
+"""Lines of an actor that are measured, spread evenly over all of them."""
+FEWEST_LINES = 3
+"""With fewer lines with voice an actor gets no reference."""
+
+
+def file_of(actor: str) -> str:
+    """Path of an actor's reference below the output folder."""
+    plain = re.sub(r"[^0-9a-z]+", "-", actor.lower()).strip("-")[:60]
+    if plain != actor:
+        plain = f"{plain}-{hashlib.sha256(actor.encode()).hexdigest()[:6]}".lstrip("-")
+    return f"{ACTORS}/{plain}.json"
+
+
+def references(
+    lines: Iterable[Line],
+    outputs: AnyOutputs,
+    signature: Callable[[str], str],
+    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
+) -> dict[str, ActorReference]:
+    """References of all actors who have one: read from the output folder, or measured.
+
+    Parameters
+    ----------
+    lines : iterable of Line
+        All lines of the batch.
+    outputs : Outputs or CloudOutputs
+        The output folder; its journal keeps the strength of each recording.
+    signature : callable
+        State of a recording's file; empty if it is not there.
+    run : callable
+        Measures recordings: orders to results.
+
+    Raises
+    ------
+    EmotionError
+        If a reference in the output folder is malformed.
+    """
+    found: dict[str, ActorReference] = {}
+    samples: dict[str, list[tuple[str, str]]] = {}
+    for actor, chosen in _by_actor(lines).items():
+        content = outputs.reference(file_of(actor))
+        if content is not None:
+            found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
+        else:
+            audios = dict.fromkeys(line.audio for line in _spread(chosen))
+            signed = [(audio, signature(audio)) for audio in audios]
+            samples[actor] = [(audio, sign) for audio, sign in signed if sign]
+    journal = outputs.journal
+    _measure([sample for group in samples.values() for sample in group], journal, run)
+    for actor, group in samples.items():
+        measured = [journal.voice(*sample) for sample in group]
+        voiced = [m for m in measured if m is not None and m[0] is not None]
+        if len(voiced) >= FEWEST_LINES:
+            text = reference_of(voiced).as_json()
+            outputs.keep_reference(file_of(actor), text)
+            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
+    return found
+
+
+def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
+    """Lines of each actor, without those with a reference of their own."""
+    found: dict[str, list[Line]] = {}
+    for line in lines:
+        if line.actor and line.acting.voice is None:
+            found.setdefault(line.actor, []).append(line)
+    return found
+
+
+def _spread(lines: list[Line]) -> list[Line]:
+    step = max(len(lines) / MOST_LINES, 1.0)
+    return [lines[int(i * step)] for i in range(min(len(lines), MOST_LINES))]
+
+
+def _measure(
+    samples: list[tuple[str, str]],
+    journal: Journal,
+    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
+) -> None:
+    """Enter the strength of every recording that is not known yet."""
+    signs = {audio: sign for audio, sign in samples if journal.voice(audio, sign) is None}
+    orders = [Order(audio, audio, only_voice=True) for audio in signs]
+    for outcomes in run(orders) if orders else ():
+        with journal.transaction():
+            for outcome in outcomes:
+                if outcome.status == "done":
+                    row = (outcome.strength, outcome.seconds)
+                    journal.write_voice(outcome.output, signs[outcome.output], *row)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from deitalk.batch.journal import DONE, FAILED, PLACING, Entry, File, Journal
 from deitalk.batch.messages import Outcome
-from deitalk.pipeline.take import KIND as TAKE_KIND
+from deitalk.pipeline.performance import KIND as TAKE_KIND
 from rig import limits
 from rig.errors import TargetError
 from rig.files import (

@@ -7,7 +7,7 @@
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -21,14 +21,14 @@ from deitalk.batch.orders import Batch, model_identity
 from deitalk.batch.outputs import AnyOutputs, opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Make, Pool, Workers
-from deitalk.batch.report import FAILED, BatchReport, Progress, Row, failed_text, summary_text
+from deitalk.batch.report import FAILED, BatchReport, Progress, failed_text, summary_text
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url
 from deitalk.emotions import EmotionTrack
 from deitalk.errors import DeitalkError
 from deitalk.models.devices import check_device, require_device
-from deitalk.models.network import Backend
+from deitalk.models.load import Backend
 from rig.errors import TargetError
 
 
@@ -61,7 +61,7 @@ def animate_batch(
     Parameters
     ----------
     source : str or Path
-        A manifest (`deitalk.batch.manifest`), or a folder of recordings, whose subfolders are
+        A manifest (`deitalk.batch.source`), or a folder of recordings, whose subfolders are
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.
@@ -103,7 +103,11 @@ def animate_batch(
     began = monotonic()
     written = Written(parse_formats(formats), fps, digits, timecode).checked()
     defaults = Line(0, "", "", acted_as(emotion, acting, fields), written, actor)
-    _check_device(device, ray)
+    # Refuse a device that this machine lacks; those of a cluster are checked there.
+    if device == "cpu" or ray is not None:
+        check_device(device)
+    else:
+        require_device(device)
     identity, count = model_identity(model, backend), _processes(workers, ray)
     plan = read_source(source, out, defaults)
     with _opened(out, source, force=force) as outputs:
@@ -113,17 +117,12 @@ def animate_batch(
         with _pool(count, make, ray) as pool:
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)
-        _write_tables(outputs, batch.rows)
+        failed = [row for row in batch.rows if row.status == FAILED]
+        outputs.write_table(SUMMARY, summary_text(batch.rows))
+        if failed or outputs.has_table(FAILED_TABLE):
+            outputs.write_table(FAILED_TABLE, failed_text(failed))
     notes = (*plan.notes, *batch.notes)
     return BatchReport(batch.rows, str(out), monotonic() - began, notes)
-
-
-def _check_device(device: str, ray: str | None) -> None:
-    """Refuse a device that this machine lacks; those of a cluster are checked there."""
-    if device == "cpu" or ray is not None:
-        check_device(device)
-    else:
-        require_device(device)
 
 
 def _processes(workers: int | None, ray: str | None) -> int | None:
@@ -162,10 +161,3 @@ def _opened(out: str | Path, source: str | Path, *, force: bool) -> Iterator[Any
         with outputs.journal.transaction():
             outputs.journal.describe("source", name)
         yield outputs
-
-
-def _write_tables(outputs: AnyOutputs, rows: Sequence[Row]) -> None:
-    failed = [row for row in rows if row.status == FAILED]
-    outputs.write_table(SUMMARY, summary_text(rows))
-    if failed or outputs.has_table(FAILED_TABLE):
-        outputs.write_table(FAILED_TABLE, failed_text(failed))

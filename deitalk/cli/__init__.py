@@ -8,19 +8,15 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk import __version__
-from deitalk.cli.ablate import ablate
 from deitalk.cli.actor import app as actor_app
 from deitalk.cli.animate import animate
 from deitalk.cli.arguments import CheckedCommands
-from deitalk.cli.attention import attention
 from deitalk.cli.batch import batch
 from deitalk.cli.benchmark import benchmark
 from deitalk.cli.blender import blender
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.controls import controls
 from deitalk.cli.convert import convert
-from deitalk.cli.corpus import app as corpus_app
 from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
@@ -35,11 +31,11 @@ from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import key, openapi, serve, studio
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
-from deitalk.cli.study import app as study_app
 from deitalk.cli.suggest import suggest
 from deitalk.cli.train import train
 from deitalk.cli.unreal import unreal
 from deitalk.cli.validate import validate
+from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 
 app = CheckedCommands(
@@ -55,7 +51,6 @@ app.command()(live)
 app.command()(controls)
 app.command()(suggest)
 app.command()(plot)
-app.command()(attention)
 app.command()(preview)
 app.command()(convert)
 app.command()(validate)
@@ -66,7 +61,6 @@ app.command()(mesh)
 app.command()(train)
 app.command()(finetune)
 app.command()(evaluate)
-app.command()(ablate)
 app.command()(benchmark)
 app.command()(serve)
 app.command()(studio)
@@ -75,10 +69,25 @@ app.command()(key)
 app.add_typer(livelink_app, name="livelink")
 app.add_typer(face_app, name="face")
 app.add_typer(data_app, name="data")
-app.add_typer(corpus_app, name="corpus")
 app.add_typer(actor_app, name="actor")
 app.add_typer(model_app, name="model")
-app.add_typer(study_app, name="study")
+
+
+def _add_research(app: CheckedCommands) -> None:
+    """Add the verbs of a checkout; in an installed wheel they say that they need one."""
+    if has_research():
+        research("cli", "deitalk").register(app)
+        return
+    for verb in VERBS:
+        options = {"allow_extra_args": True, "ignore_unknown_options": True}
+        app.command(verb, hidden=True, add_help_option=False, context_settings=options)(_absent)
+
+
+def _absent(context: typer.Context) -> None:
+    research("cli", f"deitalk {context.info_name}")
+
+
+_add_research(app)
 
 
 def _version(wanted: bool) -> None:

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from deitalk.acting import Acting
     from deitalk.audio.load import Recording
     from deitalk.models.network import CurveNetwork
-    from deitalk.pipeline.performance import Performance
-    from deitalk.pipeline.take import Extra
+    from deitalk.pipeline.performance import Extra, Performance
 
 
 @acting_options
@@ -70,7 +69,8 @@ def animate(
 
     deitalk animate speech.wav --words "My promise is big." -o take/
     """
-    _limit_blas(threads)
+    # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
     target, is_folder = Path(out), _is_folder(out)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
     inputs = (speech, *given.texts)
@@ -79,10 +79,18 @@ def animate(
     performance = _perform(speech, given.acting, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
-        _write_take(target, performance, model, form, extras, force=force)
+        from deitalk.models.folder import describe_model
+        from deitalk.pipeline.performance import write_take
+
+        about = describe_model(model)
+        write_take(target, performance, model=about, force=force, extras=extras, **form)
     else:
         _write_file(target, performance, form | {"identity": identity})
-    _note(performance)
+    # Print the notes on the recording, and how well the words fit it.
+    for warning in performance.recording.warnings:
+        console().note(warning)
+    if performance.words is not None and performance.words.fits:
+        console().note(performance.words.line)
     if as_json:
         emit_json(_summary(target, performance))
         return
@@ -90,19 +98,6 @@ def animate(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"{_acted(performance)}"
     )
-
-
-def _limit_blas(threads: int) -> None:
-    """Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
-
-
-def _note(performance: "Performance") -> None:
-    """Print the notes on the recording, and how well the words fit it."""
-    for warning in performance.recording.warnings:
-        console().note(warning)
-    if performance.words is not None and performance.words.fits:
-        console().note(performance.words.line)
 
 
 def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
@@ -147,7 +142,7 @@ def _check(
 ) -> None:
     """Raise for targets that cannot be written, before the recording is animated."""
     from deitalk.audio.original import start_of
-    from deitalk.pipeline.take import KIND, check_take
+    from deitalk.pipeline.performance import KIND, check_take
     from rig.curves import snap_fps
     from rig.formats import checked_digits, find_format
 
@@ -193,7 +188,7 @@ def _preview_notes(out: Path) -> tuple[str, ...]:
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
     def load() -> "CurveNetwork":
-        from deitalk.models.network import is_onnx, load_network
+        from deitalk.models.load import is_onnx, load_network
 
         most = min(threads, os.cpu_count() or 1)
         if not is_onnx(model, backend):
@@ -213,22 +208,6 @@ def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") 
         prepared = prepare(sound, acting, load)
     with bar("animating") as progress:
         return finish(prepared, prepared.read(progress))
-
-
-def _write_take(
-    out: Path,
-    performance: "Performance",
-    model: str,
-    form: dict[str, Any],
-    extras: "tuple[Extra, ...]",
-    *,
-    force: bool,
-) -> None:
-    from deitalk.models.folder import describe_model
-    from deitalk.pipeline.take import write_take
-
-    about = describe_model(model)
-    write_take(out, performance, model=about, force=force, extras=extras, **form)
 
 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":

@@ -7,6 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Json, Model, Threads
+from deitalk.installed import research
 
 MAX_SECONDS = 3 * 3600.0
 """Longest clip, seconds."""
@@ -67,13 +68,13 @@ def benchmark(
 def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
     with console().status("measuring"):
         from deitalk.evaluation.benchmark_curves import machine
-        from deitalk.evaluation.benchmark_mesh import as_markdown, table_4
 
-        report = {"machine": machine(), **table_4(threads, repeats)}
+        tables = research("evaluation.benchmark_mesh", "benchmark --mesh")
+        report = {"machine": machine(), **tables.table_4(threads, repeats)}
     if as_json:
         emit_json(report)
     else:
-        emit(as_markdown(report))
+        emit(tables.as_markdown(report))
 
 
 def _print_clip(clip: dict[str, Any]) -> None:

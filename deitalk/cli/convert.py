@@ -73,7 +73,11 @@ def convert(
     from rig.conversion.convert import convert as to_set
 
     if list_formats:
-        _print_formats()
+        from rig.formats.table import FORMATS
+
+        for known in FORMATS:
+            ways = f"{'read' if known.read else ''} {'write' if known.write else ''}".strip()
+            emit(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")
         return
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
@@ -164,11 +168,3 @@ def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
         if not equals or not name.strip():
             raise DeitalkError(f"{option} {text!r} must be NAME=NUMBER, such as brow=0.5")
     return pairs
-
-
-def _print_formats() -> None:
-    from rig.formats.table import FORMATS
-
-    for known in FORMATS:
-        ways = f"{'read' if known.read else ''} {'write' if known.write else ''}".strip()
-        emit(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")

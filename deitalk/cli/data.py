@@ -10,6 +10,7 @@ from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import Force, Json, Most
 from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DeitalkError
+from deitalk.installed import research
 from rig.errors import as_line
 
 if TYPE_CHECKING:
@@ -286,12 +287,10 @@ def _write_measures(
     force: bool,
 ) -> None:
     """Write the measures as curves of a rig of their own."""
-    from deitalk.data.lips.own_rig import write_measure_dataset
-
     if corpora:
         raise DeitalkError("--corpus: its curves are of the board; leave out --as-rig")
     with bar("writing") as progress:
-        count = write_measure_dataset(
+        count = research("lips.own_rig", "data lips --as-rig").write_measure_dataset(
             folder,
             out,
             validation=validation or (),

@@ -67,7 +67,7 @@ def live(
     port = checked_port(host, port, protocol, subject, None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     from deitalk.live.sources import Microphone, PacedSound
-    from deitalk.models.causal.network import load_causal
+    from deitalk.models.load import load_causal
 
     network = load_causal(model, backend=backend)
     if speech is not None:

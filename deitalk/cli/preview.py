@@ -69,20 +69,16 @@ def preview(
                 backend=backend,  # type: ignore[arg-type]
                 force=force, progress=progress,
             )  # fmt: skip
-    _record(source, target)
+    # Add a preview to the take's manifest, so that a new take removes it.
+    from deitalk.pipeline.performance import KIND, PREVIEW_FILES
+    from rig.files import kind_of, record
+
+    is_own = target.parent == source and target.name in PREVIEW_FILES
+    if is_own and kind_of(source) == KIND:
+        record(source, [target.name], kind=KIND)
     console().print(str(target))
 
 
 def _beside(source: Path) -> Path:
     """Default page: in a take folder, or beside a file of curves."""
     return source / "preview.html" if source.is_dir() else source.with_name(source.stem + ".html")
-
-
-def _record(source: Path, target: Path) -> None:
-    """Add a preview to the take's manifest, so that a new take removes it."""
-    from deitalk.pipeline.take import KIND, PREVIEW_FILES
-    from rig.files import kind_of, record
-
-    is_own = target.parent == source and target.name in PREVIEW_FILES
-    if is_own and kind_of(source) == KIND:
-        record(source, [target.name], kind=KIND)

@@ -72,7 +72,7 @@ def _scripts() -> list[Path]:
 
 
 def _description() -> dict[str, Any]:
-    from deitalk import __version__
+    from deitalk.installed import __version__
 
     return {
         "FileVersion": 3,

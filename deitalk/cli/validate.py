@@ -2,17 +2,13 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import emit, emit_json
 from rig.errors import as_line
-
-if TYPE_CHECKING:
-    from deitalk.acting import Acting
-    from rig.validation.findings import Finding
 
 
 @partial(acting_options, fields=("words", "language"))
@@ -43,7 +39,11 @@ def validate(
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:
-        findings += _closures(path, audio, given.acting)
+        from deitalk.pipeline.words.check import check_closures
+        from deitalk.pipeline.words.transcript import Transcript
+
+        words = Transcript.of(given.acting.words, given.acting.language)
+        findings += check_closures(path, words, audio)
     if as_json:
         rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)
@@ -53,12 +53,3 @@ def validate(
     is_warned = strict and any(finding.level == "warning" for finding in findings)
     if not validation.ok or is_warned:
         raise typer.Exit(1)
-
-
-def _closures(path: Path, audio: Path | None, acting: "Acting") -> "list[Finding]":
-    """Closures that the curves miss, by the words of the recording."""
-    from deitalk.pipeline.words.check import check_closures
-    from deitalk.pipeline.words.transcript import Transcript
-
-    assert acting.words is not None
-    return check_closures(path, Transcript.of(acting.words, acting.language), audio)

@@ -254,7 +254,7 @@ def _sheet(path: object, text: str) -> _Sheet:
     given = re.fullmatch(r'"?sep=(.)"?[,;\t]*', line.strip(" "), re.IGNORECASE)
     if given:
         line, rest = _first_line(rest)
-    separator = given[1] if given else max(_SEPARATORS, key=_outside_quotes(line).count)
+    separator = given[1] if given else max(_SEPARATORS, key=re.sub(r'"[^"]*"?', "", line).count)
     if separator not in _SEPARATORS:
         raise EmotionError(f"{path}: 'sep={separator}' is none of comma, semicolon and tab")
     try:
@@ -277,10 +277,6 @@ def _first_line(text: str) -> tuple[str, str]:
     if end is None:
         return text[: limits.HEADER_BYTES], ""
     return text[: min(end.start(), limits.HEADER_BYTES)], text[end.end() :]
-
-
-def _outside_quotes(line: str) -> str:
-    return re.sub(r'"[^"]*"?', "", line)
 
 
 # --- lists of keys

@@ -164,7 +164,13 @@ def _track(table: Table, path: object) -> EmotionTrack:
         return _from_weights(path, table)
     keys = table.columns(("time", "strength"), ("emotion",))
     times = _checked_times(path, keys)
-    codes = _emotion_codes(keys.texts["emotion"])
+    # Place of each name in `EMOTIONS`.
+    names = keys.texts["emotion"]
+    place = {name: i for i, name in enumerate(EMOTIONS)}
+    unknown = next((name for name in names if name not in place), None)
+    if unknown is not None:
+        raise _unknown(unknown)
+    codes = np.array([place[name] for name in names], np.int64)
     first = np.concatenate([[True], np.diff(times) > 0])
     moment = np.cumsum(first) - 1  # keys at one time mix
     doubled = _first_doubled(moment * len(EMOTIONS) + codes)
@@ -217,15 +223,6 @@ def _checked_times(path: object, keys: Columns) -> Float64:
             "sort the keys"
         )
     return times
-
-
-def _emotion_codes(names: Sequence[str]) -> Int64:
-    """Place of each name in `EMOTIONS`."""
-    place = {name: i for i, name in enumerate(EMOTIONS)}
-    unknown = next((name for name in names if name not in place), None)
-    if unknown is not None:
-        raise _unknown(unknown)
-    return np.array([place[name] for name in names], np.int64)
 
 
 def _first_doubled(codes: Int64) -> int | None:

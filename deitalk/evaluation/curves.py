@@ -7,6 +7,7 @@ procedural targets measures phone recognition and timing, not realism.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,21 @@ import numpy as np
 import pandas as pd
 
 from deitalk.audio.load import load_audio
-from deitalk.audio.noise import read_noises
+from deitalk.audio.noise import SNRS_DB, mix, read_noises
 from deitalk.data.clips import Clip, read_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import ClipToScore, Scores, Tally, score_clip
 from deitalk.evaluation.curve_statistics import captured_smoothness
-from deitalk.evaluation.noise import noise_report
+from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
+from deitalk.evaluation.opening import JAW
 from deitalk.evaluation.phone_gestures import shut_table
 from deitalk.evaluation.prosody_response import contours_report
 from deitalk.evaluation.styles import styles_report
+from deitalk.evaluation.validation import lips_together, load_example
+from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import animate
+from rig.arrays import Float32
 
 PROBES = 6
 ADULT_YEARS = 16
@@ -174,3 +180,38 @@ def _spread(clips: list[ClipToScore], most: int | None) -> list[ClipToScore]:
     if most is None or len(clips) <= most:
         return clips
     return [clips[i] for i in np.linspace(0, len(clips) - 1, most).round().astype(int)]
+
+
+# Scores of recordings in noise.
+
+
+def noise_report(
+    model: DEITalk,
+    clips: Sequence[Clip],
+    noises: Sequence[Float32],
+    progress: Callable[[], None] = lambda: None,
+) -> dict[str, dict[str, float]]:
+    """Bilabials and jaw, clean and in noise; keys are ``clean`` and decibels."""
+    steps: tuple[float | None, ...] = (None, *SNRS_DB)
+    examples = [(load_audio(clip.audio), load_example(clip, model.controls)) for clip in clips]
+    report = {}
+    for snr in steps:
+        scores, jaws = [], []
+        for i, (recording, example) in enumerate(examples):
+            mixture = recording
+            if snr is not None:
+                noisy = mix(recording.waveform, noises[i % len(noises)], snr)
+                mixture = replace(recording, waveform=noisy)
+            take = animate(mixture, example.emotion, model=model, life="off")
+            curves = take.curves.values[: len(example.curves)]
+            scores.append(closure_scores(lips_together(curves, model.controls), example.phones))
+            place = model.controls.index(JAW)
+            jaws.append(correlation(example.curves[: len(curves), place], curves[:, place]))
+            progress()
+        found = summarise_closures(scores)
+        report["clean" if snr is None else f"{snr:g} dB"] = {
+            "bilabial_window_auc": found.window_auc,
+            "bilabial_hits_at_5_percent": found.hit_rate,
+            "jaw_r": float(np.nanmean(jaws)) if np.isfinite(jaws).any() else float("nan"),
+        }
+    return report

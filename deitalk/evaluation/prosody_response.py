@@ -1,9 +1,9 @@
 """Rank correlation of intensity with labels, and of simple measures of the voice beside it.
 
-Two labels. The corpus' own (`deitalk.corpus.performance`) holds ``NATURAL_WEIGHT`` times the
-prosody index, which is a term of the prediction too: a score on it is circular, and the index
+Two labels. The corpus' own (`deitalk.research.corpus.performance`) holds ``NATURAL_WEIGHT`` times
+the prosody index, which is a term of the prediction too: a score on it is circular, and the index
 alone, which is printed beside, reaches nearly the same. The other is the contour along which
-`deitalk.corpus.prosody_contours.apply_contour` changes level, treble, pitch and speed of a
+`deitalk.audio.prosody_contours.apply_contour` changes level, treble, pitch and speed of a
 recording: it is known exactly, and no measure of the voice is in it. Labels of people: acted
 strengths (`deitalk.evaluation.people.acted`). Letters: T frames.
 """
@@ -18,14 +18,14 @@ from scipy.stats import spearmanr
 from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.load import Recording
 from deitalk.audio.prosody import level_db
-from deitalk.audio.voice_activity import speech_activity
-from deitalk.corpus.prosody_contours import (
+from deitalk.audio.prosody_contours import (
     SMOOTHING_SECONDS,
     apply_contour,
     contour_at,
     prosody_index,
     random_contour,
 )
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance

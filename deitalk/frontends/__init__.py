@@ -18,6 +18,7 @@ from deitalk.config import (
     Wav2VecConfig,
     WhisperConfig,
 )
+from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.frontends.windows import Encoder
@@ -76,9 +77,7 @@ def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> "Encoder
 
         return SDFAEncoder(config)
     if isinstance(config, KarrasConfig):
-        from deitalk.frontends.karras import KarrasEncoder
-
-        return KarrasEncoder(config)
-    from deitalk.frontends.voca import VocaEncoder
-
-    return VocaEncoder(config)
+        karras: Encoder = research("comparison.karras", "frontend karras").KarrasEncoder(config)
+        return karras
+    voca: Encoder = research("comparison.voca", "frontend voca").VocaEncoder(config)
+    return voca

@@ -2,7 +2,7 @@
 
 Not in the papers, whose encoders need the whole clip. The weights are those of
 `deitalk.frontends.whisper`, which were tuned to be read in this way too
-(`deitalk.training.tuning.encoder_noise`): a layer attends to `PAST_FRAMES` before a frame and
+(`deitalk.research.training.encoder_noise`): a layer attends to `PAST_FRAMES` before a frame and
 `LOOKAHEAD_FRAMES` after it, positions begin anew after `PERIOD`, and in place of the loudest
 spectrum of the clip a fixed peak at a running level gives the floor. Keys and values of the past
 are kept, so that every frame is computed once. State is explicit: a clip in one piece and in any

@@ -96,7 +96,12 @@ class Wav2VecFrontend(StridedFrontend):
         self.input_scale = input_scale
         config: Any = encoder.config
         self.output_size: int = config.hidden_size
-        self.margin, self.stride = _receptive_field(config.conv_kernel, config.conv_stride)
+        # Samples under one feature, samples between features: (400, 320) for the base model.
+        field, jump = 1, 1
+        for kernel, stride in zip(config.conv_kernel, config.conv_stride, strict=True):
+            field += (kernel - 1) * jump
+            jump *= stride
+        self.margin, self.stride = field, jump
         self.centre = (self.margin - 1) / 2
         if freeze_stem:
             stem: Any = encoder.feature_extractor
@@ -224,15 +229,6 @@ class Wav2VecFrontend(StridedFrontend):
         if not self.layers:
             return output
         return self.mixed([state.flatten(0, 1) for state in found.hidden_states]).view_as(output)
-
-
-def _receptive_field(kernels: list[int], strides: list[int]) -> tuple[int, int]:
-    """Samples under one feature, samples between features: (400, 320) for the base model."""
-    field, jump = 1, 1
-    for kernel, stride in zip(kernels, strides, strict=True):
-        field += (kernel - 1) * jump
-        jump *= stride
-    return field, jump
 
 
 def _class(shape: Mapping[str, Any], part: str) -> Any:

@@ -11,15 +11,13 @@ Letters: K states of the Time-BiLSTM, n of a piece, H units per direction.
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.mel import nearest_spectra
-
-if TYPE_CHECKING:
-    from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.audio.mel import MelSpectrogram, nearest_spectra
+from deitalk.config import MelConfig
 
 PIECE_FRAMES = 240
 """Rig frames of a piece (8 s); what a piece needs beside the sequence grows with it."""
@@ -32,8 +30,26 @@ EXACT_FRAMES = 18_000
 State = tuple[Tensor, Tensor]
 
 
+class MelLayers(Protocol):
+    """What is needed of `deitalk.frontends.mel_bilstm.MelFrontend`."""
+
+    config: MelConfig
+    shifts: list[int]
+    mel: MelSpectrogram
+    spectral: Any
+    recurrent: nn.LSTM
+    attention: Any
+    rig: nn.Sequential
+
+    def encode_together(self, waveforms: Tensor, n_frames: int) -> Tensor:
+        """Features (B, T, D) of clips (B, S)."""
+
+    def centred(self, attended: Tensor, centre: Tensor) -> Tensor:
+        """Attended states with their own centre."""
+
+
 def encode_whole(
-    frontend: "MelFrontend",
+    frontend: MelLayers,
     waveform: Tensor,
     n_frames: int,
     progress: Callable[[float], None],
@@ -43,7 +59,7 @@ def encode_whole(
 
     Parameters
     ----------
-    frontend : MelFrontend
+    frontend : MelLayers
         With ``recurrence: segment``, in evaluation mode.
     waveform : Tensor [shape=(S,)]
         16 kHz.
@@ -94,7 +110,7 @@ class _Sound(NamedTuple):
 
 
 def _features(
-    frontend: "MelFrontend",
+    frontend: MelLayers,
     sound: _Sound,
     n_frames: int,
     store: torch.dtype,
@@ -115,14 +131,14 @@ def _features(
     return rows
 
 
-def _can_overwrite(frontend: "MelFrontend", centres: Tensor) -> bool:
+def _can_overwrite(frontend: MelLayers, centres: Tensor) -> bool:
     """Whether the rows of a piece lie before all states that the next pieces need."""
     stops, reach = range(PIECE_FRAMES, len(centres), PIECE_FRAMES), _reach(frontend)
     return all(int(centres[stop]) - reach >= stop for stop in stops)
 
 
 def _memory(
-    frontend: "MelFrontend",
+    frontend: MelLayers,
     sound: _Sound,
     n_frames: int,
     store: torch.dtype,
@@ -156,7 +172,7 @@ def _pieces(length: int, size: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + size, length)
 
 
-def _spectral(frontend: "MelFrontend", sound: _Sound, first: int, last: int, length: int) -> Tensor:
+def _spectral(frontend: MelLayers, sound: _Sound, first: int, last: int, length: int) -> Tensor:
     """Input (n, C) of the Time-BiLSTM, states `first` to `last - 1` of `length`."""
     stack = frontend.config.time_stack
     # Derivatives reach two spectra further; at the ends of the clip they repeat.
@@ -234,13 +250,13 @@ def _direction(
     return output[0], (hidden, cell)
 
 
-def _reach(frontend: "MelFrontend") -> int:
+def _reach(frontend: MelLayers) -> int:
     """States on either side of a frame's own that its attention depends on, or more."""
     config = frontend.config
     return config.window_frames // config.time_stack + config.query_frames
 
 
-def _attended(frontend: "MelFrontend", memory: Tensor, centres: Tensor) -> Tensor:
+def _attended(frontend: MelLayers, memory: Tensor, centres: Tensor) -> Tensor:
     """Rows (n, D) around some states of the memory."""
     config, attention = frontend.config, frontend.attention
     window, reach = config.window_frames // config.time_stack, _reach(frontend)

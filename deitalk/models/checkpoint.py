@@ -20,6 +20,7 @@ from deitalk.config import (
     DEITalkFeaturesConfig,
     KarrasConfig,
     MelConfig,
+    ModelConfig,
     SDFAConfig,
     SDFAMelConfig,
     SDFAModelConfig,
@@ -34,7 +35,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.wav2vec import Wav2VecFrontend
 from deitalk.frontends.windows import Encoder
-from deitalk.models.comparison import network_class
+from deitalk.installed import research
 from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
@@ -292,6 +293,14 @@ def new_encoder(
         return build_encoder(config)
     network = require_model(config.model, DEITalk)
     return DEITalkFeatures(network, weights_hash(model_folder(config.model)))
+
+
+def network_class(config: ModelConfig) -> type[DEITalk]:
+    """The class of a configuration's network."""
+    if config.decoder != "emotalk":
+        return DEITalk
+    network: type[DEITalk] = research("comparison", "decoder emotalk").EmoTalk
+    return network
 
 
 def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> Build:

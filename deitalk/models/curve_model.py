@@ -1,5 +1,6 @@
 """DEITalk's network: the stages of §3, wired in the order of Fig. 2."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -17,7 +18,6 @@ from deitalk.frontends.strided import StridedFrontend
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.network import Reading, Tracks, neutral_and_acted
-from deitalk.models.positions import dynamic_positions
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
@@ -138,7 +138,7 @@ class DEITalk(nn.Module):
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
         voice : Tensor [shape=(B, 5)] or None
-            Emotion that the voice acts; only `deitalk.models.comparison.emotalk` pairs by it.
+            Emotion that the voice acts; only `deitalk.research.comparison.emotalk` pairs by it.
         """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)
@@ -392,3 +392,38 @@ def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:
     for start in range(0, total, DECODE_FRAMES):
         stop = min(start + DECODE_FRAMES, total)
         yield max(start - margin, 0), min(stop + margin, total), start, stop
+
+
+# Dynamic positional encoding: a frame's place in its whole clip (DEITalk §3.2, Eq. 2-3).
+#
+# L frames of a window, T frames of the clip, as printed.
+
+
+def dynamic_positions(frames: Tensor, total: Tensor, size: int) -> Tensor:
+    """Sines and cosines of a frame's place relative to its clip.
+
+    DEITalk Eq. 2: ``sin(20 pi t / (T 10000^(2i/d)))`` in the even columns, the cosine in the odd
+    ones. Only ``t / T`` matters: a window cut from a clip keeps the encoding it has in the clip.
+
+    Parameters
+    ----------
+    frames : Tensor [shape=(B, L)]
+        Frame indices t in the whole clip (not in the window).
+    total : Tensor [shape=(B,)]
+        Frames T of the whole clip.
+    size : int
+        Width d.
+
+    Returns
+    -------
+    Tensor [shape=(B, L, size), range -1 to 1]
+
+    Notes
+    -----
+    Paper silent: whether t starts at 0 or 1; we count from 0. An odd d ends with a sine.
+    """
+    exponent = torch.arange(0, size, 2, device=frames.device, dtype=torch.float32) / size
+    frequency = 20 * math.pi * 10000.0**-exponent
+    place = frames.to(torch.float32) / total.to(torch.float32).unsqueeze(-1)
+    angle = place.unsqueeze(-1) * frequency  # (B, L, ceil(d / 2))
+    return torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(-2)[..., :size]

@@ -5,20 +5,16 @@ Runtime. This module imports neither.
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from deitalk.config import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError, DeitalkError
+from deitalk.errors import CheckpointError
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.errors import quoted
-
-Backend: TypeAlias = Literal["torch", "onnx"]
-BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
 
 
 class Tracks(NamedTuple):
@@ -89,65 +85,6 @@ class CurveNetwork(NetworkFacts, Protocol):
         gain : float
             Factor that brings the sound's speech to the level of the training.
         """
-
-
-def load_network(
-    model: "str | Path | CurveNetwork",
-    *,
-    backend: str = "torch",
-    device: str = "cpu",
-    threads: int = 1,
-) -> CurveNetwork:
-    """Return a curve network, loaded if a name, a folder or an ONNX file is given.
-
-    Parameters
-    ----------
-    model : str, Path or CurveNetwork
-        As for `deitalk.models.checkpoint.load_model`; an ``.onnx`` file of
-        ``deitalk model export --onnx``; or a loaded network, which stays as it is.
-    backend : str
-        ``torch``, or ``onnx``: ONNX Runtime, for which a model is exported once into the cache.
-    device : str
-        As for `load_model`; ONNX Runtime has ``cpu`` only.
-    threads : int
-        Processor threads of ONNX Runtime; those of torch are set for the process.
-
-    Raises
-    ------
-    CheckpointError
-        If it cannot be loaded or is no curve model.
-    DeitalkError
-        If the backend is unknown, not installed, or lacks the device.
-    """
-    if backend not in BACKENDS:
-        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
-    if not isinstance(model, str | Path):
-        return _checked(model)
-    if is_onnx(model, backend):
-        from deitalk.models.onnx import load_onnx
-
-        return load_onnx(model, device=device, threads=threads)
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-
-    return require_model(model, DEITalk, device=device)
-
-
-def is_onnx(model: str | Path, backend: str) -> bool:
-    """Whether a model is evaluated by ONNX Runtime."""
-    return backend == "onnx" or str(model).endswith(".onnx")
-
-
-def _checked(model: CurveNetwork) -> CurveNetwork:
-    """A loaded network; one of torch is put into evaluation mode."""
-    from deitalk.models.onnx import OnnxCausalNetwork, OnnxNetwork
-
-    if isinstance(model, OnnxNetwork | OnnxCausalNetwork):
-        return model
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-
-    return require_model(model, DEITalk)  # type: ignore[arg-type]
 
 
 def chosen_actor(actors: Sequence[str], name: str | None) -> str:

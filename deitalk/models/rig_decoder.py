@@ -7,12 +7,13 @@ from torch import Tensor, nn
 
 from deitalk.config import ModelConfig
 from deitalk.emotions import EMOTIONS
+from deitalk.installed import research
 from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin
 from rig import ControlSet
 
 
 class Decoder(nn.Module):
-    """What every decoder of curves has: DEITalk's, and those of `deitalk.models.comparison`.
+    """What every decoder of curves has: DEITalk's, and those of `deitalk.research.comparison`.
 
     Attributes
     ----------
@@ -338,11 +339,9 @@ def build_decoder(
     """
     rest = torch.tensor(controls.rest)
     if config.decoder != "convolution":
-        from deitalk.models.comparison.emotalk import EmoTalkDecoder
-        from deitalk.models.comparison.faceformer import FaceFormerDecoder
-
-        kind = {"faceformer": FaceFormerDecoder, "emotalk": EmoTalkDecoder}[config.decoder]
-        return kind(config, in_size, rest)
+        kinds = research("comparison", f"decoder {config.decoder}").DECODERS
+        other: Decoder = kinds[config.decoder](config, in_size, rest)
+        return other
     return RigDecoder(
         in_size=in_size,
         style_size=config.style_size,

@@ -16,7 +16,8 @@ from deitalk.audio.load import Recording
 from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import DeitalkError
-from deitalk.models.network import CurveNetwork, Reading, chosen_actor, load_network
+from deitalk.models.load import load_network
+from deitalk.models.network import CurveNetwork, Reading, chosen_actor
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
@@ -62,7 +63,7 @@ def animate(
     model : str, Path, DEITalk or OnnxNetwork
         Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.network.load_network`.
+        ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.load.load_network`.
     sample_rate : float, optional
         Hz, of an array or a tensor; nothing else takes it.
     progress : callable
@@ -185,7 +186,10 @@ def finish(
     clock.lap("network")
     expression = Expression(controls, rules)
     if words is None and prepared.words is not None:
-        words = _aligned(speech, prepared.words)
+        # Times of the words in the sound.
+        from deitalk.pipeline.words.align import align_words
+
+        words = align_words(speech, prepared.words)
     known = () if words is None else words.known
     values = _apply_rules(expression, neutral, emotional, weights, intensities, speech, known)
     head = None
@@ -233,13 +237,6 @@ def _apply_rules(
         rules.apply_dead_zone(reading)
         rules.rest_in_silence(reading, speech.mouth, speech.shown)
     return values
-
-
-def _aligned(speech: Speech, words: Transcript) -> "WordFit":
-    """Times of the words in the sound."""
-    from deitalk.pipeline.words.align import align_words  # needs torch
-
-    return align_words(speech, words)
 
 
 def _motion(prepared: Prepared, shown: Float32) -> TakeMotion | None:

@@ -158,9 +158,10 @@ class Expression:
         """Open the mouth for the corrected intensity of the voice, in place.
 
         The network opens it for the intensity that it predicts, by the law of its training data:
-        45 % more per unit of intensity (`deitalk.corpus.rig_targets`). The opening is scaled by
-        the same law at the corrected intensity; closed lips stay closed. Loud talkers lower the jaw
-        further, which a network with all takes at one level cannot predict: hence `take`.
+        45 % more per unit of intensity (`deitalk.research.corpus.rig_targets`). The opening is
+        scaled by the same law at the corrected intensity; closed lips stay closed. Loud talkers
+        lower the jaw further, which a network with all takes at one level cannot predict: hence
+        `take`.
 
         Parameters
         ----------

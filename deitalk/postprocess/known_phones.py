@@ -20,11 +20,11 @@ ROUNDED = {
     "UW": (0.35, 0.9), "W": (0.3, 1.0), "OW": (0.5, 0.6), "UH": (0.35, 0.4), "AO": (0.55, 0.15),
     "SH": (0.85, 0.1), "ZH": (0.8, 0.1), "CH": (0.8, 0.1), "JH": (0.75, 0.1),
 }  # fmt: skip
-"""Funnel and purse of rounded phones, as the corpus has them (`deitalk.corpus.articulation`)."""
+"""Funnel and purse of rounded phones, from the tables of `deitalk.research.corpus.articulation`."""
 ROUNDED_SHARE = 0.6
 """Of that rounding, which is met at least: quick speech rounds less."""
 FUNNEL, PURSE = 0.75, 0.79
-"""Values of the controls for a full funnel and purse (`deitalk.corpus.tables`)."""
+"""Values of the controls for a full funnel and purse (`deitalk.research.corpus.tables`)."""
 LEAST_FRAMES = 2
 """Frames of the shortest contact."""
 ROUNDING_STEP = 0.2
@@ -101,18 +101,14 @@ def _round(curves: Float32, controls: ControlSet, phones: Sequence[KnownPhone]) 
             least = ROUNDED_SHARE * np.array(ROUNDED[phone.name]) * (FUNNEL, PURSE)
             rows = floors[max(first, 0) : stop]
             np.maximum(rows, least, out=rows)
-    floors = _sloped(floors)
-    for column, part in enumerate(("mouth_funnel", "mouth_purse")):
-        places = [i for i, name in enumerate(controls.names) if part in name]
-        block, floor = curves[:, places], floors[:, column, None]
-        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)
-
-
-def _sloped(floors: Float32) -> Float32:
-    """Floors that rise and fall by `ROUNDING_STEP` a frame around each plateau."""
+    # Floors that rise and fall by `ROUNDING_STEP` a frame around each plateau.
     out = floors.copy()
     for frames in range(1, round(1 / ROUNDING_STEP)):
         lower = floors * (1 - frames * ROUNDING_STEP)
         out[frames:] = np.maximum(out[frames:], lower[:-frames])
         out[:-frames] = np.maximum(out[:-frames], lower[frames:])
-    return out
+    floors = out
+    for column, part in enumerate(("mouth_funnel", "mouth_purse")):
+        places = [i for i, name in enumerate(controls.names) if part in name]
+        block, floor = curves[:, places], floors[:, column, None]
+        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)

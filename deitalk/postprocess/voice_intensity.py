@@ -19,7 +19,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
-"""Lowest intensity, and its slope in z (`deitalk.corpus.rig_targets`)."""
+"""Lowest intensity, and its slope in z (`deitalk.research.corpus.rig_targets`)."""
 SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: intensity does not follow single syllables."""
 MOST_TAKE = 3.0

@@ -4,6 +4,10 @@ The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``ap
 beside this file; this module inserts the data.
 """
 
+import base64
+import gzip
+import json
+import struct
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +17,6 @@ from numpy.typing import NDArray
 
 from deitalk.errors import MissingError
 from deitalk.preview.curves_page import write_curves_page
-from deitalk.preview.pack import pack, pack_bytes
 from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
@@ -85,7 +88,7 @@ def render_page(
         return out
     player = _player()
     blocks = [_block("head", _packed_head(identity))]
-    blocks += [_block(f"take-{k}", _packed_take(take)) for k, take in enumerate(sources)]
+    blocks += [_block(f"take-{k}", pack(*_take_arrays(take))) for k, take in enumerate(sources)]
     blocks += [_block(f"audio-{k}", sound_as_wav(take)) for k, take in enumerate(sources)]
     page = player.replace(_SLOT, "\n".join(blocks))
     with atomic_write(out) as beside:
@@ -154,10 +157,6 @@ def _packed_head(identity: int | str | Identity) -> str:
     return pack(arrays, facts)
 
 
-def _packed_take(source: PreviewSource) -> str:
-    return pack(*_take_arrays(source))
-
-
 def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     curves = source.curves
     arrays: dict[str, NDArray[Any]] = {"values": np.ascontiguousarray(curves.values, np.float32)}
@@ -171,3 +170,42 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
         "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip
     return arrays, facts
+
+
+# Arrays and facts as one text: JSON header, bytes, gzip, base64; ``packed.ts`` reads it.
+
+
+KINDS = ("float32", "uint16", "uint32", "int16", "uint8")
+
+
+BEST = 9
+
+
+def pack(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
+    """Pack arrays and facts as `pack_bytes`, as text."""
+    return base64.b64encode(pack_bytes(arrays, facts)).decode()
+
+
+def pack_bytes(
+    arrays: dict[str, NDArray[Any]], facts: dict[str, Any], *, level: int = BEST
+) -> bytes:
+    """Pack arrays (flattened, little-endian) and JSON-ready facts; gzip of a level, 0 to 9.
+
+    ::
+
+        length of header | header (JSON) | padding to 8 | array | padding to 8 | array ...
+    """
+    entries, blobs, offset = [], [], 0
+    for name, array in arrays.items():
+        assert array.dtype.name in KINDS, (name, array.dtype)
+        blob = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
+        entries.append(
+            {"name": name, "kind": array.dtype.name, "length": int(array.size), "offset": offset}
+        )
+        blob += b"\0" * (-len(blob) % 8)
+        blobs.append(blob)
+        offset += len(blob)
+    header = json.dumps({"facts": facts, "arrays": entries}).encode()
+    head = struct.pack("<I", len(header)) + header
+    head += b"\0" * (-len(head) % 8)
+    return gzip.compress(head + b"".join(blobs), level, mtime=0)

@@ -29,8 +29,7 @@ from deitalk.evaluation.validation import (
 )
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.strided import StridedFrontend
-from deitalk.models.checkpoint import require_model, save_model
-from deitalk.models.comparison import network_class
+from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
 from deitalk.training.curve_losses import CurveLoss

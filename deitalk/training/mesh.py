@@ -13,14 +13,16 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.acting import Acting
+from deitalk.audio.frames import frame_times
+from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
-from deitalk.data.mesh_features import FeatureSegments
 from deitalk.data.mesh_folder import MeshClip, MeshFolder
-from deitalk.data.mesh_segments import Segment, SegmentBatches, Segments
+from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments
 from deitalk.data.mesh_sources import has_lips, open_meshes
 from deitalk.data.seeded_batches import Share
-from deitalk.errors import ConfigError
+from deitalk.emotions import parse_emotion
+from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.mesh import lip_gap
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.mel_bilstm import MelFrontend
@@ -34,7 +36,7 @@ from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.training.mesh_losses import MeshLoss
 from deitalk.training.trainer import Progress, Task, run_training, silent
-from rig.arrays import AnyFloat
+from rig.arrays import AnyFloat, Float32
 
 VALIDATION_CLIPS = 8
 """At most so many clips are scored at every evaluation; the first two are drawn."""
@@ -269,3 +271,74 @@ def _measure(model: MeshModel, folder: MeshFolder, clip: MeshClip) -> tuple[floa
     )
     shown = ClipRows(f"{clip.name} ({clip.speaker})", waveform, rows, folder.fps)
     return float(error.mean()) * unit, float(error[:, lively].mean()) * unit, shown
+
+
+# Segments of features that are computed once per clip, by a frozen DEITalk model.
+#
+# Letters: T frames of a clip or a segment, D features.
+
+
+class FeatureSegments(SegmentBatches):
+    """Segments of a frozen model's features and the motion that belongs to them.
+
+    The recordings are not augmented: the model was trained with noise and rooms.
+
+    Parameters
+    ----------
+    clips : sequence of MeshClip
+        Those of one split; the features of all are kept in memory (some 2 MB a minute).
+    speakers : tuple of str
+        Places of the one-hot label.
+    encoder : DEITalkFeatures
+        The frozen model.
+    **drawing
+        As for `SegmentBatches`.
+
+    Raises
+    ------
+    DataError
+        If a clip has no emotion.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MeshClip],
+        speakers: tuple[str, ...],
+        encoder: DEITalkFeatures,
+        **drawing: Any,
+    ) -> None:
+        in_memory = [
+            ClipInMemory(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
+            for clip in clips
+        ]
+        super().__init__(in_memory, len(speakers), **drawing)
+        self.places = torch.arange(self.n_frames)
+
+    @property
+    def rows(self) -> torch.Tensor:
+        """Features of all clips, one after the other [shape=(T, D)]."""
+        return torch.from_numpy(np.concatenate([clip.speech for clip in self.clips])).float()
+
+    def item(self, number: int) -> Segment:
+        """Cut the segment of a number."""
+        clip, first = self.draw(self.rng(number))
+        frames = first + np.arange(self.n_frames, dtype=np.float64)
+        rows = clip.speech[np.clip(frames.astype(np.int64), 0, len(clip.speech) - 1)]
+        features = torch.from_numpy(rows.astype(np.float32)).T.unsqueeze(0)  # (1, D, T)
+        return self.with_targets(features, clip, frames)
+
+
+@torch.no_grad()
+def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
+    """Features of a clip in its emotion [shape=(T, D), float16]."""
+    if not clip.emotion:
+        raise DataError(
+            f"{clip.folder}: clips.csv has no emotion for {clip.name}; fill the "
+            "column emotion, or build the folder again from a dataset folder"
+        )
+    n_frames = len(clip.motion()["stretch"])
+    sound = torch.from_numpy(normalise_level(clip.waveform()))
+    emotion = torch.from_numpy(parse_emotion(clip.emotion).at(frame_times(n_frames)))
+    network = encoder.network
+    rows = network.describe(network.analyse(sound, n_frames), emotion)
+    return np.asarray(rows.half().numpy())

@@ -4,7 +4,8 @@ _EVALUATE = "deitalk evaluate default"
 _ABLATE = "deitalk ablate --data corpus/ --steps 300"
 _TUNE = "deitalk finetune"
 _SHORT = "-o OUT --set train.steps=100 --set train.batch_size=4 --set train.evaluate_every=50"
-_PEOPLE = "python -m deitalk.evaluation.people"
+_PEOPLE = "python -m deitalk.research.evaluation"
+_TRAINING = "python -m deitalk.research.training"
 LIP_SPEAKERS = ("s03", "s32")
 """Measured speakers from whom no embedded model learnt."""
 
@@ -19,8 +20,8 @@ WEIGHTS = {
     "mel-attention": "deitalk attention corpus/ --clips 20 --model mel -o OUT/attention.png --json",
     "known-words": f"{_PEOPLE}.words --data corpus/ --split test --most 90",
     "motion-energy": f"{_PEOPLE}.motion_energy --animate docs/samples/amiable.flac --seconds 6",
-    "phone-evidence": "python -m deitalk.training.phone_evidence --data corpus/ --embedded",
-    "suggestion": "python -m deitalk.training.suggestion --actors CREMA.csv "
+    "phone-evidence": f"{_TRAINING}.phone_evidence --data corpus/ --embedded",
+    "suggestion": f"{_TRAINING}.suggestion --actors CREMA.csv "
     "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --split test",
     "mesh-head-test": "deitalk evaluate mesh_head --data corpus/ --split test --most 24",
 }
@@ -69,12 +70,11 @@ OTHER = {
     },
     "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
     "-o runs/mesh_ablations --seeds 2 --most 40 --set data.clips=480",
-    "vocal-strength": "python -m deitalk.training.vocal_strength --readers LIBRISPEECH.tsv "
+    "vocal-strength": f"{_TRAINING}.vocal_strength --readers LIBRISPEECH.tsv "
     "--actors CREMA.csv --split test --embedded",
     "head-motion": f"{_PEOPLE}.head LIPS",
     "blinks": f"{_PEOPLE}.blinks LIBRISPEECH",
-    "voice-activity": "python -m deitalk.evaluation.voice_activity corpus/ --noise NOISE",
-    "retargeting": "python -m rig.retarget.measure ICT.npz",
+    "retargeting": f"{_PEOPLE}.retargeting ICT.npz",
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes -o OUT",
     "facegood-one": f"{_TUNE} facegood_one/ --rig facegood.yaml --folds takes -o OUT",
     "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
@@ -88,6 +88,8 @@ OTHER = {
 """The rest. Reports of trainings state the weights that they began with."""
 GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
 COMMANDS = {**WEIGHTS, **TIMING, **OTHER}
+ONCE = ("voice-activity",)
+"""Measured for one decision; what measured it is in the history of this repository."""
 
 PLACES = {
     "corpus/": "`deitalk corpus build --hours 1 --recordings SPEECH`, as in the model card",

@@ -175,7 +175,14 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
 def _shapes(raw: RigCurves) -> Float32:
     """Values of the shapes fitted to all raw curves [shape=(T, 61)]."""
     arkit = arkit_controls()
-    values = _fit(raw.values - raw_controls().rest)
+    # Return weights in [0, 1] that best fit the poses [shape=(T, 61)].
+    # A raw curve at 1 may have been clamped, so the fit is to the clamped sum.
+    moved = raw.values - raw_controls().rest
+    poses = _poses()
+    values = np.zeros((len(moved), len(poses)), np.float32)
+    for shapes in _groups():
+        columns = np.flatnonzero(poses[shapes].any(axis=0))
+        values[:, shapes] = _fit_group(moved[:, columns], poses[shapes][:, columns])
     jaw = values[:, arkit.index("JawOpen")]
     together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
@@ -189,19 +196,6 @@ def head_values(track: Float32) -> Float32:
     """Values of `HEAD` (T, 3) for a head track (T, 6)."""
     values: Float32 = (track[:, : len(HEAD)] / np.array(HEAD_DEGREES)).astype(np.float32)
     return values
-
-
-def _fit(moved: Float32) -> Float32:
-    """Return weights in [0, 1] that best fit the poses [shape=(T, 61)].
-
-    A raw curve at 1 may have been clamped, so the fit is to the clamped sum.
-    """
-    poses = _poses()
-    weights = np.zeros((len(moved), len(poses)), np.float32)
-    for shapes in _groups():
-        columns = np.flatnonzero(poses[shapes].any(axis=0))
-        weights[:, shapes] = _fit_group(moved[:, columns], poses[shapes][:, columns])
-    return weights
 
 
 def _fit_group(moved: Float32, poses: Float32) -> Float32:

@@ -74,7 +74,8 @@ def board_to_raw(curves: RigCurves) -> RigCurves:
     raw = raw_controls()
     values = np.empty((len(curves), len(raw)), np.float32)
     for driver, (columns, inputs, outputs) in _paths().items():
-        x = _driver(board, driver)
+        both = BOTH_EYES.get(driver)
+        x = board[driver] if both is None else np.clip(board[driver] + board[both], -1, 1)
         for column, output in zip(columns, outputs.T, strict=True):
             values[:, column] = np.interp(x, inputs, output)
     return replace(board, values=values, names=raw.names, control_set=RAW_ID)
@@ -120,11 +121,6 @@ def board_of_raw_curves(names: Iterable[str]) -> set[str]:
         for driver, (columns, _, _) in _paths().items()
         if any(raw.names[i] in wanted for i in columns)
     }
-
-
-def _driver(board: RigCurves, name: str) -> Float32:
-    both = BOTH_EYES.get(name)
-    return board[name] if both is None else np.clip(board[name] + board[both], -1, 1)
 
 
 def _nearest(points: Float32, inputs: Float32, outputs: Float32) -> Float32:

@@ -178,20 +178,17 @@ class Head:
         shift = weights @ self._shapes
         skin[:, self._moving] += shift.reshape(len(frames), -1, 3)
         self.jaw.pose(skin, inputs)
-        self._clear_teeth(skin, inputs)
+        upper, lower = self._arches["upper"], self._arches["lower"]
+        skin[:, upper.ids] += upper.push(skin[:, upper.ids] - _teeth_shift(inputs, "upper"))
+        in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
+        moved = in_jaw + lower.push(in_jaw - _teeth_shift(inputs, "lower"))
+        skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
         turns = self._lids.pose(skin, inputs)
         self._seal.pose(skin, inputs)
         self._pose_mouth(vertices, inputs)
         self._pose_eyes(vertices, inputs, turns)
         self._pose_rest(vertices, inputs)
         return vertices.astype(np.float32)
-
-    def _clear_teeth(self, skin: Float64, inputs: Inputs) -> None:
-        upper, lower = self._arches["upper"], self._arches["lower"]
-        skin[:, upper.ids] += upper.push(skin[:, upper.ids] - _teeth_shift(inputs, "upper"))
-        in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
-        moved = in_jaw + lower.push(in_jaw - _teeth_shift(inputs, "lower"))
-        skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
 
     def _pose_mouth(self, vertices: Float64, inputs: Inputs) -> None:
         vertices[:, self.slices["teeth_upper"]] += _teeth_shift(inputs, "upper")

@@ -100,21 +100,18 @@ def _read_csv(path: str) -> Curves:
         cells = [row for row in rows if row]
     first = [name.strip().lower() for name in header[:2]]
     if first == ["timecode", "blendshapecount"]:
-        times = _timecodes([row[0] for row in cells])
+        # Return seconds from the first; FF counts sixtieths, or thirtieths if none exceeds 30.
+        texts = [row[0] for row in cells]
+        fields = np.array([[float(part) for part in text.split(":")] for text in texts])
+        rate = 60 if fields[:, 3].max() > 30 else 30
+        seconds = fields[:, :3] @ [3600, 60, 1] + fields[:, 3] / rate
+        times = seconds - seconds[0]
     elif first == ["frame", "time"]:
         times = np.array([float(row[1]) for row in cells])
     else:
         raise ValueError(f"{os.path.basename(path)} is no CSV of Live Link Face or deitalk")
     numbers = np.array([row[2 : len(header)] for row in cells], float)
     return Curves(times, {name: numbers[:, i] for i, name in enumerate(header[2:])}, path)
-
-
-def _timecodes(texts: list[str]) -> Any:
-    """Return seconds from the first; FF counts sixtieths, or thirtieths if none exceeds 30."""
-    fields = np.array([[float(part) for part in text.split(":")] for text in texts])
-    rate = 60 if fields[:, 3].max() > 30 else 30
-    seconds = fields[:, :3] @ [3600, 60, 1] + fields[:, 3] / rate
-    return seconds - seconds[0]
 
 
 def files_of_take(path: str) -> list[str]:
@@ -208,7 +205,12 @@ def apply(
             values = by_name[name]
             block.slider_min = min(block.slider_min, math.floor(values.min()))
             block.slider_max = max(block.slider_max, math.ceil(values.max()))
-            _fill(lists.new(_path(block)), frames, values)
+            curve = lists.new(_path(block))
+            points = curve.keyframe_points
+            points.add(len(frames))
+            points.foreach_set("co", np.column_stack([frames, values]).ravel())
+            points.foreach_set("interpolation", np.full(len(frames), LINEAR))
+            curve.update()
             count += 1
     return count, float(frames[-1]), driven
 
@@ -217,14 +219,6 @@ def _drivers(shape_keys: Any) -> set[str]:
     """Return the paths of what drivers move."""
     data = shape_keys.animation_data
     return {driver.data_path for driver in data.drivers} if data else set()
-
-
-def _fill(curve: Any, frames: Any, values: Any) -> None:
-    points = curve.keyframe_points
-    points.add(len(frames))
-    points.foreach_set("co", np.column_stack([frames, values]).ravel())
-    points.foreach_set("interpolation", np.full(len(frames), LINEAR))
-    curve.update()
 
 
 LINEAR = 1

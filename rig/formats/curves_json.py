@@ -74,7 +74,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         raise FormatError(f"{path}: every one of 'names' must be text")
     set_id = str(_field(path, data, "control_set", str))
     names, known = names_of_set(path, set_id, names, controls)
-    _check_columns(path, data)
+    for key, columns in COLUMNS.items():
+        if key in data and data.get(f"{key}_names", list(columns)) != list(columns):
+            raise FormatError(f"{path}: '{key}_names' must be {', '.join(columns)}, in this order")
     try:
         curves = RigCurves(
             _array(path, data, "values", (0, len(names))),
@@ -143,9 +145,3 @@ def _track(path: Path, data: dict[str, Any], key: str) -> np.ndarray[Any, Any] |
     if key not in data:
         return None
     return _array(path, data, key, (0, len(COLUMNS[key])) if key in COLUMNS else (0,))
-
-
-def _check_columns(path: Path, data: dict[str, Any]) -> None:
-    for key, columns in COLUMNS.items():
-        if key in data and data.get(f"{key}_names", list(columns)) != list(columns):
-            raise FormatError(f"{path}: '{key}_names' must be {', '.join(columns)}, in this order")

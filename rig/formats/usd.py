@@ -44,7 +44,12 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     stage.SetEndTimeCode(len(curves) - 1)
     root = pxr.UsdSkel.Root.Define(stage, "/head")
     stage.SetDefaultPrim(root.GetPrim())
-    skeleton = _skeleton(pxr, stage)
+    # Define one static joint: UsdSkel binds an animation to a skeleton.
+    skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/head/skeleton")
+    still = [pxr.Gf.Matrix4d(1)]
+    skeleton.CreateJointsAttr(["head"])
+    skeleton.CreateBindTransformsAttr(still)
+    skeleton.CreateRestTransformsAttr(still)
     mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, colours)
     animation = pxr.UsdSkel.Animation.Define(stage, "/head/animation")
     animation.CreateBlendShapesAttr(shapes)
@@ -182,16 +187,6 @@ def _extent(head: ShapeSet, weights: AnyFloat) -> Float32:
             low += weight * np.minimum(delta, 0)
             high += weight * np.maximum(delta, 0)
     return np.stack([low.min(axis=0), high.max(axis=0)]).astype(np.float32)
-
-
-def _skeleton(pxr: Any, stage: Any) -> Any:
-    """Define one static joint: UsdSkel binds an animation to a skeleton."""
-    skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/head/skeleton")
-    still = [pxr.Gf.Matrix4d(1)]
-    skeleton.CreateJointsAttr(["head"])
-    skeleton.CreateBindTransformsAttr(still)
-    skeleton.CreateRestTransformsAttr(still)
-    return skeleton
 
 
 def _samples(pxr: Any, attribute: Any, rows: np.ndarray[Any, Any]) -> None:

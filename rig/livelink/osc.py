@@ -10,7 +10,7 @@ Argument = int | float | str
 
 def message(address: str, *arguments: Argument) -> bytes:
     """Return one message; its arguments are of types i (int32), f (float32) and s (UTF-8)."""
-    tags = "".join(_tag(argument) for argument in arguments)
+    tags = "".join({int: "i", float: "f", str: "s"}[type(argument)] for argument in arguments)
     parts = [_padded(address), _padded("," + tags)]
     for tag, argument in zip(tags, arguments, strict=True):
         parts.append(_padded(str(argument)) if tag == "s" else struct.pack(f"!{tag}", argument))
@@ -30,10 +30,6 @@ def bundles(messages: Sequence[bytes], *, max_bytes: int) -> Iterator[bytes]:
         size += 4 + len(data)
     if body:
         yield head + b"".join(body)
-
-
-def _tag(argument: Argument) -> str:
-    return {int: "i", float: "f", str: "s"}[type(argument)]
 
 
 def _padded(text: str) -> bytes:

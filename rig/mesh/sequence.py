@@ -152,7 +152,13 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
         told_worst = np.argsort(errors)[-_FRAMES_MORE:]
         chosen = np.union1d(chosen, told_worst)
     directions = _fewest(frames, rest, directions, tolerance)
-    weights = _coefficients(frames, rest, directions)
+    # Of every frame along the directions [shape=(T, K)].
+    weights = np.concatenate(
+        [
+            (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size) @ directions.T
+            for k in range(0, len(frames), _FRAMES_AT_ONCE)
+        ]
+    )
     largest = np.maximum(np.abs(weights).max(axis=0, initial=0.0), 1e-12)
     deltas = (directions * largest[:, None]).reshape(-1, *rest.shape)
     names = tuple(f"motion_{k:03d}" for k in range(len(deltas)))
@@ -167,16 +173,6 @@ def _directions(deltas: Float32) -> Float64:
     if not len(kept):
         return np.zeros((1, flat.shape[1]))
     return np.asarray((left[:, kept] / np.sqrt(power[kept])).T @ flat)
-
-
-def _coefficients(frames: Float32, rest: Float32, directions: Float64) -> Float64:
-    """Of every frame along the directions [shape=(T, K)]."""
-    return np.concatenate(
-        [
-            (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size) @ directions.T
-            for k in range(0, len(frames), _FRAMES_AT_ONCE)
-        ]
-    )
 
 
 def _errors(frames: Float32, rest: Float32, directions: Float64) -> Float64:

@@ -168,14 +168,10 @@ def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | Non
     shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
     colours = srgb_to_linear(head.mesh.colors)
     write_glb(path, in_metres(shapes), animation=animation, colours=colours)
-    _name_correctives(path, head.identity.name)
-    return morphs
-
-
-def _name_correctives(path: Path | str, title: str) -> None:
-    """Extras of the file: whose head it is, and the pose in which each corrective is fully on."""
+    # Extras of the file: whose head it is, and the pose in which each corrective is fully on.
     document, binary = read_container(path)
     (mesh,) = document["meshes"]
-    mesh["name"] = title
+    mesh["name"] = head.identity.name
     mesh["extras"]["correctives"] = {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()}
     write_container(path, document, binary)
+    return morphs

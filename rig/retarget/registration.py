@@ -151,7 +151,10 @@ def register(
     search = ClosestPoints(facing, labels=target_labels, candidates=24)
 
     skin = np.flatnonzero(components(source) == 0)
-    skin_mesh, _ = _restrict(aligned, source.faces, skin)
+    new_index = np.full(len(aligned), -1, dtype=np.int64)
+    new_index[skin] = np.arange(len(skin))
+    inside = (new_index[source.faces] >= 0).all(axis=1)
+    skin_mesh, _ = TriMesh(aligned[skin], new_index[source.faces[inside]]), np.flatnonzero(inside)
     position = np.searchsorted(skin, from_)
     on_skin = (position < len(skin)) & (skin[np.minimum(position, len(skin) - 1)] == from_)
     surface = closest_rounds(
@@ -250,13 +253,6 @@ def _is_inside_out(placed: TriMesh, target: TriMesh, eyes: float) -> bool:
     return bool(len(cosine) and np.median(cosine) < 0)
 
 
-def _restrict(vertices: Float64, faces: Int64, keep: Int64) -> tuple[TriMesh, Int64]:
-    new_index = np.full(len(vertices), -1, dtype=np.int64)
-    new_index[keep] = np.arange(len(keep))
-    inside = (new_index[faces] >= 0).all(axis=1)
-    return TriMesh(vertices[keep], new_index[faces[inside]]), np.flatnonzero(inside)
-
-
 def closest_rounds(
     skin: TriMesh,
     labels: Int64,
@@ -287,7 +283,11 @@ def closest_rounds(
     -------
     vertices : array [shape=(V, 3)]
     """
-    bending = _bending(skin)
+    # L^T L of the umbrella Laplacian, with a trace of stiffness against drifting parts.
+    neighbours = adjacency(skin)
+    degree = np.maximum(np.asarray(neighbours.sum(axis=1)).ravel(), 1.0)
+    laplacian = diags_array(np.ones(len(degree))) - diags_array(1.0 / degree) @ neighbours
+    bending = csc_array(laplacian.T @ laplacian + 1e-9 * diags_array(np.ones(len(degree))))
     on_rim = np.zeros(len(search.mesh.vertices), dtype=bool)
     on_rim[boundary_edges(search.mesh)] = True
     points = np.array(skin.vertices)
@@ -311,14 +311,6 @@ def closest_rounds(
         )
         points = points + factors.solve(pull)
     return points
-
-
-def _bending(mesh: TriMesh) -> csc_array:
-    """L^T L of the umbrella Laplacian, with a trace of stiffness against drifting parts."""
-    neighbours = adjacency(mesh)
-    degree = np.maximum(np.asarray(neighbours.sum(axis=1)).ravel(), 1.0)
-    laplacian = diags_array(np.ones(len(degree))) - diags_array(1.0 / degree) @ neighbours
-    return csc_array(laplacian.T @ laplacian + 1e-9 * diags_array(np.ones(len(degree))))
 
 
 def _carry_along(aligned: Float64, skin: Int64, surface: Float64, neighbours: int = 8) -> Float64:

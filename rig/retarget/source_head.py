@@ -40,7 +40,10 @@ def source_head(identity: int = 0) -> SourceHead:
     """Build the embedded head of an identity and bake its rig."""
     head = build_head(identity)
     kept = np.concatenate([np.arange(len(head.mesh.vertices))[head.slices[p]] for p in PARTS])
-    mesh = _part_mesh(head, kept)
+    new_index = np.full(len(head.mesh.vertices), -1, dtype=np.int64)
+    new_index[kept] = np.arange(len(kept))
+    faces = new_index[head.mesh.faces]
+    mesh = TriMesh(head.mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
     controls = default_controls()
 
     def evaluate(values: Float32) -> Float32:
@@ -48,13 +51,6 @@ def source_head(identity: int = 0) -> SourceHead:
 
     rig = bake(mesh, evaluate, controls, correctives=face_correctives())
     return SourceHead(rig.shapes.neutral, head_landmarks(head), rig)
-
-
-def _part_mesh(head: Head, kept: Int64) -> TriMesh:
-    new_index = np.full(len(head.mesh.vertices), -1, dtype=np.int64)
-    new_index[kept] = np.arange(len(kept))
-    faces = new_index[head.mesh.faces]
-    return TriMesh(head.mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
 
 
 def head_landmarks(head: Head) -> dict[str, int]:

@@ -40,7 +40,11 @@ def check_unreal_json(path: Path) -> Note:
     missing = [name for name in raw_controls().names if name not in raw]
     if missing:
         raise FormatError(f"{path} lacks {missing[0]} and {len(missing) - 1} more raw curves")
-    _check_board(path, board, n_frames)
+    for control, channels in board.items():
+        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
+            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
+        for axis, values in channels.items():
+            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
     _check_raw(path, raw, board, n_frames)
     seconds = n_frames * rate[1] / rate[0]
     return f"{n_frames} frames at {rate[0]}/{rate[1]} fps, {seconds:.2f} s; for the Unreal script"
@@ -134,14 +138,6 @@ def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]
                 raise FormatError(f"{path}: {got} weights; {times} keys need {wanted}")
             n_frames = max(n_frames, times)
     return n_frames
-
-
-def _check_board(path: Path, board: dict[str, Any], n_frames: int) -> None:
-    for control, channels in board.items():
-        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
-            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
-        for axis, values in channels.items():
-            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
 
 
 def _check_raw(path: Path, raw: dict[str, Any], board: dict[str, Any], n_frames: int) -> None:

@@ -11,7 +11,7 @@ import soundfile
 from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
 from deitalk.audio.load import write_wav
-from deitalk.corpus.engines import espeak
+from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
 from tests.api.conftest import wav

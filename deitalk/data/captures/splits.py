@@ -77,7 +77,12 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     if way == "none":
         return [TRAIN] * len(pieces)
     if way != "time" and len(minutes) >= 3:
-        homes = _actors(minutes)
+        # Actors by split: those with least material are tested on, about an eighth each.
+        count = max(1, round(SHARE * len(minutes)))
+        order = sorted(minutes, key=lambda name: (minutes[name], name))
+        homes = dict.fromkeys(order, TRAIN)
+        homes.update(dict.fromkeys(order[:count], VALIDATION))
+        homes.update(dict.fromkeys(order[count : 2 * count], TEST))
         return [homes[piece.actor] for piece in pieces]
     splits = _apart(pieces, _blocks(pieces))
     return splits if can_tune(splits) else _few(pieces)
@@ -172,16 +177,6 @@ def names_of(clips: Sequence[Clip], kind: str) -> list[str]:
     """Names of all ``takes`` or ``actors``, sorted."""
     of_actors = kind == "actors"
     return sorted({clip.speaker if of_actors else _take(clip) for clip in clips})
-
-
-def _actors(minutes: dict[str, float]) -> dict[str, str]:
-    """Actors by split: those with least material are tested on, about an eighth each."""
-    count = max(1, round(SHARE * len(minutes)))
-    order = sorted(minutes, key=lambda name: (minutes[name], name))
-    homes = dict.fromkeys(order, TRAIN)
-    homes.update(dict.fromkeys(order[:count], VALIDATION))
-    homes.update(dict.fromkeys(order[count : 2 * count], TEST))
-    return homes
 
 
 def _blocks(pieces: Sequence[Piece]) -> list[str]:

@@ -128,18 +128,14 @@ def _chosen(faces: list[Float32], held: Float32 | None) -> Float32 | None:
     """The largest face; the one nearest to the face before, unless another is much larger."""
     if not faces:
         return None
-    sizes = [_size(face) for face in faces]
+    # Largest side of the points in the picture, pixels.
+    sizes = [float(np.ptp(face[:, :2], axis=0).max()) for face in faces]
     largest = int(np.argmax(sizes))
     if held is None:
         return faces[largest]
     away = [float(np.linalg.norm(face.mean(axis=0)[:2] - held.mean(axis=0)[:2])) for face in faces]
     nearest = int(np.argmin(away))
     return faces[largest if sizes[largest] > LARGER * sizes[nearest] else nearest]
-
-
-def _size(face: Float32) -> float:
-    """Largest side of the points in the picture, pixels."""
-    return float(np.ptp(face[:, :2], axis=0).max())
 
 
 def _notes(points: list[Float32], several: int) -> tuple[str, ...]:

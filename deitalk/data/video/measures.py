@@ -56,7 +56,7 @@ def measure(track: FaceTrack, seen: Bool, face: HeadFace) -> Measured:
     Parameters
     ----------
     track : FaceTrack
-        Of `deitalk.data.video.pose.straightened`.
+        Of `deitalk.data.video.filmed.straightened`.
     seen : array of bool [shape=(T,)]
         Frames with a face.
     face : HeadFace

@@ -5,16 +5,21 @@ with its gain removed as always; the mean intensity over speech and the mean dis
 from rest, of the whole face and of its parts, should be ordered as the strengths.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.strength_clips import ACTORS, LEVELS, StrengthClip, read_strength_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.opening import mouth_opening
-from deitalk.evaluation.people.strength import Scores, acted_order
+from deitalk.evaluation.people.strength_clips import (
+    ACTORS,
+    LEVELS,
+    StrengthClip,
+    read_strength_clips,
+)
 from deitalk.evaluation.report import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
@@ -25,6 +30,7 @@ EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad"}
 GROUPS = {"anger and joy": ("ANG", "HAP"), "sadness": ("SAD",)}
 PARTS = {"brows": ("brow",), "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",)}
 """Parts of the face, by parts of the names of their controls."""
+Scores = dict[str, dict[str, float]]
 
 
 def evaluate_acted(
@@ -41,7 +47,7 @@ def evaluate_acted(
     model : DEITalk
         In evaluation mode.
     path : Path
-        Table of actors (`deitalk.data.strength_clips`).
+        Table of actors (`deitalk.evaluation.people.strength_clips`).
     split : str
         Actors to score: ``test``, ``validation`` or ``train``.
     progress : callable
@@ -101,6 +107,37 @@ def _orders(
         scores[f"{measure}: rank correlation"] = order["rank correlation"]
         scores["actors and emotions"] = order["actors and emotions"]
     return scores
+
+
+def acted_order(
+    values: Mapping[tuple[str, str, str], float], emotions: Sequence[str]
+) -> dict[str, float]:
+    """How well values are ordered as the strengths of the same actor and emotion.
+
+    Parameters
+    ----------
+    values : mapping
+        By actor, emotion and level.
+    emotions : sequence of str
+        Names of the table.
+
+    Returns
+    -------
+    dict
+        ``high above low``, ``rank correlation``, ``actors and emotions``; NaN and 0 without any.
+    """
+    triples = [
+        tuple(values[actor, emotion, level] for level in LEVELS)
+        for actor in sorted({key[0] for key in values})
+        for emotion in emotions
+        if all((actor, emotion, level) in values for level in LEVELS)
+    ]
+    ranks = [spearmanr(triple, range(3)).statistic for triple in triples if np.ptp(triple) > 0]
+    return {
+        "high above low": float(np.mean([t[2] > t[0] for t in triples])) if triples else np.nan,
+        "rank correlation": float(np.sum(ranks) / len(triples)) if triples else np.nan,
+        "actors and emotions": len(triples),
+    }
 
 
 def as_markdown(report: Scores) -> str:

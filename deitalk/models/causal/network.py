@@ -8,17 +8,11 @@ spectrum, C controls.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
+from typing import NamedTuple, Protocol, TypeAlias
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.errors import CheckpointError, DeitalkError
-from deitalk.models.network import BACKENDS, NetworkFacts, is_onnx
+from deitalk.models.network import NetworkFacts
 from rig.arrays import Float32
-from rig.errors import quoted
-
-if TYPE_CHECKING:
-    from deitalk.models.curve_model import DEITalk
 
 State: TypeAlias = tuple[Float32, ...]
 """What a network keeps of streams between two calls; every array begins with the stream."""
@@ -87,54 +81,6 @@ class CausalNetwork(NetworkFacts, Protocol):
         state : State
             From `first_state`, or from the call before.
         """
-
-
-def load_causal(
-    model: "str | Path | DEITalk | CausalNetwork", *, backend: str = "torch"
-) -> CausalNetwork:
-    """Return a causal network, loaded if a name, a folder or an ONNX file is given.
-
-    Parameters
-    ----------
-    model : str, Path, DEITalk or CausalNetwork
-        As for `deitalk.models.network.load_network`.
-    backend : str
-        ``torch`` or ``onnx``.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, or it is one that needs the whole clip.
-    DeitalkError
-        If the backend is unknown or not installed.
-    """
-    if backend not in BACKENDS:
-        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
-    if hasattr(model, "first_state"):
-        return cast(CausalNetwork, model)
-    if isinstance(model, str | Path) and is_onnx(model, backend):
-        from deitalk.models.onnx import load_onnx
-
-        network = load_onnx(model)
-        if not hasattr(network, "first_state"):
-            raise whole_clip_error(model)
-        return cast(CausalNetwork, network)
-    from deitalk.models.causal.in_torch import TorchNetwork
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-
-    found = require_model(cast("str | Path | DEITalk", model), DEITalk)
-    if not found.is_causal:
-        raise whole_clip_error(model)
-    return TorchNetwork(found)
-
-
-def whole_clip_error(model: object) -> CheckpointError:
-    """Error of a model that cannot be used live."""
-    return CheckpointError(
-        f"model {quoted(str(model))} needs the whole clip; use the model live, or one trained "
-        "from configs/live.yaml"
-    )
 
 
 def take(state: State, streams: Sequence[int]) -> State:

@@ -8,13 +8,13 @@ from typing import Any
 
 import torch
 
-from deitalk import __version__
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
 from deitalk.frontends.causal_whisper import CausalState
 from deitalk.frontends.whisper import WhisperFrontend
+from deitalk.installed import __version__
 from deitalk.models.causal.in_torch import grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.causal_graph import OUTPUTS, CausalGraph, first_states

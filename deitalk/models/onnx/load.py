@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from deitalk import __version__
 from deitalk.errors import CheckpointError, DeitalkError
+from deitalk.installed import __version__
 from deitalk.models.folder import model_folder, weights_hash
 from deitalk.models.onnx.causal_network import OnnxCausalNetwork
 from deitalk.models.onnx.network import OnnxFile, OnnxNetwork

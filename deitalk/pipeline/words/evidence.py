@@ -1,9 +1,9 @@
 """Evidence for phones in a recording: how probable each is at each moment.
 
 A linear map of the speech features of `default`, fitted to phone times of the training corpus
-(`deitalk.training.phone_evidence`). Features are computed twice, the second time half a frame
-later, so that there are 60 rows per second: a phone may last 30 ms. The phones are classes of
-articulation (`deitalk.corpus.phone_alphabets`), which all languages share.
+(`deitalk.research.training.phone_evidence`). Features are computed twice, the second time half a
+frame later, so that there are 60 rows per second: a phone may last 30 ms. The phones are classes of
+articulation (`deitalk.pipeline.words.phone_alphabets`), which all languages share.
 
 Letters: T frames at 30 per second, D features, P phones.
 """

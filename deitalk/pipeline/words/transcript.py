@@ -12,12 +12,53 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.acting import Words
-from deitalk.corpus.phone_alphabets import ipa_to_phones, spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.phones import PHONES, SILENCE
-from deitalk.pipeline.words.textgrid import Interval, intervals_of
+from deitalk.pipeline.words.phone_alphabets import ipa_to_phones, spoken_words
 from rig import limits
 from rig.errors import quoted, shorten
+
+# Interval tiers of Praat's TextGrid files, in the long and in the short form.
+
+Interval = tuple[float, float, str]
+"""Start and end in seconds, and the label."""
+_TOKEN = re.compile(r'"((?:[^"]|"")*)"|\[\d+\]|(?<![\w.])(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)(?!\w)')
+"""A quoted text, a number in brackets (which is no value), or a number: both forms have the same
+values in the same order."""
+
+
+def intervals_of(text: str, path: object) -> dict[str, list[Interval]]:
+    """Interval tiers of a TextGrid by name, in the order of the text; `path` is for messages.
+
+    Raises
+    ------
+    DataError
+        If it is no TextGrid with interval tiers.
+    """
+    found = (match for match in _TOKEN.finditer(text) if not match[0].startswith("["))
+    values = [float(m[2]) if m[2] else m[1].replace('""', '"') for m in found]
+    tiers: dict[str, list[Interval]] = {}
+    for i, value in enumerate(values):
+        if value == "IntervalTier" and len(values) > i + 4:
+            tiers[str(values[i + 1])] = _intervals(path, values[i + 4 :])
+    if not tiers:
+        raise DataError(f"{path}: no interval tier; save a TextGrid of Praat with one")
+    return tiers
+
+
+def _intervals(path: object, values: list[float | str]) -> list[Interval]:
+    """Intervals of a tier from its number of intervals on."""
+    count = values[0]
+    if not isinstance(count, float) or not 0 <= count <= (len(values) - 1) // 3:
+        raise DataError(f"{path}: a tier has {quoted(count)} intervals, which are not in the file")
+    rows: list[Interval] = []
+    for k in range(1, 1 + 3 * int(count), 3):
+        start, end, label = values[k : k + 3]
+        if not isinstance(start, float) or not isinstance(end, float) or isinstance(label, float):
+            raise DataError(f"{path}: interval {len(rows) + 1} is no start, end and text")
+        rows.append((start, end, label))
+    return rows
+
 
 LANGUAGE = "en-us"
 _SILENT = frozenset(("", "sil", "sp", "spn", "pau", "<eps>", "<p:>", "<sil>", "_", "#", "..."))
@@ -97,7 +138,7 @@ class Transcript:
 
 def check_language(language: str) -> None:
     """Refuse a language that espeak-ng has no voice for; MissingError without espeak-ng."""
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     if (reason := espeak.missing()) is not None:
         raise MissingError(f"words need espeak-ng for their sounds; {reason}, or give phones")
@@ -132,7 +173,7 @@ def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
 
 def _pronounced(text: str, language: str) -> list[Word]:
     """Words of a text with their phones, clause by clause."""
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     words: list[Word] = []
     for clause in _CLAUSE.findall(text):
@@ -149,7 +190,7 @@ def _pronounced(text: str, language: str) -> list[Word]:
 
 
 def _spoken(word: str, language: str) -> list[tuple[str, ...]]:
-    from deitalk.corpus.engines import espeak
+    from deitalk.pipeline.words import espeak
 
     return spoken_words(espeak.pronounce(word, voice=language), language)
 

@@ -6,13 +6,15 @@
 with the mean pose of the captures and so serves any rig.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parametrize
 
 from deitalk.config import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
@@ -29,13 +31,12 @@ from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.distillation import start_as
 from deitalk.training.optimiser import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
-from deitalk.training.tuning.low_rank import add_adapters, merged_weights
-from deitalk.training.tuning.new_rig import CapturedRows, fit_decoder
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
     is_same_rig,
@@ -46,7 +47,88 @@ from deitalk.training.tuning.recipe import (
     with_ranges,
 )
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
+from rig.arrays import Float32, Float64
 from rig.errors import ControlError
+
+# First weights of a decoder for a new rig: regressions of the captured curves.
+#
+# Letters: T frames, H inputs of the last layer, C controls.
+
+RIDGE = 1000.0
+"""Of the last layer, squared units of its input."""
+RANGE_ROWS = 0.02
+"""Share of an actor's frames, as if the gain of every control were 1 in them."""
+
+
+class CapturedRows(NamedTuple):
+    """A clip as the last layer is given it.
+
+    Attributes
+    ----------
+    actor : str
+    hidden : ndarray [shape=(T, H)]
+    curves : ndarray [shape=(T, C)]
+    """
+
+    actor: str
+    hidden: Float32
+    curves: Float32
+
+
+@torch.no_grad()
+def fit_decoder(decoder: RigDecoder, rows: Sequence[CapturedRows], actors: Sequence[str]) -> None:
+    """Fit the last layer by ridge regression, and the ranges of the actors to what it predicts.
+
+    Parameters
+    ----------
+    decoder : RigDecoder
+        Changed in place.
+    rows : sequence of CapturedRows
+        All clips to train on.
+    actors : sequence of str
+        Those of the model, in its order.
+    """
+    x = np.concatenate([row.hidden for row in rows]).astype(np.float64)
+    y = np.concatenate([row.curves for row in rows]).astype(np.float64)
+    mean, centre = x.mean(axis=0), y.mean(axis=0)
+    x -= mean
+    weight = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ (y - centre))
+    bias = centre - mean @ weight
+    decoder.output.weight.copy_(torch.from_numpy(weight.T))
+    decoder.output.bias.copy_(torch.from_numpy(bias))
+    if decoder.ranges is None:
+        return
+    for place, actor in enumerate(actors):
+        own = [row for row in rows if row.actor == actor]
+        if own:
+            given = np.concatenate([row.hidden @ weight + bias for row in own])
+            wanted = np.concatenate([row.curves for row in own]).astype(np.float64)
+            gain, offset = actor_range(given, wanted)
+            decoder.ranges.gains[place].copy_(torch.from_numpy(gain - 1))
+            decoder.ranges.offsets[place].copy_(torch.from_numpy(offset))
+
+
+def actor_range(given: Float64, wanted: Float64) -> tuple[Float64, Float64]:
+    """Gain and offset that bring predictions for all actors to one actor's curves.
+
+    Least squares of every control, held at a gain of 1 by `RANGE_ROWS`.
+
+    Parameters
+    ----------
+    given, wanted : ndarray [shape=(T, C)]
+        Predicted and captured.
+
+    Returns
+    -------
+    gain, offset : ndarray [shape=(C,)]
+    """
+    centre, aim = given.mean(axis=0), wanted.mean(axis=0)
+    moved = given - centre
+    held = RANGE_ROWS * len(given) * given.var(axis=0).mean()
+    square = (moved**2).sum(axis=0) + held
+    gain = ((moved * (wanted - aim)).sum(axis=0) + held) / np.maximum(square, 1e-12)
+    return gain, aim - gain * centre
+
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
@@ -367,3 +449,55 @@ class FinetuneTask(CurveTask):
         whole = self._network()
         whole.load_state_dict(merged_weights(model))
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
+
+
+# Changes of low rank of trained layers (LoRA, Hu et al. 2021), merged when the model is saved.
+#
+# A weight W becomes W + B A, where A [shape=(rank, inputs)] is random and B [shape=(outputs, rank)]
+# begins at 0; W stays as it is. A convolution's weight counts as a matrix of its outputs and of all
+# its inputs at every offset, so that linear layers and convolutions are changed alike, and a saved
+# model is an ordinary one. (peft wraps each layer in a module of its own; merging by torch's
+# parametrisations needs neither that nor another dependency.)
+
+
+class LowRank(nn.Module):
+    """Change of one weight.
+
+    Parameters
+    ----------
+    weight : Tensor [shape=(outputs, ...)]
+        Gives the shape.
+    rank : int
+        At most the smaller side of the matrix is used.
+    """
+
+    def __init__(self, weight: Tensor, rank: int) -> None:
+        super().__init__()
+        outputs, inputs = weight.flatten(1).shape
+        rank = min(rank, outputs, inputs)
+        self.down = nn.Parameter(torch.randn(rank, inputs) * inputs**-0.5)
+        self.up = nn.Parameter(torch.zeros(outputs, rank))
+
+    def forward(self, weight: Tensor) -> Tensor:
+        """Add the change."""
+        return weight + (self.up @ self.down).view_as(weight)
+
+
+def add_adapters(layers: Iterable[nn.Module], rank: int) -> None:
+    """Give every linear layer and convolution a `LowRank` change, which alone learns."""
+    for layer in layers:
+        for module in [m for m in layer.modules() if isinstance(m, nn.Linear | nn.Conv1d)]:
+            module.requires_grad_(False)
+            parametrize.register_parametrization(module, "weight", LowRank(module.weight, rank))
+
+
+def merged_weights(model: nn.Module) -> dict[str, Tensor]:
+    """State dict of the model as it was without adapters, their changes added to its weights."""
+    weights = dict(model.state_dict())
+    for path, module in model.named_modules():
+        if parametrize.is_parametrized(module, "weight"):
+            parts = f"{path}.parametrizations.weight."
+            weights = {name: w for name, w in weights.items() if not name.startswith(parts)}
+            changed: Tensor = module.weight
+            weights[f"{path}.weight"] = changed.detach()
+    return weights

@@ -42,17 +42,13 @@ def ear(identity: Identity) -> Mesh:
     upward = np.array([0.0, 1.0, 0.0])
     lean_f = np.cos(roll) * forward + np.sin(roll) * upward
     lean_u = np.cos(roll) * upward - np.sin(roll) * forward
-    center = _ear_center(identity)
+    # Just outside the side of the head, level with the nose.
+    direction = np.array([[1.0, -0.14, -0.22]])
+    on_skin = project(direction / np.linalg.norm(direction), identity)[0]
+    center = np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
     vertices = center + local @ np.stack([lean_f, lean_u, outward])
     mesh = painted(vertices, grid_faces(len(_RADIUS), _COLUMNS), identity.skin, 0.2)
     return Mesh(vertices, mesh.faces, _shaded(mesh.colors), mesh.gloss)
-
-
-def _ear_center(identity: Identity) -> Float64:
-    """Just outside the side of the head, level with the nose."""
-    direction = np.array([[1.0, -0.14, -0.22]])
-    on_skin = project(direction / np.linalg.norm(direction), identity)[0]
-    return np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
 
 
 def _shaded(colors: Float64) -> Float64:

@@ -185,13 +185,6 @@ def _strips(start: int, count: int, n_loops: int, flipped: bool) -> Int64:
     return faces[:, ::-1] if flipped else faces
 
 
-def _mirror_of(points: Float64) -> Int64:
-    """Index of the mirror image of every point."""
-    distance, index = cKDTree(points).query(points * [-1, 1, 1])
-    assert np.max(distance) < 1e-6, "the skin's points are not mirror-symmetric"
-    return np.asarray(index, np.int64)
-
-
 @lru_cache(maxsize=1)
 def build_topology() -> Topology:
     """Place and join the skin's vertices for the reference identity (about a second)."""
@@ -220,7 +213,10 @@ def build_topology() -> Topology:
     movable, on_midline = np.arange(n) >= n_rows, np.zeros(n, bool)
     on_midline[n_rows : n_rows + len(midline)] = True
     directions[ids] = _relaxed(directions[ids], movable[ids], on_midline[ids])
-    mirror = _mirror_of(directions)
+    # Index of the mirror image of every point.
+    distance, index = cKDTree(directions).query(directions * [-1, 1, 1])
+    assert np.max(distance) < 1e-6, "the skin's points are not mirror-symmetric"
+    mirror = np.asarray(index, np.int64)
     faces = ids[_hull(directions[ids])]
     faces = faces[~_spans_feature(faces, directions, kind, features)]
     faces = _symmetric(faces, directions, mirror)

@@ -90,7 +90,11 @@ class ShapeMaker:
         self.lid = is_eye & (skin.ring <= 1)
         far = (v[:, 1] < -13.8) | (v[:, 2] < -1.8) | (v[:, 1] > 8.2) | (np.abs(v[:, 0]) > 6.75)
         self.still = far & (skin.kind == FILLER)
-        self.nose = _nose(skin)
+        # Tip and bridge of the nose, which no lip shape moves.
+        rim = skin.vertices[skin.loop(NOSTRIL_L, 0)]
+        x, y, z = np.abs(skin.vertices[:, 0]), skin.vertices[:, 1], skin.vertices[:, 2]
+        front = (skin.kind == FILLER) & (x < 0.8) & (z > rim[:, 2].mean() - 0.2)
+        self.nose = np.asarray(front & (y > rim[:, 1].mean()) & (y < -1.5))
 
     def make(self, shape: Shape) -> dict[str, Float64]:
         """Displacements by name: one for a whole shape, two for a split one."""
@@ -150,14 +154,6 @@ class ShapeMaker:
         roll = 0.75 * depth * np.exp(-(((signed - 2.1 * width) / (1.5 * width)) ** 2))
         front = smoothstep((v[:, 2] - 1.5) / 2) * ~self.lid * (self.skin.ring >= 0)
         return np.asarray(((groove + roll) * front)[:, None] * self.normals)
-
-
-def _nose(skin: Skin) -> Bool:
-    """Tip and bridge of the nose, which no lip shape moves."""
-    rim = skin.vertices[skin.loop(NOSTRIL_L, 0)]
-    x, y, z = np.abs(skin.vertices[:, 0]), skin.vertices[:, 1], skin.vertices[:, 2]
-    front = (skin.kind == FILLER) & (x < 0.8) & (z > rim[:, 2].mean() - 0.2)
-    return np.asarray(front & (y > rim[:, 1].mean()) & (y < -1.5))
 
 
 def _signed_distance(points: Float64, line: Float64) -> Float64:

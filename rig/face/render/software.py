@@ -32,7 +32,13 @@ class SoftwareRenderer:
         self._matrix = view.matrix(size[0] / size[1])
         self._paint = np.c_[mesh.colors, mesh.gloss].astype(np.float32)
         self._part = _parts(mesh)
-        self._to_eye = _directions_to_eye(view, self._matrix, size)
+        # Unit vectors (3, height * width) from what each pixel shows towards the camera.
+        width, height = size
+        x, y = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height
+        far = np.stack(np.broadcast_arrays(2 * x - 1, 1 - 2 * y, 1.0, 1.0), -1).reshape(-1, 4)
+        point = far @ np.linalg.inv(self._matrix).T
+        away = np.array(view.position) - point[:, :3] / point[:, 3:]
+        self._to_eye = np.ascontiguousarray(unit(away).T, np.float32)
         rows = (background(size[1])[:, 0] * 255).astype(np.float32)
         self._empty = np.repeat(rows, size[0], axis=0).T.copy()
         distance = np.linalg.norm(np.subtract(view.position, view.target))
@@ -40,7 +46,12 @@ class SoftwareRenderer:
 
     def draw(self, vertices: Float64, normals: Float64) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
-        screen = self._project(vertices)
+        width, height = 2 * self._size[0], 2 * self._size[1]
+        clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
+        x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
+        screen = Screen(
+            width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
+        )
         faces = front_faces(screen, self._faces)
         nearest, depths = nearest_faces(screen, faces)
         face, depth = _by_pixel(nearest), _by_pixel(depths)
@@ -60,14 +71,6 @@ class SoftwareRenderer:
 
     def close(self) -> None:
         """Nothing to free."""
-
-    def _project(self, vertices: Float64) -> Screen:
-        width, height = 2 * self._size[0], 2 * self._size[1]
-        clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
-        x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
-        return Screen(
-            width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
-        )
 
     def _differs(self, faces: Int64, face: Int32, depth: Float32, sample: int) -> Int64:
         """Pixels with a sample on another surface than sample 0."""
@@ -116,13 +119,3 @@ def _by_pixel(grid: NDArray[T]) -> NDArray[T]:
 def _parts(mesh: Mesh) -> Int32:
     """Number (V,) of the connected piece each vertex belongs to."""
     return connected_components(adjacency(mesh.faces, len(mesh.vertices)))[1].astype(np.int32)
-
-
-def _directions_to_eye(view: View, matrix: Float64, size: tuple[int, int]) -> Float32:
-    """Unit vectors (3, height * width) from what each pixel shows towards the camera."""
-    width, height = size
-    x, y = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height
-    far = np.stack(np.broadcast_arrays(2 * x - 1, 1 - 2 * y, 1.0, 1.0), -1).reshape(-1, 4)
-    point = far @ np.linalg.inv(matrix).T
-    away = np.array(view.position) - point[:, :3] / point[:, 3:]
-    return np.ascontiguousarray(unit(away).T, np.float32)

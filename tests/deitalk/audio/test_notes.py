@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.audio.load import load_audio, write_wav
-from deitalk.audio.notes import describe
+from deitalk.audio.load import describe, load_audio, write_wav
 from deitalk.audio.voice_activity import active_level_db, noise_likeness, speech_activity
 
 SPEECH = Path(__file__).resolve().parents[3] / "docs/samples" / "promise.flac"

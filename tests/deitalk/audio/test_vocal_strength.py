@@ -16,7 +16,7 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.training.strength_network import StrengthNetwork
+from deitalk.research.training.strength_network import StrengthNetwork
 from tests.deitalk.audio.test_prosody import voice
 
 

@@ -4,8 +4,7 @@ import pytest
 
 from deitalk.acting import Acting
 from deitalk.batch.lines import BadLine, Line, Written, parse_formats
-from deitalk.batch.manifest import read_manifest
-from deitalk.batch.source import distinct, read_source
+from deitalk.batch.source import distinct, read_manifest, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError, DeitalkError
 

@@ -9,8 +9,9 @@ import soundfile
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.corpus.engines import espeak
 from deitalk.errors import DataError
+from deitalk.pipeline.words import espeak as words_espeak
+from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
 
 
@@ -49,7 +50,9 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
     assert "leave one out" in error("--words", "a", "--phones", "AA")
     assert "'xx' is no voice of espeak-ng" in error("--words", "a", "--language", "xx")
     assert "w.csv" in error("--words", "w.csv")
-    monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
+    monkeypatch.setattr(
+        words_espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader"
+    )
     assert "pip install espeakng-loader, or give phones" in error("--words", "a")
 
 

@@ -15,7 +15,7 @@ from deitalk.data.windows import WindowBatches, load_material
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.training.ablation import Variant, ablate
+from deitalk.research.training.ablation import Variant, ablate
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 

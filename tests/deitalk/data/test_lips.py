@@ -12,19 +12,17 @@ import torch
 
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.lips import vocabulary
-from deitalk.data.lips.dataset import write_lip_dataset
+from deitalk.data.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
 from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.data.lips.measured import COLUMNS, read_lips
-from deitalk.data.lips.regression import LipRidge
-from deitalk.data.lips.transfer import CONTACT, LipTransfer
-from deitalk.data.lips.vocabulary import halves, keep_half
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
 from deitalk.evaluation.people.lips import PREDICTIONS, as_markdown, evaluate_lips
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.lips import vocabulary
+from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
 from rig.face.geometry.topology import MOUTH

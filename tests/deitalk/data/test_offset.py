@@ -9,8 +9,6 @@ import pandas as pd
 import pytest
 
 from deitalk.audio.load import Recording, load_audio
-from deitalk.corpus.build import Shard, build
-from deitalk.corpus.engines import available_engines
 from deitalk.data.checks import check_dataset, jaw_motion
 from deitalk.data.clips import read_clips
 from deitalk.data.offset import (
@@ -23,6 +21,8 @@ from deitalk.data.offset import (
     peak,
     vowel_band,
 )
+from deitalk.research.corpus.build import Shard, build
+from deitalk.research.corpus.engines import available_engines
 from rig import read_curves
 
 SHIFTS = (-0.5, -0.2, -0.1, 0.1, 0.2, 0.5)

@@ -149,9 +149,9 @@ def held_out(tmp_path_factory):
     pytest.importorskip("pocketsphinx", reason="alignment needs pocketsphinx")
     if not (SHARED / "data/speech").is_dir():
         pytest.skip("needs the development data in ../shared")
-    from deitalk.corpus.build import build, recorded_shards
-    from deitalk.corpus.performance import split_of
-    from deitalk.corpus.recordings import recordings
+    from deitalk.research.corpus.build import build, recorded_shards
+    from deitalk.research.corpus.performance import split_of
+    from deitalk.research.corpus.recordings import recordings
 
     everything = recordings(SHARED / "data/speech")
     readers = [r for r in everything if r.speaker.startswith("librispeech")]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.figures.captures import LEAST_SHOWN_MS, shown_lags
+from deitalk.data.captures.mend import LEAST_SHOWN_MS, shown_lags
 
 
 @pytest.mark.parametrize("lags", [[], [-0.62], [-0.62, np.nan], [-1.0, 1.0]])

@@ -9,7 +9,7 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.config import MelConfig
 from deitalk.frontends import build_frontend
-from deitalk.frontends.chunking import phase_shifts
+from deitalk.frontends.mel_bilstm import phase_shifts
 
 MEL = {
     "n_mels": 16,

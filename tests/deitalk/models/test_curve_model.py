@@ -9,9 +9,8 @@ from torch.nn import functional as F
 
 import deitalk.models.curve_model
 from deitalk.config import MelConfig, ModelConfig, load_config
-from deitalk.models.curve_model import DECODE_FRAMES, Analysis, DEITalk
+from deitalk.models.curve_model import DECODE_FRAMES, Analysis, DEITalk, dynamic_positions
 from deitalk.models.intensity import temporal_maximum
-from deitalk.models.positions import dynamic_positions
 from tests.closeness import SHARE, assert_same
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -13,7 +13,7 @@ from deitalk.data.mesh_folder import MeshSequence, read_mesh_folder, write_mesh_
 from deitalk.data.mesh_sources import act, acted_clips, head_templates
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.evaluation import mesh_emotion as expression_module
+from deitalk.evaluation import mesh as expression_module
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
 from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -9,9 +9,9 @@ from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model
 from deitalk.models.mesh_model import SDFA, MeshModel
-from deitalk.models.trim import main as trim_main
-from deitalk.models.trim import trimmed
 from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
+from deitalk.research.training.trim import main as trim_main
+from deitalk.research.training.trim import trimmed
 from tests.deitalk.models.test_mesh_model import model, noise, tiny
 
 

@@ -21,7 +21,7 @@ from deitalk.live.animator import LiveAnimator, live_frames
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
-from deitalk.models.network import load_network
+from deitalk.models.load import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
 from rig import default_controls, read_curves

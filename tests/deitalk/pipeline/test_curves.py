@@ -164,7 +164,7 @@ def test_last_frame_after_silence_is_at_rest(network):
 
 
 def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
-    from deitalk.pipeline.take import write_take
+    from deitalk.pipeline.performance import write_take
 
     speech = recording()
     first = animate(speech, "sad", model=network)

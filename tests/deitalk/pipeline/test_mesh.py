@@ -32,7 +32,7 @@ SAMPLE_BILABIALS = (
     (8.04, 8.08), (8.31, 8.61),
 )  # fmt: skip
 """Every m, b, p of the sample (may·be you be·lieve me ... mo·ther ... prom·ised every·bo·dy ...),
-aligned with pocketsphinx by `deitalk.corpus.alignment`; seconds."""
+aligned with pocketsphinx by `deitalk.research.corpus.alignment`; seconds."""
 WIDEN_SECONDS = 2 / 30
 
 

@@ -13,19 +13,20 @@ from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.pipeline import suggest
-from deitalk.pipeline.manner import SIZE, manner
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import (
     FEWEST_FRAMES,
     FURTHEST,
     NAMED,
+    SIZE,
     SURE,
     EmotionMap,
     VoiceFrames,
     emotion_map,
+    manner,
     suggest_emotion,
 )
-from deitalk.training.suggestion import (
+from deitalk.research.training.suggestion import (
     ASKED,
     Label,
     Voices,

@@ -10,7 +10,7 @@ import soundfile
 
 from deitalk import animate
 from deitalk.audio.original import start_seconds
-from deitalk.pipeline.take import FILES, write_take
+from deitalk.pipeline.performance import FILES, write_take
 from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from tests.deitalk.pipeline.test_curves import network, recording
@@ -131,7 +131,7 @@ def test_write_take_on_a_full_disk_leaves_nothing(tmp_path, performance, monkeyp
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("deitalk.pipeline.take.write_wav", full)
+    monkeypatch.setattr("deitalk.pipeline.performance.write_wav", full)
     with pytest.raises(TargetError, match="No space left on device"):
         write(tmp_path / "take", performance)
     assert list(tmp_path.iterdir()) == []

@@ -16,8 +16,7 @@ import pytest
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
 from deitalk.preview import page as page_module
-from deitalk.preview.pack import pack
-from deitalk.preview.page import render_page
+from deitalk.preview.page import pack, render_page
 from deitalk.preview.source import PreviewError, PreviewSource
 from deitalk.preview.warnings import bilabial_warnings
 from rig import RigCurves, clamp, default_controls, gain

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from deitalk.data.mesh_folder import read_mesh_folder
-from deitalk.training.lip_regression import LipRegression
+from deitalk.training.mesh_losses import LipRegression
 from tests.deitalk.models.test_mesh_model import LIPS
 from tests.deitalk.training.test_mesh import write_sheets
 

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from deitalk.models.rig_decoder import RigDecoder
-from deitalk.training.tuning.new_rig import RANGE_ROWS, CapturedRows, actor_range, fit_decoder
+from deitalk.training.tuning.task import RANGE_ROWS, CapturedRows, actor_range, fit_decoder
 
 
 def test_last_layer_is_a_regression_and_each_actor_has_a_range(rng, monkeypatch):
     """Two actors of whom one moves three times as far: all get the mean, each of them the own."""
-    monkeypatch.setattr("deitalk.training.tuning.new_rig.RIDGE", 1e-3)
-    monkeypatch.setattr("deitalk.training.tuning.new_rig.RANGE_ROWS", 0.0)
+    monkeypatch.setattr("deitalk.training.tuning.task.RIDGE", 1e-3)
+    monkeypatch.setattr("deitalk.training.tuning.task.RANGE_ROWS", 0.0)
     hidden = rng.normal(size=(600, 4)).astype(np.float32)
     curves = (hidden @ rng.normal(size=(4, 2)) + 0.3).astype(np.float32)
     rows = [CapturedRows("ann", hidden, curves), CapturedRows("bob", hidden, 3 * curves)]

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.data.video.filmed import filmed_curves
+from deitalk.data.video.filmed import GAZE, LOOSENESS, filmed_curves, shown_controls, straightened
 from deitalk.data.video.head import MEASURES, SIDES, HeadFace
 from deitalk.data.video.landmarks import FaceTrack, pixels
 from deitalk.data.video.measures import measure
-from deitalk.data.video.pose import straightened
-from deitalk.data.video.solve import GAZE, LOOSENESS, shown_controls
 from rig import default_controls
 from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks

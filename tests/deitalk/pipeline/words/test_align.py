@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from deitalk import animate
-from deitalk.corpus.engines import espeak
 from deitalk.errors import DeitalkError
 from deitalk.phones import PHONES
-from deitalk.pipeline.words.align import fit_words
+from deitalk.pipeline.words.align import best_path, fit_words
 from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
-from deitalk.pipeline.words.viterbi import best_path
+from deitalk.research.corpus.engines import espeak
 
 FLAT = np.full(len(PHONES), 1 / len(PHONES), np.float32)
 
@@ -53,7 +52,7 @@ def test_path_is_the_best_of_all(seed):
 
 def test_path_stays_in_its_band(monkeypatch):
     """A band of three states follows a chain of forty."""
-    monkeypatch.setattr("deitalk.pipeline.words.viterbi.BAND", 3)
+    monkeypatch.setattr("deitalk.pipeline.words.align.BAND", 3)
     states = np.arange(40) % 10 + 1
     found = np.full((80, 11), -5.0, np.float32)
     found[np.arange(80), np.repeat(states, 2)] = 0

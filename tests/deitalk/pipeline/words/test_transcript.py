@@ -2,11 +2,10 @@
 
 import pytest
 
-from deitalk.corpus.engines import espeak
-from deitalk.corpus.phone_alphabets import spoken_words
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.pipeline.words.textgrid import intervals_of
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words import espeak
+from deitalk.pipeline.words.phone_alphabets import spoken_words
+from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of
 
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"

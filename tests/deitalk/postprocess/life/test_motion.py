@@ -5,7 +5,6 @@ import pytest
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
-from deitalk.evaluation.people.nods import find_nods
 from deitalk.postprocess.life.amounts import Life, place_of
 from deitalk.postprocess.life.brows import (
     STEMS,
@@ -27,6 +26,7 @@ from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS
 from deitalk.postprocess.life.tracks import swell
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
+from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls
 
 CONTROLS = default_controls()

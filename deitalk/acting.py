@@ -1,0 +1,528 @@
+"""`Acting`: everything that a recording can be asked for, once.
+
+Every way into the package takes these fields and no others: the command line, `deitalk.animate`,
+the columns of a batch's manifest, the form and the messages of the service, the page, and the
+settings in ``take.json``, which give the same take again. Each field has a text form, which is
+parsed here and nowhere else.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
+
+from deitalk.errors import ConfigError, DataError, EmotionError
+from rig import limits
+from rig.errors import UserError, quoted
+
+if TYPE_CHECKING:
+    from deitalk.emotions import ActorReference as ActorReference
+    from deitalk.emotions import EmotionTrack as EmotionTrack
+    from deitalk.emotions import IntensityCurve as IntensityCurve
+    from deitalk.postprocess.life.amounts import Life as Life
+
+    Track = EmotionTrack | Literal["auto"]
+else:  # their modules need numpy, which a command line does without until it works
+    ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
+
+# Text forms of the fields of an acting, parsed once, and the files that they may name.
+
+AUTO: Final = "auto"
+"""Emotion that stands for the one that the voice suggests."""
+LONGEST_LISTENING = 600.0
+"""Seconds."""
+MOST_INTENSITY = 4.0
+LONGEST_TEXT = 1 << 20
+"""Letters of a text that comes from elsewhere."""
+PHONES = "phones:"
+"""Before words that are written as phones."""
+WORDS_SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
+_KINDS = {".csv": "table", ".tsv": "table", ".textgrid": "grid"}
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is said: text, a table of words and their times, or a TextGrid.
+
+    Attributes
+    ----------
+    text : str
+        The words themselves, or the content of the file.
+    are_phones : bool
+        Whether they are written as phones, ARPABET or IPA.
+    kind : str
+        ``text``, ``table`` (columns start, end, word or phone) or ``grid``.
+    source : str
+        Name of the file; empty of a text.
+    """
+
+    text: str
+    are_phones: bool = False
+    kind: str = "text"
+    source: str = field(default="", compare=False)
+
+    @classmethod
+    def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
+        """Read words, or the file that is named; ``phones:`` before them marks phones.
+
+        Raises
+        ------
+        DataError
+            If it is neither text nor path, or the file cannot be read.
+        """
+        if isinstance(given, Words):
+            return given
+        if not isinstance(given, str | Path):
+            raise DataError(f"words {quoted(given)} must be a text or a path")
+        text = str(given)
+        are_phones = text.lower().startswith(PHONES)
+        text = text[len(PHONES) :] if are_phones else text
+        if isinstance(given, Path) or _names_words(text):
+            path = _file(text.strip(), files, DataError)
+            suffix = path.suffix.lower()
+            if suffix not in WORDS_SUFFIXES:
+                known = ", ".join(WORDS_SUFFIXES)
+                raise DataError(f"{path}: suffix {quoted(suffix)} is none of {known}")
+            from rig.files.reading import read_text
+
+            content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
+            return cls(content, are_phones, _KINDS.get(suffix, "text"), path.name)
+        if len(text) > limits.TRANSCRIPT_BYTES:
+            raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
+        return cls(text if "\n" in text else text.strip(), are_phones, _kind(text))
+
+    def __str__(self) -> str:
+        return f"{PHONES} {self.text}" if self.are_phones else self.text
+
+
+def _names_words(text: str) -> bool:
+    return "\n" not in text.strip() and text.strip().lower().endswith(WORDS_SUFFIXES)
+
+
+def _kind(text: str) -> str:
+    if "ooTextFile" in text[:200]:
+        return "grid"
+    header = {cell.strip().lower() for cell in _cells(text.lstrip().partition("\n")[0])}
+    return "table" if "\n" in text and {"start", "end"} <= header else "text"
+
+
+def _cells(line: str) -> list[str]:
+    return line.split(max(",;\t", key=line.count))
+
+
+def _file(
+    name: str, files: Mapping[str, Path] | None, error: type[UserError] = EmotionError
+) -> Path:
+    """Path of a named file: anywhere on this disk, or only one of `files`."""
+    if not name:
+        raise error("an empty path; name a file")
+    if files is None:
+        return Path(name)
+    if name not in files:
+        raise error(f"file {quoted(name)} was not sent; send it with the request, or its content")
+    return files[name]
+
+
+def _files(info: ValidationInfo) -> Mapping[str, Path] | None:
+    return None if info.context is None else info.context["files"]
+
+
+def neutral_track() -> Track:
+    """The default emotion."""
+    from deitalk.emotions import parse_emotion
+
+    return parse_emotion("neutral")
+
+
+def read_emotion(given: Any, info: ValidationInfo) -> Track:
+    """A label, weights, keys, a file of them, or ``auto``."""
+    from deitalk.emotions import EmotionTrack, parse_emotion
+    from deitalk.emotions.tracks import names_track
+
+    if not isinstance(given, str | Path | Mapping | EmotionTrack):
+        raise EmotionError(
+            f"emotion {quoted(given)} is a {type(given).__name__}; give a name, weights such as "
+            "{'happy': 0.7}, a file or an EmotionTrack"
+        )
+    if given == AUTO:
+        return AUTO
+    if isinstance(given, str | Path) and names_track(given):
+        given = _file(str(given).strip(), _files(info))
+    return parse_emotion(given)
+
+
+def read_curve(given: Any, info: ValidationInfo) -> IntensityCurve:
+    """A curve, a file of one, or its content."""
+    from deitalk.emotions import IntensityCurve, parse_intensity_curve
+    from deitalk.emotions.track_files import is_table
+
+    if not isinstance(given, str | Path | IntensityCurve):
+        raise EmotionError(
+            f"intensity_curve {quoted(given)} is a {type(given).__name__}; give a file or an "
+            "IntensityCurve"
+        )
+    if isinstance(given, Path) or (isinstance(given, str) and not is_table(given)):
+        given = _file(str(given).strip(), _files(info))
+    return parse_intensity_curve(given)
+
+
+def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
+    """A reference of an actor, a file of one, or its content."""
+    from deitalk.emotions import ActorReference, parse_actor, read_actor
+
+    if isinstance(given, ActorReference):
+        return given
+    if isinstance(given, Mapping):
+        return parse_actor(json.dumps(dict(given)).encode(), "voice")
+    if not isinstance(given, str | Path):
+        raise EmotionError(
+            f"voice {quoted(given)} is a {type(given).__name__}; give a file or an ActorReference"
+        )
+    if isinstance(given, str) and given.lstrip().startswith("{"):
+        return parse_actor(given.encode(errors="replace"), "voice")
+    return read_actor(_file(str(given).strip(), _files(info)))
+
+
+def read_words(given: Any, info: ValidationInfo) -> Words:
+    """Words, a file of them, or its content."""
+    return Words.of(given, _files(info))
+
+
+def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
+    """A finite number within limits, or its text with a decimal point or comma."""
+
+    def check(given: Any, info: ValidationInfo) -> float:
+        number = given
+        if isinstance(given, str):
+            try:
+                number = float(given.strip().replace(",", "."))
+            except ValueError:
+                number = None
+        is_number = isinstance(number, Real) and not isinstance(number, bool)
+        if not is_number or not low <= float(number) <= high:
+            raise ConfigError(
+                f"{info.field_name} {quoted(given)} must be a number, {low:g} to {high:g}"
+            )
+        return float(number)
+
+    return check
+
+
+def read_seed(given: Any) -> int:
+    """A whole number up to `rig.limits.SEED`, or its text."""
+    number = int(given) if isinstance(given, str) and given.strip().isdecimal() else given
+    is_whole = isinstance(number, Integral) and not isinstance(number, bool)
+    if not is_whole or not 0 <= int(number) <= limits.SEED:
+        raise ConfigError(f"seed {quoted(given)} must be a whole number, 0 to 2**63 - 1")
+    return int(number)
+
+
+def read_life(given: Any) -> Life:
+    """Factors as text or a mapping, ``on`` or ``off``."""
+    from deitalk.postprocess.life.amounts import Life
+
+    return Life.of(given)
+
+
+def read_place(given: Any) -> tuple[float, float]:
+    """Two angles, or their text."""
+    from deitalk.postprocess.life.amounts import place_of
+
+    return place_of(given)
+
+
+def read_gains(given: Any) -> dict[str, float]:
+    """Factors by control or region, of a mapping or text."""
+    from rig.curves.edit import parse_gains
+
+    return parse_gains(given or None)
+
+
+def written_gains(gains: Mapping[str, float]) -> str:
+    """The text that `read_gains` reads."""
+    return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
+
+
+def written_place(place: tuple[float, float]) -> str:
+    """The text that `read_place` reads."""
+    return ",".join(f"{part:.9g}" for part in place)
+
+
+def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
+    return WithJsonSchema({"type": schema, **more})
+
+
+_STR = PlainSerializer(str, return_type=str, when_used="unless-none")
+_TEXT = _text(maxLength=LONGEST_TEXT)
+
+
+def _extra(live: str = "", **default: str) -> dict[str, Any]:
+    """More of a field's schema: when a voice takes it before it has ended, the default as text."""
+    return ({"x-live": live} if live else {}) | default
+
+
+class Acting(BaseModel):
+    """How a recording is acted.
+
+    Fields are given as themselves or as text; a field that is a file, as its path, its content or
+    what it holds. `Acting.of` reports errors in one line.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+    emotion: Annotated[Track, PlainValidator(read_emotion), _STR, _TEXT] = Field(
+        default_factory=neutral_track,
+        description="neutral, angry, happy, sad, surprised; weights such as "
+        "happy=0.7,surprised=0.3; a track (.csv .json .yaml: time, emotion, strength); auto: "
+        "suggested from the voice.",
+        examples=["happy", "happy=0.7,surprised=0.3"],
+        json_schema_extra=_extra("change", default="neutral"),
+    )
+    intensity: Annotated[
+        float,
+        PlainValidator(number_within(0.0, MOST_INTENSITY)),
+        _text("number", minimum=0, maximum=MOST_INTENSITY),
+    ] = Field(
+        default=1.0,
+        description="Factor on the intensity predicted from the voice, 0 (neutral reading) to 4.",
+        json_schema_extra=_extra("change"),
+    )
+    intensity_curve: Annotated[IntensityCurve | None, PlainValidator(read_curve), _STR, _TEXT] = (
+        Field(
+            default=None,
+            description="Intensity instead of the predicted one: time, intensity, such as a take's "
+            "intensity.csv.",
+        )
+    )
+    voice: Annotated[
+        ActorReference | None,
+        PlainValidator(read_voice),
+        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Usual voice of the speaker, from which intensity counts: a file of `deitalk "
+        "actor build`.",
+    )
+    style: Annotated[str | None, Field(max_length=100)] = Field(
+        default=None,
+        description="Whose style, of a model tuned on several actors; by default its first.",
+        json_schema_extra=_extra("start"),
+    )
+    words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
+        default=None,
+        description="What is said: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
+        "and phones (ARPABET or IPA). Closures are met where the sound agrees.",
+        examples=["My promise is big.", "phones: M AY | P R AA M AH S"],
+    )
+    language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
+        default="en-us",
+        description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
+    )
+    life: Annotated[Life, PlainValidator(read_life), _STR, _text(maxLength=200)] = Field(
+        default_factory=lambda: read_life("on"),
+        description="Factors on blinks, gaze, brows and head, 0 to 2: brows=.8,head=1.2; or off.",
+        examples=["brows=.8,head=1.2,blinks=1,gaze=.5", "off"],
+        json_schema_extra=_extra("start", default="on"),
+    )
+    look_at: Annotated[
+        tuple[float, float],
+        PlainValidator(read_place),
+        PlainSerializer(written_place, return_type=str),
+        _text(maxLength=60),
+    ] = Field(
+        default=(0.0, 0.0),
+        description="Place of the listener: degrees to the character's left and up, -35 to 35.",
+        examples=["10,-5"],
+        json_schema_extra=_extra("start", default="0,0"),
+    )
+    gain: Annotated[
+        dict[str, float],
+        PlainValidator(read_gains),
+        PlainSerializer(written_gains, return_type=str),
+        _text(maxLength=4096),
+    ] = Field(
+        default={},
+        description="Factors on how far regions or controls go from rest: jaw=1.2,brow=.8.",
+        examples=["jaw=1.2,brow=.8"],
+        json_schema_extra=_extra("change", default=""),
+    )
+    listen: Annotated[
+        float,
+        PlainValidator(number_within(0.0, LONGEST_LISTENING)),
+        _text("number", minimum=0, maximum=LONGEST_LISTENING),
+    ] = Field(default=0.0, description="Seconds of living silence after the speech, 0 to 600.")
+    rules: bool = Field(
+        default=True,
+        description="The model's rules after the network; without them the network alone.",
+        json_schema_extra=_extra("change"),
+    )
+    seed: Annotated[
+        int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
+    ] = Field(
+        default=0,
+        description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
+        json_schema_extra=_extra("start"),
+    )
+
+    @classmethod
+    def of(
+        cls,
+        acting: "Acting | None" = None,
+        /,
+        *,
+        files: Mapping[str, Path] | None = None,
+        **fields: Any,
+    ) -> Self:
+        """An acting with these fields; those that are not given, or None, are `acting`'s.
+
+        Parameters
+        ----------
+        acting : Acting, optional
+            The defaults.
+        files : mapping of str to Path, optional
+            The only files that fields may name, by their names: for requests from elsewhere.
+            Any file of this machine by default.
+        **fields
+            Of this class.
+
+        Raises
+        ------
+        UserError
+            One line: the field, the value, the rule.
+        """
+        given = {} if acting is None else {n: getattr(acting, n) for n in acting.model_fields_set}
+        given |= {name: value for name, value in fields.items() if value is not None}
+        try:
+            return cls.model_validate(given, context=None if files is None else {"files": files})
+        except ValidationError as error:
+            raise user_error(error) from None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Fields other than the defaults, as JSON; `of` them gives the same acting."""
+        return self.model_dump(mode="json", exclude_defaults=True, include={*Acting.model_fields})
+
+    @property
+    def track(self) -> EmotionTrack:
+        """Emotion over time.
+
+        Raises
+        ------
+        EmotionError
+            If it is to be suggested: that takes a whole recording.
+        """
+        if isinstance(self.emotion, str):
+            raise EmotionError("emotion auto needs a whole recording; name an emotion")
+        return self.emotion
+
+    @property
+    def motion(self) -> Life | None:
+        """Motion above the mouth with the listener's place; None if it is off."""
+        from deitalk.postprocess.life.amounts import Life
+
+        parts: dict[str, Any] = {
+            name: getattr(self.life, name) for name in ("blinks", "gaze", "brows", "head")
+        }
+        motion = Life(**parts, look_at=self.look_at)
+        return None if motion.is_off else motion
+
+    def check_live(self) -> Self:
+        """Return this; refuse fields that need the whole recording.
+
+        Raises
+        ------
+        ConfigError
+            Names them.
+        """
+        whole = [name for name in self.settings if name not in LIVE_FIELDS]
+        if whole or self.emotion == AUTO:
+            raise ConfigError(
+                f"{', '.join(whole) or 'emotion auto'} needs the whole recording; leave it out "
+                "while somebody speaks"
+            )
+        return self
+
+
+LIVE_FIELDS = {
+    name: str(extra["x-live"])
+    for name, made in Acting.model_fields.items()
+    if isinstance(extra := made.json_schema_extra, dict) and "x-live" in extra
+}
+"""Fields that a voice takes before it has ended, and when: ``start`` or ``change``."""
+OLD_NAMES = {
+    "actor": "style",
+    "transcript": "words",
+    "phones": "words",
+    "idle": "life",
+    "raw": "rules",
+}
+"""Former names of fields."""
+
+
+def renamed(name: str, value: Any) -> tuple[str, Any]:
+    """The field, and its value, that a former name and value stand for."""
+    if name == "phones":
+        value = f"{PHONES} {value}"
+    elif name == "idle":
+        value = "off" if _is_false(value) else "on"
+    elif name == "raw":
+        value = _is_false(value)
+    return OLD_NAMES[name], value
+
+
+def modern(fields: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Fields under their names of today, and a note on each that had a former one.
+
+    Raises
+    ------
+    ConfigError
+        If one is given under both.
+    """
+    found, notes = dict(fields), []
+    for name in OLD_NAMES.keys() & fields.keys():
+        new, value = renamed(name, found.pop(name))
+        if new in found:
+            raise ConfigError(f"{name} is now {new}, which is given too; leave one out")
+        found[new] = value
+        notes.append(f"field {name} is now {new}")
+    return found, notes
+
+
+def _is_false(value: Any) -> bool:
+    return str(value).strip().lower() in ("false", "0", "no", "off", "f", "n")
+
+
+def user_error(error: ValidationError) -> UserError:
+    """The first error of a validation, as one line."""
+    first = error.errors(include_url=False)[0]
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, UserError):
+        return cause
+    name = ".".join(map(str, first["loc"]))
+    if first["type"] != "extra_forbidden":
+        return ConfigError(f"{name} {quoted(first['input'])}: {first['msg']}")
+    if name in OLD_NAMES:
+        new, value = renamed(name, first["input"])
+        return ConfigError(f"{name} is now {new}: write {new}={quoted(value)}")
+    return ConfigError(f"no field {quoted(name)}; known are {', '.join(Acting.model_fields)}")
+
+
+def acted_as(emotion: Any, acting: Acting | None, fields: Mapping[str, Any]) -> Acting:
+    """The acting of arguments; the emotion ``"neutral"`` leaves that of `acting`."""
+    if acting is None or not (isinstance(emotion, str) and emotion == "neutral"):
+        fields = {"emotion": emotion, **fields}
+    return Acting.of(acting, **fields)

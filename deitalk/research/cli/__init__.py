@@ -1,0 +1,15 @@
+"""Verbs of the command line that a checkout has beside those of the wheel."""
+
+from deitalk.cli.arguments import CheckedCommands
+from deitalk.research.cli.ablate import ablate
+from deitalk.research.cli.attention import attention
+from deitalk.research.cli.corpus import app as corpus_app
+from deitalk.research.cli.study import app as study_app
+
+
+def register(app: CheckedCommands) -> None:
+    """Add the verbs of `deitalk.installed.VERBS` to the command line."""
+    app.command()(ablate)
+    app.command()(attention)
+    app.add_typer(corpus_app, name="corpus")
+    app.add_typer(study_app, name="study")

@@ -1,0 +1,1 @@
+"""Measurements that one table or picture of the documents needs."""
