@@ -51,7 +51,7 @@ def animate(
     threads: Threads = 1,
     timecode: Timecode = "zero",
     preview: Annotated[
-        bool, typer.Option("--preview", help="Add a page and a review video to the take.")
+        bool, typer.Option("--preview", help="Add a page, preview.html, to the take.")
     ] = False,
     identity: WrittenIdentity = None,
     force: Force = False,
@@ -160,8 +160,8 @@ def _check(
     if is_folder:
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
         check_take(out, source=inputs[0], force=force, inputs=inputs)
-        for note in _preview_notes(out) if preview else ():
-            console().note(note)
+        if preview:
+            _check_page()
         return
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
@@ -185,10 +185,10 @@ def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None)
         )
 
 
-def _preview_notes(out: Path) -> tuple[str, ...]:
-    from deitalk.preview.take import check_preview
+def _check_page() -> None:
+    from deitalk.preview.page import check_player
 
-    return check_preview(out)
+    check_player()
 
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
