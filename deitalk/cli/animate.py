@@ -243,7 +243,8 @@ def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
     from rig import write_curves
 
-    report = write_curves(out, performance.curves, sound=performance.sound_file, **form)
+    sound, seconds = performance.sound_file, performance.recording.duration
+    report = write_curves(out, performance.curves, sound=sound, seconds=seconds, **form)
     if report.note:
         console().note(report.note)
     for track in report.dropped:
