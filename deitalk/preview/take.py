@@ -1,31 +1,18 @@
-"""A review video and a page among the files of a take."""
+"""A page among the files of a take."""
 
 from pathlib import Path
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.pipeline.performance import Performance
-from deitalk.preview.needs import check_needs
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewSource
-from deitalk.preview.video import render_video
 from rig.face.identity import Identity
-
-
-def check_preview(folder: Path) -> tuple[str, ...]:
-    """Check the requirements of `add_preview`; return notes on the files it will write.
-
-    Raises
-    ------
-    MissingError
-        Without the built page, or without a video encoder.
-    """
-    return check_needs([folder / "preview.html", folder / "preview.mp4"])
 
 
 def add_preview(
     folder: Path, performance: Performance, identity: int | str | Identity = 0
 ) -> dict[str, str]:
-    """Write ``preview.html`` and ``preview.mp4`` into a take folder; of another rig the page alone.
+    """Write ``preview.html`` into a take folder.
 
     Parameters
     ----------
@@ -34,12 +21,17 @@ def add_preview(
     performance : Performance
         Its curves, neutral reading and recording are shown.
     identity : int, str or Identity
-        Head of page and video.
+        Head that is shown.
 
     Returns
     -------
     dict
-        File names and their descriptions, for ``take.json``.
+        File name and its description, for ``take.json``.
+
+    Raises
+    ------
+    MissingError
+        Without the built page.
     """
     source = PreviewSource(
         title=Path(performance.recording.source).stem,
@@ -49,10 +41,5 @@ def add_preview(
         neutral=performance.neutral.values,
     )
     render_page(source, folder / "preview.html", identity=identity)
-    if not source.is_board:
-        return {"preview.html": "sound and every curve in one page"}
-    render_video(source, folder / "preview.mp4", identity=identity)
-    return {
-        "preview.html": "face, sound and every curve in one page; the intensity can be dragged",
-        "preview.mp4": "review video",
-    }
+    about = "face, sound and every curve in one page; the intensity can be dragged"
+    return {"preview.html": about if source.is_board else "sound and every curve in one page"}
