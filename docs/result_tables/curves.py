@@ -176,13 +176,13 @@ def live() -> str:
 
 
 def words() -> str:
-    """Lips of people on words whose lips were taught, and on words whose were not."""
+    """Lips of people on words with measured lips in the training, and on other words."""
     rows = []
     for text, names in {
         "before measured lips": ("before-on-0", "before-on-1"),
-        "taught all words": ("all-on-0", "all-on-1"),
-        "taught the half that is scored": ("0-on-0", "1-on-1"),
-        "taught the other half": ("1-on-0", "0-on-1"),
+        "trained on all words": ("all-on-0", "all-on-1"),
+        "trained on the half that is scored": ("0-on-0", "1-on-1"),
+        "trained on the other half": ("1-on-0", "0-on-1"),
     }.items():
         means = [report(f"words-{name}")["network"]["mean"] for name in names]
         rows.append([text, *(" / ".join(short(m[f"{x} r"], 2) for m in means) for x in MEASURES)])
