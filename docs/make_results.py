@@ -76,7 +76,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "table-4": speed.table_4,
     "models": models.models,
     "sizes": models.sizes,
-    "commands": models.commands,
     "places": models.places,
 }
 

@@ -114,7 +114,7 @@ def mesh_emotion() -> str:
 
 def attention() -> str:
     """How even the attention of the embedded models is."""
-    return _attention({f"{name}-attention": f"`{name}`" for name in ("default", "sdfa")})
+    return _attention({f"{name}-attention": f"`{name}`" for name in ("mel", "sdfa")})
 
 
 def attention_uncentred() -> str:

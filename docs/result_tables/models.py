@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from result_tables.commands import GROUPS, PLACES
+from result_tables.commands import PLACES
 from result_tables.common import report, short, table
 
 WEIGHTS = Path(__file__).parents[2] / "deitalk/models/weights"
@@ -67,16 +67,6 @@ def _numbers(path: Path) -> int:
                 count *= length
             total += count
     return total
-
-
-def commands() -> str:
-    """The command of each report."""
-    rows = [
-        [group, f"`{name}.json`", f"`{command}`"]
-        for group, found in GROUPS.items()
-        for name, command in found.items()
-    ]
-    return table([["group", "report", "command"], *rows])
 
 
 def places() -> str:
