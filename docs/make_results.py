@@ -54,7 +54,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "mesh-head": meshes.mesh_head,
     "mesh-emotion": meshes.mesh_emotion,
     "attention": meshes.attention,
-    "attention-uncentred": meshes.attention_uncentred,
     "retargeting": meshes.retargeting,
     "gradients": meshes.gradients,
     "facegood": finetuning.facegood,

@@ -60,8 +60,8 @@ def mesh_ablations() -> str:
 
 
 EMOTIONS_OF_PLACES = {
-    "corners": ("happy", "sad", "angry", "surprised"),
-    "brows": ("angry", "surprised", "sad", "happy"),
+    "corners": ("happy", "sad"),
+    "brows": ("angry", "surprised"),
 }
 WHO = {"model": "mesh head", "curves": "the rig with the curves"}
 
@@ -112,34 +112,26 @@ def mesh_emotion() -> str:
     return table([["", "", *WHO.values()], *rows])
 
 
+ATTENTION = {
+    "mel-attention": "`mel`",
+    "sdfa-attention": "`sdfa`",
+    "attention-centre": "trained alike with the path",
+    "attention-0": "without it",
+    "attention-1": "the same, another seed",
+    "attention-window": "and with `recurrence: window`",
+}
+
+
 def attention() -> str:
-    """How even the attention of the embedded models is."""
-    return _attention({f"{name}-attention": f"`{name}`" for name in ("mel", "sdfa")})
-
-
-def attention_uncentred() -> str:
-    """The same without the path around the attention, and with windows of their own."""
-    return _attention(
-        {
-            "sdfa-attention": "the embedded `sdfa`",
-            "attention-centre": "trained alike with the path",
-            "attention-0": "without it",
-            "attention-1": "the same, another seed",
-            "attention-window": "and with `recurrence: window`",
-        }
-    )
-
-
-def _attention(reports: dict[str, str]) -> str:
+    """How even the attention is: embedded models, then without the path around the attention."""
     rows = []
-    for name, title in reports.items():
-        found = report(name)
-        kinds = [found["vowels"], found["plosives"]]
-        counts = ", ".join(str(kind["phones"]) for kind in kinds)
+    for name, title in ATTENTION.items():
+        kinds = [report(name)[kind] for kind in ("vowels", "plosives")]
         evenness = [short(kind["evenness"], 4) for kind in kinds]
         peaks = ", ".join(short(kind["peak"]) for kind in kinds)
-        rows.append([f"{title} ({counts})", *evenness, peaks])
-    heads = ["evenness (vowels, plosives)", "vowels", "plosives", "largest weight at either"]
+        rows.append([title, *evenness, peaks])
+    counts = ", ".join(f"{report(name)[kind]['phones']} {kind}" for kind in ("vowels", "plosives"))
+    heads = [f"evenness at {counts}", "vowels", "plosives", "largest weight at either"]
     return table([heads, *rows])
 
 
