@@ -85,7 +85,7 @@ pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architect
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
 	$(BIN)/deitalk plot docs/samples/promise.flac --emotion happy -o docs/curves.png --force
 
-docs: setup  ## Write docs/api.md, commands.md and the tables of docs/results
+docs: setup  ## Write docs/api.md from the docstrings, tables from docs/results
 	$(BIN)/python docs/make_api.py
 	$(BIN)/python docs/make_results.py
 

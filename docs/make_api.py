@@ -1,6 +1,6 @@
-"""Write docs/api.md and docs/commands.md from the docstrings: ``make docs``.
+"""Write docs/api.md from the docstrings: ``make docs``.
 
-Names and parameters are those of the source, so that the pages are the same on every Python.
+Names and parameters are those of the source, so that the page is the same on every Python.
 """
 
 import ast
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).with_name("api.md")
-COMMANDS = Path(__file__).with_name("commands.md")
 SCHEMA = Path(__file__).parents[1] / "deitalk/preview/web/src/data/acting.json"
 """Fields of an acting, from which the page is built."""
 HEAD = """# Python API
@@ -34,15 +33,9 @@ animate_mesh("docs/samples/promise.flac", "happy").save("face.glb")
 print(read_curves("take/curves.csv").resample(24).values.shape)  # (T, 185)
 ```
 """
-COMMANDS_HEAD = """# Commands
-
-Written by `make docs`. `deitalk COMMAND --help` lists the options with units and defaults. An error
-is one line with the value, the rule and the way out, and an exit code other than 0.
-
-![deitalk plot docs/samples/promise.flac -e happy](curves.png)
-
-"""
 ERRORS = ("deitalk.errors", "rig.errors")
+MOST = 10
+"""Members of a class that the page names."""
 
 
 def page() -> str:
@@ -55,23 +48,6 @@ def page() -> str:
     parts.append(_options())
     parts.append("## Errors\n\n" + "\n\n".join(_errors(name) for name in ERRORS))
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
-
-
-def commands_page() -> str:
-    """Return the page of commands: each with the first line of its help."""
-    from typer.main import get_command
-
-    from deitalk.cli import app
-
-    rows = []
-    for name, command in get_command(app).commands.items():
-        members = getattr(command, "commands", {"": command})
-        rows += [
-            f"- `{f'deitalk {name} {member}'.strip()}`: {(found.help or '').splitlines()[0]}"
-            for member, found in members.items()
-            if not found.hidden
-        ]
-    return COMMANDS_HEAD + "\n".join(rows) + "\n"
 
 
 def acting_schema() -> str:
@@ -104,7 +80,8 @@ def _row(name: str, value: Any) -> str:
     text = re.sub(r"``([^`]*)``", r"`\1`", (inspect.getdoc(value) or "").split("\n")[0])
     if not inspect.isclass(value):
         return f"| `{signature(value)}` | {text} |"
-    members = ", ".join(f"`{member}`" for member in _members(value))
+    found = [f"`{member}`" for member in _members(value)]
+    members = ", ".join(found[:MOST] + ["…"] * (len(found) > MOST))
     return f"| `{name}` | {text}{f' Members: {members}.' if members else ''} |"
 
 
@@ -132,5 +109,4 @@ def _members(kind: type) -> list[str]:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
-    COMMANDS.write_text(commands_page(), encoding="utf-8")
     SCHEMA.write_text(acting_schema(), encoding="utf-8")

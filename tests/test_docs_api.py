@@ -1,4 +1,4 @@
-"""Agreement of docs/api.md and docs/commands.md with the docstrings, and the exported types."""
+"""Agreement of docs/api.md with the docstrings, and the exported types."""
 
 import importlib
 import importlib.util
@@ -31,11 +31,6 @@ def maker():
 def test_api_page_is_current(maker):
     written = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     assert written == maker.page(), "run `make docs`"
-
-
-def test_page_of_commands_is_current(maker):
-    written = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
-    assert written == maker.commands_page(), "run `make docs`"
 
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")

@@ -2,14 +2,6 @@
 
 from result_tables.common import SOURCES, Group, report, short, table
 
-VARIANTS = {
-    "full": "full",
-    "no_dei": "without dynamic intensity (DEI)",
-    "no_dpe": "without positional encoding (DPE)",
-    "no_velocity": "without velocity loss",
-    "no_classification": "without classification loss",
-}
-
 METRICS = {
     "lpe": ("LPE / 1000", 1000, 1),
     "epe": ("EPE / 1000", 1000, 2),
@@ -30,23 +22,12 @@ SYSTEMS = {
 }
 
 
-def ablations() -> str:
-    """Networks without parts of DEITalk (DEITalk Table 3), without the rules after them."""
-    return _variants("ablations", VARIANTS)
-
-
 def comparison() -> str:
     """DEITalk beside other networks, without the rules after them (DEITalk Table 1)."""
-    return _variants("comparison", SYSTEMS)
-
-
-def _variants(name: str, variants: dict[str, str]) -> str:
-    """Variants of a report of `deitalk ablate` on LibriSpeech's test speakers: scores across."""
-    found = report(name)
+    found = report("comparison")
     rows = [
-        [shown, *(spread(found[variant]["network"]["librispeech"], m) for m in METRICS)]
-        for variant, shown in variants.items()
-        if variant in found
+        [shown, *(spread(found[system]["network"]["librispeech"], m) for m in METRICS)]
+        for system, shown in SYSTEMS.items()
     ]
     return table([["LibriSpeech", *(head for head, _, _ in METRICS.values())], *rows])
 

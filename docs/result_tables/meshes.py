@@ -59,10 +59,6 @@ def mesh_ablations() -> str:
     return table([[title, *(head for head, _, _ in MESH_METRICS.values())], *rows])
 
 
-EMOTIONS_OF_PLACES = {
-    "corners": ("happy", "sad"),
-    "brows": ("angry", "surprised"),
-}
 WHO = {"model": "mesh head", "curves": "the rig with the curves"}
 
 
@@ -100,18 +96,6 @@ def _share(found: Group, name: str) -> str:
     return f"{100 * found[f'{name}_closed']:.1f} %"
 
 
-def mesh_emotion() -> str:
-    """Rise of the corners and brows by emotion, at three intensities."""
-    expression = report("mesh-head-test")["expression"]
-    rows = [
-        [place, emotion]
-        + [" / ".join(short(mm, 1) for mm in expression[place][emotion][who]) for who in WHO]
-        for place, emotions in EMOTIONS_OF_PLACES.items()
-        for emotion in emotions
-    ]
-    return table([["", "", *WHO.values()], *rows])
-
-
 ATTENTION = {
     "mel-attention": "`mel`",
     "sdfa-attention": "`sdfa`",
@@ -146,23 +130,3 @@ def retargeting() -> str:
     ]
     heads = ["mean error, mm", "moving vertices", "lips", "lips of the wide open jaw"]
     return table([heads, *rows])
-
-
-def gradients() -> str:
-    """Rounding of the round trip, and sizes of bases against their error (ICT)."""
-    found = report("retargeting")
-    *stored, polar = found["round_trip"]
-    trips = [[row["storage"], f"{row['of_head_size']:.0e}"] for row in stored]
-    trips.append(["polar (Newton) against SVD", f"{polar['polar_against_svd']:.0e}"])
-    bases = [
-        [
-            short(row["variance"], 4),
-            f"{row['stretch']} / {row['rotation']}",
-            f"{row['mobile_p99_mm']:.2f} / {row['mobile_max_mm']:.2f} mm",
-        ]
-        for row in found["bases"]
-    ]
-    title = f"round trip of {stored[0]['frames']} frames, share of the head's size"
-    heads = ["share of weighted variance", "sizes s / r", "unseen frames, most mobile tenth of "
-             "the vertices: p99 / max"]  # fmt: skip
-    return table([[title, "largest error"], *trips]) + "\n" + table([heads, *bases])
