@@ -47,7 +47,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "wav2vec": curves.wav2vec,
     "ablation-changes": comparisons.ablation_changes,
     "comparison": comparisons.comparison,
-    "comparison-factors": comparisons.comparison_factors,
     "sdfa": meshes.sdfa,
     "mesh-ablations": meshes.mesh_ablations,
     "mesh-head": meshes.mesh_head,

@@ -69,18 +69,3 @@ def ablation_changes() -> str:
             ]
             rows.append([f"{part}: {title}", paper.get(metric, "–"), *change])
     return table([["without", "the paper", *SOURCES.values()], *rows])
-
-
-def comparison_factors() -> str:
-    """Means of the other networks as multiples of DEITalk's."""
-    found, (ours, *others) = report("comparison"), SYSTEMS
-    rows = []
-    for system in others:
-        for metric in ("lpe", "epe", "jerk_per_speed"):
-            means = [
-                [found[s]["network"][source][metric]["mean"] for s in (system, ours)]
-                for source in SOURCES
-            ]
-            times = [short(a / b, 2) for a, b in means]
-            rows.append([f"{SYSTEMS[system]}: {CHANGES[metric]}", *times])
-    return table([["times DEITalk's", *SOURCES.values()], *rows])

@@ -119,7 +119,7 @@ def styles() -> str:
     ]
     rows += [
         [
-            f"{emotion}: range of the lips / the neutral one, intensity 1 (predicted intensity)",
+            f"{emotion}: range of the lips over the neutral one",
             *(
                 f"{short(x['range_strong'], 2)} ({short(x['range'], 2)})"
                 for x in (wide[g]["styles"][emotion] for g in groups)

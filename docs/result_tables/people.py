@@ -1,6 +1,7 @@
 """Tables of what people's voices, heads and answers are compared with."""
 
 from result_tables.common import report, short, table
+from result_tables.curves import ACTED
 
 WORD_GROUPS = {
     "librispeech": "LibriSpeech",
@@ -94,13 +95,14 @@ def suggestion() -> str:
     return table([["", "cross-validation", "test"], *rows])
 
 
+ORDERED = ("anger and joy", "sadness")
+
+
 def vocal_strength() -> str:
     """Order of acted strengths by the voice's strength, level and pitch."""
     scores = report("vocal-strength")["scores"]
-    names = [n for n in scores["strength"] if not n.endswith("actors and emotions")]
-    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names[1:]]
-    level = [short(found[names[0]], 2) for found in scores.values()]
-    rows.append([f"readers: {names[0]}", level[0], "–", level[2]])
+    names = [f"{group}: {score}" for group in ORDERED for score in ACTED]
+    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names]
     return table([["test speakers", *scores], *rows])
 
 
