@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import bar, emit
-from deitalk.cli.options import Force
+from deitalk.cli.options import CheckedCommands, Force
 from deitalk.cli.paths import reserve_file
 from rig.errors import as_line
 

@@ -19,9 +19,12 @@ from deitalk.audio.noise import SNRS_DB, mix, read_noises
 from deitalk.data.clips import Clip, read_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import ClipToScore, Scores, Tally, score_clip
-from deitalk.evaluation.curve_statistics import captured_smoothness
-from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
-from deitalk.evaluation.opening import JAW
+from deitalk.evaluation.lip_closures import (
+    JAW,
+    captured_smoothness,
+    closure_scores,
+    summarise_closures,
+)
 from deitalk.evaluation.phone_gestures import shut_table
 from deitalk.evaluation.prosody_response import contours_report
 from deitalk.evaluation.styles import styles_report

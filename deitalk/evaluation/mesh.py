@@ -22,8 +22,7 @@ from deitalk.data.mesh_folder import Lips
 from deitalk.data.mesh_sources import act, acted_clips, head_lips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import MeshModel
+from deitalk.models.mesh_model import MeshHead, MeshModel
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import predict_mesh

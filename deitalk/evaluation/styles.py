@@ -15,7 +15,7 @@ from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.lips.head import MEASURES, HeadLips
 from deitalk.emotions import EMOTIONS, IntensityCurve
-from deitalk.evaluation.opening import JAW
+from deitalk.evaluation.lip_closures import JAW
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from rig.arrays import Bool, Float32

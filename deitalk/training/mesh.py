@@ -28,11 +28,9 @@ from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, new_mesh_model, require_model, save_model
-from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import MeshModel
+from deitalk.models.mesh_model import DEITalkFeatures, MeshHead, MeshModel
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.training.mesh_losses import MeshLoss
 from deitalk.training.trainer import Progress, Task, run_training, silent

@@ -10,10 +10,9 @@ import torch
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import MeshDataConfig, SDFAMelConfig
-from deitalk.data.augment_mel import MelWarp
 from deitalk.data.mesh_bases import fit_mesh_bases
 from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
-from deitalk.data.mesh_segments import Segments, Spectra, between_frames
+from deitalk.data.mesh_segments import MelWarp, Segments, Spectra, between_frames
 from deitalk.data.mesh_sources import (
     acted_clips,
     build_meshes,

@@ -11,8 +11,7 @@ from deitalk.audio.load import Recording
 from deitalk.audio.noise import mix, pink_noise, read_noises
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.errors import DataError
-from deitalk.evaluation.curve_statistics import captured_smoothness, smoothness
-from deitalk.evaluation.opening import opening_in_silence
+from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
 from deitalk.evaluation.phone_gestures import (
     BITE,
     CLOSURE,

@@ -15,8 +15,8 @@ from deitalk.errors import ConfigError
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.curve_losses import start_as
 from deitalk.training.curves import CurveTask, train_curves
-from deitalk.training.distillation import start_as
 from tests.dataset import waveform, write_dataset
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
