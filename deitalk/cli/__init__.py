@@ -19,12 +19,11 @@ from deitalk.cli.face import app as face_app
 from deitalk.cli.face import controls
 from deitalk.cli.live import live
 from deitalk.cli.livelink import app as livelink_app
-from deitalk.cli.mesh import mesh
+from deitalk.cli.mesh import mesh, retarget
 from deitalk.cli.model import app as model_app
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import hold_targets
 from deitalk.cli.preview import preview
-from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import key, openapi, serve, studio
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.train import finetune, train

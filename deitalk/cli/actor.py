@@ -38,7 +38,7 @@ def build(
     if out.suffix != ".json":
         raise AudioError(f"{out}: an actor reference is a .json file")
     reserve_file(out, force=force, inputs=recordings)
-    from deitalk.pipeline.actor import measure_actor
+    from deitalk.pipeline.speech import measure_actor
     from rig.files import atomic_write
 
     with bar("measuring") as progress:

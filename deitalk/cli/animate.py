@@ -184,7 +184,7 @@ def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None)
 
 
 def _preview_notes(out: Path) -> tuple[str, ...]:
-    from deitalk.preview.take import check_preview
+    from deitalk.preview.video import check_preview
 
     return check_preview(out)
 
@@ -216,7 +216,7 @@ def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
     if not preview:
         return ()
-    from deitalk.preview.take import add_preview
+    from deitalk.preview.video import add_preview
     from rig.face.identity import resolve_identity
 
     return (partial(add_preview, identity=resolve_identity(identity or 0)),)

@@ -46,8 +46,7 @@ def preview(
     """
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
-    from deitalk.preview.take import PAGES, check_needs
-    from deitalk.preview.video import render_video
+    from deitalk.preview.video import PAGES, check_needs, render_video
     from deitalk.preview.warnings import find_warnings
 
     others = versus or []

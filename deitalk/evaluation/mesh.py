@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
-from deitalk.data.mesh_folder import Lips
-from deitalk.data.mesh_sources import act, acted_clips, head_lips
+from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_model import MeshHead, MeshModel

@@ -14,7 +14,7 @@ from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.temporal_conv import TemporalConv
-from deitalk.training.processes import gather_rows, in_precision
+from deitalk.training.trainer import gather_rows, in_precision
 from rig import ControlSet
 from rig.controls import DEFAULT_ID
 from rig.face.head import build_head

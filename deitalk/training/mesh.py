@@ -17,9 +17,8 @@ from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
-from deitalk.data.mesh_folder import MeshClip, MeshFolder
+from deitalk.data.mesh_folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments
-from deitalk.data.mesh_sources import has_lips, open_meshes
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
@@ -60,7 +59,7 @@ def train_mesh(
         Model, data and schedule.
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
-        heads act (`deitalk.data.mesh_sources`).
+        heads act (`deitalk.data.mesh_folder`).
     out, resume, tensorboard, progress
         As for `deitalk.training.trainer.run_training`.
 
