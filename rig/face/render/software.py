@@ -98,7 +98,10 @@ def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
     start = at[spans.triangle] + slope * (middle_of(spans.column) - screen.x[corner])
     start += per_y[spans.triangle] * (middle_of(spans.row) - screen.y[corner])
     nearest = np.full(screen.width * screen.height, _NOTHING)
-    for cut in _cuts(spans.length):
+    # Spans in groups whose samples fit a processor's cache.
+    ends = np.cumsum(spans.length)
+    stops = np.arange(FRAGMENTS, ends[-1] if len(ends) else 0, FRAGMENTS)
+    for cut in np.split(np.arange(len(ends)), np.searchsorted(ends, stops)):
         sample, key = _fragments(screen, spans, cut, start, slope)
         np.minimum.at(nearest, sample, key)
     shape = screen.height, screen.width
@@ -121,13 +124,6 @@ def _fragments(
     sample = np.repeat(spans.row[cut] * screen.width + spans.column[cut], length) + step
     key = np.maximum(z, 0).view(np.int32).astype(np.int64)  # bits sort as the floats >= 0 do
     return sample, key << 32 | np.repeat(spans.triangle[cut], length)
-
-
-def _cuts(lengths: Int32) -> list[Int64]:
-    """Spans in groups whose samples fit a processor's cache."""
-    ends = np.cumsum(lengths)
-    stops = np.arange(FRAGMENTS, ends[-1] if len(ends) else 0, FRAGMENTS)
-    return np.split(np.arange(len(ends)), np.searchsorted(ends, stops))
 
 
 def _ramp(counts: Int32) -> Int32:
