@@ -61,17 +61,13 @@ def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
     except (MemoryError, RecursionError):
         return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
     except Exception as error:
-        if _is_out_of_memory(error):
+        # Whether torch or a C library could not allocate.
+        text = str(error).lower()
+        if "allocate" in text or "out of memory" in text or "bad_alloc" in text:
             return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
         return {"error": ["Internal"], "message": describe(error)}
     finally:
         os.chdir(os.sep)
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    """Whether torch or a C library could not allocate."""
-    text = str(error).lower()
-    return "allocate" in text or "out of memory" in text or "bad_alloc" in text
 
 
 def _send(connection: Connection, answer: Answer) -> None:

@@ -68,7 +68,10 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     speech = np.zeros_like(keeps)
     for start, stop in _runs(keeps):
         speech[start:stop] = opens[start:stop].any()
-    speech = ~_without_short(~speech, _longest_gap(excess), keep_ends=True)
+    # Frames without speech that are no pause, by how far the loudest speech is above the noise.
+    loudest = np.percentile(excess, 95)
+    gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
+    speech = ~_without_short(~speech, round(float(gap)), keep_ends=True)
     if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
         speech = _without_short(speech, SHORTEST_SPEECH - 1)
     return speech.astype(np.float32)
@@ -202,13 +205,6 @@ def _noise_floor(levels: Float32) -> Float32:
     loudest = np.percentile(levels.max(axis=1), 98)
     floor = np.maximum(floor, np.float32(loudest - SPEECH_RANGE_DB))
     return floor
-
-
-def _longest_gap(excess: Float32) -> int:
-    """Frames without speech that are no pause, by how far the loudest speech is above the noise."""
-    loudest = np.percentile(excess, 95)
-    gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
-    return round(float(gap))
 
 
 def _runs(mask: Bool) -> Int64:

@@ -19,7 +19,7 @@ from deitalk.errors import AudioError, CheckpointError, DeitalkError
 from deitalk.installed import __version__
 from deitalk.models.folder import RIG_FILE, describe_model, model_folder, weights_hash
 from deitalk.models.load import BACKENDS, Backend
-from deitalk.pipeline.actor import reference_of
+from deitalk.pipeline.speech import reference_of
 from rig.errors import TargetError, UserError, quoted
 
 Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]

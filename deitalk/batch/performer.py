@@ -109,8 +109,8 @@ class Performer:
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
-        from deitalk.pipeline.actor import voice_strength
         from deitalk.pipeline.curves import prepare
+        from deitalk.pipeline.speech import voice_strength
 
         data, sound = read_recording(order.audio)
         if sound == order.known:

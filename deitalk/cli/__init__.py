@@ -9,32 +9,25 @@ from typing import Annotated, Any, cast
 import typer
 
 from deitalk.cli.actor import app as actor_app
-from deitalk.cli.animate import animate
-from deitalk.cli.arguments import CheckedCommands
+from deitalk.cli.animate import animate, plot, suggest
 from deitalk.cli.batch import batch
-from deitalk.cli.benchmark import benchmark
-from deitalk.cli.blender import blender
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
-from deitalk.cli.controls import controls
-from deitalk.cli.convert import convert
+from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
-from deitalk.cli.evaluate import evaluate
+from deitalk.cli.evaluate import benchmark, evaluate
 from deitalk.cli.face import app as face_app
-from deitalk.cli.finetune import finetune
+from deitalk.cli.face import controls
 from deitalk.cli.live import live
 from deitalk.cli.livelink import app as livelink_app
-from deitalk.cli.mesh import mesh
+from deitalk.cli.mesh import mesh, retarget
 from deitalk.cli.model import app as model_app
+from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import hold_targets
-from deitalk.cli.plot import plot
 from deitalk.cli.preview import preview
-from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import key, openapi, serve, studio
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
-from deitalk.cli.suggest import suggest
-from deitalk.cli.train import train
-from deitalk.cli.unreal import unreal
-from deitalk.cli.validate import validate
+from deitalk.cli.train import finetune, train
+from deitalk.cli.unreal import blender, unreal
 from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import bar, emit
-from deitalk.cli.options import Force
+from deitalk.cli.options import CheckedCommands, Force
 from deitalk.cli.paths import reserve_file
 from rig.errors import as_line
 
@@ -39,7 +38,7 @@ def build(
     if out.suffix != ".json":
         raise AudioError(f"{out}: an actor reference is a .json file")
     reserve_file(out, force=force, inputs=recordings)
-    from deitalk.pipeline.actor import measure_actor
+    from deitalk.pipeline.speech import measure_actor
     from rig.files import atomic_write
 
     with bar("measuring") as progress:

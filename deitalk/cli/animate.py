@@ -17,11 +17,13 @@ from deitalk.cli.options import (
     Digits,
     Force,
     Json,
+    Model,
+    Picture,
     Threads,
     Timecode,
     WrittenIdentity,
 )
-from deitalk.cli.paths import reserve_file, reserve_folder
+from deitalk.cli.paths import reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from deitalk.audio.load import Recording
     from deitalk.models.network import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
+    from deitalk.pipeline.suggest import Suggestion
 
 
 @acting_options
@@ -213,7 +216,7 @@ def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
     if not preview:
         return ()
-    from deitalk.preview.take import add_preview
+    from deitalk.preview.page import add_preview
     from rig.face.identity import resolve_identity
 
     return (partial(add_preview, identity=resolve_identity(identity or 0)),)
@@ -242,3 +245,85 @@ def _summary(out: Path, performance: "Performance") -> dict[str, Any]:
         "settings": performance.acting.settings,
         "timings_seconds": performance.timings,
     }
+
+
+# `deitalk suggest`: an emotion that a voice suggests.
+
+
+def suggest(
+    speech: Annotated[Path, typer.Argument(help="Recording.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Keyframed track to edit and give to `animate -e`: .csv."),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Suggest an emotion from the voice: neutral, angry, happy or sad, with its probability.
+
+    Examples
+    --------
+    deitalk suggest speech.wav
+
+    deitalk suggest speech.wav -o emotion.csv
+    """
+    if out is not None:
+        if out.suffix != ".csv":
+            raise DeitalkError(f"{out}: a track of emotions is a .csv")
+        reserve_file(out, force=force, inputs=[speech])
+    with console().status("measuring the voice"):
+        from deitalk.pipeline.suggest import suggest_emotion
+
+        found = suggest_emotion(speech)
+    if out is not None:
+        _write(found, out)
+    if as_json:
+        emit_json({"label": found.label, "probabilities": dict(found.probabilities)})
+        return
+    shown = ", ".join(f"{name} {p:.2f}" for name, p in found.probabilities.items())
+    console().print(f"{found.label} ({shown})")
+    if out is not None:
+        console().print(str(out))
+
+
+def _write(found: "Suggestion", out: Path) -> None:
+    """Write the track as `deitalk animate -e` reads it."""
+    from deitalk.emotions import EMOTIONS
+    from rig.files import atomic_write
+
+    rows = [",".join(("time", *EMOTIONS))]
+    for time, weights in zip(found.track.times, found.track.weights, strict=True):
+        rows.append(",".join((f"{time:.3f}", *(f"{w:.4f}" for w in weights))))
+    with atomic_write(out) as beside:
+        beside.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+# `deitalk plot`: curves against the waveform.
+
+
+@acting_options
+def plot(
+    speech: Annotated[Path, typer.Argument(help="Recording.")],
+    out: Picture,
+    given: Given,
+    model: Model = "default",
+    force: Force = False,
+) -> None:
+    """Draw key curves and the intensity against the waveform.
+
+    Examples
+    --------
+    deitalk plot speech.wav --emotion happy -o curves.png
+    """
+    from deitalk.figures.canvas import check_drawing
+
+    check_drawing()
+    reserve_picture(out, force=force, inputs=(speech, *given.texts))
+    with bar("animating") as progress:
+        from deitalk.figures.performance import plot as draw
+        from deitalk.pipeline.curves import animate
+
+        performance = animate(speech, acting=given.acting, model=model, progress=progress)
+    title = f"{speech.name}, {performance.emotion}"
+    draw(performance.curves, performance.recording.waveform, out, title)
+    console().print(f"{out}")

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.acting import Given, acting_options
-from deitalk.cli.arguments import MAX_PROCESSES
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
+    MAX_PROCESSES,
     AnyModel,
     Backend,
     Device,

@@ -1,14 +1,17 @@
 """`deitalk convert`: curves from any format to any other."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import Digits, Force, Json, WrittenIdentity
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
+from rig.errors import as_line
 
 if TYPE_CHECKING:
     from rig import RigCurves, WriteReport
@@ -182,3 +185,50 @@ def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
         if not equals or not name.strip():
             raise DeitalkError(f"{option} {text!r} must be NAME=NUMBER, such as brow=0.5")
     return pairs
+
+
+# `deitalk validate`: errors and warnings of importers for a file.
+
+
+@partial(acting_options, fields=("words", "language"))
+def validate(
+    path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
+    given: Given,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 on warnings too.")] = False,
+    audio: Annotated[
+        Path | None, typer.Option(help="Recording of a file of curves, for its words.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Check a file or a take by the rules of the importing programs; exit code 1 on errors.
+
+    Cell counts, time codes, ranges, NaN, constant curves, jumps, open mouths at the end, and
+    effects in Unreal. With the words of the recording: closures that the lips miss.
+
+    Examples
+    --------
+    deitalk validate take/
+
+    deitalk validate MySlate_1_iPhone.csv --json
+
+    deitalk validate take/ --words "My promise is big."
+    """
+    from rig.validation.curves import validate as check
+
+    validation = check(path)
+    findings = list(validation.findings)
+    if validation.ok and given.acting.words is not None:
+        from deitalk.pipeline.words.check import check_closures
+        from deitalk.pipeline.words.transcript import Transcript
+
+        words = Transcript.of(given.acting.words, given.acting.language)
+        findings += check_closures(path, words, audio)
+    if as_json:
+        rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
+        emit_json({"ok": validation.ok, "findings": rows}, indent=1)
+    else:
+        for finding in findings:
+            emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
+    is_warned = strict and any(finding.level == "warning" for finding in findings)
+    if not validation.ok or is_warned:
+        raise typer.Exit(1)

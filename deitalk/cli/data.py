@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import Force, Json, Most
+from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json, Most
 from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DeitalkError
 from deitalk.installed import research

@@ -1,15 +1,16 @@
 """`deitalk evaluate`: score a model on a dataset folder."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT
-from deitalk.cli.console import bar, console
-from deitalk.cli.options import Force, Json, Most
-from deitalk.cli.reports import reserve_report, write_report
+from deitalk.cli.console import bar, console, emit, emit_json
+from deitalk.cli.options import MAX_COUNT, Force, Json, Model, Most, Threads
+from deitalk.cli.paths import reserve_report, write_report
 from deitalk.errors import DataError
+from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
@@ -160,3 +161,82 @@ def _refuse(reason: str, **options: object) -> None:
     for name, value in options.items():
         if value is not None:
             raise DataError(f"--{name}: {reason}; leave it out")
+
+
+# `deitalk benchmark`: stages, real-time factor, memory.
+
+
+MAX_SECONDS = 3 * 3600.0
+"""Longest clip, seconds."""
+
+
+def benchmark(
+    model: Model = "default",
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=MAX_SECONDS, help="Length of the clip.")
+    ] = 30.0,
+    threads: Threads = 1,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Runs; the best is reported.")] = 3,
+    memory: Annotated[
+        bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
+    ] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Instead: SDFA's Table 4, three mesh models by stages.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Measure speed and memory on this machine."""
+    threads = min(threads, os.cpu_count() or 1)
+    if mesh:
+        _table_4(threads, repeats, as_json=as_json)
+        return
+    from deitalk.evaluation import benchmark_curves as measures
+    from deitalk.models.folder import describe_model
+
+    lengths = (60.0, 600.0, 3600.0) if memory else ()
+    result: dict[str, Any] = {"model": model, "sha256": describe_model(model)["sha256"]}
+    with bar("measuring") as progress:
+        total = 2 + len(lengths)
+        result["machine"] = measures.machine()
+        result["clip"] = measures.measure(model, seconds, threads, repeats)
+        progress(1 / total)
+        result["table_4_clip"] = measures.measure(model, measures.TABLE_4_SECONDS, threads, repeats)
+        progress(2 / total)
+        result["memory"] = []
+        for i, length in enumerate(lengths):
+            result["memory"].append(measures.peak_memory(model, length))
+            progress((3 + i) / total)
+    if as_json:
+        emit_json(result)
+        return
+    for name in ("clip", "table_4_clip"):
+        _print_clip(result[name])
+    emit(
+        "SDFA Table 4 for its 5.1 s clip, on an i7-8700K, milliseconds: "
+        + ", ".join(f"{k} {v:g}" for k, v in measures.TABLE_4_MILLISECONDS.items())
+    )
+    for row in result["memory"]:
+        emit(
+            f"{row['clip_seconds']:g} s of audio: peak {row['megabytes']:.0f} MB, "
+            f"{row['wall_seconds']:.1f} s"
+        )
+
+
+def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
+    with console().status("measuring"):
+        from deitalk.evaluation.benchmark_curves import machine
+
+        tables = research("evaluation.benchmark_mesh", "benchmark --mesh")
+        report = {"machine": machine(), **tables.table_4(threads, repeats)}
+    if as_json:
+        emit_json(report)
+    else:
+        emit(tables.as_markdown(report))
+
+
+def _print_clip(clip: dict[str, Any]) -> None:
+    stages = ", ".join(f"{name} {1000 * lap:.0f}" for name, lap in clip["stages"].items())
+    emit(
+        f"{clip['clip_seconds']:g} s clip, {clip['threads']} thread(s): "
+        f"RTF {clip['rtf_cpu']:.4f} CPU, {clip['rtf_wall']:.4f} wall; stages in ms: {stages}"
+    )

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import CheckedCommands
-from deitalk.cli.console import console, emit
-from deitalk.cli.options import Force, Identity
+from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.options import CheckedCommands, Force, Identity
 from deitalk.cli.paths import reserve_file
 from deitalk.errors import DeitalkError
 
@@ -112,3 +111,55 @@ def export(
         f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "
         f"and {len(CORRECTIVES)} correctives"
     )
+
+
+# `deitalk controls`: the 185 controls, their ranges and sets.
+
+
+def controls(
+    match: Annotated[str, typer.Argument(help="Part of a name; all without it.")] = "",
+    subset: Annotated[
+        str | None, typer.Option("--set", help="A set or region: lip, upper_face, jaw, left …")
+    ] = None,
+    sets: Annotated[bool, typer.Option("--sets", help="List the sets and their sizes.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """List the controls of the rig.
+
+    Examples
+    --------
+    deitalk controls jaw
+
+    deitalk controls --set lip --json
+    """
+    from rig import default_controls
+
+    everything = default_controls()
+    if sets:
+        rows = [
+            {"set": name, "controls": len(everything.subset(name))}
+            for name in everything.subset_names
+        ]
+    else:
+        chosen = range(len(everything.names)) if subset is None else everything.subset(subset)
+        table = everything.controls
+        rows = [
+            {
+                "index": int(i),
+                "control": table[i].name,
+                "minimum": table[i].minimum,
+                "maximum": table[i].maximum,
+                "rest": table[i].rest,
+                "region": table[i].region,
+            }
+            for i in chosen
+            if match.lower() in table[i].name.lower()
+        ]
+    if not rows:
+        raise DeitalkError(f"no control matches {match!r}; `deitalk controls` lists all")
+    if as_json:
+        emit_json(rows)
+        return
+    for row in rows:
+        emit("\t".join(str(value) for value in row.values()))
+    console().print(f"{everything.id}: {len(rows)} " + ("sets" if sets else "controls"))

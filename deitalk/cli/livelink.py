@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.acting import Given, acting_options
-from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console
-from deitalk.cli.options import Force, Model
+from deitalk.cli.options import CheckedCommands, Force, Model
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 

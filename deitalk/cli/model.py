@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import CheckedCommands
 from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import reserve_file, reserve_folder
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)

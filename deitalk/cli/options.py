@@ -1,11 +1,78 @@
 """Options that several commands share."""
 
+import inspect
+import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT, MAX_THREADS, usable_device
+# Checks of the arguments of every command, before it does any work.
+#
+# Numbers with a fraction must be finite, paths must not be empty. `CheckedCommands` adds these
+# checks to each of its commands.
+
+MAX_SEED = 2**32 - 1
+"""Largest seed of every generator."""
+MAX_THREADS = 1024
+"""Most threads; more end the process on most systems."""
+MAX_PROCESSES = 256
+MAX_COUNT = 10**9
+"""Largest number of steps, clips or recordings."""
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class CheckedCommands(typer.Typer):
+    """A group of commands whose arguments are checked."""
+
+    def command(self, *arguments: Any, **options: Any) -> Callable[[Command], Command]:
+        """As `typer.Typer.command`."""
+        register = super().command(*arguments, **options)
+
+        def checked(function: Command) -> Command:
+            for parameter in inspect.signature(function).parameters.values():
+                if get_origin(parameter.annotation) is Annotated:
+                    _check(*get_args(parameter.annotation)[:2])
+            return register(function)
+
+        return checked
+
+
+def _check(kind: Any, option: Any) -> None:
+    """Add the checks of a type to an option or argument."""
+    kinds = {kind, *get_args(kind)}
+    if float in kinds:
+        option.callback = finite
+    elif Path in {inner for one in kinds for inner in (one, *get_args(one))}:
+        option.parser = path
+
+
+def finite(value: float | None) -> float | None:
+    """Return a number; raise for NaN and infinity."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value:g} is not a finite number")
+    return value
+
+
+def usable_device(name: str) -> str:
+    """Return the name of a device; raise if torch does not have it."""
+    from deitalk.errors import DeitalkError
+    from deitalk.models.devices import check_device
+
+    try:
+        return check_device(name)
+    except DeitalkError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def path(text: str | Path) -> Path:
+    """Return a path; raise for an empty one, which would stand for the current folder."""
+    if not str(text):
+        raise typer.BadParameter("an empty path; name a file or a folder")
+    return Path(text)
+
 
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[

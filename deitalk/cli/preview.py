@@ -44,10 +44,9 @@ def preview(
 
     deitalk preview take/ --versus other/ -o compare.html
     """
-    from deitalk.preview.needs import PAGES, check_needs
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
-    from deitalk.preview.video import render_video
+    from deitalk.preview.video import PAGES, check_needs, render_video
     from deitalk.preview.warnings import find_warnings
 
     others = versus or []

@@ -1,5 +1,6 @@
 """`deitalk train`: fit a model to a dataset folder."""
 
+import json
 import os
 from collections.abc import Callable
 from functools import partial
@@ -8,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import bar, console
+from deitalk.cli.console import bar, console, emit
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
-    from deitalk.config import AnyConfig
+    from deitalk.config import AnyConfig, FinetuneConfig
     from deitalk.training.trainer import Progress
 
 
@@ -93,3 +94,129 @@ def _report(out: Path, best: dict[str, Any]) -> None:
         return
     scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
     console().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
+
+
+# `deitalk finetune`: a model tuned on captures.
+
+
+NONE = "none"
+"""Instead of a base model: its network with random weights."""
+
+
+def finetune(
+    data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            help=f"Model to tune: default or a folder; {NONE}: random weights, to compare.",
+        ),
+    ] = None,
+    recipe: Annotated[
+        Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
+    ] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="YAML of a rig other than the MetaHuman board.")
+    ] = None,
+    part: Annotated[
+        str | None, typer.Option("--tune", help="head, decoder, adapters or all.")
+    ] = None,
+    rehearse: Annotated[
+        str | None, typer.Option("--rehearse", help="Dataset folder whose speech holds the base.")
+    ] = None,
+    leave_out: Annotated[
+        str | None, typer.Option("--leave-out", help="Take or actor to test on, not to train on.")
+    ] = None,
+    folds: Annotated[
+        str | None, typer.Option(help="Leave out each of the takes, or actors, in turn.")
+    ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
+    ] = False,
+) -> None:
+    """Tune a model on captures of an actor or of another rig; the result is OUT/best.
+
+    OUT/report.md compares it with the model before, the mean pose and loudness on held-out clips.
+
+    Examples
+    --------
+    deitalk finetune my_captures/ -o runs/anna
+
+    deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
+
+    deitalk finetune my_captures/ --folds takes -o runs/folds
+
+    deitalk finetune my_captures/ --from none -o runs/from_nothing
+    """
+    given = {
+        "model.control_set": rig,
+        "tune.part": part,
+        "tune.corpus": rehearse,
+        "tune.leave_out": leave_out,
+    }
+    if base == NONE:
+        given["tune.start"] = "random"
+    changes = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    with console().status("loading"):
+        from deitalk.training.tuning.recipe import read_recipe
+        from deitalk.training.tuning.task import finetune as tune
+
+        settings = read_recipe(
+            recipe, [*changes, *(overrides or ())], base=None if base == NONE else base
+        )
+    if folds is not None:
+        _tune_folds(settings, data, out, folds, resume=resume)
+        return
+    with bar("tuning") as advance:
+        scores = tune(settings, data, out, resume=resume, progress=shown_on(advance))
+    _print_scores(scores)
+    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
+    _write_page(out)
+
+
+def _tune_folds(
+    settings: "FinetuneConfig", data: Path, out: Path, kind: str, *, resume: bool
+) -> None:
+    """Leave out each take or actor in turn, and print the scores."""
+    from deitalk.training.tuning.folds import tune_folds
+
+    with bar("tuning") as advance:
+        result = tune_folds(settings, data, out, kind, resume=resume, progress=shown_on(advance))
+    _print_scores(result["folds"])
+    console().print("means over the folds:")
+    _print_scores(result["mean"])
+    console().print(f"{out / 'folds.md'}: all scores, of each control too")
+
+
+def _print_scores(scores: dict[str, dict[str, float]]) -> None:
+    for name, values in scores.items():
+        text = ", ".join(
+            f"{key} {values[key]:.3g}"
+            for key in ("error_of_mean_pose", "mean_r", "range")
+            if values.get(key) is not None
+        )
+        emit(f"{name}\t{text}")
+
+
+def _write_page(out: Path) -> None:
+    """Play a held-out clip: captured, before and after, side by side or as lines."""
+    from deitalk.errors import MissingError
+    from deitalk.evaluation.captures.comparison import COMPARED
+    from deitalk.preview.page import render_page
+    from deitalk.preview.source import load_source
+
+    folder, page = out / COMPARED, out / f"{COMPARED}.html"
+    names = ("capture", "before", "after")
+    paths = [folder / f"{name}.npz" for name in names if (folder / f"{name}.npz").is_file()]
+    try:
+        sounds = (folder / "audio.wav", None, None)
+        takes = [load_source(*each) for each in zip(paths, sounds, strict=False)]
+        render_page(takes, page, force=True)
+    except MissingError as error:
+        console().note(str(error))
+    else:
+        console().print(f"{page}: capture, before and after, side by side")

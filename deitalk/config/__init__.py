@@ -8,8 +8,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
-    from deitalk.config.finetuning import FinetuneConfig, TuneConfig
+    from deitalk.config.curves import (
+        Config,
+        DataConfig,
+        FinetuneConfig,
+        LossConfig,
+        ModelConfig,
+        TrainConfig,
+        TuneConfig,
+    )
     from deitalk.config.frontends import (
         CausalWhisperConfig,
         DEITalkFeaturesConfig,
@@ -57,8 +64,15 @@ __all__ = [
 ]
 
 _HOMES = {
-    "curves": ("Config", "DataConfig", "LossConfig", "ModelConfig", "TrainConfig"),
-    "finetuning": ("FinetuneConfig", "TuneConfig"),
+    "curves": (
+        "Config",
+        "DataConfig",
+        "FinetuneConfig",
+        "LossConfig",
+        "ModelConfig",
+        "TrainConfig",
+        "TuneConfig",
+    ),
     "frontends": (
         "CausalWhisperConfig",
         "DEITalkFeaturesConfig",

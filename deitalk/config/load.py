@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deitalk.config.curves import Config
-from deitalk.config.finetuning import FinetuneConfig
+from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.section import checked
 from deitalk.config.yaml_text import load_yaml, read_yaml

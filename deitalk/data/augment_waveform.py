@@ -82,19 +82,15 @@ def augment(
     power = float(np.sqrt(np.mean(x**2)) + 1e-9)
     if rng.random() < 0.9:
         noise = _noise(len(x), rng, surroundings.noises, voices)
-        x = x + noise * power * 10 ** (-_ratio_db(rng) / 20)
+        # Signal-to-noise ratio; of most windows below 11 dB.
+        low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
+        x = x + noise * power * 10 ** (-float(rng.uniform(low, high)) / 20)
     else:
         x = x + rng.standard_normal(len(x)) * 10 ** rng.uniform(-5, -3.5)
     x = x * 10 ** (rng.uniform(-9, 7) / 20)
     if rng.random() < 0.03:
         x = np.clip(x, -0.3 * np.abs(x).max(), 0.3 * np.abs(x).max())
     return x.astype(np.float32)
-
-
-def _ratio_db(rng: np.random.Generator) -> float:
-    """Signal-to-noise ratio; of most windows below 11 dB."""
-    low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
-    return float(rng.uniform(low, high))
 
 
 def _colour(x: Float64, rng: np.random.Generator) -> Float64:

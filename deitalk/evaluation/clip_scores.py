@@ -14,14 +14,16 @@ from deitalk.audio.frames import frame_centres
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import level_db
 from deitalk.data.clips import Clip
-from deitalk.evaluation.curve_statistics import smoothness
 from deitalk.evaluation.lip_closures import (
+    JAW,
     ClosureScores,
     closure_scores,
     held_closures,
+    mouth_opening,
+    opening_in_silence,
+    smoothness,
     summarise_closures,
 )
-from deitalk.evaluation.opening import JAW, mouth_opening, opening_in_silence
 from deitalk.evaluation.phone_gestures import (
     GESTURES,
     Peaks,

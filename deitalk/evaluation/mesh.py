@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
-from deitalk.data.mesh_folder import Lips
-from deitalk.data.mesh_sources import act, acted_clips, head_lips
+from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import MeshModel
+from deitalk.models.mesh_model import MeshHead, MeshModel
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import predict_mesh

@@ -182,7 +182,7 @@ class RigBiLSTM(nn.Module):
 
     Not in the papers; meant for noise, where a sound must be inferred from its neighbours. W starts
     at 0, so that the weights of a model without such layers can start one with them
-    (`deitalk.training.distillation`).
+    (`deitalk.training.curve_losses`).
 
     Parameters
     ----------

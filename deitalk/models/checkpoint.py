@@ -36,7 +36,6 @@ from deitalk.frontends import build_encoder
 from deitalk.frontends.wav2vec import Wav2VecFrontend
 from deitalk.frontends.windows import Encoder
 from deitalk.installed import research
-from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.devices import require_device
@@ -48,8 +47,7 @@ from deitalk.models.folder import (
     weight_files,
     weights_hash,
 )
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
 from deitalk.models.mesh_weights import (
     FROZEN,
     about_mesh,

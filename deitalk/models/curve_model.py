@@ -351,7 +351,7 @@ class DEITalk(nn.Module):
     def describe(self, analysis: Analysis, emotion: Tensor) -> Tensor:
         """Input of the decoder's last layer, from which a mesh can be decoded.
 
-        See `deitalk.models.mesh_head`; arguments as `decode`.
+        See `deitalk.models.mesh_model`; arguments as `decode`.
 
         Returns
         -------

@@ -86,7 +86,7 @@ def load_causal(
     Parameters
     ----------
     model : str, Path, DEITalk or CausalNetwork
-        As for `deitalk.models.network.load_network`.
+        As for `load_network`.
     backend : str
         ``torch`` or ``onnx``.
 

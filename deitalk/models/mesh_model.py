@@ -13,7 +13,7 @@ paper compares itself with (`deitalk.research.comparison.karras`,
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +25,6 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends.mel_bilstm import NO_ATTENTION
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.frontends.windows import Encoder, nearest_places
-from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.deformation_decoder import (
     Coefficients,
     InversePCA,
@@ -36,6 +35,65 @@ from deitalk.models.deformation_decoder import (
 from rig.arrays import Float32
 from rig.deformation.reconstruct import DeformationSolver, mesh_solver
 from rig.mesh import TriMesh
+
+if TYPE_CHECKING:
+    from deitalk.models.curve_model import DEITalk
+
+LEAST_DEVIATION = 1e-3
+
+
+class DEITalkFeatures(nn.Module):
+    """Standardised input of the last layer of a frozen DEITalk model.
+
+    The features hold speech, emotional style and intensity, after eight convolutions along time.
+
+    Parameters
+    ----------
+    network : DEITalk
+        Frozen here; neither trained nor saved as a part of this module.
+    fingerprint : str
+        SHA-256 of its weights, which a mesh head's folder stores.
+
+    Attributes
+    ----------
+    output_size : int
+        D.
+    mean, deviation : Tensor [shape=(D,)]
+        By which every feature is standardised; set by `fit`.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, network: "DEITalk", fingerprint: str) -> None:
+        super().__init__()
+        self._frozen = (network.requires_grad_(False),)  # a tuple: no module of this one
+        self.fingerprint = fingerprint
+        self.output_size = network.config.decoder_channels
+        self.register_buffer("mean", torch.zeros(self.output_size))
+        self.register_buffer("deviation", torch.ones(self.output_size))
+
+    @property
+    def network(self) -> "DEITalk":
+        """The DEITalk model, in evaluation mode, on the device of the buffers."""
+        return self._frozen[0].to(self.mean.device)
+
+    def fit(self, rows: Tensor) -> None:
+        """Set mean and deviation from features (T, D) of many clips.
+
+        A feature of deviation 0 is divided by `LEAST_DEVIATION`.
+        """
+        self.mean.copy_(rows.mean(dim=0))
+        self.deviation.copy_(rows.std(dim=0) + LEAST_DEVIATION)
+
+    def standardised(self, rows: Tensor) -> Tensor:
+        """Features (..., D) of mean 0 and deviation 1."""
+        return (rows - self.mean) / self.deviation
+
+    def forward(self, features: Tensor, places: Tensor) -> Tensor:
+        """Map features (B, 1, D, T) to standardised rows (B, len(places), D) at `places`."""
+        return self.standardised(features[:, 0].transpose(1, 2)[:, places])
+
 
 FRAMES_AT_ONCE = 480
 """Frames encoded together when predicting."""
@@ -216,3 +274,57 @@ class SDFA(MeshModel):
 @lru_cache(maxsize=16)
 def _solver(template: TriMesh) -> DeformationSolver:
     return mesh_solver(template)
+
+
+# SDFA's decoder (§3.4) on the features of a frozen DEITalk model (§3.2-3.4): emotion on a mesh.
+#
+# ::
+#
+#     waveform -> DEITalk -> features (T, D), neutral and emotional     deitalk.pipeline.speech
+#              -> decoder: coefficients (T, K) of both readings -> their blend by the intensity
+#              -> (T, 6 N), (T, 3 N) -> solve -> vertices (T, V, 3)
+#
+# Deviation: neither paper gives emotion to a learnt mesh.
+
+
+class MeshHead(MeshModel):
+    """`MeshModel` whose encoder is a trained DEITalk model."""
+
+    encoder: DEITalkFeatures
+
+    @torch.no_grad()
+    def coefficients(
+        self, neutral: Tensor, emotional: Tensor, scale: Tensor, shown: Tensor, speaker: str | int
+    ) -> Iterator[Coefficients]:
+        """Blend the coefficients of two readings, `FRAMES_AT_ONCE` frames at a time.
+
+        Parameters
+        ----------
+        neutral, emotional : Tensor [shape=(T, D)]
+            Features of the same speech, from `DEITalk.describe`.
+        scale : Tensor [shape=(T,)]
+            Factor on the difference of the readings; see
+            `deitalk.postprocess.curve_rules.expression_scale`.
+        shown : Tensor [shape=(T,), range 0 to 1]
+            Expression gate; at 0 the coefficients are those of the template.
+        speaker : str or int
+            Style, by name or number.
+
+        Yields
+        ------
+        Coefficients [shape=(T, K)], by branch
+        """
+        label, rest = self.label(speaker), self.rest
+        rows = (neutral, emotional, scale.unsqueeze(1), shown.unsqueeze(1))
+        parts = (torch.split(each.to(self.device), FRAMES_AT_ONCE) for each in rows)
+        for plain, moved, factor, gate in zip(*parts, strict=True):
+            labels = label.expand(len(plain), -1)
+            low = self.decoder(self.encoder.standardised(plain), labels)
+            high = self.decoder(self.encoder.standardised(moved), labels)
+            blend = {name: low[name] + factor * (high[name] - low[name]) for name in low}
+            yield {name: rest[name] + gate * (row - rest[name]) for name, row in blend.items()}
+
+    @property
+    def rest(self) -> Coefficients:
+        """Coefficients nearest to the template itself, by branch."""
+        return {name: branch.inverse_pca.rest() for name, branch in self.decoder.branches.items()}

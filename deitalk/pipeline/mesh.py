@@ -8,7 +8,7 @@
 
 Deviation: neither paper gives emotion to a mesh. With curves the mesh moves as the rig would, and
 emotion, intensity and the closed lips reach it as they reach the rig; a mesh head
-(`deitalk.models.mesh_head`) learns emotion from any captured mesh.
+(`deitalk.models.mesh_model`) learns emotion from any captured mesh.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,8 +29,7 @@ from deitalk.errors import CheckpointError, EmotionError
 from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
 from deitalk.models.network import neutral_and_acted
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance

@@ -7,22 +7,27 @@
               -> prosody -> intensity of the voice -> applied intensity
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deitalk.acting import Acting
+from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import Recording, checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
 from deitalk.config import Gates, VoiceIntensity
+from deitalk.emotions.tracks import ActorReference
+from deitalk.errors import AudioError
 from deitalk.models.network import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
+from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
 
@@ -166,3 +171,58 @@ def measure_intensities(
     if rule is None and acting.intensity_curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
     return Intensities(saliency, network, voice, predicted, applied, scale, take)
+
+
+# Measure the usual voice of an actor from recordings: ``deitalk actor build``.
+
+
+def measure_actor(
+    recordings: Iterable[Audio], progress: Callable[[int], None] = lambda done: None
+) -> ActorReference:
+    """Median strength of an actor's recordings; those without voice are left out.
+
+    Parameters
+    ----------
+    recordings : iterable of path, bytes, file object or Recording
+        Of one actor, of several moods or of the usual one; the microphone and its gain do not
+        matter.
+    progress : callable
+        Called with the number of recordings that are done.
+
+    Raises
+    ------
+    AudioError
+        If one cannot be read, or none holds a voice.
+    """
+    measured = []
+    for number, audio in enumerate(recordings, 1):
+        recording = recording_of(audio)
+        measured.append((voice_strength(recording), recording.duration))
+        progress(number)
+    return reference_of(measured)
+
+
+def voice_strength(recording: Recording) -> float | None:
+    """Strength of a recording's voice, dB above the usual; None without voice."""
+    speech = Speech.of_recording(recording)
+    return speech.strength if speech.prosody.voiced.any() else None
+
+
+def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReference:
+    """Reference of an actor from the strength and the seconds of each recording.
+
+    The traits of the actor's motion are drawn from them: equal recordings give equal traits.
+
+    Raises
+    ------
+    AudioError
+        If no recording holds a voice.
+    """
+    voiced = [(strength, seconds) for strength, seconds in measured if strength is not None]
+    if not voiced:
+        raise AudioError("no voice in the recordings of the actor; give some with speech")
+    strengths, lengths = zip(*voiced, strict=True)
+    facts = np.array([*strengths, *lengths]) / 1000
+    seeds = Seeds.of(facts.astype(np.float32), "", 0)
+    traits = asdict(Traits.of(seeds.character()))
+    return ActorReference(float(np.median(strengths)), len(voiced), sum(lengths), traits)

@@ -245,8 +245,14 @@ def manner(prosody: Prosody, activity: Float32) -> Float32:
     if voiced.sum() < FEWEST_VOICED:
         voiced = prosody.voiced | speech
     frames = strength_frames(prosody, activity)
+    # Spread, height of the 90th percentile, and mean step of each band.
+    bands = without_level(frames)[0][:, :BANDS].astype(np.float64)
+    said = bands[speech]
+    steps = np.abs(np.diff(bands, axis=0))[speech[1:] & speech[:-1]]
+    mean_step = steps.mean(axis=0) if len(steps) else np.zeros(BANDS)
+    high = np.percentile(said, 90, axis=0) - said.mean(axis=0)
     numbers = (
-        _spectrum(without_level(frames)[0][:, :BANDS].astype(np.float64), speech),
+        np.concatenate((said.std(axis=0), high, mean_step)),
         _pitch(prosody.pitch, voiced),
         _level(prosody.level, speech),
         _periodicity(prosody.periodicity, speech, voiced),
@@ -255,15 +261,6 @@ def manner(prosody: Prosody, activity: Float32) -> Float32:
         [_correlation(prosody.level, track, voiced) for track in (prosody.pitch, prosody.tilt)],
     )
     return np.concatenate(numbers).astype(np.float32)
-
-
-def _spectrum(bands: Float64, speech: Bool) -> Float64:
-    """Spread, height of the 90th percentile, and mean step of each band."""
-    said = bands[speech]
-    steps = np.abs(np.diff(bands, axis=0))[speech[1:] & speech[:-1]]
-    mean_step = steps.mean(axis=0) if len(steps) else np.zeros(BANDS)
-    high = np.percentile(said, 90, axis=0) - said.mean(axis=0)
-    return np.concatenate((said.std(axis=0), high, mean_step))
 
 
 def _pitch(pitch: Float64, voiced: Bool) -> Float64:

@@ -55,7 +55,13 @@ def seal_lips(vertices: Float32, reach_mm: float, unit_mm: float) -> Float32:
     upper, lower = _head_loops()
     rim = RINGS.index(0)
     gap = vertices[:, lower[rim]] - vertices[:, upper[rim]]  # (T, P, 3)
-    move = gap * _amounts(gap * np.float32(unit_mm), reach_mm)[:, None, None]
+    # How far the lips of each frame are brought together [shape=(T,), range 0 to 1].
+    gap_mm = gap * np.float32(unit_mm)
+    quarter = gap_mm.shape[1] // 4
+    middle = gap_mm[:, quarter : gap_mm.shape[1] - quarter]
+    apart_mm = np.linalg.norm(middle, axis=-1).mean(axis=1)
+    far = np.clip(2 * apart_mm / reach_mm - 1, 0, 1)
+    move = gap * np.asarray(1 - far * far * (3 - 2 * far), dtype=np.float32)[:, None, None]
     share = np.array(SHARES, dtype=np.float32)[:, None, None]
     sealed = vertices.copy()
     sealed[:, upper] += UPPER_PART * move[:, None] * share
@@ -80,15 +86,6 @@ def check_faces(reach_mm: float, templates: Iterable[TriMesh]) -> None:
         raise ConfigError(
             f"model.seal_mm={reach_mm:g}: only the embedded heads' lips are known; set it to 0"
         )
-
-
-def _amounts(gap_mm: Float32, reach_mm: float) -> Float32:
-    """How far the lips of each frame are brought together [shape=(T,), range 0 to 1]."""
-    quarter = gap_mm.shape[1] // 4
-    middle = gap_mm[:, quarter : gap_mm.shape[1] - quarter]
-    apart_mm = np.linalg.norm(middle, axis=-1).mean(axis=1)
-    far = np.clip(2 * apart_mm / reach_mm - 1, 0, 1)
-    return np.asarray(1 - far * far * (3 - 2 * far), dtype=np.float32)
 
 
 @cache

@@ -8,6 +8,7 @@ import base64
 import gzip
 import json
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.errors import MissingError
-from deitalk.preview.curves_page import write_curves_page
+from deitalk.pipeline.performance import Performance
 from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
@@ -94,6 +96,42 @@ def render_page(
     with atomic_write(out) as beside:
         beside.write_text(page, encoding="utf-8")
     return out
+
+
+def add_preview(
+    folder: Path, performance: Performance, identity: int | str | Identity = 0
+) -> dict[str, str]:
+    """Write ``preview.html`` into a take folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    performance : Performance
+        Its curves, neutral reading and recording are shown.
+    identity : int, str or Identity
+        Head that is shown.
+
+    Returns
+    -------
+    dict
+        File name and its description, for ``take.json``.
+
+    Raises
+    ------
+    MissingError
+        Without the built page.
+    """
+    source = PreviewSource(
+        title=Path(performance.recording.source).stem,
+        curves=performance.curves,
+        samples=performance.recording.waveform,
+        sample_rate=SAMPLE_RATE,
+        neutral=performance.neutral.values,
+    )
+    render_page(source, folder / "preview.html", identity=identity)
+    about = "face, sound and every curve in one page; the intensity can be dragged"
+    return {"preview.html": about if source.is_board else "sound and every curve in one page"}
 
 
 def render_studio(identity: int | str | Identity = 0) -> str:
@@ -209,3 +247,68 @@ def pack_bytes(
     head = struct.pack("<I", len(header)) + header
     head += b"\0" * (-len(head) % 8)
     return gzip.compress(head + b"".join(blobs), level, mtime=0)
+
+
+# The page of curves: those of a rig that has no head here, with the recording.
+#
+# One HTML file that needs no player: every control that moves is a line over time, under its name,
+# and up to six takes lie over each other.
+
+
+TEMPLATE = Path(__file__).with_name("curves_page.html")
+MOVING = 1e-3
+"""Standard deviation from which on a control is shown at first."""
+_CURVES_SLOT = "<!--deitalk-curves-->"
+
+
+def write_curves_page(takes: Sequence[PreviewSource], out: Path) -> None:
+    """Write the page; the order of the controls is by how far they move.
+
+    Parameters
+    ----------
+    takes : sequence of PreviewSource
+        The recording is that of the first.
+    out : Path
+        ``.html``, may be replaced.
+
+    Raises
+    ------
+    PreviewError
+        If the takes are of different rigs.
+    """
+    names = takes[0].curves.names
+    for take in takes:
+        if take.curves.names != names:
+            raise PreviewError(
+                f"{take.title} is of the rig {take.curves.control_set}, {takes[0].title} of "
+                f"{takes[0].curves.control_set}; compare takes of one rig"
+            )
+    text = json.dumps(_facts(takes)).replace("<", "\\u003c")
+    page = TEMPLATE.read_text(encoding="utf-8").replace(_CURVES_SLOT, text)
+    with atomic_write(out) as beside:
+        beside.write_text(page, encoding="utf-8")
+
+
+def _facts(takes: Sequence[PreviewSource]) -> dict[str, Any]:
+    values = np.concatenate([take.curves.values for take in takes])
+    spread = values.std(axis=0)
+    order = np.argsort(-spread, kind="stable")
+    low, high = np.minimum(values.min(axis=0), 0), np.maximum(values.max(axis=0), 0)
+    return {
+        "title": takes[0].title,
+        "names": [takes[0].curves.names[k] for k in order],
+        "moving": [bool(spread[k] > MOVING) for k in order],
+        "ranges": [[float(low[k]), float(high[k])] for k in order],
+        "audio": sound_as_wav(takes[0]),
+        "takes": [
+            {
+                "title": take.title,
+                "fps": take.curves.fps,
+                "frames": len(take.curves),
+                "values": base64.b64encode(
+                    np.ascontiguousarray(take.curves.values[:, order], "<f4").tobytes()
+                ).decode(),
+            }
+            for take in takes
+        ],
+    }

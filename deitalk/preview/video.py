@@ -1,12 +1,13 @@
 """The review video: two views of the face over the sound and the curves, with the recording."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from deitalk.preview.encoding import find_encoder, write_mp4
+from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError, PreviewSource, check_board, load_source
 from rig.arrays import AnyFloat, Float32
 from rig.curves import EMOTIONS
@@ -15,7 +16,7 @@ from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, Renderer, make_renderer
 from rig.face.render.picture import Picture, text_width, write_text
-from rig.face.render.renderer import Backend
+from rig.face.render.renderer import Backend, check_backend
 from rig.face.turn import neck_share, turned
 from rig.files import atomic_write, check_file
 
@@ -298,3 +299,48 @@ def label(picture: Picture, text: str, place: tuple[int, int], height: int = 11)
     x, y = place
     plate = picture[y - 4 : y + height + 4, x - 6 : x + text_width(text, height) + 4]
     plate[:] = write_text((plate * 0.35).astype(np.uint8), text, (6, 4), height=height)
+
+
+# Requirements of a preview, checked before the work begins.
+
+
+PAGES, VIDEOS = (".html", ".htm"), (".mp4",)
+
+
+def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str, ...]:
+    """Check that this installation can make every given file.
+
+    Parameters
+    ----------
+    targets : paths
+        ``.html`` and ``.mp4`` files to write.
+    backend : {'auto', 'opengl', 'software'}
+        Renderer of a video.
+
+    Returns
+    -------
+    tuple of str
+        Notes for the user on the files to write.
+
+    Raises
+    ------
+    PreviewError
+        For another suffix.
+    MissingError
+        Without the built page, or without a video encoder.
+    RigError
+        If the backend is unknown, or is ``opengl`` and OpenGL is missing.
+    """
+    notes = []
+    for target in targets:
+        suffix = target.suffix.lower()
+        if suffix in PAGES:
+            check_player()
+        elif suffix in VIDEOS:
+            notes.append(find_encoder().note)
+            check_backend(backend)
+        else:
+            raise PreviewError(
+                f"{target} has suffix {target.suffix or 'none'!r}; use .mp4 or .html"
+            )
+    return tuple(note for note in notes if note)

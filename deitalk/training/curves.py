@@ -32,10 +32,14 @@ from deitalk.frontends.strided import StridedFrontend
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
-from deitalk.training.curve_losses import CurveLoss
-from deitalk.training.distillation import Teacher, read_teacher, start_as, turn_to_the_past
-from deitalk.training.optimiser import new_optimizer
-from deitalk.training.trainer import Progress, Task, run_training, silent
+from deitalk.training.curve_losses import (
+    CurveLoss,
+    Teacher,
+    read_teacher,
+    start_as,
+    turn_to_the_past,
+)
+from deitalk.training.trainer import Progress, Task, new_optimizer, run_training, silent
 from rig import ControlSet
 
 N_SHOWN = 2

@@ -17,9 +17,8 @@ from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
-from deitalk.data.mesh_folder import MeshClip, MeshFolder
+from deitalk.data.mesh_folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments
-from deitalk.data.mesh_sources import has_lips, open_meshes
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
@@ -28,11 +27,9 @@ from deitalk.figures.validation import ClipRows, Row
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, new_mesh_model, require_model, save_model
-from deitalk.models.curve_features import DEITalkFeatures
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import MeshModel
+from deitalk.models.mesh_model import DEITalkFeatures, MeshHead, MeshModel
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.training.mesh_losses import MeshLoss
 from deitalk.training.trainer import Progress, Task, run_training, silent
@@ -62,7 +59,7 @@ def train_mesh(
         Model, data and schedule.
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
-        heads act (`deitalk.data.mesh_sources`).
+        heads act (`deitalk.data.mesh_folder`).
     out, resume, tensorboard, progress
         As for `deitalk.training.trainer.run_training`.
 

@@ -15,7 +15,7 @@ from deitalk.data.mesh_folder import MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import MeshModel
-from deitalk.training.processes import mean_over_processes
+from deitalk.training.trainer import mean_over_processes
 from rig.arrays import Float32, Float64
 
 LIPS = "lips"

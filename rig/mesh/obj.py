@@ -38,7 +38,8 @@ def read_obj(path: Path | str) -> TriMesh:
     for number, line in enumerate(_lines(path), start=1):
         try:
             if line.startswith("v "):
-                vertices.extend(_position(line))
+                x, y, z = line.split()[1:4]
+                vertices.extend((float(x), float(y), float(z)))
             elif line.startswith("f "):
                 triangles.extend(_fan(_corners(line, len(vertices) // 3)))
         except (ValueError, OverflowError):
@@ -68,11 +69,6 @@ def _lines(path: Path) -> Iterator[str]:
             yield " ".join(parts)
             parts.clear()
     yield " ".join(parts)
-
-
-def _position(line: str) -> tuple[float, ...]:
-    x, y, z = line.split()[1:4]
-    return float(x), float(y), float(z)
 
 
 def _corners(line: str, count: int) -> list[int]:

@@ -1,18 +1,276 @@
 """Stanford PLY, ASCII and binary, and folders of them as sequences (the VOCASET layout)."""
 
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float32, Int64
-from rig.errors import FormatError, MeshError, TopologyError
+from rig.errors import FormatError, MeshError, TopologyError, quoted
 from rig.files import atomic_write, output_folder
 from rig.files.reading import check_file, open_file
-from rig.limits import MESH_BYTES, TRIANGLES
-from rig.mesh.ply_elements import Lists, read_element, read_header
+from rig.limits import HEADER_BYTES, MESH_BYTES, TRIANGLES, VERTICES
 from rig.mesh.trimesh import TriMesh, check_length
+
+# Header and elements of a PLY file, ASCII or binary; counts are checked against the file's size.
+#
+# Letters: N rows of an element.
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_MOST_LINES = 1000
+_LINES_AT_ONCE = 100_000
+
+
+@dataclass(frozen=True)
+class Property:
+    """One property of an element; `length_type` is given where it is a list."""
+
+    name: str
+    type: str
+    length_type: str | None = None
+
+
+@dataclass(frozen=True)
+class Element:
+    """Rows of equal properties."""
+
+    name: str
+    count: int
+    properties: list[Property]
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Lists of a property.
+
+    Parameters
+    ----------
+    lengths : array of int64 [shape=(N,)]
+    values : array [shape=(sum of lengths,)]
+        One list after the other.
+    """
+
+    lengths: Int64
+    values: NDArray[np.generic]
+
+
+Columns = dict[str, "NDArray[Any] | Lists"]
+Row = list[Any]
+"""A number, or a sequence of them, for each property."""
+
+
+def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
+    """Return the byte order ("" is ASCII) and the elements; ValueError or KeyError if none."""
+    order, elements = None, []
+    for words in _header_lines(file):
+        match words:
+            case ["format", name, _]:
+                order = _ORDERS[name]
+            case ["element", name, count]:
+                elements.append(Element(name, _bounded(int(count)), []))
+            case ["property", "list", length, kind, name]:
+                elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[length]))
+            case ["property", kind, name]:
+                elements[-1].properties.append(Property(name, _TYPES[kind]))
+    if order is None:
+        raise ValueError("no 'format' line")
+    for element in elements:
+        _check_properties(element)
+    return order, elements
+
+
+def _header_lines(file: BinaryIO) -> list[list[str]]:
+    """Words of the lines between 'ply' and 'end_header'."""
+    lines: list[list[str]] = []
+    while len(lines) < _MOST_LINES and (raw := file.readline(HEADER_BYTES)):
+        lines.append(raw.decode("ascii").split())
+        if lines[-1] == ["end_header"]:
+            break
+    if not lines or lines[0] != ["ply"] or lines[-1] != ["end_header"]:
+        raise ValueError("no 'ply' ... 'end_header'")
+    return lines[1:-1]
+
+
+def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Columns:
+    """Read the rows of one element.
+
+    Parameters
+    ----------
+    file : binary stream
+        At the first row.
+    element : Element
+        Its name, count and properties.
+    order : str
+        "<", ">", or "" for ASCII.
+    left : int
+        Bytes between here and the file's end.
+
+    Returns
+    -------
+    dict
+        By property, an array [shape=(N,)] or `Lists`.
+
+    Raises
+    ------
+    ValueError
+        If the file is cut short or a row cannot be read.
+    """
+    if element.count * _least_bytes(element, order) > left + 1:  # the last line may have no end
+        raise ValueError("the file is cut short")
+    if order == "":
+        return _ascii(file, element)
+    if any(p.length_type for p in element.properties):
+        return _equal_lists(file, element, order, left) or _gathered(
+            element, _rows(file, element, order, left)
+        )
+    kind = np.dtype([(p.name, order + p.type) for p in element.properties])
+    rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
+    return {p.name: rows[p.name] for p in element.properties}
+
+
+def _bounded(count: int) -> int:
+    if not 0 <= count <= VERTICES:
+        raise ValueError(f"{count} rows of an element; at most {VERTICES} are read")
+    return count
+
+
+def _check_properties(element: Element) -> None:
+    names = [p.name for p in element.properties]
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"element {quoted(element.name)} has no properties, or one name twice")
+    for p in element.properties:
+        if p.length_type is not None and p.length_type[0] == "f":
+            raise ValueError(f"list {quoted(p.name)} has a length that is no whole number")
+
+
+def _least_bytes(element: Element, order: str) -> int:
+    """Fewest bytes of a row: empty lists, numbers of one digit."""
+    if order == "":
+        return 2 * len(element.properties)
+    return sum(np.dtype(p.length_type or p.type).itemsize for p in element.properties)
+
+
+def _exactly(file: BinaryIO, size: int) -> bytes:
+    data = file.read(size)
+    if len(data) != size:
+        raise ValueError("the file is cut short")
+    return data
+
+
+def _ascii(file: BinaryIO, element: Element) -> Columns:
+    if any(p.length_type for p in element.properties):
+        return _gathered(element, _ascii_rows(file, element))
+    width, parts = len(element.properties), []
+    for start in range(0, element.count, _LINES_AT_ONCE):
+        n_rows = min(_LINES_AT_ONCE, element.count - start)
+        words = [line.split(None, width)[:width] for line in islice(file, n_rows)]
+        if len(words) < n_rows or any(len(row) < width for row in words):
+            raise ValueError("the file is cut short")
+        parts.append(np.array(words, dtype="S").astype(np.float64))
+    rows = np.concatenate(parts) if parts else np.zeros((0, width))
+    return {p.name: rows[:, i] for i, p in enumerate(element.properties)}
+
+
+def _ascii_rows(file: BinaryIO, element: Element) -> Iterator[Row]:
+    for _ in range(element.count):
+        words = file.readline().split()
+        row: Row = []
+        place = 0
+        for p in element.properties:
+            count = 1 if p.length_type is None else int(_word(words, place))
+            place += p.length_type is not None
+            if not 0 <= count <= len(words) - place:
+                raise ValueError("the file is cut short")
+            convert = float if p.type[0] == "f" else int
+            values = [convert(word) for word in words[place : place + count]]
+            row.append(values[0] if p.length_type is None else values)
+            place += count
+        yield row
+
+
+def _word(words: list[bytes], place: int) -> bytes:
+    if place >= len(words):
+        raise ValueError("the file is cut short")
+    return words[place]
+
+
+def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Columns | None:
+    """Read all rows at once if every list has the length of the first row's; else None."""
+    begin = file.tell()
+    if not element.count:
+        return None
+    first = next(iter(_rows(file, element, order, left)))
+    file.seek(begin)
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    for i, (p, value) in enumerate(zip(element.properties, first, strict=True)):
+        if p.length_type is None:
+            fields.append((f"value{i}", order + p.type))
+        else:
+            fields.append((f"length{i}", order + p.length_type))
+            fields.append((f"value{i}", order + p.type, (len(value),)))
+    kind = np.dtype(fields)
+    if kind.itemsize * element.count > left:
+        return None
+    rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
+    columns: Columns = {}
+    for i, p in enumerate(element.properties):
+        values = rows[f"value{i}"]
+        if p.length_type is not None:
+            lengths = rows[f"length{i}"].astype(np.int64)
+            if (lengths != values.shape[1]).any():
+                file.seek(begin)
+                return None
+            columns[p.name] = Lists(lengths, values.ravel())
+        else:
+            columns[p.name] = values
+    return columns
+
+
+def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[Row]:
+    for _ in range(element.count):
+        row: Row = []
+        for p in element.properties:
+            count = 1
+            if p.length_type is not None:
+                length = np.dtype(order + p.length_type)
+                count = int(np.frombuffer(_exactly(file, length.itemsize), length)[0])
+                if count < 0:
+                    raise ValueError(f"a list of {count} values")
+            kind = np.dtype(order + p.type)
+            if kind.itemsize * count > left:  # before so much memory is taken
+                raise ValueError("the file is cut short")
+            values = np.frombuffer(_exactly(file, kind.itemsize * count), kind)
+            row.append(values if p.length_type else values[0].item())
+        yield row
+
+
+def _gathered(element: Element, rows: Iterator[Row]) -> Columns:
+    """Columns of rows read one by one."""
+    numbers = {p.name: array("d" if p.type[0] == "f" else "q") for p in element.properties}
+    lengths = {p.name: array("q") for p in element.properties if p.length_type}
+    for row in rows:
+        for p, value in zip(element.properties, row, strict=True):
+            if p.length_type is None:
+                numbers[p.name].append(value)
+            else:
+                numbers[p.name].extend(value)
+                lengths[p.name].append(len(value))
+    return {
+        name: Lists(np.array(lengths[name]), np.array(values))
+        if name in lengths
+        else np.array(values)
+        for name, values in numbers.items()
+    }
 
 
 def read_ply(path: Path | str) -> TriMesh:

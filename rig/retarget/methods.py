@@ -10,18 +10,167 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from rig.arrays import Float64
+from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.limits import RETARGET_VERTICES
 from rig.mesh.shapes import ShapeSet
-from rig.mesh.trimesh import TriMesh
+from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.bake import BakedRig
-from rig.retarget.eyelids import fit_lids
-from rig.retarget.lips import LipPairs, lip_pairs, repair_lips
+from rig.retarget.landmarks import CORNERS
 from rig.retarget.registration import POOR_MATCH, Registration, register
 from rig.retarget.source_head import SourceHead, source_head
-from rig.retarget.transfer import transfer_displacements, transfer_gradients
+from rig.retarget.transfer import local_jacobians, transfer_displacements, transfer_gradients
+
+# Pairs of points across the mouth's slit, and correction of the lips' contact after a transfer.
+#
+# Vertices of the upper and of the lower lip take their displacements from the source separately; an
+# error of half a millimetre each is invisible on a cheek, but an open mouth on /m/.
+
+_NEAR_SLIT = 0.03
+"""Largest distance of a pair, in widths of the mouth; at least 1.5 times the gap."""
+_REPAIR_REACH = 0.08
+"""Reach of a correction of the rim over its lip, in widths of the mouth."""
+_SMOOTHING = 0.04
+"""Reach of the averaging of corrections along the slit, in widths of the mouth."""
+
+
+@dataclass(frozen=True, eq=False)
+class LipPairs:
+    """Vertices that face one another across the closed mouth.
+
+    Parameters
+    ----------
+    upper, lower : array [shape=(P,)]
+        Vertices; pair i is upper[i] over lower[i].
+    width : float
+        Distance between the mouth's corners.
+    """
+
+    upper: Int64
+    lower: Int64
+    width: float
+
+    def gaps(self, vertices: Any, up: Any = (0.0, 1.0, 0.0)) -> Float64:
+        """Signed gap of each pair along `up` [shape=(..., P)]; negative where lips cross."""
+        points = np.asarray(vertices, dtype=np.float64)
+        apart = points[..., self.upper, :] - points[..., self.lower, :]
+        direction = np.asarray(up, dtype=np.float64)
+        return np.asarray(apart @ (direction / np.linalg.norm(direction)))
+
+
+def lip_pairs(mesh: TriMesh, landmarks: Mapping[str, int], labels: Int64) -> LipPairs:
+    """Pair the vertices along the slit of a neutral face with its mouth closed or nearly so.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        The neutral face.
+    landmarks : mapping of str to int
+        With both corners and both rims.
+    labels : array of int [shape=(V,)]
+        From `rig.retarget.registration.lip_labels`.
+
+    Raises
+    ------
+    MeshError
+        If the lips have no vertices near one another.
+    """
+    points = mesh.vertices
+    width = float(np.linalg.norm(np.subtract(*(points[landmarks[c]] for c in CORNERS))))
+    gap = float(np.linalg.norm(points[landmarks["upper_rim"]] - points[landmarks["lower_rim"]]))
+    used = np.zeros(len(points), dtype=bool)
+    used[mesh.faces.ravel()] = True
+    upper, lower = (np.flatnonzero(np.asarray((labels == side) & used)) for side in (1, -1))
+    if len(upper) == 0 or len(lower) == 0:
+        raise MeshError("no lips found around the rim landmarks; check upper_rim and lower_rim")
+    reach = max(1.5 * gap, _NEAR_SLIT * width)
+    down, below = _nearest(points[lower], points[upper])
+    up, above = _nearest(points[upper], points[lower])
+    pairs = [(upper[i], lower[below[i]]) for i in np.flatnonzero(down <= reach)]
+    pairs += [(upper[above[i]], lower[i]) for i in np.flatnonzero(up <= reach)]
+    chosen = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
+    if len(chosen) == 0:
+        raise MeshError("the lips are nowhere near one another; the neutral mouth must be closed")
+    return LipPairs(chosen[:, 0], chosen[:, 1], width)
+
+
+def repair_lips(
+    registration: Registration,
+    source_pairs: LipPairs,
+    target_pairs: LipPairs,
+    source_deltas: Any,
+    target_deltas: Any,
+) -> Float64:
+    """Correct the target's lip pairs to the gaps of the source's pairs.
+
+    Each target pair takes the *relative* motion of the nearest source pairs, turned
+    and scaled by the local Jacobian; half of the difference goes to each lip and fades over it.
+
+    Parameters
+    ----------
+    registration : Registration
+        Source over target.
+    source_pairs, target_pairs : LipPairs
+        Of the two neutral faces.
+    source_deltas : array [shape=(K, V_source, 3)]
+        Shapes as they are on the source.
+    target_deltas : array [shape=(K, V_target, 3)]
+        The same as transferred.
+
+    Returns
+    -------
+    repaired : array [shape=(K, V_target, 3)]
+    """
+    source, result = np.asarray(source_deltas), np.array(target_deltas, dtype=np.float64)
+    jacobian = local_jacobians(registration)
+    middle = 0.5 * (jacobian[source_pairs.upper] + jacobian[source_pairs.lower])
+    parting = source[:, source_pairs.upper] - source[:, source_pairs.lower]
+    parting = np.einsum("pab,kpb->kpa", middle, parting)
+
+    placed = registration.placed
+    theirs = 0.5 * (placed[source_pairs.upper] + placed[source_pairs.lower])
+    rest = registration.target.vertices
+    ours = 0.5 * (rest[target_pairs.upper] + rest[target_pairs.lower])
+    wanted = _inverse_distance(theirs, ours, parting)
+    error = wanted - (result[:, target_pairs.upper] - result[:, target_pairs.lower])
+    error = _along_slit(ours, error, _SMOOTHING * target_pairs.width)
+    for vertices, sign, side in ((target_pairs.upper, 0.5, 1), (target_pairs.lower, -0.5, -1)):
+        lip = np.flatnonzero(registration.target_labels == side)
+        near, reach = KDTree(rest[vertices]), _REPAIR_REACH * target_pairs.width
+        distance, _ = near.query(rest[lip])
+        spread = np.exp(-((distance / reach) ** 2))
+        correction = _inverse_distance(rest[vertices], rest[lip], sign * error)
+        result[:, lip] += spread[:, None] * correction
+    return result
+
+
+def _nearest(points: Float64, queries: Float64) -> tuple[Float64, Int64]:
+    distance, index = KDTree(points).query(queries)
+    return np.asarray(distance), np.asarray(index, dtype=np.int64)
+
+
+def _along_slit(points: Float64, values: Float64, reach: float) -> Float64:
+    """Gaussian mean of values [shape=(K, P, 3)] over the pairs about each: no ripples of one pair.
+
+    Pairs near a corner see very different partings side by side; unsmoothed they stand out as
+    spikes there.
+    """
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    near = np.exp(-((apart / reach) ** 2))
+    return np.asarray(np.einsum("pq,kqc->kpc", near / near.sum(axis=1, keepdims=True), values))
+
+
+def _inverse_distance(points: Float64, queries: Float64, values: Float64) -> Float64:
+    """Interpolate values [shape=(K, P, 3)] at points to queries by their four nearest."""
+    count = min(4, len(points))
+    distance, nearest = KDTree(points).query(queries, k=count)
+    distance, nearest = (np.asarray(x).reshape(-1, count) for x in (distance, nearest))
+    weight = 1.0 / np.maximum(distance, 1e-9) ** 2
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("qn,kqnc->kqc", weight, values[:, nearest]))
+
 
 Method = Literal["displacements", "gradients"]
 
@@ -183,3 +332,71 @@ def warnings_of(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
             "lips will not meet; give a mesh with its mouth closed"
         )
     return tuple(found)
+
+
+# Closing lids: their travel scaled to the opening of the target's eyes.
+#
+# A blink carried from an eye that opens 11 mm to one that opens 8 mm would run the upper lid 3 mm
+# past the lower one. The local Jacobian does not resolve the slit between the lids.
+
+
+_REACH = 0.45
+"""How far from the slit the scaling fades, in widths of the eye."""
+_STEEPEST = 2.5
+"""Largest change of travel, either way: beyond it the landmarks are wrong."""
+
+
+def fit_lids(
+    registration: Registration,
+    source_landmarks: Mapping[str, int],
+    target_landmarks: Mapping[str, int],
+    deltas: Any,
+) -> Float64:
+    """Scale displacements across each eye's slit by the ratio of the eyes' openings.
+
+    Parameters
+    ----------
+    registration : Registration
+        Source over target.
+    source_landmarks, target_landmarks : mapping of str to int
+        An eye is fitted if both have its four points (outer, inner, upper, lower).
+    deltas : array [shape=(K, V_target, 3)]
+        Shapes as transferred.
+
+    Returns
+    -------
+    fitted : array [shape=(K, V_target, 3)]
+    """
+    result = np.array(deltas, dtype=np.float64)
+    jacobian = local_jacobians(registration)
+    skin = np.flatnonzero(components(registration.target) == 0)
+    rest, source = registration.target.vertices, registration.source.vertices
+    for side in ("left", "right"):
+        names = [f"eye_{corner}_{side}" for corner in ("outer", "inner", "upper", "lower")]
+        if any(n not in source_landmarks or n not in target_landmarks for n in names):
+            continue
+        outer, inner, upper, lower = (rest[target_landmarks[n]] for n in names)
+        theirs = [source_landmarks[n] for n in names[2:]]
+        carried = (
+            0.5
+            * (jacobian[theirs[0]] + jacobian[theirs[1]])
+            @ (source[theirs[0]] - source[theirs[1]])
+        )
+        opening = upper - lower
+        height = float(np.linalg.norm(opening))
+        if height == 0 or not np.linalg.norm(carried) > 0:
+            continue
+        ratio = np.clip(height / np.linalg.norm(carried), 1 / _STEEPEST, _STEEPEST)
+        fade = _fade(rest[skin], outer, inner, float(np.linalg.norm(outer - inner)))
+        across = opening / height
+        travel = result[:, skin] @ across
+        result[:, skin] += ((ratio - 1.0) * fade * travel)[..., None] * across
+    return result
+
+
+def _fade(points: Float64, outer: Float64, inner: Float64, width: float) -> Float64:
+    """1 on the slit from corner to corner, falling off around it."""
+    span = inner - outer
+    along = np.clip((points - outer) @ span / (span @ span), 0.0, 1.0)
+    distance = np.linalg.norm(points - outer - along[:, None] * span, axis=1)
+    return np.asarray(np.exp(-((np.maximum(distance - 0.2 * width, 0.0) / (_REACH * width)) ** 2)))

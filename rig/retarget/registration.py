@@ -143,7 +143,9 @@ def register(
 
     scale, rotation, shift = similarity(source.vertices[from_], to)
     aligned = scale * source.vertices @ rotation.T + shift
-    aligned = aligned + _thin_plate(aligned[from_], to, aligned)
+    centres = aligned[from_]
+    spline = RBFInterpolator(centres, to - centres, kernel="thin_plate_spline", smoothing=0.02)
+    aligned = aligned + np.asarray(spline(aligned))
     corners = [target_landmarks[f"eye_outer_{side}"] for side in ("left", "right")]
     eyes = float(np.linalg.norm(np.subtract(*target.vertices[corners])))
     inside_out = _is_inside_out(TriMesh(aligned, source.faces), target, eyes)
@@ -238,11 +240,6 @@ def edge_lengths(mesh: TriMesh) -> csr_array:
     _, first = np.unique(low * len(mesh.vertices) + high, return_index=True)
     count = len(mesh.vertices)
     return csr_array(coo_array((lengths[first], (low[first], high[first])), shape=(count, count)))
-
-
-def _thin_plate(centres: Float64, goals: Float64, points: Float64) -> Float64:
-    spline = RBFInterpolator(centres, goals - centres, kernel="thin_plate_spline", smoothing=0.02)
-    return np.asarray(spline(points))
 
 
 def _is_inside_out(placed: TriMesh, target: TriMesh, eyes: float) -> bool:

@@ -1,5 +1,6 @@
 """From a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
+from rig.files.reading import load_json, read_text
+from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
 from rig.mesh.obj import read_obj, read_obj_folder
@@ -21,7 +24,6 @@ from rig.retarget.blendshapes import BlendshapeFit, ShapePoses, match_shapes
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import read_landmarks
 from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
-from rig.retarget.shape_mapping import read_mapping
 from rig.retarget.source_head import source_head
 
 Way = Literal["blendshapes", "neutral", "sequence"]
@@ -300,3 +302,51 @@ def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
     check_length(len(weights), len(shapes.neutral.vertices))
     vertices = shapes.evaluate(weights).astype(np.float32)
     write_sequence(out, shapes.neutral, vertices, fps=fps)
+
+
+# Files that map the shapes of a user's face to controls.
+
+
+def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
+    """Read a mapping file: CSV ``shape,control,value`` or JSON ``{shape: {control: value}}``.
+
+    Raises
+    ------
+    FormatError
+        If it is neither, names more than 1000 shapes, or gives a value beyond ±100.
+    """
+    path = Path(path)
+    text = read_text(path, POINTS_BYTES, errors="replace")
+    given = load_json(text, path.name) if path.suffix.lower() == ".json" else None
+    mapping: dict[str, dict[str, float]] = {}
+    try:
+        if given is not None:
+            for shape, controls in given.items():
+                mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
+        else:
+            for row in csv.DictReader(text.splitlines()):
+                value = _value(row.get("value") or 1.0)
+                mapping.setdefault(_name(row["shape"]), {})[_name(row["control"])] = value
+    except (ValueError, KeyError, AttributeError, TypeError, OverflowError, csv.Error):
+        mapping = {}
+    if len(mapping) > POINT_NAMES:
+        raise FormatError(f"{path.name} maps {len(mapping)} shapes; at most {POINT_NAMES} are read")
+    if not mapping:
+        raise FormatError(
+            f"{path.name} is no mapping; write CSV with the header shape,control,value "
+            'or JSON {"smile_L": {"mouthCornerPullL": 1.0}}'
+        )
+    return mapping
+
+
+def _name(text: str | None) -> str:
+    if not text:
+        raise ValueError("every row names a shape and a control")
+    return text
+
+
+def _value(text: Any) -> float:
+    value = float(text)
+    if not abs(value) <= MAPPED_VALUE:
+        raise ValueError("a control's value must be within its range")
+    return value

@@ -12,8 +12,7 @@ from rig.files.reading import decode_text, open_file
 from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, subject_of, suffix_note
 from rig.formats.wide_csv import count_rows
 from rig.limits import CURVES_BYTES, HEADER_BYTES
-from rig.validation.findings import Finding
-from rig.validation.motion import motion
+from rig.validation.findings import Finding, motion
 
 TAKE = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+)")
 """The app's names, ``<Slate>_<Take>_<Subject>``."""

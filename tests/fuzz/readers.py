@@ -199,7 +199,7 @@ def _mapping_seeds(folder: Path) -> list[Seed]:
 
 def _read_mapping(path: Path) -> object:
     from rig.retarget.blendshapes import match_shapes
-    from rig.retarget.shape_mapping import read_mapping
+    from rig.retarget.retarget_files import read_mapping
 
     return match_shapes(("smile", "b", "jawOpen"), mapping=read_mapping(path))
 

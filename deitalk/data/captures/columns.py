@@ -199,7 +199,10 @@ def _on_even_grid(
         row = int(np.argmax(~(steps > 0))) + 2
         raise DataError(f"{path}: data row {row} comes not after the one before; sort the times")
     step = float(np.median(steps))
-    fps = snap_fps(_rounded(1 / step if np.ptp(steps) > UNEVEN * step else 1 / steps.mean()))
+    # The nearest whole rate where it is within a thousandth and a half.
+    rate = 1 / step if np.ptp(steps) > UNEVEN * step else 1 / steps.mean()
+    whole = round(rate)
+    fps = snap_fps(float(whole) if whole and abs(rate - whole) < 5e-4 * rate else rate)
     if np.ptp(steps) <= UNEVEN * step:
         return NamedCurves(names, values, fps)
     longest = float(steps.max())
@@ -213,12 +216,6 @@ def _on_even_grid(
     even = np.stack([np.interp(grid, times, column) for column in values.T], axis=1)
     note = f"frames {steps.min() * 1000:.3g} to {longest * 1000:.3g} ms apart, put on {fps:g} fps"
     return NamedCurves(names, even, fps, (note,))
-
-
-def _rounded(rate: float) -> float:
-    """The nearest whole rate where it is within a thousandth and a half."""
-    whole = round(rate)
-    return float(whole) if whole and abs(rate - whole) < 5e-4 * rate else rate
 
 
 def describe_columns(names: Sequence[str], most: int = 3) -> str:

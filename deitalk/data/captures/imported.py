@@ -15,15 +15,6 @@ from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.labels import Labelling, Labels
 from deitalk.data.captures.mapping import read_mapping
-from deitalk.data.captures.reports import (
-    TAKE_HEADER,
-    VOICED_FRAMES,
-    Imported,
-    TakeReport,
-    row_of,
-    skipped_files,
-    warnings_of,
-)
 from deitalk.data.captures.sources import Source, find_sound, find_takes
 from deitalk.data.captures.splits import (
     TRAIN,
@@ -34,6 +25,15 @@ from deitalk.data.captures.splits import (
     shortage,
 )
 from deitalk.data.captures.take import CapturedCurves, read_capture
+from deitalk.data.captures.verdicts import (
+    TAKE_HEADER,
+    VOICED_FRAMES,
+    Imported,
+    TakeReport,
+    row_of,
+    skipped_files,
+    warnings_of,
+)
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.data.captures.labels import SPELLINGS
-from deitalk.data.captures.rest import without_rest
-from deitalk.data.captures.survey import ClipSurvey, Survey
+from deitalk.data.captures.survey import ClipSurvey, Survey, without_rest
 from deitalk.data.captures.sync import LAGS, peak
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deitalk.data.captures.take import kind_of
-from deitalk.data.video.decode import VIDEOS
+from deitalk.data.video.detector import VIDEOS
 from deitalk.errors import DataError
 from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS

@@ -11,7 +11,7 @@ import numpy as np
 
 from deitalk.data.captures.columns import NamedCurves, describe_columns, read_named
 from deitalk.data.captures.mapping import Mapping
-from deitalk.data.video.decode import VIDEOS
+from deitalk.data.video.detector import VIDEOS
 from deitalk.errors import DataError
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool

@@ -221,7 +221,8 @@ class LipTransfer:
         features, neutral = reading
         own, start = lips.displacements(neutral).numpy(), torch.tensor(curves)
         given = lips.displacements(start).numpy()
-        shut = np.clip(_together(curves, controls), 0, 1)[:, None]
+        places = [i for i, name in enumerate(controls.names) if CONTACT in name]
+        shut = np.clip(np.asarray(curves[:, places].mean(axis=1)), 0, 1)[:, None]
         fade = np.convolve(speaking, np.ones(EDGE_FRAMES) / EDGE_FRAMES, "same")[:, None]
         wanted = given + fade * self.change(features.numpy(), own)
         opening = MEASURES.index("opening")
@@ -230,11 +231,6 @@ class LipTransfer:
         fitted = fit_curves(start, target, lips, controls, kept=(CONTACT,)).numpy()
         kept = np.where(fade > 0, fitted, curves)
         return np.asarray(kept, np.float32)
-
-
-def _together(curves: Float32, controls: ControlSet) -> Float32:
-    places = [i for i, name in enumerate(controls.names) if CONTACT in name]
-    return np.asarray(curves[:, places].mean(axis=1))
 
 
 HEADER = (

@@ -7,9 +7,8 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.data.lips.fit import nearest_curves
-from deitalk.data.video.head import MEASURES, SIDES, HeadFace
 from deitalk.data.video.landmarks import LIDS, PLACE, RIGID, RIGID_MIRROR, FaceTrack, at_rig_frames
-from deitalk.data.video.measures import Measured, measure
+from deitalk.data.video.measures import MEASURES, SIDES, HeadFace, Measured, measure
 from rig import ControlSet, RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
 from rig.face.head import build_head

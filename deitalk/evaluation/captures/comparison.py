@@ -16,9 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.clip_scores import loudness
-from deitalk.evaluation.curve_statistics import smoothness
-from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
-from deitalk.evaluation.opening import JAW
+from deitalk.evaluation.lip_closures import JAW, closure_scores, smoothness, summarise_closures
 from deitalk.evaluation.report import as_json, table
 from deitalk.evaluation.validation import (
     Example,

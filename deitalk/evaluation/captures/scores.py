@@ -14,7 +14,7 @@ import torch
 
 from deitalk.data.clips import Clip
 from deitalk.data.windows import load_material
-from deitalk.evaluation.curve_statistics import MOVING
+from deitalk.evaluation.lip_closures import MOVING
 from deitalk.evaluation.validation import MAX_CLIPS, Example, load_example, predict
 from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk

@@ -88,7 +88,13 @@ def ipa_to_phones(ipa: str, language: str = "en") -> tuple[str, ...]:
     if ipa.startswith("("):
         return ()
     table = _table(language == "en")
-    left, found = _plain(ipa), []
+    # `ipa` without diacritics and marks; length, ç and ᵻ stay.
+    composed = unicodedata.normalize("NFC", ipa).replace("ɡ", "g").replace("ç", "\0")
+    composed = composed.replace(":", "ː")
+    bare = "".join(
+        c for c in unicodedata.normalize("NFD", composed) if not unicodedata.combining(c)
+    )
+    left, found = bare.replace("\0", "ç").translate(_PLAIN), []
     while left:
         size = next((n for n in (3, 2, 1) if left[:n] in table), 0)
         found += table[left[:size]].split() if size else []
@@ -154,13 +160,3 @@ def festival_to_phone(name: str) -> str:
 def _table(is_english: bool) -> dict[str, str]:
     """All symbols in one table."""
     return {**IPA_CONSONANTS, **IPA_VOWELS, **({} if is_english else IPA_NOT_ENGLISH)}
-
-
-def _plain(ipa: str) -> str:
-    """`ipa` without diacritics and marks; length, ç and ᵻ stay."""
-    composed = unicodedata.normalize("NFC", ipa).replace("ɡ", "g").replace("ç", "\0")
-    composed = composed.replace(":", "ː")
-    bare = "".join(
-        c for c in unicodedata.normalize("NFD", composed) if not unicodedata.combining(c)
-    )
-    return bare.replace("\0", "ç").translate(_PLAIN)

@@ -1,6 +1,6 @@
 """Verbs of the command line that a checkout has beside those of the wheel."""
 
-from deitalk.cli.arguments import CheckedCommands
+from deitalk.cli.options import CheckedCommands
 from deitalk.research.cli.ablate import ablate
 from deitalk.research.cli.attention import attention
 from deitalk.research.cli.corpus import app as corpus_app

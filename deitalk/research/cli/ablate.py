@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT
 from deitalk.cli.console import bar, console, emit
-from deitalk.cli.options import Most
+from deitalk.cli.options import MAX_COUNT, Most
 
 
 def ablate(

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT
 from deitalk.cli.console import console, emit_json
-from deitalk.cli.options import Device, Force, Json, Picture
+from deitalk.cli.options import MAX_COUNT, Device, Force, Json, Picture
 from deitalk.cli.paths import reserve_picture
 from deitalk.errors import DataError
 

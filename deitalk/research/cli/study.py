@@ -5,11 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.arguments import MAX_COUNT, CheckedCommands
 from deitalk.cli.console import bar, console
-from deitalk.cli.options import Force, Identity, Json
-from deitalk.cli.paths import reserve_folder
-from deitalk.cli.reports import reserve_report, write_report
+from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Identity, Json
+from deitalk.cli.paths import reserve_folder, reserve_report, write_report
 from deitalk.errors import DataError
 
 app = CheckedCommands(
@@ -57,7 +55,7 @@ def build(
     if post is not None and not post.startswith(("https://", "http://")):
         raise DataError(f"--post {post!r} must begin with https:// or http://")
     reserve_folder(out, kind="study", force=force, inputs=systems)
-    from deitalk.preview.needs import check_needs
+    from deitalk.preview.video import check_needs
     from deitalk.research.study.build import build_study
     from deitalk.research.study.design import TASKS
 

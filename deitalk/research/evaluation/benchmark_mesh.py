@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
-from deitalk.data.mesh_sources import head_templates
+from deitalk.data.mesh_folder import head_templates
 from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.frontends.windows import window_index

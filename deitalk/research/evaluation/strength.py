@@ -20,8 +20,15 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.evaluation.people.acted import Scores, acted_order
-from deitalk.evaluation.people.strength_clips import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
+from deitalk.evaluation.people.acted import (
+    ACTORS,
+    LEVELS,
+    NEUTRAL,
+    READERS,
+    Scores,
+    StrengthClip,
+    acted_order,
+)
 from deitalk.metrics import correlation
 from rig.arrays import Float32, Float64
 

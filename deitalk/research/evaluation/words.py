@@ -28,8 +28,7 @@ from deitalk.models.load import load_network
 from deitalk.models.network import CurveNetwork
 from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
-from deitalk.pipeline.words.align import fit_words
-from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
+from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
 from rig.arrays import Float32

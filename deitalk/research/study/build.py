@@ -119,7 +119,11 @@ def build_study(
         for number, (name, clip) in enumerate(wanted.items(), 1):
             clip.write(stage / CLIPS / f"{name}{VIDEO}", identity)
             progress(number / len(wanted))
-        (stage / PAGE).write_text(_page(key, pages, post), encoding="utf-8")
+        # The page with its data; systems and their names are not in it.
+        data = {"study": key["study"], "tasks": key["tasks"], "raters": pages, "post": post}
+        text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+        template = files("deitalk.research.study").joinpath("page.html").read_text(encoding="utf-8")
+        (stage / PAGE).write_text(template.replace(PLACE, text), encoding="utf-8")
         (stage / KEY).write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
     return key
 
@@ -151,11 +155,3 @@ def _add_loudness(
             raise DataError(f"{item}: loudness needs takes or curves of {names[0]}, not videos")
         clips[item, LOUDNESS] = made
     return [*names, LOUDNESS]
-
-
-def _page(key: dict[str, Any], pages: Sequence[Any], post: str | None) -> str:
-    """The page with its data; systems and their names are not in it."""
-    data = {"study": key["study"], "tasks": key["tasks"], "raters": pages, "post": post}
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    template = files("deitalk.research.study").joinpath("page.html").read_text(encoding="utf-8")
-    return template.replace(PLACE, text)

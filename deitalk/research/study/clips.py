@@ -11,7 +11,7 @@ import soxr
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_times
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import loudness
-from deitalk.evaluation.opening import JAW
+from deitalk.evaluation.lip_closures import JAW
 from deitalk.preview.encoding import write_mp4
 from deitalk.preview.source import PreviewSource, load_source
 from rig import RigCurves

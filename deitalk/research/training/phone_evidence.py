@@ -1,4 +1,4 @@
-"""Fit of `deitalk.pipeline.words.evidence`; ``python -m deitalk.research.training.phone_evidence``.
+"""Fit of `deitalk.pipeline.words.align`; ``python -m deitalk.research.training.phone_evidence``.
 
 Labels are the phone times of a dataset folder's training speakers: of speech engines, and of
 recordings aligned with their transcripts (`deitalk.research.corpus.alignment`). Multinomial
@@ -27,7 +27,7 @@ from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, Phones
 from deitalk.pipeline.speech import Speech
-from deitalk.pipeline.words.evidence import (
+from deitalk.pipeline.words.align import (
     CONTEXT,
     MODEL,
     RATE,

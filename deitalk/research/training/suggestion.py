@@ -6,7 +6,7 @@ for each of their emotions, and clips without a majority for one of `NAMED` with
 Classes, and actors against readers, are weighted alike. Multinomial
 logistic regression with a Gaussian prior.
 
-Whole speakers are divided as in `deitalk.evaluation.people.strength_clips`. Training and validation
+Whole speakers are divided as in `deitalk.evaluation.people.acted`. Training and validation
 speakers are fitted together; their scores are those of five fits, each to four fifths of these
 speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
@@ -33,7 +33,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.people.strength_clips import (
+from deitalk.evaluation.people.acted import (
     ACTORS,
     READERS,
     StrengthClip,

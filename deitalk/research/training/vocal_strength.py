@@ -35,7 +35,7 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.people.strength_clips import (
+from deitalk.evaluation.people.acted import (
     ACTORS,
     LEVELS,
     NEUTRAL,

@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.data.clips import Clip
 from deitalk.data.windows import Material, load_material
-from deitalk.evaluation.curve_statistics import MOVING
+from deitalk.evaluation.lip_closures import MOVING
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
 from rig.curves.filters import gaussian_smooth

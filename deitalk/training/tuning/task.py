@@ -32,11 +32,9 @@ from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import model_folder, weights_hash
 from deitalk.models.rig_decoder import RigDecoder
-from deitalk.training.curve_losses import CurveLoss
+from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
-from deitalk.training.distillation import start_as
-from deitalk.training.optimiser import new_optimizer
-from deitalk.training.trainer import Progress, run_training, silent
+from deitalk.training.trainer import Progress, new_optimizer, run_training, silent
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
     is_same_rig,

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from rig.arrays import Float64
 from rig.face.geometry.mesh import Mesh, grid_faces, painted
 from rig.face.geometry.sdf import project
 from rig.face.identity import Identity
@@ -48,12 +47,8 @@ def ear(identity: Identity) -> Mesh:
     center = np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
     vertices = center + local @ np.stack([lean_f, lean_u, outward])
     mesh = painted(vertices, grid_faces(len(_RADIUS), _COLUMNS), identity.skin, 0.2)
-    return Mesh(vertices, mesh.faces, _shaded(mesh.colors), mesh.gloss)
-
-
-def _shaded(colors: Float64) -> Float64:
-    """The bowl is darker, the rim a little redder."""
+    # The bowl is darker, the rim a little redder.
     radius = np.repeat(_RADIUS, _COLUMNS)
     back = np.repeat(np.arange(len(_RADIUS)) > 13, _COLUMNS)
     shade = np.where(back, 0.9, np.interp(radius, [0, 0.3, 0.5, 1.0], [0.6, 0.72, 0.97, 1.0]))
-    return colors * shade[:, None] * [1.0, 0.95, 0.94]
+    return Mesh(vertices, mesh.faces, mesh.colors * shade[:, None] * [1.0, 0.95, 0.94], mesh.gloss)

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from deitalk import animate
 from deitalk.cli import animate as animate_module
 from deitalk.cli import convert as convert_module
+from deitalk.cli import convert as validate_module
 from deitalk.cli import livelink as livelink_module
-from deitalk.cli import validate as validate_module
 from deitalk.errors import DeitalkError, MissingError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
@@ -315,7 +315,7 @@ def test_livelink_errors_are_one_line(curves_file, tmp_path, monkeypatch):
 
 def test_modules_import_neither_torch_nor_librosa():
     code = (
-        "import sys, deitalk.cli.convert, deitalk.cli.livelink, deitalk.cli.validate;"
+        "import sys, deitalk.cli.convert, deitalk.cli.livelink, deitalk.cli.convert;"
         "print([m for m in ('torch', 'librosa', 'scipy', 'pandas') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

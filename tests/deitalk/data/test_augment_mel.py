@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.data.augment_mel import (
+from deitalk.data.mesh_segments import (
     SILENCE,
     MelWarp,
     add_noise,

@@ -10,17 +10,19 @@ import torch
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import MeshDataConfig, SDFAMelConfig
-from deitalk.data.augment_mel import MelWarp
 from deitalk.data.mesh_bases import fit_mesh_bases
-from deitalk.data.mesh_folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
-from deitalk.data.mesh_segments import Segments, Spectra, between_frames
-from deitalk.data.mesh_sources import (
+from deitalk.data.mesh_folder import (
+    Lips,
+    MeshSequence,
     acted_clips,
     build_meshes,
     head_lips,
     head_templates,
     open_meshes,
+    read_mesh_folder,
+    write_mesh_folder,
 )
+from deitalk.data.mesh_segments import MelWarp, Segments, Spectra, between_frames
 from deitalk.data.seeded_batches import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa import SDFAEncoder

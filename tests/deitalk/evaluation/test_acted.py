@@ -5,8 +5,7 @@ import pytest
 import soundfile as sf
 
 from deitalk.errors import DataError
-from deitalk.evaluation.people.acted import PARTS, as_markdown, evaluate_acted
-from deitalk.evaluation.people.strength_clips import ACTORS, StrengthClip
+from deitalk.evaluation.people.acted import ACTORS, PARTS, StrengthClip, as_markdown, evaluate_acted
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from tests.deitalk.audio.test_prosody import voice

@@ -11,8 +11,8 @@ from deitalk.audio.load import Recording
 from deitalk.audio.noise import mix, pink_noise, read_noises
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.errors import DataError
-from deitalk.evaluation.curve_statistics import captured_smoothness, smoothness
-from deitalk.evaluation.opening import opening_in_silence
+from deitalk.evaluation.curves import lip_range, style_distances
+from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
 from deitalk.evaluation.phone_gestures import (
     BITE,
     CLOSURE,
@@ -27,7 +27,6 @@ from deitalk.evaluation.phone_gestures import (
     shut_table,
 )
 from deitalk.evaluation.prosody_response import contours_report, level_curve, spearman, wandering
-from deitalk.evaluation.styles import lip_range, style_distances
 from deitalk.pipeline.curves import Performance
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform

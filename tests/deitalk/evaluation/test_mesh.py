@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.config import SDFAModelConfig, parse_config
-from deitalk.data.mesh_folder import Lips
-from deitalk.data.mesh_sources import act, acted_clips, head_lips, head_templates
+from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips, head_templates
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
 from deitalk.models.checkpoint import new_mesh_model, save_model

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ
 from deitalk.config import Gates, VoiceIntensity
 from deitalk.live.activity import AHEAD, RunningActivity

@@ -14,8 +14,7 @@ from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, embedded_models, model_folder, product_of
-from deitalk.models.mesh_head import MeshHead
-from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
 from rig import default_controls
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"

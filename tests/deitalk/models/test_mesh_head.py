@@ -9,8 +9,14 @@ import torch
 
 from deitalk.acting import Acting
 from deitalk.config import Config, load_config, parse_config
-from deitalk.data.mesh_folder import MeshSequence, read_mesh_folder, write_mesh_folder
-from deitalk.data.mesh_sources import act, acted_clips, head_templates
+from deitalk.data.mesh_folder import (
+    MeshSequence,
+    act,
+    acted_clips,
+    head_templates,
+    read_mesh_folder,
+    write_mesh_folder,
+)
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation import mesh as expression_module

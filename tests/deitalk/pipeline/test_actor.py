@@ -12,10 +12,9 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.emotions import ActorReference, read_actor
-from deitalk.emotions.actor import TRAITS
+from deitalk.emotions.tracks import TRAITS
 from deitalk.errors import AudioError, EmotionError
-from deitalk.pipeline.actor import measure_actor
-from deitalk.pipeline.speech import Speech
+from deitalk.pipeline.speech import Speech, measure_actor
 from tests.deitalk.audio.test_prosody import voice
 
 SOFT, USUAL, STRONG = voice(110, 1.6), voice(140, 1.2), voice(220, 0.8)

@@ -10,7 +10,7 @@ from deitalk.config import MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS, ActorReference, IntensityCurve
 from deitalk.errors import AudioError, ConfigError, DeitalkError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.evaluation.opening import mouth_opening
+from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models

@@ -22,7 +22,7 @@ from deitalk.preview.warnings import bilabial_warnings
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import ExistsError, TargetError
 from rig.face import build_head
-from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
+from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from tests.browser import chromium, lateness, needs_player, opened
 
 CONTROLS = default_controls()

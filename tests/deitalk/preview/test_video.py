@@ -12,9 +12,16 @@ from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.errors import AudioError, MissingError
 from deitalk.preview import encoding, page, video
-from deitalk.preview.needs import check_needs
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
-from deitalk.preview.video import FACE_HEIGHT, PANEL_HEIGHT, WIDTH, Panel, draw_frames, render_video
+from deitalk.preview.video import (
+    FACE_HEIGHT,
+    PANEL_HEIGHT,
+    WIDTH,
+    Panel,
+    check_needs,
+    draw_frames,
+    render_video,
+)
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC

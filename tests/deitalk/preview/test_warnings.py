@@ -11,7 +11,7 @@ from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.warnings import bilabial_warnings, find_warnings, lip_gaps, offset_warnings
 from rig import RigCurves, default_controls, write_curves
 from rig.face import build_head
-from rig.face.poses import MOUTH_POSES, pose_values
+from rig.face.contact_sheet import MOUTH_POSES, pose_values
 
 CONTROLS = default_controls()
 JAW = CONTROLS.index("CTRL_C_jaw.ty")

@@ -10,8 +10,8 @@ from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.curve_losses import Teacher, read_teacher, start_as
 from deitalk.training.curves import CurveTask, train_curves
-from deitalk.training.distillation import Teacher, read_teacher, start_as
 from deitalk.training.trainer import Trainer
 from tests.dataset import write_dataset
 

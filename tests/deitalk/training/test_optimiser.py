@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from deitalk.config import Config, parse_config
-from deitalk.training.optimiser import new_scheduler, restore_buffers, update_average
+from deitalk.training.trainer import new_scheduler, restore_buffers, update_average
 
 
 def rates(schedule: str, total: int = 100) -> list[float]:

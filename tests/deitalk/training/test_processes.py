@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from deitalk.config import parse_config
 from deitalk.errors import ConfigError
-from deitalk.training.processes import (
+from deitalk.training.trainer import (
     gather_rows,
     in_precision,
     mean_over_processes,

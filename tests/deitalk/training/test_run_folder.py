@@ -11,8 +11,13 @@ import torch
 
 from deitalk.errors import MissingError
 from deitalk.training import run_folder
-from deitalk.training.run_folder import picture_path, restore_state, resume_run, save_checkpoints
-from deitalk.training.run_tables import Journal
+from deitalk.training.run_folder import (
+    Journal,
+    picture_path,
+    restore_state,
+    resume_run,
+    save_checkpoints,
+)
 
 
 def parts() -> dict[str, torch.nn.Module]:

@@ -14,7 +14,7 @@ from deitalk.data.mesh_folder import MeshSequence, write_mesh_folder
 from deitalk.errors import ConfigError, DataError
 from deitalk.training.curves import train_curves
 from deitalk.training.mesh import train_mesh
-from deitalk.training.run_tables import log, truncate_log
+from deitalk.training.run_folder import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, sheet, spoken

@@ -18,8 +18,7 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.figures.canvas import can_draw
 from deitalk.figures.validation import ClipRows, Row
 from deitalk.training import trainer as module
-from deitalk.training.processes import new_accelerator
-from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, run_training
+from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder
 
 SLOPE = 2.0

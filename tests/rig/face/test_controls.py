@@ -5,9 +5,9 @@ import pytest
 
 from rig import default_controls
 from rig.face import build_head
+from rig.face.contact_sheet import pose_values
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
 from rig.face.motion.bindings import NOTHING, ONLY_WITH
-from rig.face.poses import pose_values
 
 CONTROLS = default_controls()
 X, Y, Z = 0, 1, 2

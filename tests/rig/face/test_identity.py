@@ -5,9 +5,9 @@ import pytest
 
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
+from rig.face.contact_sheet import pose_values
 from rig.face.geometry.loops import anatomy
 from rig.face.identity import ROLES, resolve_identity
-from rig.face.poses import pose_values
 
 
 @pytest.mark.parametrize("role", ROLES)

@@ -8,12 +8,12 @@ import pytest
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import build_head
+from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig.face.geometry import teeth
 from rig.face.geometry.eyes import IRIS_DEGREES
 from rig.face.geometry.loops import MOUTH_COUNT
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
 from rig.face.head import GAZE_DEGREES
-from rig.face.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 
 CONTROLS = default_controls()
 SHEET = np.stack([pose_values(p) for p in (*MOUTH_POSES.values(), *EMOTION_POSES.values())])

@@ -17,8 +17,7 @@ from rig.mesh.ply import read_ply
 from rig.mesh.shapes import check_shape_count, read_shapes_npz
 from rig.mesh.trimesh import check_length
 from rig.retarget.landmarks import LANDMARKS, read_landmarks
-from rig.retarget.retarget_files import read_shapes
-from rig.retarget.shape_mapping import read_mapping
+from rig.retarget.retarget_files import read_mapping, read_shapes
 
 SQUARE = TriMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"

@@ -12,7 +12,7 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import Driver, Half, bake, face_correctives
 from rig.retarget.blendshapes import closing_weight, match_shapes, shape_key
-from rig.retarget.shape_mapping import read_mapping
+from rig.retarget.retarget_files import read_mapping
 
 BOARD = default_controls()
 ARKIT = ("jawOpen", "mouthClose", "mouthSmileLeft", "mouthSmileRight", "eyeBlinkLeft", "mouthDimpleLeft",

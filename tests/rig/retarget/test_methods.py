@@ -10,11 +10,9 @@ from rig.deformation.reconstruct import rigid_motion
 from rig.errors import FormatError, MeshError
 from rig.mesh.closest import ClosestPoints, closest_barycentric
 from rig.mesh.trimesh import TriMesh, components
-from rig.retarget.eyelids import fit_lids
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
-from rig.retarget.lips import _along_slit, lip_pairs
-from rig.retarget.methods import sequence_for
+from rig.retarget.methods import _along_slit, fit_lids, lip_pairs, sequence_for
 from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
 

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from deitalk.cli.retarget import retarget
+from deitalk.cli.mesh import retarget
 from rig import RigCurves, default_controls, write_curves
 from rig.errors import ExistsError, FormatError, MeshError, TargetError
 from rig.mesh.glb import read_container, write_container, write_glb

@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from deitalk.data.captures.rest import rest_pose, without_rest
-from deitalk.data.captures.survey import asymmetry, channel_faults, swapped_takes
+from deitalk.data.captures.survey import (
+    asymmetry,
+    channel_faults,
+    rest_pose,
+    swapped_takes,
+    without_rest,
+)
 from rig import RigCurves, default_controls
 
 CONTROLS = default_controls()

@@ -6,8 +6,8 @@ import av
 import numpy as np
 import pytest
 
-from deitalk.data.video import decode
-from deitalk.data.video.decode import read_pictures
+from deitalk.data.video import detector as decode
+from deitalk.data.video.detector import read_pictures
 from deitalk.errors import DataError
 from rig import limits
 from tests.media import write_sound

@@ -8,8 +8,7 @@ import pytest
 from deitalk import animate
 from deitalk.errors import DeitalkError
 from deitalk.phones import PHONES
-from deitalk.pipeline.words.align import best_path, fit_words
-from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
+from deitalk.pipeline.words.align import RATE, PhoneEvidence, best_path, fit_words, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
 
@@ -133,7 +132,7 @@ def test_evidence_is_a_softmax_of_rows_and_those_beside(rng, monkeypatch):
     score = np.hstack([rows[:-6], rows[3:-3], rows[6:]]) @ weight.T
     expected = score - np.log(np.exp(score).sum(axis=1, keepdims=True))
     np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
-    monkeypatch.setattr("deitalk.pipeline.words.evidence.PIECE", 3)
+    monkeypatch.setattr("deitalk.pipeline.words.align.PIECE", 3)
     np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
 
 

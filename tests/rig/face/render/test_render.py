@@ -9,14 +9,13 @@ from scipy.spatial import Delaunay
 
 from rig.errors import RigError
 from rig.face import build_head
-from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, sheet_tiles
+from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
 from rig.face.geometry.mesh import Mesh
-from rig.face.poses import pose_values
 from rig.face.render import VIEWS, View, make_renderer
 from rig.face.render import opengl as opengl_module
 from rig.face.render.picture import text_width, write_png, write_text
-from rig.face.render.raster import Screen, front_faces, nearest_faces
 from rig.face.render.shading import background
+from rig.face.render.software import Screen, front_faces, nearest_faces
 
 SIZE = (72, 80)
 FROM_FRONT = View((0, 0, 0), (0, 0, 60), 20)
