@@ -19,8 +19,13 @@ SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
 
+# Bytecode of all packages is 0.4 GB: Python writes what is used at its first use. Tests have all.
+COMPILE = --no-compile
+$(BIN)/.installed-dev: COMPILE = --compile
+unexport PYTHONDONTWRITEBYTECODE
+
 PIP = $(BIN)/pip --disable-pip-version-check
-INSTALL = $(PIP) install --progress-bar on $(patsubst %,--constraint %,$(CONSTRAINTS))
+INSTALL = $(PIP) install $(COMPILE) --progress-bar on $(patsubst %,--constraint %,$(CONSTRAINTS))
 
 $(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -m venv $(VENV)

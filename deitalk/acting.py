@@ -324,7 +324,7 @@ class Acting(BaseModel):
     )
     words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
         default=None,
-        description="What is said: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
+        description="Spoken words: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
         "and phones (ARPABET or IPA). Closures are met where the sound agrees.",
         examples=["My promise is big.", "phones: M AY | P R AA M AH S"],
     )
@@ -364,7 +364,7 @@ class Acting(BaseModel):
         float,
         PlainValidator(number_within(0.0, LONGEST_LISTENING)),
         _text("number", minimum=0, maximum=LONGEST_LISTENING),
-    ] = Field(default=0.0, description="Seconds of living silence after the speech, 0 to 600.")
+    ] = Field(default=0.0, description="Seconds of silence with motion after the speech, 0 to 600.")
     rules: bool = Field(
         default=True,
         description="The model's rules after the network; without them the network alone.",

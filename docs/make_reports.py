@@ -133,11 +133,18 @@ def main() -> int:
     parser.add_argument("--group", choices=GROUPS, action="append", default=[], help="all of these")
     parser.add_argument("--place", action="append", default=[], metavar="WORD=PATH")
     parser.add_argument("--places", type=Path, help="file with a line WORD=PATH for each place")
-    parser.add_argument("--list", action="store_true", help="print the groups and their reports")
+    parser.add_argument(
+        "--list",
+        action="store_true",
+        help="print the command of every report, and the words for data",
+    )
     given = parser.parse_args()
     if given.list:
         for group, commands in GROUPS.items():
-            sys.stdout.write(f"{group}: {' '.join(commands)}\n")
+            for name, command in commands.items():
+                sys.stdout.write(f"{group:8} {name:18} {command}\n")
+        for word, meaning in PLACES.items():
+            sys.stdout.write(f"{'place':8} {word:18} {meaning}\n")
         return 0
     names = list(dict.fromkeys([*given.names, *(n for g in given.group for n in GROUPS[g])]))
     if unknown := [name for name in names if name not in COMMANDS]:

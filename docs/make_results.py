@@ -45,18 +45,13 @@ TABLES: dict[str, Callable[[], str]] = {
     "words": curves.words,
     "acted": curves.acted,
     "wav2vec": curves.wav2vec,
-    "ablations": comparisons.ablations,
     "ablation-changes": comparisons.ablation_changes,
     "comparison": comparisons.comparison,
-    "comparison-factors": comparisons.comparison_factors,
     "sdfa": meshes.sdfa,
     "mesh-ablations": meshes.mesh_ablations,
     "mesh-head": meshes.mesh_head,
-    "mesh-emotion": meshes.mesh_emotion,
     "attention": meshes.attention,
-    "attention-uncentred": meshes.attention_uncentred,
     "retargeting": meshes.retargeting,
-    "gradients": meshes.gradients,
     "facegood": finetuning.facegood,
     "from-nothing": finetuning.from_nothing,
     "captured-lips": finetuning.captured_lips,
@@ -76,8 +71,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "table-4": speed.table_4,
     "models": models.models,
     "sizes": models.sizes,
-    "commands": models.commands,
-    "places": models.places,
 }
 
 

@@ -1,7 +1,7 @@
 """Limits of everything that is read: files, clips, meshes, models.
 
 A reader checks a limit before it allocates or loops, so that a small or hostile file takes little
-time and memory. ``docs/limits.md`` lists all limits.
+time and memory. ``docs/limits.md`` lists those that users meet.
 """
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30

@@ -1,4 +1,4 @@
-"""Agreement of the pages on formats with the code."""
+"""Agreement of the pages on formats, Unreal and the papers with the code."""
 
 import re
 from pathlib import Path
@@ -46,3 +46,16 @@ def test_counts_of_the_pages_equal_those_of_the_code():
     assert (len(raw_controls()), len(arkit_controls())) == (251, 61)
     assert len(names) == 162
     assert sum(kind == "Vector2D" for kind in names.values()) == 14
+
+
+@pytest.mark.parametrize(("page", "equations"), [("deitalk.md", 13), ("sdfa.md", 8)])
+def test_every_equation_of_a_paper_stands_beside_its_code(page, equations):
+    """Rows `| paper | equation | code |`; that the code exists is tested with all pages."""
+    rows = re.findall(
+        r"^\| ([^|]*Eq\. [^|]*) \|.*`\w+/[\w/]+\.py`, `\w", (DOCS / page).read_text(), re.M
+    )
+    found = {int(n) for row in rows for n in re.findall(r"\d+", row.partition("Eq.")[2])}
+    assert found >= set(range(1, equations + 1))
+    assert {"`Paper silent:`", "`Deviation:`"} <= set(
+        re.findall(r"`[\w ]+:`", (DOCS / page).read_text())
+    )

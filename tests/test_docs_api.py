@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 import deitalk
 import rig
+from deitalk.models.folder import embedded_models
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLIC = [(package, name) for package in (deitalk, rig) for name in package.__all__]
@@ -31,6 +33,16 @@ def test_api_page_is_current(maker):
     assert written == maker.page(), "run `make docs`"
 
 
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+def test_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/api.md").read_text(), re.S)
+    exec(compile(block, "api.md", "exec"), {})
+    assert re.fullmatch(r"\(\d+, 185\)\n", capsys.readouterr().out)
+    assert (tmp_path / "take/take.json").is_file() and (tmp_path / "face.glb").is_file()
+
+
 def test_schema_of_the_page_is_current(maker):
     assert maker.SCHEMA.read_text(encoding="utf-8") == maker.acting_schema(), "run `make docs`"
 
@@ -38,18 +50,29 @@ def test_schema_of_the_page_is_current(maker):
 def test_api_page_has_every_public_name_and_error(maker):
     page = maker.page()
     for _, name in PUBLIC:
-        assert name == "__version__" or f"### `{name}`" in page
+        assert name == "__version__" or re.search(rf"^\| `{name}[`(]", page, re.M), name
+    for field in deitalk.Acting.model_fields:
+        assert f"| `{field}` |" in page, field
     for module in maker.ERRORS:
         for name, kind in vars(importlib.import_module(module)).items():
             if inspect.isclass(kind) and kind.__module__ == module:
                 assert f"─ {name}" in page, name
 
 
-def test_signatures_are_those_of_the_functions(maker):
-    signature = maker._signature(deitalk.animate, "animate")
-    assert signature.startswith("animate(audio: Audio, emotion: str | Path | Mapping[str, float]")
-    assert "progress: Callable[[float], None]=..." in signature
-    assert signature.endswith("-> Performance")
+@pytest.mark.parametrize(
+    ("package", "name"), [pair for pair in PUBLIC if inspect.isfunction(getattr(*pair))]
+)
+def test_signatures_name_the_parameters(maker, package, name):
+    value = getattr(package, name)
+    written = maker.signature(value)
+    names = re.findall(r"\w+", written.partition("(")[2])
+    assert written.startswith(f"{name}(") and names == list(inspect.signature(value).parameters)
+
+
+def test_members_are_attributes_of_a_performance(maker):
+    members = maker._members(deitalk.Performance)
+    assert {"curves", "predicted", "save", "head"} <= set(members)
+    assert not [name for name in members if name.startswith("_")]
 
 
 @pytest.mark.parametrize(("package", "name"), PUBLIC)

@@ -1,9 +1,12 @@
-"""Code, commands, files, tests and make targets of the README and the other pages exist."""
+"""Code, commands, files, names, tests and make targets of the README and the other pages exist."""
 
+import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 from typer.main import get_command
 
 from deitalk.cli import app
@@ -12,9 +15,12 @@ from deitalk.models.folder import embedded_models
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 PAGES = [
-    *(Path(name) for name in ("README.md", "MODEL_CARD.md", "configs/README.md")),
-    *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").glob("*.md"))),
+    *(Path(name) for name in ("README.md", "CHANGELOG.md", "MODEL_CARD.md", "configs/README.md")),
+    *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").rglob("*.md"))),
 ]
+MOST_LINES = {"README.md": 100, "CHANGELOG.md": 100}
+MOST_WORDS = 27_000
+"""Of all pages together, as `wc -w` counts them."""
 
 
 def test_python_of_the_readme_runs(monkeypatch, capsys):
@@ -28,10 +34,65 @@ def test_python_of_the_readme_runs(monkeypatch, capsys):
     assert 0.2 < intensity < 0.9
 
 
+def anchors(text):
+    """Anchors of the headings of a page, as GitHub forms them."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=str)
-def test_linked_files_of_the_pages_exist(page):
-    for target in re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text()):
-        assert (ROOT / page).parent.joinpath(target).exists(), target
+def test_linked_files_and_headings_of_the_pages_exist(page):
+    for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#?([^)]*)\)", (ROOT / page).read_text()):
+        linked = (ROOT / page).parent / target if target else ROOT / page
+        assert linked.exists(), target
+        assert not anchor or anchor in anchors(linked.read_text()), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_paths_of_the_pages_exist(page):
+    """A path in backticks, and the names that are listed beside a Python file."""
+    text = (ROOT / page).read_text()
+    for path, names in re.findall(
+        r"`((?:rig|deitalk|api|docs|tests|configs)/[\w./-]+)`((?:, `[\w.]+`)*)", text
+    ):
+        assert (ROOT / path).exists(), path
+        for name in re.findall(r"`(\w[\w.]*)`", names) if path.endswith(".py") else ():
+            scope = ast.parse((ROOT / path).read_text()).body
+            for part in name.split("."):
+                found = [node for node in scope if part in defined(node)]
+                if not found and name.endswith(".py"):
+                    break
+                assert found, f"{path}: {name}"
+                scope = getattr(found[0], "body", [])
+
+
+def defined(node):
+    """Names that a statement defines."""
+    targets = [*getattr(node, "targets", ()), getattr(node, "target", None)]
+    return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_emphasis_of_the_pages_is_closed(page):
+    """No star is left as text by a reader of Markdown."""
+    text = re.sub(r"\*\.\w+|(?<=\d)\*\*(?=\d)", "", (ROOT / page).read_text())
+    for token in MarkdownIt().enable("table").parse(text):
+        for part in token.children or ():
+            assert part.type != "text" or "*" not in part.content, part.content
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_extras_of_the_pages_exist(page):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for extras in re.findall(r"deitalk\[([\w,]+)\]", (ROOT / page).read_text()):
+        assert set(extras.split(",")) <= set(project["optional-dependencies"]), extras
+
+
+def test_pages_are_short():
+    texts = {str(page): (ROOT / page).read_text() for page in PAGES if page.parts[0] != "configs"}
+    for name, most in MOST_LINES.items():
+        assert len(texts[name].splitlines()) <= most, name
+    assert sum(len(text.split()) for text in texts.values()) <= MOST_WORDS
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)

@@ -125,7 +125,10 @@ def _write(
         written = write_take(folder, performance, model=about, fps=fps, start=start)
         _zip(written, out)
         return notes
-    report = write_curves(out, performance.curves, format=name, fps=fps, start=start)
+    seconds = performance.recording.duration
+    report = write_curves(
+        out, performance.curves, format=name, fps=fps, seconds=seconds, start=start
+    )
     return [*notes, report.note] if report.note else notes
 
 

@@ -4,19 +4,22 @@ S samples at 16 kHz, F mel bins.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel_filters import mel_filters
 from rig.arrays import Float32
 
-N_FFT, HOP = 400, 160
-"""Samples of a spectrum (25 ms) and between two."""
+N_FFT = 400
+"""Samples of a spectrum (25 ms)."""
+PUBLISHED_RATE = 100
+"""Spectra a second of the published models."""
 DYNAMIC_RANGE = 8.0
 """Mel power is at most so many decades below the clip's loudest."""
 SILENCE = 1e-10
 """Least mel power."""
 BLOCK = 6000
-"""Frames whose spectra are computed at once."""
+"""Spectra that are computed at once."""
 
 
 def log_mel_filters(n_mels: int) -> Float32:
@@ -30,25 +33,24 @@ def hann_window() -> Float32:
     return window
 
 
-def frames_of(n_samples: int) -> int:
-    """Frames of a clip: even, so that every feature at 50 Hz has two."""
-    return -(-n_samples // (2 * HOP)) * 2
+def centres(first: int, count: int, rate: int) -> NDArray[np.int64]:
+    """Samples at the centre of spectra `first` … `first` + `count` - 1: j SAMPLE_RATE / rate."""
+    return np.round(np.arange(first, first + count) * (SAMPLE_RATE / rate)).astype(np.int64)
 
 
-def loudest(sound: Float32, n_mels: int) -> float:
+def loudest(sound: Float32, n_mels: int, n_frames: int, rate: int) -> float:
     """Largest logarithm to base 10 of the mel power of a clip (S,), in bounded memory.
 
-    Frame j is at sample 160 j; outside the clip there is silence.
+    Outside the clip there is silence.
     """
     filters, window = log_mel_filters(n_mels).T, hann_window()
     found = SILENCE
-    n_frames = frames_of(len(sound))
     for first in range(0, n_frames, BLOCK):
-        count = min(BLOCK, n_frames - first)
-        begin, end = first * HOP - N_FFT // 2, (first + count - 1) * HOP + N_FFT // 2
-        piece = sound[max(begin, 0) : end]
+        starts = centres(first, min(BLOCK, n_frames - first), rate) - N_FFT // 2
+        begin, end = int(starts[0]), int(starts[-1]) + N_FFT
+        piece = sound[max(begin, 0) : max(end, 0)]
         piece = np.pad(piece, (max(-begin, 0), max(end - max(begin, 0) - len(piece), 0)))
-        frames = np.lib.stride_tricks.sliding_window_view(piece, N_FFT)[::HOP] * window
+        frames = np.lib.stride_tricks.sliding_window_view(piece, N_FFT)[starts - begin] * window
         spectra = np.fft.rfft(frames)
         power = (np.square(spectra.real) + np.square(spectra.imag)).astype(np.float32)
         found = max(found, float((power @ filters).max()))

@@ -1,7 +1,7 @@
-"""Strength of a whole voice from its sound without its level.
+"""Strength of a voice from its sound without its level, of a whole recording or around each frame.
 
-One number of a recording at any gain: the decibels by which the speaker is louder than usual, as
-far as spectrum and pitch tell. Three small networks, trained from different seeds, are averaged;
+At any gain, the decibels by which the speaker is louder than usual, as far as spectrum and pitch
+tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
 to the number. They are evaluated here in numpy, and trained in torch:
 `deitalk.research.training.strength_network` has the same layers.
@@ -16,7 +16,7 @@ from importlib import resources
 import numpy as np
 
 from deitalk.audio.prosody import BANDS, Prosody
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 
 WEIGHTS = "vocal_strength.safetensors"
 FEATURES = BANDS + 4
@@ -30,6 +30,10 @@ UNIT_DB = 3.0
 """Decibels per unit of the network's output."""
 REST_WEIGHT = 1e-3
 """Weight of frames without speech."""
+BLOCK_FRAMES = 10
+"""Frames whose sums are taken together around each frame."""
+AROUND_BLOCKS = 2.5
+"""Sigma of what counts around a frame: 0.83 s."""
 ROWS_AT_ONCE = 4096
 """Frames that a layer computes at once: an hour of temporary arrays would be 150 MB."""
 
@@ -88,23 +92,77 @@ class VocalStrength:
         frames : array [shape=(T, F)]
             From `strength_frames`.
         """
+        return float(self._read(frames, len(frames), 0.0)[0]) if len(frames) else 0.0
+
+    def follow(self, frames: Float32) -> Float32:
+        """Strength around each frame [shape=(T,)], as `measure`: of the sound some 2 s long."""
+        if not len(frames):
+            return np.zeros(0, np.float32)
+        blocks = self._read(frames, BLOCK_FRAMES, AROUND_BLOCKS)
+        middles = (np.arange(len(blocks)) + 0.5) * BLOCK_FRAMES - 0.5
+        return np.interp(np.arange(len(frames)), middles, blocks).astype(np.float32)
+
+    def _read(self, frames: Float32, size: int, sigma: float) -> Float32:
+        """Strength of blocks of so many frames [shape=(K,)], and of those around them."""
         if not frames[:, VOICED].any():
-            return 0.0
+            return np.zeros(-(-len(frames) // size), np.float32)
         frames, _ = without_level(frames)
-        weight = np.maximum(frames[:, -1], REST_WEIGHT)
-        share = (weight / weight.sum())[:, None]
-        return float(np.mean([_member(w, frames, share) for w in self._members.values()]))
+        pool = _Pool(np.maximum(frames[:, -1], REST_WEIGHT), size, sigma)
+        found: Float32 = np.mean([_member(w, frames, pool) for w in self._members.values()], axis=0)
+        return found
 
 
-def _member(weights: Mapping[str, Float32], frames: Float32, share: Float32) -> float:
-    """Strength in dB by one network; `share` of each frame in the means [shape=(T, 1)]."""
+class _Pool:
+    """Means and spreads over blocks of frames and, with a Gaussian weight, over those around.
+
+    Parameters
+    ----------
+    weight : array [shape=(T,)]
+        Of each frame.
+    size : int
+        Frames of a block.
+    sigma : float
+        Blocks; 0: each alone.
+    """
+
+    def __init__(self, weight: Float32, size: int, sigma: float) -> None:
+        self.weight, self.starts = weight.astype(np.float64)[:, None], range(0, len(weight), size)
+        self.reach = int(4 * sigma)
+        steps = np.arange(-self.reach, self.reach + 1)
+        self.kernel = np.exp(-0.5 * np.square(steps / sigma)) if sigma else np.ones(1)
+        self.total = self._sums(self.weight)
+
+    def _sums(self, rows: Float64) -> Float64:
+        sums = np.add.reduceat(rows, self.starts, axis=0)
+        padded = np.pad(sums, ((self.reach, self.reach), (0, 0)))
+        return sum(
+            (share * padded[k : k + len(sums)] for k, share in enumerate(self.kernel)),
+            np.zeros_like(sums),
+        )
+
+    def mean_and_spread(self, x: Float32) -> Float32:
+        """Weighted mean and standard deviation: (T, C) to (K, 2 C)."""
+        parts = []
+        for first in range(0, x.shape[1], 8):  # columns at once: an hour's squares are large
+            columns = x[:, first : first + 8].astype(np.float64)
+            mean = self._sums(self.weight * columns) / self.total
+            square = self._sums(self.weight * np.square(columns)) / self.total - np.square(mean)
+            parts.append((mean, np.sqrt(np.maximum(square, 1e-4))))
+        return np.concatenate(
+            [np.concatenate(part, axis=1) for part in zip(*parts, strict=True)], axis=1
+        ).astype(np.float32)
+
+
+def _member(weights: Mapping[str, Float32], frames: Float32, pool: _Pool) -> Float32:
+    """Strength in dB of blocks by one network [shape=(K,)]."""
     x = (frames - weights["mean"]) / weights["spread"]
-    direct = _linear(weights, "direct", _mean_and_spread(x, share))
+    direct = _linear(weights, "direct", pool.mean_and_spread(x))
     x = _layer(weights, 0, x)
     for i in range(1, len(DILATIONS)):
         x += _layer(weights, i, x)
-    hidden = _gelu(_linear(weights, "hidden", _mean_and_spread(x, share)))
-    return UNIT_DB * float((direct + _linear(weights, "output", hidden))[0])
+    hidden = _gelu(_linear(weights, "hidden", pool.mean_and_spread(x)))
+    found: Float32 = UNIT_DB * (direct + _linear(weights, "output", hidden))[:, 0]
+    return found
 
 
 def _linear(weights: Mapping[str, Float32], name: str, x: Float32) -> Float32:
@@ -139,15 +197,6 @@ def _gelu(x: Float32) -> Float32:
         series = (series + np.float32(coefficient)) * t
     error = np.copysign(1 - series * np.exp(-z * z), x)
     return np.asarray(x * (1 + error) / 2, np.float32)
-
-
-def _mean_and_spread(x: Float32, share: Float32) -> Float32:
-    """Weighted mean and standard deviation over time: (T, C) and (T, 1) to (2 C,)."""
-    mean = (x * share).sum(axis=0)
-    square = x - mean
-    square *= square
-    square *= share
-    return np.concatenate([mean, np.sqrt(np.maximum(square.sum(axis=0), 1e-4))])
 
 
 @lru_cache(maxsize=1)

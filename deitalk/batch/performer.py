@@ -186,6 +186,8 @@ class Performer:
         from rig import write_curves
 
         form = {"fps": order.written.fps, "start": start}
+        seconds = performance.recording.duration
+        spoken = {"sound": performance.sound_file, "seconds": seconds}
         digits = {"digits": order.written.digits}
         self.count += 1
         folder = self.stage / str(self.count)
@@ -197,9 +199,8 @@ class Performer:
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
-                given: Any = form | (digits if has_digits(suffix) else {})
-                sound = performance.sound_file
-                write_curves(folder / name, performance.curves, sound=sound, **given)
+                given: Any = form | spoken | (digits if has_digits(suffix) else {})
+                write_curves(folder / name, performance.curves, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 

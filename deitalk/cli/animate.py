@@ -53,7 +53,7 @@ def animate(
     threads: Threads = 1,
     timecode: Timecode = "zero",
     preview: Annotated[
-        bool, typer.Option("--preview", help="Add a page and a review video to the take.")
+        bool, typer.Option("--preview", help="Add a page, preview.html, to the take.")
     ] = False,
     identity: WrittenIdentity = None,
     force: Force = False,
@@ -158,8 +158,8 @@ def _check(
     if is_folder:
         reserve_folder(out, kind=KIND, force=force, inputs=inputs)
         check_take(out, source=inputs[0], force=force, inputs=inputs)
-        for note in _preview_notes(out) if preview else ():
-            console().note(note)
+        if preview:
+            _check_page()
         return
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
@@ -183,10 +183,10 @@ def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None)
         )
 
 
-def _preview_notes(out: Path) -> tuple[str, ...]:
-    from deitalk.preview.video import check_preview
+def _check_page() -> None:
+    from deitalk.preview.page import check_player
 
-    return check_preview(out)
+    check_player()
 
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
@@ -216,7 +216,7 @@ def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") 
 def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
     if not preview:
         return ()
-    from deitalk.preview.video import add_preview
+    from deitalk.preview.page import add_preview
     from rig.face.identity import resolve_identity
 
     return (partial(add_preview, identity=resolve_identity(identity or 0)),)
@@ -225,7 +225,8 @@ def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
     from rig import write_curves
 
-    report = write_curves(out, performance.curves, sound=performance.sound_file, **form)
+    sound, seconds = performance.sound_file, performance.recording.duration
+    report = write_curves(out, performance.curves, sound=sound, seconds=seconds, **form)
     if report.note:
         console().note(report.note)
     for track in report.dropped:

@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -94,9 +94,9 @@ def convert(
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
     if wanted is not None:
         curves = to_set(curves, wanted)
-    sound = source / "audio.wav" if (source / "audio.wav").is_file() else ""
+    speech = _speech(source, target, to, is_whole=not start and end is None)
     report = write_curves(
-        target, curves, format=to, fps=fps, digits=digits, sound=sound, identity=head
+        target, curves, format=to, fps=fps, digits=digits, identity=head, **speech
     )
     _report(report, as_json)
 
@@ -129,6 +129,20 @@ def _head(identity: str | None) -> str | None:
     from rig.face.identity import resolve_identity
 
     return resolve_identity(identity).name
+
+
+def _speech(source: Path, target: Path, to: str | None, *, is_whole: bool) -> dict[str, Any]:
+    """Path of the take's recording, and its length if it is whole, for a format that has them."""
+    from deitalk.audio.decoding import open_sound
+    from rig.formats.table import find_format
+
+    audio = source / "audio.wav"
+    if "seconds" not in find_format(target, to, writable=True).options or not audio.is_file():
+        return {}
+    if not is_whole:
+        return {"sound": audio}
+    with open_sound(str(audio), None) as sound:
+        return {"sound": audio, "seconds": sound.expected / sound.rate}
 
 
 def _edited(

@@ -1,4 +1,4 @@
-"""`deitalk preview`: review video and page of a take."""
+"""`deitalk preview`: page or review video of a take."""
 
 from pathlib import Path
 from typing import Annotated

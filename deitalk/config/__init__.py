@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         TuneConfig,
     )
     from deitalk.config.frontends import (
-        CausalMelConfig,
+        CausalWhisperConfig,
         DEITalkFeaturesConfig,
         KarrasConfig,
         MelConfig,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         VocaConfig,
         Wav2VecConfig,
         WhisperConfig,
+        WhisperShape,
     )
     from deitalk.config.load import AnyConfig, load_config, parse_config
     from deitalk.config.mesh import MeshDataConfig, MeshTrainConfig, SDFAConfig, SDFAModelConfig
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnyConfig",
-    "CausalMelConfig",
+    "CausalWhisperConfig",
     "Config",
     "DEITalkFeaturesConfig",
     "DataConfig",
@@ -57,6 +58,7 @@ __all__ = [
     "VoiceIntensity",
     "Wav2VecConfig",
     "WhisperConfig",
+    "WhisperShape",
     "load_config",
     "parse_config",
 ]
@@ -72,7 +74,7 @@ _HOMES = {
         "TuneConfig",
     ),
     "frontends": (
-        "CausalMelConfig",
+        "CausalWhisperConfig",
         "DEITalkFeaturesConfig",
         "KarrasConfig",
         "MelConfig",
@@ -80,6 +82,7 @@ _HOMES = {
         "VocaConfig",
         "Wav2VecConfig",
         "WhisperConfig",
+        "WhisperShape",
     ),
     "load": ("AnyConfig", "load_config", "parse_config"),
     "mesh": ("MeshDataConfig", "MeshTrainConfig", "SDFAConfig", "SDFAModelConfig"),

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from deitalk.config.frontends import (
-    CausalMelConfig,
+    CausalWhisperConfig,
     MelConfig,
     Wav2VecConfig,
     WhisperConfig,
@@ -26,7 +26,7 @@ from rig import limits
 class ModelConfig(Section):
     """The network of DEITalk §3; defaults are §4.1's numbers."""
 
-    frontend: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig = Field(
+    frontend: MelConfig | CausalWhisperConfig | Wav2VecConfig | WhisperConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
     control_set: str = Field(
@@ -111,9 +111,10 @@ class ModelConfig(Section):
             return self
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        if isinstance(self.frontend, CausalMelConfig) or self.kept_controls or self.actor_ranges:
+        is_causal = isinstance(self.frontend, CausalWhisperConfig)
+        if is_causal or self.kept_controls or self.actor_ranges:
             raise ValueError(
-                f"decoder: {self.decoder} takes no causal_mel, no kept_controls, no actor_ranges"
+                f"decoder: {self.decoder} takes no causal frontend, kept_controls or actor_ranges"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
@@ -122,13 +123,13 @@ class ModelConfig(Section):
     @model_validator(mode="after")
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
-        if isinstance(self.frontend, CausalMelConfig):
+        if isinstance(self.frontend, CausalWhisperConfig):
             if self.positions:
-                raise ValueError("causal_mel takes no positions; set positions: false")
+                raise ValueError("causal_whisper takes no positions; set positions: false")
             if self.actor_ranges:
-                raise ValueError("causal_mel takes no actor_ranges; set actor_ranges: false")
+                raise ValueError("causal_whisper takes no actor_ranges; set actor_ranges: false")
             if self.intensity and self.saliency_frames is None:
-                raise ValueError("causal_mel needs saliency_frames; 121 is 4 s")
+                raise ValueError("causal_whisper needs saliency_frames; 121 is 4 s")
         return self
 
 
@@ -195,13 +196,6 @@ class DataConfig(Section):
     clips: Positive | None = Field(
         default=None, description="clips taken of the training split, evenly spread; null: all"
     )
-    taught_passes: int = Field(
-        default=0,
-        ge=0,
-        le=100,
-        description="times that train.teacher animates every recording before training, half of "
-        "them augmented; its curves are the targets; needs a causal frontend",
-    )
     encoded_passes: int = Field(
         default=0,
         ge=0,
@@ -250,15 +244,6 @@ class Config(Section):
     loss: LossConfig = LossConfig()
     data: DataConfig = DataConfig()
     train: TrainConfig = TrainConfig()
-
-    @model_validator(mode="after")
-    def _taught_by_a_teacher(self) -> "Config":
-        is_causal = isinstance(self.model.frontend, CausalMelConfig)
-        if self.data.taught_passes and not (is_causal and self.train.teacher):
-            raise ValueError(
-                "data.taught_passes needs train.teacher and model.frontend.kind: causal_mel"
-            )
-        return self
 
 
 # Settings of fine-tuning a curve model on captures; the defaults are the recipe.

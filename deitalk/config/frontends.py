@@ -8,6 +8,7 @@ from pydantic import (
     field_validator,
 )
 
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.section import (
     Odd,
     Phases,
@@ -79,30 +80,6 @@ class MelConfig(Section):
         return value
 
 
-class CausalMelConfig(Section):
-    """Mel spectrogram, Spec-BiLSTM and a forward LSTM with bounded look-ahead; not in the papers.
-
-    Spectra are gathered as in `MelConfig`; along time there is no backward recurrence.
-    """
-
-    kind: Literal["causal_mel"] = "causal_mel"
-    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
-    tapers: Tapers = 1
-    frame_spectra: Annotated[int, Field(ge=1, le=8)] = Field(
-        default=2, description="spectra a rig frame; 2 are 60 a second"
-    )
-    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
-    conv_channels: tuple[Width, Width, Width] = (16, 24, 24)
-    spec_hidden: Width = Field(default=20, description="Spec-BiLSTM units per direction")
-    spectral_size: Width = Field(default=192, description="features of one spectrum (C_spec)")
-    time_hidden: Width = Field(default=384, description="units of the forward LSTM")
-    time_layers: Recurrent = 2
-    lookahead_frames: int = Field(
-        default=2, ge=0, le=limits.WINDOW_FRAMES, description="rig frames that the LSTM runs ahead"
-    )
-    dropout: float = Field(default=0.0, ge=0, lt=1)
-
-
 class Wav2VecConfig(Section):
     """wav2vec 2.0 (DEITalk §3.2) or its kin: a published checkpoint or an encoder of a given shape.
 
@@ -140,10 +117,9 @@ class Wav2VecConfig(Section):
         return value
 
 
-class WhisperConfig(Section):
-    """The first layers of Whisper's encoder; the numbers are those of Whisper base."""
+class WhisperShape(Section):
+    """Shape of the first layers of Whisper's encoder; the numbers are those of Whisper base."""
 
-    kind: Literal["whisper"] = "whisper"
     checkpoint: str | None = Field(
         default="openai/whisper-base",
         description="hub name or folder, read before training; null: random weights",
@@ -152,8 +128,8 @@ class WhisperConfig(Section):
     width: Width = 512
     heads: Width = 8
     intermediate: Width = Field(default=2048, description="width within a layer")
-    positions: int = Field(
-        default=1500, ge=600, le=limits.TRAINING_FRAMES, description="features of 20 ms a piece"
+    rate: Literal[30, 50] = Field(
+        default=30, description="features a second: the rig's own, or 50 as the encoder had them"
     )
     layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
         default=(2, 3),
@@ -170,6 +146,32 @@ class WhisperConfig(Section):
     def _heads_divide(cls, value: int, info: ValidationInfo) -> int:
         if info.data.get("width", value) % value:
             raise ValueError("width must be a multiple of heads")
+        return value
+
+
+class WhisperConfig(WhisperShape):
+    """The first layers of Whisper's encoder, on a whole clip."""
+
+    kind: Literal["whisper"] = "whisper"
+
+
+class CausalWhisperConfig(WhisperShape):
+    """The same from the past and a bounded look-ahead, for voices that have not ended."""
+
+    kind: Literal["causal_whisper"] = "causal_whisper"
+
+    @field_validator("rate")
+    @classmethod
+    def _rig_frames(cls, value: int) -> int:
+        if value != FRAME_RATE:
+            raise ValueError(f"must be {FRAME_RATE}: a feature is a rig frame")
+        return value
+
+    @field_validator("layers")
+    @classmethod
+    def _last_layers(cls, value: tuple[int, ...]) -> tuple[int, ...]:
+        if value not in ((max(value) - 1, max(value)), (max(value),)) or max(value) < 1:
+            raise ValueError("must be one layer, or one and the next, such as [2, 3]")
         return value
 
 

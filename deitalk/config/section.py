@@ -111,7 +111,7 @@ def checked(kind: type[S], tree: Any) -> S:
 
 
 def _problem(item: Any) -> str:
-    kinds = ("mel", "causal_mel", "wav2vec", "karras", "voca", "deitalk")
+    kinds = ("mel", "causal_whisper", "wav2vec", "whisper", "karras", "voca", "deitalk")
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":

@@ -20,9 +20,15 @@ from deitalk.data.augment_waveform import Surroundings, augment, change_speed, s
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
 from deitalk.frontends import Frontend
+from deitalk.frontends.causal_whisper import CausalWhisperFrontend
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
+
+STREAM_GAIN_DB = (-18.0, 14.0)
+"""Range of a recording's gain before a causal frontend, whose running level must make up for it."""
+MOST_LEAD_FRAMES = 60
+"""Frames of silence before it, as every stream begins."""
 
 
 class FrozenFeatures:
@@ -181,7 +187,12 @@ def _write_pass(
             others = [read(sounds[int(n)]) for n in rng.integers(len(sounds), size=4)]
             sound = augment(change_speed(sound, speed), rng, surroundings, others)
         n_frames = max(int(np.ceil(len(sound) * FRAME_RATE / SAMPLE_RATE)), 1)
-        features = frontend.encode(torch.from_numpy(sound), n_frames)
+        lead = 0
+        if k and isinstance(frontend, CausalWhisperFrontend):
+            lead = int(rng.integers(MOST_LEAD_FRAMES + 1))
+            sound = np.pad(sound, (lead * SAMPLE_RATE // FRAME_RATE, 0))
+            sound = sound * np.float32(10 ** (rng.uniform(*STREAM_GAIN_DB) / 20))
+        features = frontend.encode(torch.from_numpy(sound), lead + n_frames)[lead:]
         rows.append(features.cpu().numpy().astype(np.float16))
         starts.append(starts[-1] + n_frames)
         speeds.append(speed)

@@ -36,7 +36,7 @@ class Window(NamedTuple):
 
     waveform: Tensor
     """[shape=(S,)], level-normalised (then augmented); or features [shape=(T, D)]
-    where `FrozenFeatures` are given, or gathered spectra (`deitalk.data.taught`)."""
+    where `FrozenFeatures` are given."""
     curves: Tensor
     """[shape=(T, C)]."""
     emotion: Tensor

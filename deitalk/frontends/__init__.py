@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from torch import Tensor
 
 from deitalk.config import (
-    CausalMelConfig,
+    CausalWhisperConfig,
     KarrasConfig,
     MelConfig,
     SDFAMelConfig,
@@ -42,13 +42,13 @@ class Frontend(Protocol):
 
 
 def build_frontend(
-    config: MelConfig | CausalMelConfig | Wav2VecConfig | WhisperConfig, pretrained: bool = True
+    config: MelConfig | CausalWhisperConfig | Wav2VecConfig | WhisperConfig, pretrained: bool = True
 ) -> Frontend:
     """Build the 30 Hz encoder of a configuration.
 
     Parameters
     ----------
-    config : MelConfig, CausalMelConfig, Wav2VecConfig or WhisperConfig
+    config : MelConfig, CausalWhisperConfig, Wav2VecConfig or WhisperConfig
         Its class chooses the frontend.
     pretrained : bool
         Read the weights of a checkpoint; False reads its sizes only.
@@ -57,10 +57,10 @@ def build_frontend(
         from deitalk.frontends.mel_bilstm import MelFrontend
 
         return MelFrontend(config)
-    if isinstance(config, CausalMelConfig):
-        from deitalk.frontends.causal_mel import CausalMelFrontend
+    if isinstance(config, CausalWhisperConfig):
+        from deitalk.frontends.causal_whisper import CausalWhisperFrontend
 
-        return CausalMelFrontend(config)
+        return CausalWhisperFrontend.build(config, pretrained=pretrained)
     if isinstance(config, WhisperConfig):
         from deitalk.frontends.whisper import WhisperFrontend
 

@@ -3,7 +3,8 @@
 K features of the encoder, T rig frames, D width.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import torch
@@ -43,7 +44,7 @@ class StridedFrontend(nn.Module):
     """
 
     output_size: int
-    stride: int
+    stride: float
     centre: float
     margin: int
     chunk_seconds, overlap_seconds = 24.0, 2.0
@@ -60,8 +61,8 @@ class StridedFrontend(nn.Module):
         )
         self.mix = nn.Parameter(torch.zeros(len(layers)))
 
-    def mixed(self, states: Sequence[Tensor]) -> Tensor:
-        """Standardised and mixed features (N, D) from the states (N, D) of all layers."""
+    def mixed(self, states: Sequence[Tensor] | Mapping[int, Tensor]) -> Tensor:
+        """Standardised and mixed features (N, D) from the states (N, D) of the layers."""
         scaled = [
             weight * _standardised(states[layer], norm).clamp(-LARGEST, LARGEST)
             for weight, norm, layer in zip(
@@ -107,7 +108,7 @@ class StridedFrontend(nn.Module):
         Tensor [shape=(B, T, D)]
             Row i is time i/30 s.
         """
-        return self._rows(self.features(waveform), 0, n_frames, first_sample=0)
+        return self.rows(self.features(waveform), 0, n_frames, first_sample=0)
 
     @torch.no_grad()
     def encode(
@@ -161,7 +162,7 @@ class StridedFrontend(nn.Module):
             stop = min(start + chunk, n_frames)
             first, last = self._sample_span(start, stop)
             piece = waveform[first:last].unsqueeze(0).to(device) * gain
-            new = self._rows(self.features(piece, context), start, stop, first_sample=first)[0]
+            new = self.rows(self.features(piece, context), start, stop, first_sample=first)[0]
             fade = torch.arange(1, done - start + 1, device=device).unsqueeze(1) / (overlap + 1)
             rows[start:done].lerp_(new[: done - start], fade)
             rows[done:stop] = new[done - start :]
@@ -172,13 +173,15 @@ class StridedFrontend(nn.Module):
     def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
         """Samples [first, last) that the rows start … stop - 1 are interpolated from.
 
-        `first` is a multiple of the stride, so a chunk's features lie on the whole clip's grid.
+        `first` is a whole number of strides, so a chunk's features lie on the whole clip's grid.
         """
         first = start * SAMPLE_RATE // FRAME_RATE - self.margin
         last = -(-stop * SAMPLE_RATE // FRAME_RATE) + self.margin
-        return max(0, first // self.stride * self.stride), last
+        grid = Fraction(self.stride).limit_denominator(FRAME_RATE)
+        step = grid.numerator  # the least number of samples that is whole in strides
+        return max(0, first // step * step), last
 
-    def _rows(self, features: Tensor, start: int, stop: int, *, first_sample: int) -> Tensor:
+    def rows(self, features: Tensor, start: int, stop: int, *, first_sample: int) -> Tensor:
         """Interpolate features (B, K, D), begun at `first_sample`, at the times of rows (B, n, D).
 
         With stride 320 and centre 199.5, rows 0, 1, 2, 3 (samples 0, 533.3, 1066.7, 1600) lie at

@@ -1,8 +1,8 @@
 """Intensity of a voice that has not ended: the causal form of `voice_intensity`.
 
-The network's prediction and the prosody count relative to their means over the speech so far, which
-forget; smoothing looks back instead of to both sides. The strength of a whole take is not known
-while somebody speaks and is left out.
+The motion is the same sum, about running means that forget; smoothing looks back instead of to both
+sides, and after a pause the intensity returns with the voice instead of before it. The strength of
+the voice, which needs seconds of it, is left out.
 """
 
 import math
@@ -12,7 +12,20 @@ import numpy as np
 
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, sonority_db
 from deitalk.config import VoiceIntensity
-from deitalk.postprocess.voice_intensity import FAINTEST, STEEPNESS, deviation
+from deitalk.postprocess.voice_intensity import (
+    BRIGHTEST_DB,
+    FAINTEST,
+    FALL_FRAMES,
+    FURTHEST_SEMITONES,
+    LEVEL_SHARE,
+    MOST_MOTION,
+    MOST_TONE,
+    NETWORK_WEIGHT,
+    RISE_FRAMES,
+    STEEPNESS,
+    TONE_SHARE,
+    deviation,
+)
 from rig.arrays import Bool, Float32, Float64
 
 FORGET_FRAMES = 900.0
@@ -21,8 +34,8 @@ USUAL_FRAMES = 30.0
 """Weight of the usual intensity at the start, frames."""
 SMOOTHING = 1 / 8
 """Share of a new frame in the smoothed values: 0.27 s."""
-MOST = 2.5
-"""Limit of a measure's standard deviations."""
+MOST_LEVEL = 4.0
+"""Limit of the standard deviations of the level, whose mean is young at first."""
 
 
 class Mean:
@@ -76,7 +89,7 @@ class RunningIntensity:
         self.rule = rule
         self.usual = Mean(0.0, USUAL_FRAMES)
         self.level, self.tilt, self.pitch = Mean(), Mean(), Mean()
-        self.z = self.index = 0.0
+        self.z = self.kept = 0.0
 
     def feed(self, network: Float32, measures: Measures, speaking: Bool) -> Float32:
         """Corrected intensity of the next frames [shape=(n,), range 0 to 1].
@@ -88,7 +101,7 @@ class RunningIntensity:
         measures : Measures
             Prosody of the same frames.
         speaking : array of bool [shape=(n,)]
-            Frames of speech; in others the intensity stays as it was.
+            Frames of speech; in others the intensity relaxes.
         """
         if self.rule is None:
             return network
@@ -99,16 +112,22 @@ class RunningIntensity:
         self, z: float, level: float, tilt: float, pitch: float, periodicity: float, speaks: bool
     ) -> float:
         assert self.rule is not None
-        if speaks:
-            is_voiced = periodicity > VOICED
-            parts = [_limited(self.level.add(level) / LEVEL_DB)]
-            parts.append(_limited(self.tilt.add(tilt) / TILT_DB))
-            parts.append(_limited(self.pitch.add(pitch) / PITCH_SEMITONES) if is_voiced else 0.0)
-            self.index += SMOOTHING * (sum(parts) / len(parts) - self.index)
-            self.z += SMOOTHING * (self.usual.add(z) - self.z)
-        total = self.z + self.rule.index_weight * self.index
-        return FAINTEST + (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * total))
+        if not speaks:
+            self.kept *= math.exp(-1 / FALL_FRAMES)
+        else:
+            self.kept += (1 - self.kept) * (1 - math.exp(-1 / RISE_FRAMES))
+            index = LEVEL_SHARE * _limited(self.level.add(level) / LEVEL_DB, MOST_LEVEL)
+            if periodicity > VOICED and tilt < BRIGHTEST_DB:
+                index += TONE_SHARE * _limited(self.tilt.add(tilt) / TILT_DB, MOST_TONE)
+                semitones = self.pitch.add(pitch)
+                if abs(semitones) <= FURTHEST_SEMITONES:
+                    index += TONE_SHARE * _limited(semitones / PITCH_SEMITONES, MOST_TONE)
+            new = NETWORK_WEIGHT * self.usual.add(z) + self.rule.index_weight * index
+            self.z += SMOOTHING * (new - self.z)
+        moved = MOST_MOTION * math.tanh(self.z / MOST_MOTION)
+        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * moved))
+        return FAINTEST + share * self.kept
 
 
-def _limited(z: float) -> float:
-    return max(-MOST, min(MOST, z))
+def _limited(z: float, most: float) -> float:
+    return max(-most, min(most, z))

@@ -139,7 +139,10 @@ class Stream:
         if self.n_total is not None:
             return self.n_total + running.AHEAD + self.grid.delay - self.groups
         rate, length = self.grid.rate, self.grid.length
-        last = self.sound.end - (length - length // 2)  # centre of the last whole spectrum
+        frames = MEASURED_AHEAD - 1 - self.grid.delay
+        measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
+        # centre of the last spectrum that is whole, and whose group can be measured
+        last = self.sound.end - max(length - length // 2, measured)
         spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
         while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
             spectra -= 1

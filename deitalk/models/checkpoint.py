@@ -15,7 +15,7 @@ from safetensors.torch import save
 
 from deitalk.config import (
     AnyConfig,
-    CausalMelConfig,
+    CausalWhisperConfig,
     Config,
     DEITalkFeaturesConfig,
     KarrasConfig,
@@ -27,6 +27,7 @@ from deitalk.config import (
     VocaConfig,
     Wav2VecConfig,
     WhisperConfig,
+    WhisperShape,
     load_config,
 )
 from deitalk.config.rig_file import read_controls, rig_text
@@ -232,7 +233,7 @@ def save_model(
 
 def _is_fixed(name: str, model: Model) -> bool:
     """Whether a weight is that of a published encoder, which did not learn."""
-    if not isinstance(model, DEITalk) or not isinstance(model.config.frontend, WhisperConfig):
+    if not isinstance(model, DEITalk) or not isinstance(model.config.frontend, WhisperShape):
         return False
     return name.startswith("frontend.encoder.") and model.config.frontend.learns == "nothing"
 
@@ -244,7 +245,7 @@ def _complete(config: Config, model: DEITalk) -> Config:
         assert isinstance(settings.frontend, Wav2VecConfig)
         frontend = model.frontend.described(settings.frontend)
         settings = settings.model_copy(update={"frontend": frontend})
-    if isinstance(settings.frontend, WhisperConfig):
+    if isinstance(settings.frontend, WhisperShape):
         whisper = settings.frontend.model_copy(update={"checkpoint": None})
         settings = settings.model_copy(update={"frontend": whisper})
     if model.controls.id != DEFAULT_ID:
@@ -368,7 +369,7 @@ class Kind(NamedTuple):
 KINDS = (
     Kind(
         Config,
-        (MelConfig, CausalMelConfig, Wav2VecConfig, WhisperConfig),
+        (MelConfig, CausalWhisperConfig, Wav2VecConfig, WhisperConfig),
         DEITalk,
         _read_curves,
         _about_curves,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, frame_count
-from deitalk.config import CausalMelConfig, ModelConfig, RulesConfig
+from deitalk.config import CausalWhisperConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
@@ -159,7 +159,7 @@ class DEITalk(nn.Module):
     @property
     def is_causal(self) -> bool:
         """Whether frames depend on a bounded look-ahead only (`deitalk.live`)."""
-        return isinstance(self.config.frontend, CausalMelConfig)
+        return isinstance(self.config.frontend, CausalWhisperConfig)
 
     @property
     def rig_decoder(self) -> RigDecoder:
@@ -205,6 +205,8 @@ class DEITalk(nn.Module):
     def reads_together(self, n_frames: int) -> bool:
         """Whether `read_together` takes recordings of so many frames."""
         frontend = self.frontend
+        if self.is_causal:
+            return False
         if isinstance(frontend, WhisperFrontend):
             return n_frames <= WHISPER_TOGETHER_FRAMES
         if not isinstance(frontend, MelFrontend) or frontend.config.recurrence != "segment":

@@ -5,7 +5,8 @@
     config.yaml          every setting; `kind: sdfa` marks a mesh model
     model.safetensors    weights, float16 in shipped models
     encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
-    model.json           format version, control set or speakers, training summary
+    model.json           format version, control set or speakers, training summary; with
+                         "encoder_of", the embedded model whose encoder.safetensors it uses
     controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
     templates.npz        mesh models only: see `deitalk.models.mesh_weights`
 """
@@ -23,7 +24,8 @@ from rig.files.reading import check_file, open_file, read_json
 
 FORMAT_VERSION = 1
 RIG_FILE = "controls.yaml"
-WEIGHT_FILES = ("model.safetensors", "encoder.safetensors")
+ENCODER = "encoder.safetensors"
+WEIGHT_FILES = ("model.safetensors", ENCODER)
 EMBEDDED = ("default", "mel", "live", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
@@ -59,7 +61,7 @@ def is_causal(name_or_path: str | Path) -> bool:
     from deitalk.config import load_config
 
     config = load_config(model_folder(name_or_path) / "config.yaml")
-    return config.model.frontend.kind == "causal_mel"
+    return config.model.frontend.kind == "causal_whisper"
 
 
 def read_about(folder: Path) -> dict[str, Any]:
@@ -110,8 +112,23 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
 
 
 def weight_files(folder: Path) -> list[Path]:
-    """The files of a model's weights that are there."""
-    return [path for name in WEIGHT_FILES if (path := folder / name).is_file()]
+    """The files of a model's weights that are there; the last may be another model's encoder.
+
+    Raises
+    ------
+    CheckpointError
+        If ``model.json`` is damaged, or names an encoder of no embedded model.
+    """
+    found = [path for name in WEIGHT_FILES if (path := folder / name).is_file()]
+    owner = read_about(folder).get("encoder_of")
+    if owner is None:
+        return found
+    if owner not in EMBEDDED:
+        raise CheckpointError(
+            f"{folder / 'model.json'}: encoder_of {quoted(owner)} is no embedded model; use one of "
+            f"{', '.join(EMBEDDED)}"
+        )
+    return [*found, model_folder(owner) / ENCODER]
 
 
 def weights_hash(folder: Path) -> str:

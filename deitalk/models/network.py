@@ -1,7 +1,8 @@
-"""What the pipeline needs of a curve network: arrays in, arrays out, whatever evaluates it.
+"""Protocol of curve networks (arrays in, arrays out), and the loader of both kinds.
 
-`deitalk.models.curve_model.DEITalk` does it in torch, `deitalk.models.onnx.OnnxNetwork` in ONNX
-Runtime. This module imports neither.
+`deitalk.models.curve_model.DEITalk` evaluates in torch, `deitalk.models.onnx.OnnxNetwork` in ONNX
+Runtime. `load_network` imports the one that is asked for when it is called, so that importing this
+module imports neither torch nor ONNX Runtime.
 """
 
 from collections.abc import Callable, Sequence

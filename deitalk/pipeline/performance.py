@@ -191,7 +191,10 @@ class Performance:
         from rig.formats import write_curves
 
         check_file(target, force=force, inputs=(self.recording.source,))
-        write_curves(target, self.curves, fps=fps, sound=self.sound_file, start=start)
+        seconds = self.recording.duration
+        write_curves(
+            target, self.curves, fps=fps, sound=self.sound_file, seconds=seconds, start=start
+        )
         return Path(target)
 
     def __repr__(self) -> str:

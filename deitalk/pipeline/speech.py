@@ -118,6 +118,11 @@ class Speech:
         """Strength of the whole voice at any gain, dB above the usual."""
         return vocal_strength().measure(strength_frames(self.prosody, self.activity))
 
+    @cached_property
+    def strengths(self) -> Float32:
+        """The same around each frame [shape=(T,)]."""
+        return vocal_strength().follow(strength_frames(self.prosody, self.activity))
+
 
 class Intensities(NamedTuple):
     """Emotional intensity of each frame [shape=(T,)], from the network to the face."""
@@ -157,7 +162,8 @@ def measure_intensities(
     if rule is not None:
         usual = 0.0 if acting.voice is None else acting.voice.strength
         take = take_z(speech.strength - usual, rule)
-        voice = voice_intensity(network, speech.prosody, speech.activity, take, rule)
+        strength = speech.strengths - usual
+        voice = voice_intensity(network, speech.prosody, speech.activity, strength, rule)
     predicted = voice * speech.shown
     base = predicted if acting.intensity_curve is None else acting.intensity_curve.at(speech.times)
     applied = (base * acting.intensity).astype(np.float32)

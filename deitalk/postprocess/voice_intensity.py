@@ -1,41 +1,56 @@
-"""Intensity of a voice: the network's prediction corrected by measured prosody.
+"""Intensity of a voice: the network's prediction and measured prosody.
 
-The network is trained on windows at one level, in rooms and noise: its prediction follows the
-voice within a take, but not whether the whole take is whispered or shouted. So it counts relative
-to its own mean over the take, and two measurements are added. Within a take, the prosody index
-(level, pitch and tilt relative to the take's mean; `deitalk.audio.prosody`) is finer than the
-network where there is little noise. Across takes, the strength of the whole voice at any gain
-(`deitalk.audio.vocal_strength`) counts, relative to the actor's own where it is given.
+The sum of two parts, in standard deviations z of liveliness. The *place* is how strong the voice is
+at any gain over two seconds (`deitalk.audio.vocal_strength`), relative to the actor's own where it
+is given; it is bounded, so that a shouted take still has a range to move in. The *motion* within
+the take is that of level, pitch, tilt and the network's prediction about their means. The
+intensity is e = 0.15 + 0.85 / (1 + exp(-1.3 z)), the scale of the corpus's labels. In pauses it
+relaxes towards 0.15, and returns just before the voice does.
 
-The sum is in standard deviations z of liveliness, on the scale of the corpus's intensity labels:
-e = 0.15 + 0.85 / (1 + exp(-1.3 z)).
+Weights were chosen on validation actors and readers, so that acted takes move by a third of the
+range and what was acted stronger is stronger (MODEL_CARD.md).
 """
 
 import numpy as np
 
-from deitalk.audio.prosody import Prosody, prosody_index
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, Prosody
 from deitalk.config import VoiceIntensity
 from rig.arrays import Bool, Float32, Float64
 from rig.curves.filters import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity, and its slope in z (`deitalk.research.corpus.rig_targets`)."""
-SMOOTHING_FRAMES = 5.0
-"""Sigma, 0.17 s: intensity does not follow single syllables."""
+SMOOTHING_FRAMES = 6.0
+"""Sigma, 0.2 s: intensity does not follow single syllables."""
 MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
-EDGE_FRAMES = 3.0
-"""Sigma with which the corrected intensity fades beside speech."""
+MOST_PLACE, MOST_MOTION = 1.3, 2.2
+"""Limits of the two parts, standard deviations."""
+LEVEL_SHARE, TONE_SHARE = 1.5, 0.25
+"""Of level, and of pitch and of tilt, in `VoiceIntensity.index_weight`."""
+NETWORK_WEIGHT = 0.4
+"""Of the network's prediction, deviations per one of its own."""
+DEEPEST_DB = 25.0
+"""Level below the loudest speech; what is lower counts as this."""
+FURTHEST_SEMITONES = 9.0
+"""From the median pitch; further is a wrong octave."""
+BRIGHTEST_DB = 5.0
+"""Tilt above which a frame is a hiss, whose pitch and tilt are none of the voice."""
+FEWEST_VOICED = 4
+MOST_TONE = 2.5
+"""Limit of the standard deviations of pitch and tilt."""
+FALL_FRAMES, RISE_FRAMES, END_FRAMES = 10.0, 5.0, 30.0
+"""Time constants of a pause: after the voice, and before it returns; and after the last of it."""
 
 
 def voice_intensity(
     network: Float32,
     prosody: Prosody,
     activity: Float32,
-    take: float = 0.0,
+    strength: Float32 | float = 0.0,
     rule: VoiceIntensity = VoiceIntensity(),
 ) -> Float32:
-    """Smooth the network's intensity and correct it by the prosody and the whole take's strength.
+    """Intensity of every frame, of the network's prediction, the prosody and the strength.
 
     Parameters
     ----------
@@ -45,16 +60,15 @@ def voice_intensity(
         Of the same T frames, from `deitalk.audio.prosody.measure_prosody`.
     activity : array [shape=(T,)]
         From `deitalk.audio.voice_activity.speech_activity`.
-    take : float
-        Of the whole take, in standard deviations, from `take_z`.
+    strength : float or array [shape=(T,)]
+        Of the voice around each frame, dB above the usual (`VocalStrength.follow`).
     rule : VoiceIntensity
-        Weight of the prosody index.
+        Weights.
 
     Returns
     -------
     array [shape=(T,), range 0 to 1]
-        At least 0.15 in speech. Linear through pauses; before the first and after the last speech
-        `network`, limited to the value at the nearest speech.
+        At least 0.15 in speech; falls to 0.15 in pauses. `network` where nothing is voiced.
 
     Notes
     -----
@@ -63,18 +77,42 @@ def voice_intensity(
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return network
-    z = _smoothed(deviation(network), speaking)
-    z -= z[speaking].mean()  # labels of training have one mean per take
-    z += rule.index_weight * prosody_index(prosody) + take
-    corrected = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
-    # Intensity with the frames without speech interpolated, or limited outside the speech.
-    frames, spoken = np.arange(len(network)), np.flatnonzero(speaking)
-    held: Float64 = np.interp(frames, spoken, corrected[spoken])
-    outside = (frames < spoken[0]) | (frames > spoken[-1])
-    pauses = np.where(outside, np.minimum(held, network), held)
-    counts = np.clip(2 * gaussian_smooth(speaking.astype(float), EDGE_FRAMES, "mirror"), 0, 1)
-    intensity: Float32 = (pauses + counts * (corrected - pauses)).astype(np.float32)
-    return intensity
+    place = MOST_PLACE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_PLACE)
+    z = _motion(network, prosody, speaking, rule) + place
+    intensity = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
+    return _relaxed(intensity, speaking).astype(np.float32)
+
+
+def _motion(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceIntensity) -> Float64:
+    """Standard deviations of every frame about the take's mean, limited."""
+    level = np.maximum(prosody.level, np.percentile(prosody.level[speaking], 95) - DEEPEST_DB)
+    index = LEVEL_SHARE * _centred(level, speaking) / LEVEL_DB
+    voiced = prosody.voiced & speaking & (prosody.tilt < BRIGHTEST_DB)
+    if voiced.any():
+        near = np.abs(prosody.pitch - np.median(prosody.pitch[voiced])) <= FURTHEST_SEMITONES
+        voiced &= near
+    if voiced.sum() >= FEWEST_VOICED:
+        for track, unit in ((prosody.pitch, PITCH_SEMITONES), (prosody.tilt, TILT_DB)):
+            tone = np.clip((track - track[voiced].mean()) / unit, -MOST_TONE, MOST_TONE)
+            index = index + TONE_SHARE * _smoothed(tone, voiced)
+    z = NETWORK_WEIGHT * _centred(deviation(network), speaking) + rule.index_weight * index
+    moved: Float64 = MOST_MOTION * np.tanh(z / MOST_MOTION)
+    return moved
+
+
+def _relaxed(intensity: Float64, speaking: Bool) -> Float64:
+    """Intensity that falls to `FAINTEST` in pauses, from its value beside them."""
+    frames, spoken = np.arange(len(speaking)), np.flatnonzero(speaking)
+    held = np.interp(frames, spoken, intensity[spoken])
+    place = np.searchsorted(spoken, frames, side="right")
+    since = np.where(place > 0, frames - spoken[np.maximum(place - 1, 0)], np.inf)
+    until = np.where(
+        place < len(spoken), spoken[np.minimum(place, len(spoken) - 1)] - frames, np.inf
+    )
+    fall = np.where(place < len(spoken), FALL_FRAMES, END_FRAMES)
+    kept = np.maximum(np.exp(-since / fall), np.exp(-until / RISE_FRAMES))
+    relaxed: Float64 = np.where(speaking, intensity, FAINTEST + (held - FAINTEST) * kept)
+    return relaxed
 
 
 def take_z(strength: float, rule: VoiceIntensity = VoiceIntensity()) -> float:
@@ -97,8 +135,15 @@ def deviation(intensity: Float32) -> Float64:
     return z
 
 
-def _smoothed(z: Float64, speaking: Bool) -> Float64:
-    """Gaussian mean over the frames with speech."""
-    weight = gaussian_smooth(speaking.astype(float), SMOOTHING_FRAMES)
-    total = gaussian_smooth(np.where(speaking, z, 0), SMOOTHING_FRAMES)
-    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), z)
+def _centred(track: Float64, frames: Bool) -> Float64:
+    """A track smoothed over some frames, less its mean over them."""
+    smoothed = _smoothed(track, frames)
+    centred: Float64 = smoothed - smoothed[frames].mean()
+    return centred
+
+
+def _smoothed(z: Float64, frames: Bool) -> Float64:
+    """Gaussian mean over some frames; 0 far from them."""
+    weight = gaussian_smooth(frames.astype(float), SMOOTHING_FRAMES)
+    total = gaussian_smooth(np.where(frames, z, 0), SMOOTHING_FRAMES)
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), 0)

@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.errors import MissingError
+from deitalk.pipeline.performance import Performance
 from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
@@ -94,6 +96,42 @@ def render_page(
     with atomic_write(out) as beside:
         beside.write_text(page, encoding="utf-8")
     return out
+
+
+def add_preview(
+    folder: Path, performance: Performance, identity: int | str | Identity = 0
+) -> dict[str, str]:
+    """Write ``preview.html`` into a take folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    performance : Performance
+        Its curves, neutral reading and recording are shown.
+    identity : int, str or Identity
+        Head that is shown.
+
+    Returns
+    -------
+    dict
+        File name and its description, for ``take.json``.
+
+    Raises
+    ------
+    MissingError
+        Without the built page.
+    """
+    source = PreviewSource(
+        title=Path(performance.recording.source).stem,
+        curves=performance.curves,
+        samples=performance.recording.waveform,
+        sample_rate=SAMPLE_RATE,
+        neutral=performance.neutral.values,
+    )
+    render_page(source, folder / "preview.html", identity=identity)
+    about = "face, sound and every curve in one page; the intensity can be dragged"
+    return {"preview.html": about if source.is_board else "sound and every curve in one page"}
 
 
 def render_studio(identity: int | str | Identity = 0) -> str:

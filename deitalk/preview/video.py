@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.pipeline.performance import Performance
 from deitalk.preview.encoding import find_encoder, write_mp4
-from deitalk.preview.page import check_player, render_page
+from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError, PreviewSource, check_board, load_source
 from rig.arrays import AnyFloat, Float32
 from rig.curves import EMOTIONS
@@ -301,56 +299,6 @@ def label(picture: Picture, text: str, place: tuple[int, int], height: int = 11)
     x, y = place
     plate = picture[y - 4 : y + height + 4, x - 6 : x + text_width(text, height) + 4]
     plate[:] = write_text((plate * 0.35).astype(np.uint8), text, (6, 4), height=height)
-
-
-# A review video and a page among the files of a take.
-
-
-def check_preview(folder: Path) -> tuple[str, ...]:
-    """Check the requirements of `add_preview`; return notes on the files it will write.
-
-    Raises
-    ------
-    MissingError
-        Without the built page, or without a video encoder.
-    """
-    return check_needs([folder / "preview.html", folder / "preview.mp4"])
-
-
-def add_preview(
-    folder: Path, performance: Performance, identity: int | str | Identity = 0
-) -> dict[str, str]:
-    """Write ``preview.html`` and ``preview.mp4`` into a take folder; of another rig the page alone.
-
-    Parameters
-    ----------
-    folder : Path
-        Must exist.
-    performance : Performance
-        Its curves, neutral reading and recording are shown.
-    identity : int, str or Identity
-        Head of page and video.
-
-    Returns
-    -------
-    dict
-        File names and their descriptions, for ``take.json``.
-    """
-    source = PreviewSource(
-        title=Path(performance.recording.source).stem,
-        curves=performance.curves,
-        samples=performance.recording.waveform,
-        sample_rate=SAMPLE_RATE,
-        neutral=performance.neutral.values,
-    )
-    render_page(source, folder / "preview.html", identity=identity)
-    if not source.is_board:
-        return {"preview.html": "sound and every curve in one page"}
-    render_video(source, folder / "preview.mp4", identity=identity)
-    return {
-        "preview.html": "face, sound and every curve in one page; the intensity can be dragged",
-        "preview.mp4": "review video",
-    }
 
 
 # Requirements of a preview, checked before the work begins.

@@ -49,7 +49,7 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
     if width != wanted:
         way_out = {
             "mel": f"time_hidden={wanted // 2}",
-            "causal_mel": f"time_hidden={wanted}",
+            "causal_whisper": f"width={wanted}",
             "whisper": f"width={wanted}",
             "wav2vec": f"encoder.hidden_size={wanted}",
         }
@@ -64,8 +64,6 @@ def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
 def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
     """Copy the teacher's weights of equal name and shape; the frontend's if it is of one kind.
 
-    A causal frontend takes the layers that gather one spectrum from a mel frontend.
-
     Returns
     -------
     list of str
@@ -78,23 +76,28 @@ def start_as(student: DEITalk, teacher: DEITalk) -> list[str]:
         given = theirs.get(name)
         if given is None or given.shape != value.shape:
             continue
-        if name.startswith("frontend.") and not alike and ".spectral." not in name:
+        if name.startswith("frontend.") and not alike:
             continue
         value.copy_(given)
         copied.append(name)
     if student.is_causal and not teacher.is_causal:
-        for module in student.decoder.modules():
-            if isinstance(module, TemporalConv):
-                # Move the taps of a symmetric kernel (..., K) to a causal one's, in place.
-                # The taps after the centre are added to it: what does not change with time has the
-                # same result.
-                kernel = module.conv.weight
-                half = kernel.shape[-1] // 2
-                symmetric = kernel.clone()
-                kernel.zero_()
-                kernel[..., half:] = symmetric[..., : half + 1]
-                kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
+        turn_to_the_past(student.decoder)
     return copied
+
+
+@torch.no_grad()
+def turn_to_the_past(decoder: nn.Module) -> None:
+    """Move the taps of symmetric kernels (..., K) to those of causal ones, in place.
+
+    The taps after the centre are added to it: what does not change with time has the same result.
+    """
+    for module in decoder.modules():
+        if isinstance(module, TemporalConv):
+            kernel = module.conv.weight
+            half, symmetric = kernel.shape[-1] // 2, kernel.clone()
+            kernel.zero_()
+            kernel[..., half:] = symmetric[..., : half + 1]
+            kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
 
 
 MOTION_WEIGHT = 4.0

@@ -18,7 +18,6 @@ from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
 from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
 from deitalk.data.seeded_batches import SeededBatches, Share
-from deitalk.data.taught import TaughtBatches, one_clip_each, write_pass
 from deitalk.data.windows import Window, WindowBatches, count_windows, read_waveform
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import (
@@ -29,12 +28,17 @@ from deitalk.evaluation.validation import (
     predict,
 )
 from deitalk.figures.validation import ClipRows, Row
-from deitalk.frontends.causal_mel import CausalMelFrontend
 from deitalk.frontends.strided import StridedFrontend
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
-from deitalk.training.curve_losses import CurveLoss, Teacher, read_teacher, start_as
+from deitalk.training.curve_losses import (
+    CurveLoss,
+    Teacher,
+    read_teacher,
+    start_as,
+    turn_to_the_past,
+)
 from deitalk.training.trainer import Progress, Task, new_optimizer, run_training, silent
 from rig import ControlSet
 
@@ -120,7 +124,6 @@ class CurveTask(Task[Window]):
     ) -> None:
         self.config, self.start_from = config, start_from
         self.frozen_features = frozen_features
-        self.taught: list[list[Clip]] = []
         self.encoded: EncodedPasses | None = None
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
@@ -154,25 +157,12 @@ class CurveTask(Task[Window]):
         self._loss = CurveLoss(config.loss, controls, device, taught)
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
-        if teacher is not None and config.data.taught_passes:
-            self._teach(teacher)
         if config.data.encoded_passes:
             self.encoded = self._encode()
 
     def read(self, out: Path) -> None:
-        """Remember where recordings that the teacher animates are kept."""
+        """Remember where features of recordings are kept."""
         self.out = out
-
-    def _teach(self, teacher: DEITalk) -> None:
-        """Have the teacher animate every recording; the spectral layers no longer learn."""
-        student = self.model.frontend
-        assert isinstance(student, CausalMelFrontend)
-        student.spectral.requires_grad_(False).eval()
-        seed, data = self.config.train.seed, self.config.data
-        self.taught = [one_clip_each(self.clips, k) for k in range(data.taught_passes)]
-        for k, clips in enumerate(self.taught):
-            folder = self.out / "taught" / str(k)
-            write_pass(folder, clips, teacher, student, data, (seed, k))
 
     def _encode(self) -> EncodedPasses:
         """Encode every recording of the training clips several times."""
@@ -193,15 +183,11 @@ class CurveTask(Task[Window]):
         return count_windows(self.clips, self.config.data)
 
     def optimizer(self) -> torch.optim.Optimizer:
-        """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`.
-
-        A causal decoder has much to learn, and does not.
-        """
+        """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`."""
         settings = self.config.train
 
         def factor(name: str) -> float:
             is_started = settings.teacher is not None and not name.startswith("frontend.")
-            is_started = is_started and not self.taught
             return 1 / STARTED_SLOWER if is_started else 1
 
         return new_optimizer(self.model, settings, factor)
@@ -209,16 +195,6 @@ class CurveTask(Task[Window]):
     def batches(self, share: Share) -> SeededBatches[Window]:
         """Windows of the training clips."""
         settings = self.config.train
-        if self.taught:
-            return TaughtBatches(
-                self.out / "taught",
-                self.taught,
-                self.config.data,
-                cast("CausalMelFrontend", self.model.frontend),
-                settings.seed,
-                settings.batch_size,
-                share,
-            )
         return WindowBatches(
             self.clips,
             self.controls,
@@ -240,8 +216,6 @@ class CurveTask(Task[Window]):
         self.model.train()
         if self.config.train.frozen_frontend is not None or self.encoded is not None:
             self.model.get_submodule("frontend").eval()
-        if self.taught:
-            self.model.get_submodule("frontend.spectral").eval()
 
     def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
         """Scores of `ValidationSet`, and the clips that are drawn."""
@@ -255,13 +229,16 @@ class CurveTask(Task[Window]):
 
 
 def _copy_weights(model: DEITalk, folder: Path) -> None:
+    start = require_model(folder, DEITalk)
     try:
-        model.load_state_dict(require_model(folder, DEITalk).state_dict())
+        model.load_state_dict(start.state_dict())
     except RuntimeError:
         raise ConfigError(
             f"{folder}: its weights do not fit the configuration's model; begin with "
             f"{folder / 'config.yaml'}"
         ) from None
+    if model.is_causal and not start.is_causal:
+        turn_to_the_past(model.decoder)
 
 
 def shown_examples(clips: Sequence[Clip], controls: ControlSet) -> dict[str, Example]:

@@ -2,14 +2,6 @@
 
 from result_tables.common import SOURCES, Group, report, short, table
 
-VARIANTS = {
-    "full": "full",
-    "no_dei": "without dynamic intensity (DEI)",
-    "no_dpe": "without positional encoding (DPE)",
-    "no_velocity": "without velocity loss",
-    "no_classification": "without classification loss",
-}
-
 METRICS = {
     "lpe": ("LPE / 1000", 1000, 1),
     "epe": ("EPE / 1000", 1000, 2),
@@ -30,30 +22,14 @@ SYSTEMS = {
 }
 
 
-def ablations() -> str:
-    """Networks without parts of DEITalk, alone and with the rules after them."""
-    alone = _variants("ablations", VARIANTS, "network", "the network alone")
-    ruled = _variants("ablations", VARIANTS, "groups", "with the rules")
-    return "\n".join((*alone, *ruled))
-
-
 def comparison() -> str:
-    """DEITalk beside other networks, alone (DEITalk Table 1)."""
-    return "\n".join(_variants("comparison", SYSTEMS, "network", "the network alone"))
-
-
-def _variants(name: str, variants: dict[str, str], prediction: str, title: str) -> list[str]:
-    """A table of each source of a report of `deitalk ablate`: variants down, scores across."""
-    found, heads = report(name), [head for head, _, _ in METRICS.values()]
-    parts = []
-    for source, text in SOURCES.items():
-        rows = [
-            [shown, *(spread(found[variant][prediction][source], m) for m in METRICS)]
-            for variant, shown in variants.items()
-            if variant in found
-        ]
-        parts.append(table([[f"{text}, {title}", *heads], *rows]))
-    return parts
+    """DEITalk beside other networks, without the rules after them (DEITalk Table 1)."""
+    found = report("comparison")
+    rows = [
+        [shown, *(spread(found[system]["network"]["librispeech"], m) for m in METRICS)]
+        for system, shown in SYSTEMS.items()
+    ]
+    return table([["LibriSpeech", *(head for head, _, _ in METRICS.values())], *rows])
 
 
 def spread(
@@ -93,18 +69,3 @@ def ablation_changes() -> str:
             ]
             rows.append([f"{part}: {title}", paper.get(metric, "–"), *change])
     return table([["without", "the paper", *SOURCES.values()], *rows])
-
-
-def comparison_factors() -> str:
-    """Means of the other networks as multiples of DEITalk's."""
-    found, (ours, *others) = report("comparison"), SYSTEMS
-    rows = []
-    for system in others:
-        for metric in ("lpe", "epe", "jerk_per_speed"):
-            means = [
-                [found[s]["network"][source][metric]["mean"] for s in (system, ours)]
-                for source in SOURCES
-            ]
-            times = [short(a / b, 2) for a, b in means]
-            rows.append([f"{SYSTEMS[system]}: {CHANGES[metric]}", *times])
-    return table([["times DEITalk's", *SOURCES.values()], *rows])

@@ -32,14 +32,12 @@ def _one(name: str) -> Cell:
 SCORES: dict[str, Cell] = {
     "bilabials found": _both("bilabial_hits_at_5_percent"),
     "bilabial AUC, windows": _both("bilabial_window_auc"),
-    "bilabial AUC, frames": _both("bilabial_frame_auc"),
     "AUC of loudness alone, windows": _one("loudness_bilabial_window_auc"),
     "found closures held at .9 for two frames": _both("found_bilabials_held_at_0.9", 2),
     "frames with shut lips on sounds other than p b m f v": _percent("shut_on_other_sounds"),
     "jaw r against the tables (loudness alone)": lambda a, b: (
         f"{short(a['jaw_r'])} ({short(a['loudness_jaw_r'])})"
     ),
-    "mean r of twelve articulation channels": _both("articulation_r"),
     "jaw lag": lambda a, b: f"{a['jaw_lag_ms']:.0f} ms",
     "mouth opening in silence (times of the phones) against speech": _percent("opening_in_silence"),
     "LPE over `lip`": _both("lpe"),
@@ -47,10 +45,10 @@ SCORES: dict[str, Cell] = {
 }
 
 CONTOURS: dict[str, str] = {
-    "contour along which level, treble, pitch and speed were modified: predicted": "intensity_rho",
-    "... the network alone": "network_rho",
-    "... prosody index alone": "index_rho",
-    "... level alone": "level_rho",
+    "predicted": "intensity_rho",
+    "the network alone": "network_rho",
+    "prosody index alone": "index_rho",
+    "level alone": "level_rho",
 }
 
 
@@ -69,16 +67,9 @@ def intensity() -> str:
     """How the predicted intensity follows a voice, beside what is simpler."""
     heads = [title for title, _, _ in COLUMNS]
     contours = [report(name)["contours"][group] for _, name, group in COLUMNS]
-    labels = [report(name)["groups"][group] for _, name, group in COLUMNS]
     rows = [[t, *(short(c[key], 2) for c in contours)] for t, key in CONTOURS.items()]
     above = [f"{short(c['above_level'], 2)} ± {short(c['above_level_error'], 2)}" for c in contours]
-    rows.append(["... predicted less level, with its standard error", *above])
-    for title, key in (
-        ("label of the corpus: predicted (all recordings)", "intensity_rho"),
-        ("... the network alone", "network_rho"),
-        ("... prosody index alone", "index_rho"),
-    ):
-        rows.append([title, *(short(group[key], 2) for group in labels)])
+    rows.append(["predicted less level, with its standard error", *above])
     return table([["", *heads], *rows])
 
 
@@ -128,7 +119,7 @@ def styles() -> str:
     ]
     rows += [
         [
-            f"{emotion}: range of the lips / the neutral one, intensity 1 (predicted intensity)",
+            f"{emotion}: range of the lips over the neutral one",
             *(
                 f"{short(x['range_strong'], 2)} ({short(x['range'], 2)})"
                 for x in (wide[g]["styles"][emotion] for g in groups)
@@ -145,7 +136,6 @@ LIVE: dict[str, tuple[str, int]] = {
     "found closures held at .9 for two frames": ("found_bilabials_held_at_0.9", 2),
     "shut on other sounds": ("shut_on_other_sounds", 3),
     "jaw r against the tables": ("jaw_r", 3),
-    "mean r of twelve articulation channels": ("articulation_r", 3),
 }
 """Scores of `live` beside `default`, and their digits."""
 
@@ -163,26 +153,19 @@ def live() -> str:
     speech = table([["`live` / `default`", *(SOURCES[name] for name in groups)], *rows])
     found = report("live-lips"), report("default-lips")
     people = [
-        [
-            text,
-            *(
-                " / ".join(short(r["animated"]["mean"][f"{m} {key}"], 2) for r in found)
-                for m in MEASURES
-            ),
-        ]
-        for text, key in (("r", "r"), ("range over the measured one", "range"))
+        " / ".join(short(r["animated"]["mean"][f"{m} r"], 2) for r in found) for m in MEASURES
     ]
-    return speech + "\n" + table([["lips of people", *MEASURES.values()], *people])
+    return speech + "\n" + table([["lips of people", *MEASURES.values()], ["r", *people]])
 
 
 def words() -> str:
-    """Lips of people on words whose lips were taught, and on words whose were not."""
+    """Lips of people on words with measured lips in the training, and on other words."""
     rows = []
     for text, names in {
         "before measured lips": ("before-on-0", "before-on-1"),
-        "taught all words": ("all-on-0", "all-on-1"),
-        "taught the half that is scored": ("0-on-0", "1-on-1"),
-        "taught the other half": ("1-on-0", "0-on-1"),
+        "trained on all words": ("all-on-0", "all-on-1"),
+        "trained on the half that is scored": ("0-on-0", "1-on-1"),
+        "trained on the other half": ("1-on-0", "0-on-1"),
     }.items():
         means = [report(f"words-{name}")["network"]["mean"] for name in names]
         rows.append([text, *(" / ".join(short(m[f"{x} r"], 2) for m in means) for x in MEASURES)])

@@ -1,7 +1,7 @@
 """Tables of docs/finetuning.md."""
 
 from result_tables.commands import LIP_SPEAKERS
-from result_tables.common import MEASURES, Group, report, short, table
+from result_tables.common import Group, report, short, table
 
 FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
 """Scores of a fine-tuning on what it never saw."""
@@ -10,34 +10,23 @@ FACEGOOD_JAW = "mouth_stretch_c"
 
 
 def facegood() -> str:
-    """A rig of its own, each take left out in turn; then the error of every fold."""
+    """A rig of its own, each take left out in turn."""
     named, one = report("facegood"), report("facegood-one")
     systems = {"tuned, hands named": named["mean"]["after"], "one actor": one["mean"]["after"]}
     rs = [short(found["controls"][FACEGOOD_JAW]["after_r"]) for found in (named, one)]
     jaw = [f"r of `{FACEGOOD_JAW}`", *rs, "–", "–"]
-    means = [*_systems("mean of the folds", systems | _baselines(one["mean"])), jaw]
-    title = f"`{FOLDS[0]}`, from weights {named['base_sha256'][:8]}…"
-    errors = [
-        [name, *(_known(scores[FOLDS[0]]) for scores in found["folds"].values())]
-        for name, found in zip(systems, (named, one), strict=True)
-    ]
-    return f"{table(means)}\n{table([[title, *named['folds']], *errors])}"
+    title = f"mean of the folds, from weights {named['base_sha256'][:8]}…"
+    return table([*_systems(title, systems | _baselines(one["mean"])), jaw])
 
 
 def captured_lips() -> str:
-    """Measured lips as a rig, speakers left out; with the r of every measure."""
-    systems, rs = {}, []
+    """Measured lips as a rig, speakers left out."""
+    systems = {}
     for speaker in LIP_SPEAKERS:
         found = report(f"captured-lips-{speaker}")
         systems[f"{speaker}, tuned"] = found["scores"]["after"]
         systems[f"{speaker}, loudness"] = found["scores"]["loudness"]
-        rs.append([found["controls"][name]["after_r"] for name in MEASURES])
-    title = f"left out, from weights {found['base_sha256'][:8]}…"
-    rows = [
-        [f"r of the {name}", *(cell for r in values for cell in (short(r), "–"))]
-        for name, values in zip(MEASURES.values(), zip(*rs, strict=True), strict=True)
-    ]
-    return table([*_systems(title, systems), *rows])
+    return table(_systems(f"left out, from weights {found['base_sha256'][:8]}…", systems))
 
 
 def from_nothing() -> str:

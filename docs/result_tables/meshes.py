@@ -59,10 +59,6 @@ def mesh_ablations() -> str:
     return table([[title, *(head for head, _, _ in MESH_METRICS.values())], *rows])
 
 
-EMOTIONS_OF_PLACES = {
-    "corners": ("happy", "sad", "angry", "surprised"),
-    "brows": ("angry", "surprised", "sad", "happy"),
-}
 WHO = {"model": "mesh head", "curves": "the rig with the curves"}
 
 
@@ -100,46 +96,26 @@ def _share(found: Group, name: str) -> str:
     return f"{100 * found[f'{name}_closed']:.1f} %"
 
 
-def mesh_emotion() -> str:
-    """Rise of the corners and brows by emotion, at three intensities."""
-    expression = report("mesh-head-test")["expression"]
-    rows = [
-        [place, emotion]
-        + [" / ".join(short(mm, 1) for mm in expression[place][emotion][who]) for who in WHO]
-        for place, emotions in EMOTIONS_OF_PLACES.items()
-        for emotion in emotions
-    ]
-    return table([["", "", *WHO.values()], *rows])
+ATTENTION = {
+    "mel-attention": "`mel`",
+    "sdfa-attention": "`sdfa`",
+    "attention-centre": "trained alike with the path",
+    "attention-0": "without it",
+    "attention-1": "the same, another seed",
+    "attention-window": "and with `recurrence: window`",
+}
 
 
 def attention() -> str:
-    """How even the attention of the embedded models is."""
-    return _attention({f"{name}-attention": f"`{name}`" for name in ("default", "sdfa")})
-
-
-def attention_uncentred() -> str:
-    """The same without the path around the attention, and with windows of their own."""
-    return _attention(
-        {
-            "sdfa-attention": "the embedded `sdfa`",
-            "attention-centre": "trained alike with the path",
-            "attention-0": "without it",
-            "attention-1": "the same, another seed",
-            "attention-window": "and with `recurrence: window`",
-        }
-    )
-
-
-def _attention(reports: dict[str, str]) -> str:
+    """How even the attention is: embedded models, then without the path around the attention."""
     rows = []
-    for name, title in reports.items():
-        found = report(name)
-        kinds = [found["vowels"], found["plosives"]]
-        counts = ", ".join(str(kind["phones"]) for kind in kinds)
+    for name, title in ATTENTION.items():
+        kinds = [report(name)[kind] for kind in ("vowels", "plosives")]
         evenness = [short(kind["evenness"], 4) for kind in kinds]
         peaks = ", ".join(short(kind["peak"]) for kind in kinds)
-        rows.append([f"{title} ({counts})", *evenness, peaks])
-    heads = ["evenness (vowels, plosives)", "vowels", "plosives", "largest weight at either"]
+        rows.append([title, *evenness, peaks])
+    counts = ", ".join(f"{report(name)[kind]['phones']} {kind}" for kind in ("vowels", "plosives"))
+    heads = [f"evenness at {counts}", "vowels", "plosives", "largest weight at either"]
     return table([heads, *rows])
 
 
@@ -154,23 +130,3 @@ def retargeting() -> str:
     ]
     heads = ["mean error, mm", "moving vertices", "lips", "lips of the wide open jaw"]
     return table([heads, *rows])
-
-
-def gradients() -> str:
-    """Rounding of the round trip, and sizes of bases against their error (ICT)."""
-    found = report("retargeting")
-    *stored, polar = found["round_trip"]
-    trips = [[row["storage"], f"{row['of_head_size']:.0e}"] for row in stored]
-    trips.append(["polar (Newton) against SVD", f"{polar['polar_against_svd']:.0e}"])
-    bases = [
-        [
-            short(row["variance"], 4),
-            f"{row['stretch']} / {row['rotation']}",
-            f"{row['mobile_p99_mm']:.2f} / {row['mobile_max_mm']:.2f} mm",
-        ]
-        for row in found["bases"]
-    ]
-    title = f"round trip of {stored[0]['frames']} frames, share of the head's size"
-    heads = ["share of weighted variance", "sizes s / r", "unseen frames, most mobile tenth of "
-             "the vertices: p99 / max"]  # fmt: skip
-    return table([[title, "largest error"], *trips]) + "\n" + table([heads, *bases])

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-from result_tables.commands import GROUPS, PLACES
 from result_tables.common import report, short, table
 
 WEIGHTS = Path(__file__).parents[2] / "deitalk/models/weights"
@@ -67,18 +66,3 @@ def _numbers(path: Path) -> int:
                 count *= length
             total += count
     return total
-
-
-def commands() -> str:
-    """The command of each report."""
-    rows = [
-        [group, f"`{name}.json`", f"`{command}`"]
-        for group, found in GROUPS.items()
-        for name, command in found.items()
-    ]
-    return table([["group", "report", "command"], *rows])
-
-
-def places() -> str:
-    """What the words of the commands stand for."""
-    return table([["word", "stands for"], *([f"`{word}`", text] for word, text in PLACES.items())])

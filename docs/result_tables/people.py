@@ -1,6 +1,7 @@
 """Tables of what people's voices, heads and answers are compared with."""
 
 from result_tables.common import report, short, table
+from result_tables.curves import ACTED
 
 WORD_GROUPS = {
     "librispeech": "LibriSpeech",
@@ -94,13 +95,14 @@ def suggestion() -> str:
     return table([["", "cross-validation", "test"], *rows])
 
 
+ORDERED = ("anger and joy", "sadness")
+
+
 def vocal_strength() -> str:
     """Order of acted strengths by the voice's strength, level and pitch."""
     scores = report("vocal-strength")["scores"]
-    names = [n for n in scores["strength"] if not n.endswith("actors and emotions")]
-    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names[1:]]
-    level = [short(found[names[0]], 2) for found in scores.values()]
-    rows.append([f"readers: {names[0]}", level[0], "–", level[2]])
+    names = [f"{group}: {score}" for group in ORDERED for score in ACTED]
+    rows = [[name, *(short(found[name], 2) for found in scores.values())] for name in names]
     return table([["test speakers", *scores], *rows])
 
 
@@ -112,16 +114,20 @@ def phone_evidence() -> str:
     return table([heads, [f"{found['rows']}: the labelled one is the most probable", *cells]])
 
 
-DETECTORS = {"ours": "ours", "silero": "silero-vad", "webrtc": "WebRTC"}
+DETECTORS = {"ours": "deitalk", "silero": "silero-vad", "webrtc": "WebRTC"}
+CONDITIONS = ("clean", "noise 10 dB", "noise 0 dB", "music 10 dB", "music 0 dB")
 
 
 def voice_activity() -> str:
-    """Detectors of speech: balanced accuracy."""
+    """Balanced accuracy of speech detectors, and the time they take."""
     found = report("voice-activity")
-    pooled = {n: s for n, s in found["conditions"].items() if n.startswith("all conditions")}
+    levels = found["levels"]
     rows = [
-        [name, *(f"{100 * scores[d]['balanced accuracy']:.1f} %" for d in DETECTORS)]
-        for name, scores in (found["levels"] | pooled).items()
+        [name, *(f"{100 * levels[name][d]['balanced accuracy']:.1f} %" for d in DETECTORS)]
+        for name in CONDITIONS
     ]
+    rows.append(
+        ["CPU, ms per s", *(f"{levels['clean'][d]['CPU ms per s']:.1f}" for d in DETECTORS)]
+    )
     title = f"balanced accuracy, {found['clips']} clips, {found['seconds']:.0f} s"
     return table([[title, *DETECTORS.values()], *rows])

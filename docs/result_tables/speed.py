@@ -151,17 +151,8 @@ def table_4() -> str:
         size = both[0]["megabytes"][name]
         sizes += [f"{size['trained']:.1f} + {size['fixed']:.1f}", ""]
     rows.append(["MiB, trained + fixed", *sizes])
-    windows = [r["per_window"] for r in both]
-    extra = [
-        ["a network of DeepSpeech's size, VOCA's audio feature"]
-        + [f"{r['recogniser_ms']:.0f}" for r in both],
-        ["SDFA's audio feature, every window on its own"]
-        + [f"{found['windows_ms']:.0f}" for found in windows],
-        ["the same, times the shared evaluation"] + [f"{found['ratio']:.1f}" for found in windows],
-    ]
     main = table([[f"ms for {both[0]['frames']} frames", *heads], *rows])
-    more = table([["ms", "1 thread", "2 threads"], *extra])
-    return f"{main}\n{more}\n{_on('mesh-speed-1', 'mesh-speed-2')}"
+    return f"{main}\n{_on('mesh-speed-1', 'mesh-speed-2')}"
 
 
 def _known(value: float | None) -> str:

@@ -118,6 +118,7 @@ def write_curves(
     fps: float | None = None,
     digits: int | None = None,
     sound: Path | str = "",
+    seconds: float | None = None,
     start: float = 0.0,
     identity: int | str | None = None,
 ) -> WriteReport:
@@ -138,6 +139,9 @@ def write_curves(
         read again differs by at most half of the last one.
     sound : Path or str
         File of the speech, for formats that name it (Rhubarb's JSON and XML).
+    seconds : float, optional
+        Length of the speech, for formats that state it (Rhubarb's); by default that of the curves,
+        whose last frame may end up to a frame later.
     start : float
         Time of day of the first frame, seconds, for formats with time codes (Live Link Face, Unreal
         JSON).
@@ -159,7 +163,11 @@ def write_curves(
     path = Path(path)
     chosen = find_format(path, format, writable=True)
     assert chosen.write is not None
-    given: dict[str, object] = {"sound": os.path.abspath(sound) if sound else "", "start": start}
+    given: dict[str, object] = {
+        "sound": os.path.abspath(sound) if sound else "",
+        "seconds": seconds,
+        "start": start,
+    }
     if digits is not None:
         given["digits"] = checked_digits(digits, chosen)
     if identity is not None:

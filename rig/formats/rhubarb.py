@@ -5,9 +5,9 @@ Times are seconds with two decimals, as Rhubarb writes them.
 
 import itertools
 import json
-import wave
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rig.controls import ControlSet, default_controls
@@ -19,20 +19,20 @@ from rig.formats.curves_json import read_object
 from rig.limits import CUES_BYTES, SECONDS
 
 
-def _duration(curves: RigCurves, sound: str) -> float:
-    """Seconds of the sound where it can be read (the last frame may pass it); else the curves'."""
-    try:
-        with wave.open(sound) as file:
-            seconds = file.getnframes() / file.getframerate()
-    except (OSError, EOFError, wave.Error):
-        return curves.duration
-    return seconds if abs(seconds - curves.duration) < 1 / curves.fps else curves.duration
+def _heard(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
+    """Cues that begin within the sound, cut at its end, and its length; that of the curves if None.
+
+    The last frame may end after the sound.
+    """
+    end = curves.duration if seconds is None else seconds
+    return [replace(cue, end=min(cue.end, end)) for cue in cues(curves) if cue.start < end], end
 
 
-def write_tsv(path: Path, curves: RigCurves) -> None:
+def write_tsv(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
     """Write ``start<TAB>shape``; the last line is the end, with the mouth at rest."""
-    lines = [f"{cue.start:.2f}\t{cue.shape}\n" for cue in cues(curves)]
-    lines.append(f"{curves.duration:.2f}\tX\n")
+    heard, end = _heard(curves, seconds)
+    lines = [f"{cue.start:.2f}\t{cue.shape}\n" for cue in heard]
+    lines.append(f"{end:.2f}\tX\n")
     path.write_text("".join(lines), encoding="utf-8", newline="\n")
 
 
@@ -49,19 +49,18 @@ def read_tsv(path: Path, controls: ControlSet | None = None, fps: float | None =
     return _posed(path, [Cue(a, b, s) for (a, b), s in zip(pairs, shapes, strict=True)], fps)
 
 
-def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
-    """Write ``metadata`` with the path of the sound, and ``mouthCues``."""
-    seconds = _duration(curves, sound)
+def write_json(
+    path: Path, curves: RigCurves, sound: str = "", seconds: float | None = None
+) -> None:
+    """Write ``metadata`` with path and length of the sound, and ``mouthCues``."""
+    heard, end = _heard(curves, seconds)
     rows = [
-        f'    {{ "start": {cue.start:.2f}, "end": {min(cue.end, seconds):.2f}, '
-        f'"value": "{cue.shape}" }}'
-        for cue in cues(curves)
+        f'    {{ "start": {cue.start:.2f}, "end": {cue.end:.2f}, "value": "{cue.shape}" }}'
+        for cue in heard
     ]
     text = (
         f'{{\n  "metadata": {{\n    "soundFile": {json.dumps(sound)},\n'
-        f'    "duration": {seconds:.2f}\n  }},\n  "mouthCues": [\n'
-        + ",\n".join(rows)
-        + "\n  ]\n}\n"
+        f'    "duration": {end:.2f}\n  }},\n  "mouthCues": [\n' + ",\n".join(rows) + "\n  ]\n}\n"
     )
     path.write_text(text, encoding="utf-8", newline="\n")
 
@@ -83,20 +82,19 @@ def read_json_cues(
     return _posed(path, given, fps)
 
 
-def write_xml(path: Path, curves: RigCurves, sound: str = "") -> None:
-    """Write ``rhubarbResult`` with the path of the sound."""
+def write_xml(path: Path, curves: RigCurves, sound: str = "", seconds: float | None = None) -> None:
+    """Write ``rhubarbResult`` with path and length of the sound."""
     from xml.sax.saxutils import escape  # imports a client of HTTP
 
-    seconds = _duration(curves, sound)
+    heard, end = _heard(curves, seconds)
     lines = [
-        f'    <mouthCue start="{cue.start:.2f}" end="{min(cue.end, seconds):.2f}">'
-        f"{cue.shape}</mouthCue>\n"
-        for cue in cues(curves)
+        f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
+        for cue in heard
     ]
     text = (
         '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
         f"    <soundFile>{escape(sound)}</soundFile>\n"
-        f"    <duration>{seconds:.2f}</duration>\n"
+        f"    <duration>{end:.2f}</duration>\n"
         "  </metadata>\n  <mouthCues>\n" + "".join(lines) + "  </mouthCues>\n</rhubarbResult>\n"
     )
     path.write_text(text, encoding="utf-8", newline="\n")

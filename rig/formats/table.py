@@ -55,7 +55,7 @@ class Format:
         A line on path and curves: what the writer adds, or an empty one.
     options : tuple of str
         Keywords that the writer takes: digits after the point, sound (the path that the file
-        names), start (time of day of the first frame, seconds).
+        names) and seconds (its length), start (time of day of the first frame, seconds), identity.
     """
 
     name: str
@@ -205,7 +205,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_json_cues,
         rhubarb.write_json,
         DEFAULT_ID,
-        options=("sound",),
+        options=("sound", "seconds"),
     ),
     Format(
         "rhubarb-tsv",
@@ -214,6 +214,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_tsv,
         rhubarb.write_tsv,
         DEFAULT_ID,
+        options=("seconds",),
     ),
     Format(
         "rhubarb-xml",
@@ -222,7 +223,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_xml,
         rhubarb.write_xml,
         DEFAULT_ID,
-        options=("sound",),
+        options=("sound", "seconds"),
     ),
     Format(
         "glb",

@@ -97,6 +97,14 @@ def test_raw_body_and_form_give_the_same(client):
     assert form.json() == raw.json()
 
 
+def test_cues_end_with_the_sound(client):
+    """1.01 s are 31 frames, of 1.03 s."""
+    answer = post(
+        client, files={"recording": ("a.wav", wav(1.01))}, data={"format": "rhubarb-json"}
+    )
+    assert answer.json()["metadata"] == {"soundFile": "", "duration": 1.01}
+
+
 @pytest.mark.parametrize("name", sorted(set(ANIMATION_FORMATS) - {"usd"}))
 def test_every_format_is_answered_and_not_empty(client, name):
     if name == "page":

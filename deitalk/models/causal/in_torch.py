@@ -9,9 +9,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from deitalk.audio.log_mel import N_FFT
 from deitalk.config import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.frontends.causal_mel import CausalMelFrontend, CausalState
+from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.causal.network import NetworkRows, SpectraGrid, State
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
@@ -96,7 +97,7 @@ class TorchNetwork:
 def grid_of(model: DEITalk) -> SpectraGrid:
     """Where the spectra of a causal model lie."""
     frontend = causal_frontend(model)
-    return SpectraGrid(frontend.config.frame_spectra, frontend.mel.length, frontend.delay)
+    return SpectraGrid(frontend.spectra, N_FFT, frontend.delay)
 
 
 def first_state(model: DEITalk, batch: int) -> TensorState:
@@ -108,9 +109,9 @@ def first_state(model: DEITalk, batch: int) -> TensorState:
     return TensorState(frontend, saliency, neutral, emotional)
 
 
-def causal_frontend(model: DEITalk) -> CausalMelFrontend:
+def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
     """The model's frontend, which is causal."""
-    assert isinstance(model.frontend, CausalMelFrontend)
+    assert isinstance(model.frontend, CausalWhisperFrontend)
     return model.frontend
 
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from deitalk.models.causal.in_torch import TensorState, advance, causal_frontend, first_state
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.mel_graph import ProductMel
+from deitalk.models.onnx.whisper_graph import ProductMel
 
 OUTPUTS = ("curves", "neutral", "saliency", "intensity")
 

@@ -14,8 +14,6 @@ from deitalk.models.network import Reading, Tracks, is_neutral, styles_of
 from deitalk.models.onnx.network import OnnxFile, damaged
 from rig.arrays import Float32
 
-FRONTEND = 4
-"""States of the frontend, the first ones: the groups before the first frame change no other."""
 PROGRESS_FRAMES = 300
 
 
@@ -38,6 +36,7 @@ class OnnxCausalNetwork:
         try:
             self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
             states = json.loads(self.metadata["state"])
+            self._frontend = int(self.metadata["frontend_states"])
             self._names = [str(state["name"]) for state in states]
             self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
         except (KeyError, TypeError, ValueError):
@@ -48,11 +47,11 @@ class OnnxCausalNetwork:
         return tuple(np.repeat(first[None], batch, axis=0) for first in self._first)
 
     def begin(self, windows: Float32, state: State) -> State:
-        """Read the first groups."""
+        """Read the first groups, which change the states of the frontend, the first ones, alone."""
         groups = windows.shape[1] // self.grid.spectra
         shape = len(windows), groups, 5 + len(self.actors)
         _, after = self.advance(windows, np.zeros(shape, np.float32), state)
-        return (*after[:FRONTEND], *state[FRONTEND:])
+        return (*after[: self._frontend], *state[self._frontend :])
 
     def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
         """Read the next frames."""

@@ -12,6 +12,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
+from deitalk.frontends.causal_whisper import CausalState
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.installed import __version__
 from deitalk.models.causal.in_torch import grid_of
@@ -19,7 +20,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.causal_graph import OUTPUTS, CausalGraph, first_states
 from deitalk.models.onnx.graph import CurveGraph, GraphOutput
 from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
-from deitalk.models.onnx.whisper_graph import WHOLE, parts_of
+from deitalk.models.onnx.whisper_graph import parts_of
 from rig.files import atomic_write
 
 OPSET = 17
@@ -108,9 +109,12 @@ def _trace(graph: CurveGraph, path: Path) -> dict[str, str]:
     axes |= {name: {0: "T"} for name in GraphOutput._fields}
     names, texts = list(inputs), {}
     if isinstance(model.frontend, WhisperFrontend):
-        example, names = (*example, torch.tensor(WHOLE)), [*names, "peak"]
+        example, names = (*example, torch.tensor(0.0)), [*names, "peak"]
         around = model.decoder.margin + (model.config.saliency_frames or 0) // 2
-        parts = parts_of(around)._asdict() | {"n_mels": model.frontend.config.n_mels}
+        parts = parts_of(around)._asdict() | {
+            "n_mels": model.frontend.config.n_mels,
+            "mel_rate": model.frontend.mel.rate,
+        }
         texts = {"parts": json.dumps(parts)}
     _export(graph, example, path, names, list(GraphOutput._fields), axes)
     return texts
@@ -134,6 +138,7 @@ def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
         for name, first in states.items()
     ]
     texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
+    texts["frontend_states"] = str(len(CausalState._fields))
     return texts | {"schema": CAUSAL_SCHEMA}
 
 

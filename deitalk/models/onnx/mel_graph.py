@@ -59,23 +59,3 @@ class MelGraph(nn.Module):
         frames = frames.transpose(0, 1).reshape(self.phases, -1, self.length)[:, :n_spectra]
         power = (frames @ self.transform).square() @ self.filters
         return ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)
-
-
-class ProductMel(MelSpectrogram):
-    """`MelSpectrogram` whose power is a product of matrices."""
-
-    transform: Tensor
-    summed: Tensor
-
-    @classmethod
-    def of(cls, mel: MelSpectrogram) -> "ProductMel":
-        """The same spectrogram."""
-        found = cls(mel.length / SAMPLE_RATE, mel.frame_rate, mel.filters.shape[1], len(mel.tapers))
-        transform, summed = fourier_products(mel)
-        found.register_buffer("transform", transform)
-        found.register_buffer("summed", summed)
-        return found
-
-    def power(self, windows: Tensor) -> Tensor:
-        """Mel power (B, L, F) of windows (B, L, window) of samples."""
-        return (windows @ self.transform).square() @ self.summed

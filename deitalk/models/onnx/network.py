@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.log_mel import SILENCE, loudest
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.log_mel import loudest
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import parse_controls
 from deitalk.errors import CheckpointError, MissingError
@@ -89,7 +89,7 @@ class OnnxNetwork:
         self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
         try:
             parts = json.loads(self.metadata.get("parts", "{}"))
-            self._n_mels: int | None = parts.get("n_mels")
+            self._mel = parts.get("n_mels"), parts.get("mel_rate")
             self._part: int = parts.get("frames", PART_FRAMES)
             self._before: int = parts.get("before", CONTEXT_FRAMES)
             self._after: int = parts.get("after", CONTEXT_FRAMES)
@@ -108,7 +108,7 @@ class OnnxNetwork:
         total = len(weights)
         styles = styles_of(weights, self.actors, actor)
         place = np.arange(total, dtype=np.float32) / np.float32(total)
-        known = self._known(sound, total, gain)
+        known = self._known(sound, gain)
         parts = []
         for start in range(0, total, self._part):
             stop = min(start + self._part, total)
@@ -126,13 +126,13 @@ class OnnxNetwork:
         emotional = neutral if is_neutral(weights) else curves
         return Reading(neutral, emotional, Tracks(saliency, strength))
 
-    def _known(self, sound: Float32, n_frames: int, gain: float) -> dict[str, Float32]:
+    def _known(self, sound: Float32, gain: float) -> dict[str, Float32]:
         """What a part must know of the whole recording: of a Whisper frontend, its peak."""
-        if self._n_mels is None:
+        n_mels, rate = self._mel
+        if n_mels is None:
             return {}
-        peak = math.log10(SILENCE)
-        if n_frames > self._part:
-            peak = loudest(sound, self._n_mels) + 2 * math.log10(gain)
+        n_frames = frame_count(len(sound)) * rate // FRAME_RATE
+        peak = loudest(sound, n_mels, n_frames, rate) + 2 * math.log10(gain)
         return {"peak": np.array(peak, np.float32)}
 
 

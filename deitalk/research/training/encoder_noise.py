@@ -1,16 +1,19 @@
-r"""Tuning of the first layers of a Whisper encoder to noise, without labels.
+r"""Tuning of the first layers of a Whisper encoder to 30 Hz, to noise and to a voice that goes on.
 
-The encoder is given speech in noise and rooms and learns to give the states that the published
-weights give for the same speech without them (feature distillation, as `train.teacher` does for a
-whole model): what is trained on the clean states hears the noisy ones better::
+The encoder is given speech in noise and rooms at the rig's rate and learns to give the states that
+the published weights give for the same speech without them (feature distillation, as
+`train.teacher` does for a whole model)::
 
     python -m deitalk.research.training.encoder_noise SPEECH --checkpoint WHISPER --noise NOISE \
         --rooms ROOMS -o encoder.safetensors
 
-SPEECH holds recordings as for ``deitalk corpus build``; only training speakers are used. Not in the
-papers.
+A part of every batch is read with a bounded past and look-ahead, as a stream would be, so that one
+set of weights serves both.
 
-B batch, S samples, K features, D width.
+SPEECH are folders of recordings as for ``deitalk corpus build``; only training speakers are used.
+Not in the papers.
+
+B batch, S samples, K features at 50 Hz, T rig frames, D width.
 """
 
 import argparse
@@ -25,25 +28,31 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import WhisperConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.errors import DeitalkError
+from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
 from deitalk.frontends.strided import LARGEST
-from deitalk.frontends.whisper import WhisperEncoder, WhisperFrontend
+from deitalk.frontends.whisper import WhisperFrontend, encoder_weights, scaled
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from rig.arrays import Float32
 from rig.files import atomic_write, new_file
 
-WINDOW_SECONDS = 4.0
-BATCH = 8
+WINDOW_FRAMES = 120
+"""Rig frames of a window: 4 s."""
+BATCH = 10
 CLEAN_SHARE = 0.2
 """Windows that stay clean, so that their states do."""
-RATE = 1.5e-4
+RATE = 2e-4
 WARM_STEPS = 50
+CAUSAL_ROWS = 4
+"""Of a batch; the others are read whole."""
+CAUSAL_GAIN_DB = 4.0
+"""A running level differs from that of the recording by up to this."""
 MOTION_WEIGHT = 2.0
 """Of the distance between neighbouring features: speaker and room change slowly, lips fast."""
 AVERAGE = 0.995
@@ -53,7 +62,7 @@ REPORT_STEPS = 50
 
 
 class EncoderNoise:
-    """The published encoder, its student, and the scale of each state.
+    """The published encoder, its student at 30 Hz, and the scale of each state.
 
     Parameters
     ----------
@@ -70,13 +79,13 @@ class EncoderNoise:
     ) -> None:
         self.config, self.sounds, self.surroundings = config, sounds, surroundings
         self.seed = seed
-        teacher = WhisperFrontend.build(config).eval()
-        self.mel, self.teacher = teacher.mel, teacher.encoder
-        self.student = WhisperFrontend.build(config).encoder.requires_grad_(True)
-        self.student.embed_positions.requires_grad_(False)
-        batches = [
-            self.states(self.teacher, self.batch(-1 - k)[0]) for k in range(STATISTICS_BATCHES)
-        ]
+        published = config.model_copy(update={"rate": 50})
+        self.teacher = WhisperFrontend.build(published).eval()
+        self.student = WhisperFrontend.build(config)
+        self.student.encoder.requires_grad_(True)
+        after = torch.arange(WINDOW_FRAMES) - torch.arange(WINDOW_FRAMES).unsqueeze(1)
+        self.mask = (after <= LOOKAHEAD_FRAMES) & (after >= -PAST_FRAMES)
+        batches = [self.wanted(self.batch(-1 - k)[0]) for k in range(STATISTICS_BATCHES)]
         every = torch.cat([states.flatten(0, 1) for states in batches])  # (N, L, D)
         self.mean, self.scale = every.mean(dim=0), every.std(dim=0) + 1e-5
 
@@ -88,7 +97,7 @@ class EncoderNoise:
         return clean, noisy
 
     def _window(self, rng: np.random.Generator) -> tuple[Float32, Float32]:
-        length = int(WINDOW_SECONDS * SAMPLE_RATE)
+        length = WINDOW_FRAMES * SAMPLE_RATE // FRAME_RATE
         sound = _sound(self.sounds[int(rng.integers(len(self.sounds)))])
         start = int(rng.integers(max(len(sound) - length, 0) + 1))
         speed = speed_factor(rng)
@@ -100,10 +109,34 @@ class EncoderNoise:
         voices = [_sound(self.sounds[int(k)]) for k in rng.integers(len(self.sounds), size=4)]
         return clean, augment(clean, rng, self.surroundings, voices if rng.random() < 0.3 else ())
 
-    def states(self, encoder: WhisperEncoder, sound: Tensor) -> Tensor:
-        """States of the layers [shape=(B, K, L, D)] of windows (B, S)."""
-        given = encoder(self.mel(sound))
-        return torch.stack([given[place] for place in self.config.layers], dim=2)
+    @torch.no_grad()
+    def wanted(self, sound: Tensor) -> Tensor:
+        """States of the published layers at rig frames [shape=(B, T, L, D)] of windows (B, S)."""
+        frontend = self.teacher
+        states = frontend.encoder(frontend.mel(sound, frontend.count(sound.shape[1]) * 2))
+        rows = [
+            frontend.rows(states[k], 0, WINDOW_FRAMES, first_sample=0) for k in self.config.layers
+        ]
+        return torch.stack(rows, dim=2)
+
+    def given(self, sound: Tensor, number: int) -> Tensor:
+        """States of the student's layers [shape=(B, T, L, D)]; the first rows are read causally."""
+        rng = np.random.default_rng((self.seed, number + 1_000_000, 1))
+        mel, encoder = self.student.mel, self.student.encoder
+        decades = mel.decades(mel.windows(sound, 3 * WINDOW_FRAMES))
+        gains = rng.uniform(-CAUSAL_GAIN_DB, CAUSAL_GAIN_DB, (CAUSAL_ROWS, 1, 1)) / 10
+        causal = decades[:CAUSAL_ROWS] + torch.from_numpy(gains).float()
+        whole = decades[CAUSAL_ROWS:]
+        first = torch.from_numpy(rng.integers(PERIOD, size=(CAUSAL_ROWS, 1)))
+        halves = (
+            encoder(
+                scaled(causal, PEAK), self.mask, (first + torch.arange(WINDOW_FRAMES)) % PERIOD
+            ),
+            encoder(scaled(whole, whole.amax(dim=(1, 2), keepdim=True))),
+        )
+        return torch.stack(
+            [torch.cat([half[k] for half in halves]) for k in self.config.layers], dim=2
+        )
 
     def scaled(self, states: Tensor) -> Tensor:
         """States with the mean and deviation of speech, limited as in the frontend."""
@@ -112,9 +145,8 @@ class EncoderNoise:
     def loss(self, number: int) -> Tensor:
         """Squared distance of the noisy states and the clean ones, and of their motion."""
         clean, noisy = self.batch(number)
-        with torch.no_grad():
-            wanted = self.scaled(self.states(self.teacher, clean))
-        given = self.scaled(self.states(self.student, noisy))
+        wanted = self.scaled(self.wanted(clean))
+        given = self.scaled(self.given(noisy, number))
         moved = (given.diff(dim=1) - wanted.diff(dim=1)).square().mean()
         return (given - wanted).square().mean() + MOTION_WEIGHT * moved
 
@@ -137,9 +169,10 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
     steps : int
         The rate rises over `WARM_STEPS` and falls as a cosine to 0.
     """
-    weights = [p for p in task.student.parameters() if p.requires_grad]
+    encoder = task.student.encoder
+    weights = list(encoder.parameters())
     optimizer = torch.optim.AdamW(weights, lr=RATE, weight_decay=0.01)
-    average = {name: value.clone() for name, value in task.student.state_dict().items()}
+    average = {name: value.clone() for name, value in encoder.state_dict().items()}
     losses: list[float] = []
     for step in range(steps):
         rate = min((step + 1) / WARM_STEPS, 1) * (1 + np.cos(np.pi * step / steps)) / 2
@@ -150,7 +183,7 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
         torch.nn.utils.clip_grad_norm_(weights, 1.0)
         optimizer.step()
         share = min(AVERAGE, (step + 1) / (step + 10))
-        for name, value in task.student.state_dict().items():
+        for name, value in encoder.state_dict().items():
             average[name].lerp_(value, 1 - share)
         losses.append(loss.item())
         if (step + 1) % REPORT_STEPS == 0 or step + 1 == steps:
@@ -162,8 +195,9 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.encoder_noise")
-    parser.add_argument("speech", type=Path, help="folder of recordings")
+    parser.add_argument("speech", type=Path, nargs="+", help="folders of recordings")
     parser.add_argument("--checkpoint", required=True, help="Whisper's weights: hub name or folder")
+    parser.add_argument("--start", help="weights to begin with instead: hub name or folder")
     parser.add_argument("--noise", help="folder of recordings of noise")
     parser.add_argument("--rooms", help="folder of impulse responses")
     parser.add_argument("--layers", type=int, nargs="+", default=[2, 3])
@@ -174,9 +208,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     given = parser.parse_args(arguments)
     try:
-        paths = [r.path for r in recordings(given.speech) if split_of(r.speaker) == "train"]
+        every = [recording for folder in given.speech for recording in recordings(folder)]
+        paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
         config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
         task = EncoderNoise(config, paths, Surroundings.read(given.noise, given.rooms), given.seed)
+        if given.start:
+            wanted = task.student.encoder.state_dict()
+            task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))
         begun = time.monotonic()
         for step, loss in train(task, given.out, given.steps):
             seconds = time.monotonic() - begun

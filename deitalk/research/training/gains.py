@@ -2,10 +2,12 @@
 
 A regression moves less than people do, and may reach one opening of the mouth by another share of
 jaw and lips. ``python -m deitalk.research.training.gains MODEL jaw.ty=1.35 -o OUT`` multiplies the
-rows of the decoder's last layer; all curves at rest stay there.
+rows of the decoder's last layer; all curves at rest stay there. With ``--encoder-of`` the model is
+written without its encoder, which must be that of an embedded one.
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +18,7 @@ from deitalk.config import load_config
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import model_folder, read_about
+from deitalk.models.folder import EMBEDDED, ENCODER, model_folder, read_about
 
 
 @torch.no_grad()
@@ -38,12 +40,29 @@ def scale_controls(model: DEITalk, gains: Mapping[str, float]) -> None:
         layer.bias[places] = rest[places] + gain * (layer.bias[places] - rest[places])
 
 
+def share_encoder(folder: Path, owner: str) -> None:
+    """Replace a model's encoder by that of an embedded model, which is the same.
+
+    Raises
+    ------
+    ConfigError
+        If it is another one.
+    """
+    own, about = folder / ENCODER, read_about(folder)
+    if own.read_bytes() != (model_folder(owner) / ENCODER).read_bytes():
+        raise ConfigError(f"{own}: not the encoder of {owner}; leave --encoder-of out")
+    own.unlink()
+    text = json.dumps(about | {"encoder_of": owner}, indent=1) + "\n"
+    (folder / "model.json").write_text(text)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.gains")
     parser.add_argument("model", help="name or folder")
     parser.add_argument("gains", nargs="+", metavar="PART=GAIN")
     parser.add_argument("-o", "--out", type=Path, required=True, help="model folder")
+    parser.add_argument("--encoder-of", choices=EMBEDDED)
     given = parser.parse_args(arguments)
     try:
         gains = {part: float(gain) for part, _, gain in (g.partition("=") for g in given.gains)}
@@ -52,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         scale_controls(model, gains)
         summary = read_about(folder)["training"] | {"gains": gains}
         save_model(given.out, model, load_config(folder / "config.yaml"), summary, half=True)
+        if given.encoder_of:
+            share_encoder(given.out, given.encoder_of)
     except (DeitalkError, ValueError) as error:
         sys.exit(str(error))
 

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from deitalk.config import CausalMelConfig, Config, FinetuneConfig, load_config
+from deitalk.config import CausalWhisperConfig, Config, FinetuneConfig, load_config
 from deitalk.config.load import parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
@@ -84,7 +84,7 @@ def with_ranges(config: FinetuneConfig) -> FinetuneConfig:
 
     Not for voices that have not ended, nor from random weights, which are for comparison.
     """
-    is_causal = isinstance(config.model.frontend, CausalMelConfig)
+    is_causal = isinstance(config.model.frontend, CausalWhisperConfig)
     wanted = config.tune.ranges and config.tune.start == "base" and bool(config.model.actors)
     if not wanted or is_causal or is_same_rig(config):
         return config
@@ -155,7 +155,7 @@ def _with_kept_controls(
     if (
         not config.tune.keep
         or config.tune.part == "all"
-        or isinstance(base.frontend, CausalMelConfig)
+        or isinstance(base.frontend, CausalWhisperConfig)
     ):
         if base.kept_controls:
             raise ConfigError(

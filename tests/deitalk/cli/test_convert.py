@@ -5,9 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+import soundfile
 import typer
 from typer.testing import CliRunner
 
+from deitalk import animate
+from deitalk.cli import animate as animate_module
 from deitalk.cli import convert as convert_module
 from deitalk.cli import convert as validate_module
 from deitalk.cli import livelink as livelink_module
@@ -17,9 +20,11 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
 from rig.livelink import Receiver, make_protocol, osc, send
+from rig.livelink.sender import REST_REPEATS
 
 BOARD = default_controls()
 app = typer.Typer()
+app.command("animate")(getattr(animate_module, "animate", animate_module))
 app.command("convert")(getattr(convert_module, "convert", convert_module))
 app.command("validate")(getattr(validate_module, "validate", validate_module))
 app.add_typer(livelink_module.app, name="livelink")
@@ -185,6 +190,31 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "subtype"),
+    [("wav", "PCM_16"), ("wav", "FLOAT"), ("flac", "PCM_16"), ("ogg", "VORBIS")],
+)
+def test_duration_of_rhubarb_is_that_of_any_sound(tmp_path, suffix, subtype):
+    """1.01 s are 31 frames, of 1.03 s."""
+    speech, take = tmp_path / f"a.{suffix}", tmp_path / "take"
+    soundfile.write(speech, np.zeros(44_541), 44_100, subtype=subtype)
+    performance = animate(speech)
+    performance.save(tmp_path / "saved.rhubarb.json")
+    performance.save(take)
+    assert run("animate", speech, "-o", tmp_path / "animated.rhubarb.json").exit_code == 0
+    assert run("convert", take, tmp_path / "converted.rhubarb.json").exit_code == 0
+    for name in ("saved", "animated", "converted"):
+        text = json.loads((tmp_path / f"{name}.rhubarb.json").read_text())
+        assert text["metadata"]["duration"] == text["mouthCues"][-1]["end"] == 1.01, name
+
+
+def test_part_of_a_take_has_the_duration_of_the_part(curves_file, tmp_path):
+    soundfile.write(tmp_path / "audio.wav", np.zeros(16_000), 16_000)
+    out = tmp_path / "part.rhubarb.json"
+    assert run("convert", tmp_path, out, "--start", "0.2", "--end", "0.7").exit_code == 0
+    assert json.loads(out.read_text())["metadata"]["duration"] == 0.5
+
+
 @pytest.mark.parametrize("name", ["a.usda", "a.unreal.json", "a.txt"])
 def test_rig_that_a_format_cannot_hold_is_refused(curves_file, tmp_path, name):
     result = run("convert", curves_file, tmp_path / name, "--rig", "arkit")
@@ -228,6 +258,30 @@ def test_json_sends_the_given_rig(curves_file):
                     pass
             except BlockingIOError:
                 probe._socket.settimeout(1)
+
+
+def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
+    """Head in degrees and cm, a shift to the right negative; the last packets are at rest."""
+    values = np.tile(BOARD.rest, (2, 1)).astype(np.float32)
+    values[:, BOARD.index("CTRL_C_jaw.ty")] = 0.5
+    head = np.tile(np.array([25, 10, -5, 1, 2, 3], np.float32), (2, 1))
+    write_curves(tmp_path / "curves.json", RigCurves(values, BOARD.names, head=head))
+    with Receiver(port=0) as probe:
+        arguments = ["--protocol", "json", "--rig", "raw", "--port", probe.port]
+        assert run("livelink", "send", tmp_path, *arguments).exit_code == 0
+        packets = [json.loads(probe._socket.recv(65535)) for _ in range(2 + REST_REPEATS)]
+    first, rest = (
+        {p["Name"]: p["Value"] for p in packet["deitalk"]["Properties"]}
+        for packet in (packets[0], packets[-1])
+    )
+    assert len(first) == len(packets[0]["deitalk"]["Properties"]) == 251 + 9
+    assert first["CTRL_expressions_jawOpen"] == 0.5 and rest["CTRL_expressions_jawOpen"] == 0
+    turn = [first[f"Head{name}"] for name in ("Yaw", "Pitch", "Roll")]
+    shift = [first[f"HeadTranslation{axis}"] for axis in "XYZ"]
+    assert turn == [25, 10, -5] and shift == [3, -1, 2]
+    constants = ("MHFDSVersion", "DisableFaceOverride")
+    assert [first[name] for name in ("HeadControlSwitch", *constants)] == [1, 1, 1]
+    assert [rest[name] for name in ("HeadYaw", *constants)] == [0, 1, 1]
 
 
 def test_start_signal_arrives_as_osc(curves_file):

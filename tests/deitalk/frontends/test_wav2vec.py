@@ -125,7 +125,7 @@ def test_rows_are_exact_in_time():
     """Features that hold their own time in seconds give rows that hold theirs."""
     frontend = Wav2VecFrontend.from_config(TINY)
     seconds = (torch.arange(99, dtype=torch.float64) * 320 + 199.5) / 16000
-    rows = frontend._rows(seconds.view(1, -1, 1), 0, 60, first_sample=0)[0, :, 0]
+    rows = frontend.rows(seconds.view(1, -1, 1), 0, 60, first_sample=0)[0, :, 0]
     inside = torch.arange(1, 59)  # frame 0 is before the first feature, 59 before the last
     torch.testing.assert_close(rows[inside], inside.double() / 30, atol=1e-9, rtol=0)
     assert rows[0] == seconds[0]
@@ -134,11 +134,11 @@ def test_rows_are_exact_in_time():
 def test_rows_by_hand():
     frontend = Wav2VecFrontend.from_config(TINY)
     ramp = torch.arange(6, dtype=torch.float64).view(1, -1, 1)
-    rows = frontend._rows(ramp, 0, 5, first_sample=0)[0, :, 0]
+    rows = frontend.rows(ramp, 0, 5, first_sample=0)[0, :, 0]
     # (i * 533.33 - 199.5) / 320
     expected = [0, 1.0432291667, 2.7098958333, 4.3765625, 5]
     np.testing.assert_allclose(rows, expected, atol=1e-9)
-    later = frontend._rows(ramp, 3, 5, first_sample=640)[0, :, 0]
+    later = frontend.rows(ramp, 3, 5, first_sample=640)[0, :, 0]
     np.testing.assert_allclose(later, [2.3765625, 4.0432291667], atol=1e-9)
 
 

@@ -10,11 +10,13 @@ from deitalk.models.curve_model import DEITalk
 RATE = 16_000
 TINY = {
     "frontend": {
-        "kind": "causal_mel",
-        "conv_channels": (4, 4, 4),
-        "spec_hidden": 4,
-        "spectral_size": 16,
-        "time_hidden": 24,
+        "kind": "causal_whisper",
+        "checkpoint": None,
+        "n_mels": 16,
+        "width": 24,
+        "heads": 2,
+        "intermediate": 32,
+        "layers": (2, 3),
     },
     "positions": False,
     "saliency_frames": 31,

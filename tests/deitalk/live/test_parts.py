@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ
 from deitalk.config import Gates, VoiceIntensity
-from deitalk.frontends.causal_mel import USUAL_POWER, first_level, follow_level
 from deitalk.live.activity import AHEAD, RunningActivity
 from deitalk.live.intensity import Measures, RunningIntensity
 

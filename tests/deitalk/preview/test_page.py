@@ -101,6 +101,23 @@ def test_a_take_gets_a_page_and_no_video_unless_one_is_asked_for(tiny_player, tm
     assert list(tmp_path.rglob("*.mp4")) == []
 
 
+def test_animate_adds_a_page_alone_and_needs_no_encoder(tiny_player, tmp_path, monkeypatch):
+    import av
+    import soundfile
+    from typer.testing import CliRunner
+
+    from deitalk.cli import app
+
+    monkeypatch.setattr(av, "codecs_available", set())  # of a video
+    soundfile.write(tmp_path / "a.wav", np.zeros(8_000), 16_000)
+    command = ["animate", str(tmp_path / "a.wav"), "--preview", "-o", str(tmp_path / "take")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.exception
+    files = json.loads((tmp_path / "take/take.json").read_text())["files"]
+    assert [name for name in files if "preview" in name] == ["preview.html"]
+    assert [path.name for path in tmp_path.rglob("preview.*")] == ["preview.html"]
+
+
 def test_page_holds_the_take_and_the_recording(tiny_player, tmp_path):
     import soundfile
 

@@ -4,7 +4,6 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-import soundfile
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID
@@ -239,14 +238,25 @@ def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
     assert ElementTree.parse(tmp_path / "none.xml").getroot().findtext("metadata/soundFile") == ""
 
 
-def test_rhubarb_durations_are_of_the_sound(tmp_path):
-    """8.72 s are 262 frames, of 8.73 s."""
-    sound = tmp_path / "line.wav"
-    soundfile.write(sound, np.zeros(round(8.72 * 16_000)), 16_000)
-    names = default_controls().names
-    curves = RigCurves(np.zeros((262, len(names)), np.float32), names, fps=30.0)
-    for name in ("c.xml", "c.rhubarb.json"):
-        write_curves(tmp_path / name, curves, sound=sound)
+@pytest.mark.parametrize(("fps", "seconds"), [(None, 8.72), (60, 8.71), (None, 8.73), (None, None)])
+def test_rhubarb_files_end_with_the_sound(tmp_path, fps, seconds):
+    """8.71 and 8.72 s are 262 frames, of 8.73 s; lips that shut in the last one only are a cue."""
+    values = rest_curves(262).values.copy()
+    values[:-1, BOARD.index("CTRL_C_jaw.ty")] = 0.55
+    for name in BOARD.names:
+        values[-1, BOARD.index(name)] = (
+            1.0 if "lipsTogether" in name else BOARD.rest[BOARD.index(name)]
+        )
+    curves = RigCurves(values, BOARD.names, fps=30.0)
+    for name in ("c.xml", "c.rhubarb.json", "c.tsv"):
+        write_curves(tmp_path / name, curves, fps=fps, seconds=seconds)
+    end = seconds or 8.73
     root = ElementTree.parse(tmp_path / "c.xml").getroot()
-    assert root.findtext("metadata/duration") == "8.72"
-    assert json.loads((tmp_path / "c.rhubarb.json").read_text())["metadata"]["duration"] == 8.72
+    assert root.findtext("metadata/duration") == f"{end:.2f}"
+    data = json.loads((tmp_path / "c.rhubarb.json").read_text())
+    assert data["metadata"]["duration"] == end == data["mouthCues"][-1]["end"]
+    assert all(0 <= cue["start"] < cue["end"] for cue in data["mouthCues"])
+    assert [float(cue.get("end")) for cue in root.iter("mouthCue")] == [
+        cue["end"] for cue in data["mouthCues"]
+    ]
+    assert (tmp_path / "c.tsv").read_text().splitlines()[-1] == f"{end:.2f}\tX"

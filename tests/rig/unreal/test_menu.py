@@ -331,7 +331,7 @@ def test_damaged_settings_are_one_line(tmp_path, monkeypatch, text, message):
     assert call.read_settings(str(tmp_path / "absent.json"))["command"] == ["deitalk"]
 
 
-def test_page_lists_every_call_of_the_scripts_with_its_documentation():
+def test_page_lists_every_class_and_function_of_unreal_that_the_scripts_call():
     page = (SCRIPT.parents[2] / "docs" / "unreal-menu.md").read_text()
     used = set()
     for name in MODULES[:3]:

@@ -1,0 +1,198 @@
+"""Whisper's first layers on a voice that has not ended: bounded past, three frames of look-ahead.
+
+Not in the papers, whose encoders need the whole clip. The weights are those of
+`deitalk.frontends.whisper`, which were tuned to be read in this way too
+(`deitalk.research.training.encoder_noise`): a layer attends to `PAST_FRAMES` before a frame and
+`LOOKAHEAD_FRAMES` after it, positions begin anew after `PERIOD`, and in place of the loudest
+spectrum of the clip a fixed peak at a running level gives the floor. Keys and values of the past
+are kept, so that every frame is computed once. State is explicit: a clip in one piece and in any
+pieces gives the same features, to rounding.
+
+With three layers the features of frame t depend on the sound until 135 ms after it: on the spectra
+of three more frames, the last centred at 3 2/3 frames and reaching 12.5 ms further.
+
+Letters: B streams, W samples of a spectrum, P spectra of a rig frame, G frames of a call, F mel
+bins, L layers, D width.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.log_mel import SILENCE
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
+from deitalk.config import CausalWhisperConfig
+from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
+
+PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
+"""Rig frames around one that a layer attends to."""
+KEPT = PAST_FRAMES + LOOKAHEAD_FRAMES
+"""Frames whose keys and values a layer keeps between two calls."""
+PEAK = 1.0
+"""Logarithm to base 10 of the loudest mel power of speech at the normal level; .5 to 1.6."""
+PERIOD = 10 * FRAME_RATE
+"""Frames after which the positions of a stream begin anew."""
+STEM_SPECTRA = 2
+"""Spectra before a frame's own that the two convolutions need."""
+BLOCK_FRAMES = 256
+"""Rig frames of a clip that are encoded at once."""
+
+
+class CausalState(NamedTuple):
+    """What a stream keeps between two calls."""
+
+    level: Tensor
+    """Running level and its weight [shape=(B, 2)]."""
+    mel: Tensor
+    """Last spectra [shape=(B, F, STEM_SPECTRA)]."""
+    place: Tensor
+    """Frames so far [shape=(B, 1)]; less a multiple of `PERIOD` where they are many."""
+    rows: Tensor
+    """Input of each layer whose look-ahead is to come [shape=(B, L, LOOKAHEAD_FRAMES, D)]."""
+    keys: Tensor
+    """Of each layer's past [shape=(B, L, KEPT, D)]."""
+    values: Tensor
+    """Of each layer's past [shape=(B, L, KEPT, D)]."""
+
+
+class CausalWhisperFrontend(WhisperFrontend):
+    """Waveform to speech features at 30 Hz, from the past and a bounded look-ahead.
+
+    Parameters
+    ----------
+    config : CausalWhisperConfig
+
+    Attributes
+    ----------
+    output_size : int
+        Width D of a row.
+    delay : int
+        Frames that must come after a frame's own before its features are known.
+    """
+
+    def __init__(self, config: CausalWhisperConfig) -> None:
+        super().__init__(config)
+        self.delay = LOOKAHEAD_FRAMES * len(self.encoder.layers)
+
+    def first_state(self, batch: int) -> CausalState:
+        """State of streams before their first sample."""
+        weight, width = self.encoder.conv1.weight, self.output_size
+        silence = weight.new_full((batch, STEM_SPECTRA, self.config.n_mels), math.log10(SILENCE))
+        layers = batch, len(self.encoder.layers)
+        return CausalState(
+            first_level(batch, weight),
+            scaled(silence, PEAK),
+            weight.new_zeros(batch, 1),
+            weight.new_zeros(*layers, LOOKAHEAD_FRAMES, width),
+            weight.new_zeros(*layers, KEPT, width),
+            weight.new_zeros(*layers, KEPT, width),
+        )
+
+    def features(self, waveform: Tensor, context: Any = None) -> Tensor:
+        """Features (B, K, D) of (B, S)."""
+        return self._pieces(waveform, self.count(waveform.shape[1]))
+
+    def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
+        return self._pieces(waveform, n_frames)
+
+    @torch.no_grad()
+    def encode(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        chunk_seconds: float | None = None,
+        overlap_seconds: float | None = None,
+        progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
+    ) -> Tensor:
+        """Map a whole clip (S,) to (n_frames, D), block by block: memory does not grow.
+
+        As `StridedFrontend.encode`; there are no chunks, and `gain` changes only the first frames.
+        """
+        return self._pieces(waveform.unsqueeze(0) * gain, n_frames, progress)[0]
+
+    def advance(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
+        """Features (B, G, D) of the frames that are `delay` before the windows.
+
+        Parameters
+        ----------
+        windows : Tensor [shape=(B, G P, W)]
+            Samples of the spectra of whole frames, any level.
+        state : CausalState
+            From `first_state`, or from the call before.
+        """
+        mel, level = self._spectra(windows.to(state.mel.device), state)
+        x = F.gelu(F.conv1d(mel, self.encoder.conv1.weight, self.encoder.conv1.bias))
+        stem = self.encoder.conv2
+        x = F.gelu(F.conv1d(x, stem.weight, stem.bias, stride=self.spectra)).transpose(1, 2)
+        times = state.place + torch.arange(x.shape[1], device=x.device)
+        x = x + self.encoder.positions[(times % PERIOD).long()]
+        queries, kept = x, []
+        for k, layer in enumerate(self.encoder.layers):
+            assert isinstance(layer, Layer)
+            queries = torch.cat((state.rows[:, k], x), dim=1)
+            past = state.keys[:, k], state.values[:, k]
+            first = state.place - k * LOOKAHEAD_FRAMES
+            rows, queries = queries[:, x.shape[1] :], queries[:, : x.shape[1]]
+            x, keys, values = _attended(layer, queries, x, past, first)
+            kept.append((rows, keys, values))
+        depth = len(kept)
+        states = {depth - 1: queries, depth: x}
+        mixed = self.mixed({layer: states[layer].flatten(0, 1) for layer in self.layers})
+        place = state.place + x.shape[1]
+        place = torch.where(place >= 2 * PERIOD, place - PERIOD, place)
+        rows, keys, values = (torch.stack(part, dim=1) for part in zip(*kept, strict=True))
+        return mixed.view_as(x), CausalState(
+            level, mel[..., -STEM_SPECTRA:], place, rows, keys, values
+        )
+
+    def _spectra(self, windows: Tensor, state: CausalState) -> tuple[Tensor, Tensor]:
+        """Spectra at the running level after those that were kept (B, F, 2 + G P); the level."""
+        loud = windows.square().mean(dim=2).view(windows.shape[0], -1, self.spectra).mean(dim=2)
+        level, kept = follow_level(loud, state.level)
+        gain = (USUAL_POWER / level).sqrt().repeat_interleave(self.spectra, dim=1)
+        mel = scaled(self.mel.decades(windows * gain.unsqueeze(2)), PEAK)
+        return torch.cat((state.mel, mel), dim=2), kept
+
+    def _pieces(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Tensor:
+        """Features of clips from their beginning (B, n_frames, D)."""
+        state, parts = self.first_state(len(waveform)), []
+        total = n_frames + self.delay
+        for first in range(0, total, BLOCK_FRAMES):
+            count = min(BLOCK_FRAMES, total - first)
+            windows = self.mel.windows(waveform, count * self.spectra, first * self.spectra)
+            features, state = self.advance(windows, state)
+            parts.append(features)
+            progress((first + count) / total)
+        return torch.cat(parts, dim=1)[:, self.delay :]
+
+
+def _attended(
+    layer: Layer, queries: Tensor, new: Tensor, past: tuple[Tensor, Tensor], first: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A layer's output for queries (B, G, D), `LOOKAHEAD_FRAMES` before its new rows (B, G, D).
+
+    `past` are keys and values (B, KEPT, D) of the rows before; those to keep now are returned.
+    `first` (B, 1) is the frame of the first new row; before frame 0 is nothing to attend to.
+    """
+    attention, given = layer.self_attn, layer.self_attn_layer_norm(new)
+    keys = torch.cat((past[0], attention.k_proj(given)), dim=1)
+    values = torch.cat((past[1], attention.v_proj(given)), dim=1)
+    count = torch.arange(keys.shape[1], device=keys.device)
+    of_key = (first - KEPT + count).unsqueeze(1)  # (B, 1, KEPT + G)
+    of_query = (first - LOOKAHEAD_FRAMES + count[: queries.shape[1]]).unsqueeze(2)
+    seen = (of_key <= of_query + LOOKAHEAD_FRAMES) & (of_key >= of_query - PAST_FRAMES)
+    seen = seen & ((of_key >= 0) | (of_query < 0))
+    mixed = attention.mixed(layer.self_attn_layer_norm(queries), keys, values, seen.unsqueeze(1))
+    return layer.after(queries + mixed), keys[:, -KEPT:], values[:, -KEPT:]
