@@ -48,7 +48,7 @@ FLOORS = {
         jobs
         guard
         compute
-        metrics settings
+        settings
         errors
     """,
 }
