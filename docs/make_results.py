@@ -44,6 +44,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "live": curves.live,
     "words": curves.words,
     "acted": curves.acted,
+    "acted-motion": curves.acted_motion,
     "wav2vec": curves.wav2vec,
     "ablation-changes": comparisons.ablation_changes,
     "comparison": comparisons.comparison,

@@ -4,11 +4,10 @@ S samples at 16 kHz, F mel bins.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel_filters import mel_filters
-from rig.arrays import Float32
+from rig.arrays import Float32, Int64
 
 N_FFT = 400
 """Samples of a spectrum (25 ms)."""
@@ -33,7 +32,7 @@ def hann_window() -> Float32:
     return window
 
 
-def centres(first: int, count: int, rate: int) -> NDArray[np.int64]:
+def centres(first: int, count: int, rate: int) -> Int64:
     """Samples at the centre of spectra `first` … `first` + `count` - 1: j SAMPLE_RATE / rate."""
     return np.round(np.arange(first, first + count) * (SAMPLE_RATE / rate)).astype(np.int64)
 

@@ -8,7 +8,6 @@ from pydantic import (
     field_validator,
 )
 
-from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.section import (
     Odd,
     Phases,
@@ -163,8 +162,8 @@ class CausalWhisperConfig(WhisperShape):
     @field_validator("rate")
     @classmethod
     def _rig_frames(cls, value: int) -> int:
-        if value != FRAME_RATE:
-            raise ValueError(f"must be {FRAME_RATE}: a feature is a rig frame")
+        if value != 30:
+            raise ValueError("must be 30: a feature is a rig frame")
         return value
 
     @field_validator("layers")

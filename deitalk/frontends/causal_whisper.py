@@ -12,11 +12,11 @@ With three layers the features of frame t depend on the sound until 135 ms after
 of three more frames, the last centred at 3 2/3 frames and reaching 12.5 ms further.
 
 Letters: B streams, W samples of a spectrum, P spectra of a rig frame, G frames of a call, F mel
-bins, L layers, D width.
+bins, D width.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -52,12 +52,19 @@ class CausalState(NamedTuple):
     """Last spectra [shape=(B, F, STEM_SPECTRA)]."""
     place: Tensor
     """Frames so far [shape=(B, 1)]; less a multiple of `PERIOD` where they are many."""
-    rows: Tensor
-    """Input of each layer whose look-ahead is to come [shape=(B, L, LOOKAHEAD_FRAMES, D)]."""
-    keys: Tensor
-    """Of each layer's past [shape=(B, L, KEPT, D)]."""
-    values: Tensor
-    """Of each layer's past [shape=(B, L, KEPT, D)]."""
+    layers: tuple[Tensor, ...]
+    """Of each layer in turn: input whose look-ahead is to come [shape=(B, LOOKAHEAD_FRAMES, D)];
+    keys and values of the past [shape=(B, KEPT, D)]."""
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All of them, in a row."""
+        return (self.level, self.mel, self.place, *self.layers)
+
+    @classmethod
+    def of(cls, tensors: tuple[Tensor, ...]) -> "CausalState":
+        """The state that `tensors` gave."""
+        level, mel, place, *layers = tensors
+        return cls(level, mel, place, tuple(layers))
 
 
 class CausalWhisperFrontend(WhisperFrontend):
@@ -73,24 +80,25 @@ class CausalWhisperFrontend(WhisperFrontend):
         Width D of a row.
     delay : int
         Frames that must come after a frame's own before its features are known.
+    n_states : int
+        Tensors of a `CausalState`.
     """
 
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)
         self.delay = LOOKAHEAD_FRAMES * len(self.encoder.layers)
+        self.n_states = 3 + 3 * len(self.encoder.layers)
 
     def first_state(self, batch: int) -> CausalState:
         """State of streams before their first sample."""
         weight, width = self.encoder.conv1.weight, self.output_size
         silence = weight.new_full((batch, STEM_SPECTRA, self.config.n_mels), math.log10(SILENCE))
-        layers = batch, len(self.encoder.layers)
+        sizes = (LOOKAHEAD_FRAMES, KEPT, KEPT) * len(self.encoder.layers)
         return CausalState(
             first_level(batch, weight),
             scaled(silence, PEAK),
             weight.new_zeros(batch, 1),
-            weight.new_zeros(*layers, LOOKAHEAD_FRAMES, width),
-            weight.new_zeros(*layers, KEPT, width),
-            weight.new_zeros(*layers, KEPT, width),
+            tuple(weight.new_zeros(batch, size, width) for size in sizes),
         )
 
     def features(self, waveform: Tensor, context: Any = None) -> Tensor:
@@ -133,24 +141,22 @@ class CausalWhisperFrontend(WhisperFrontend):
         x = F.gelu(F.conv1d(x, stem.weight, stem.bias, stride=self.spectra)).transpose(1, 2)
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
-        queries, kept = x, []
+        queries, kept, depth = x, [], len(self.encoder.layers)
+        near, keys_at = _around(x)
         for k, layer in enumerate(self.encoder.layers):
             assert isinstance(layer, Layer)
-            queries = torch.cat((state.rows[:, k], x), dim=1)
-            past = state.keys[:, k], state.values[:, k]
-            first = state.place - k * LOOKAHEAD_FRAMES
-            rows, queries = queries[:, x.shape[1] :], queries[:, : x.shape[1]]
-            x, keys, values = _attended(layer, queries, x, past, first)
-            kept.append((rows, keys, values))
-        depth = len(kept)
+            rows, *past = state.layers[3 * k : 3 * k + 3]
+            rows = torch.cat((rows, x), dim=1)
+            rows, queries = rows[:, x.shape[1] :], rows[:, : x.shape[1]]
+            first = (state.place - k * LOOKAHEAD_FRAMES).unsqueeze(2)  # frame of the first new row
+            begun = near & ((keys_at + first >= 0) | (_queries_at(x) + first < 0))
+            x, keys, values = _attended(layer, queries, x, past, begun)
+            kept += [rows, keys, values]
         states = {depth - 1: queries, depth: x}
         mixed = self.mixed({layer: states[layer].flatten(0, 1) for layer in self.layers})
         place = state.place + x.shape[1]
         place = torch.where(place >= 2 * PERIOD, place - PERIOD, place)
-        rows, keys, values = (torch.stack(part, dim=1) for part in zip(*kept, strict=True))
-        return mixed.view_as(x), CausalState(
-            level, mel[..., -STEM_SPECTRA:], place, rows, keys, values
-        )
+        return mixed.view_as(x), CausalState(level, mel[..., -STEM_SPECTRA:], place, tuple(kept))
 
     def _spectra(self, windows: Tensor, state: CausalState) -> tuple[Tensor, Tensor]:
         """Spectra at the running level after those that were kept (B, F, 2 + G P); the level."""
@@ -178,21 +184,28 @@ class CausalWhisperFrontend(WhisperFrontend):
         return torch.cat(parts, dim=1)[:, self.delay :]
 
 
+def _queries_at(x: Tensor) -> Tensor:
+    """Frames of the queries (G, 1) of new rows (B, G, D), after that of the first new row."""
+    return torch.arange(x.shape[1], device=x.device).unsqueeze(1) - LOOKAHEAD_FRAMES
+
+
+def _around(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Which key each query attends to (G, KEPT + G), and the frames of the keys (KEPT + G,)."""
+    keys = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
+    after = keys - _queries_at(x)
+    return (after <= LOOKAHEAD_FRAMES) & (after >= -PAST_FRAMES), keys
+
+
 def _attended(
-    layer: Layer, queries: Tensor, new: Tensor, past: tuple[Tensor, Tensor], first: Tensor
+    layer: Layer, queries: Tensor, new: Tensor, past: Sequence[Tensor], seen: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A layer's output for queries (B, G, D), `LOOKAHEAD_FRAMES` before its new rows (B, G, D).
 
     `past` are keys and values (B, KEPT, D) of the rows before; those to keep now are returned.
-    `first` (B, 1) is the frame of the first new row; before frame 0 is nothing to attend to.
+    `seen` (B, G, KEPT + G) tells which of the keys a query attends to.
     """
     attention, given = layer.self_attn, layer.self_attn_layer_norm(new)
     keys = torch.cat((past[0], attention.k_proj(given)), dim=1)
     values = torch.cat((past[1], attention.v_proj(given)), dim=1)
-    count = torch.arange(keys.shape[1], device=keys.device)
-    of_key = (first - KEPT + count).unsqueeze(1)  # (B, 1, KEPT + G)
-    of_query = (first - LOOKAHEAD_FRAMES + count[: queries.shape[1]]).unsqueeze(2)
-    seen = (of_key <= of_query + LOOKAHEAD_FRAMES) & (of_key >= of_query - PAST_FRAMES)
-    seen = seen & ((of_key >= 0) | (of_query < 0))
     mixed = attention.mixed(layer.self_attn_layer_norm(queries), keys, values, seen.unsqueeze(1))
     return layer.after(queries + mixed), keys[:, -KEPT:], values[:, -KEPT:]

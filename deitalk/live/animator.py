@@ -241,8 +241,12 @@ class LiveAnimator:
             emotion = np.stack([emotion for _, emotion in taken])
             actors, names = self.network.actors, (self.streams[k].style for k in ready)
             styles = [styles_of(*row) for row in zip(emotion, repeat(actors), names)]
-            rows, state = self.network.advance(windows, np.stack(styles), take(self.state, ready))
-            put(self.state, ready, state)
+            if len(ready) == len(self.streams):  # no copy
+                rows, self.state = self.network.advance(windows, np.stack(styles), self.state)
+            else:
+                given = take(self.state, ready)
+                rows, state = self.network.advance(windows, np.stack(styles), given)
+                put(self.state, ready, state)
             self._accept([self.streams[k] for k in ready], rows)
 
     def _accept(self, streams: list[Stream], rows: NetworkRows) -> None:

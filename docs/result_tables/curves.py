@@ -184,9 +184,29 @@ def acted() -> str:
         for name, text in (
             ("intensity", "predicted intensity over speech, `deitalk animate`"),
             ("whole face", "distance of all curves from rest"),
+            ("joined, intensity", "intensity of the three takes in one recording"),
+            ("joined, whole face", "distance from rest in it"),
+            ("joined at one level, intensity", "intensity, each take at one level"),
+            ("joined at one level, whole face", "distance from rest, each at one level"),
         )
     ]
     return table([["26 test actors", *(f"{g}: {s}" for g, s in columns)], *rows])
+
+
+def acted_motion() -> str:
+    """How far the intensity moves between and inside acted takes."""
+    groups = ("anger and joy", "sadness")
+    names = {
+        "joined, intensity: step": "high less low, three takes in one recording",
+        "joined at one level, intensity: step": "the same, each take at one level",
+        "intensity: range inside takes": "5th to 95th percentile inside middle and high takes",
+        "intensity: r with level inside takes": "r with the level of the syllables there",
+    }
+    rows = [
+        [text, *(short(report("default-acted")[group][name], 2) for group in groups)]
+        for name, text in names.items()
+    ]
+    return table([["predicted intensity, 26 test actors", *groups], *rows])
 
 
 WAV2VEC: dict[str, tuple[str, int]] = {

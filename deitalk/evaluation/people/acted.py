@@ -3,6 +3,10 @@
 Every recording of an actor in anger, joy or sadness at three strengths is animated in that emotion,
 with its gain removed as always; the mean intensity over speech and the mean distance of the curves
 from rest, of the whole face and of its parts, should be ordered as the strengths.
+
+The three takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
+between, at their own gain and each at one level. Within the middle and high takes, the range of the
+intensity and its correlation with the smoothed level are those over speech.
 """
 
 import hashlib
@@ -14,14 +18,20 @@ import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
-from deitalk.audio.voice_activity import speech_activity
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.load import load_audio
+from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.errors import DataError
 from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.evaluation.report import table
+from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
+from deitalk.pipeline.performance import Performance
 from rig import limits
-from rig.arrays import Float32
+from rig.arrays import Bool, Float32
+from rig.curves.filters import gaussian_smooth
 from rig.errors import quoted
 from rig.files.reading import check_file
 
@@ -120,6 +130,11 @@ EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad"}
 GROUPS = {"anger and joy": ("ANG", "HAP"), "sadness": ("SAD",)}
 PARTS = {"brows": ("brow",), "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",)}
 """Parts of the face, by parts of the names of their controls."""
+JOINED = {"joined": False, "joined at one level": True}
+"""Recordings of three takes, and whether each take is brought to one level."""
+GAP_SECONDS = 0.4
+LEVEL_SIGMA = 4.0
+"""Frames over which the level is smoothed, a syllable."""
 Scores = dict[str, dict[str, float]]
 
 
@@ -147,7 +162,8 @@ def evaluate_acted(
     -------
     dict
         By group of emotions: share of pairs in which high is above low, and mean rank correlation
-        of low, middle and high, of every measure.
+        of low, middle and high, of every measure; mean difference of high and low, of joined takes;
+        range (5th to 95th percentile) and r with the level inside takes.
 
     Raises
     ------
@@ -161,17 +177,93 @@ def evaluate_acted(
     ]
     if not clips:
         raise DataError(f"{path}: no actor of the {split} split at the strengths {LEVELS}")
-    rows = {}
+    rows, inside = {}, []
     for number, clip in enumerate(clips, 1):
-        rows[clip.speaker, clip.emotion, clip.level] = _measures(model, clip)
-        progress(number / len(clips))
-    return {group: _orders(rows, emotions) for group, emotions in GROUPS.items()}
+        performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, life="off")
+        speaking = speech_activity(performance.recording.waveform) > 0
+        rows[clip.speaker, clip.emotion, clip.level] = _measures(model, performance, speaking)
+        if clip.level != LEVELS[0]:
+            inside.append((clip.emotion, _inside(performance, speaking)))
+        progress(0.5 * number / len(clips))
+    joined: dict[str, dict[tuple[str, str, str], dict[str, float]]] = {name: {} for name in JOINED}
+    takes: dict[tuple[str, str], dict[str, StrengthClip]] = {}
+    for clip in clips:
+        takes.setdefault((clip.speaker, clip.emotion), {})[clip.level] = clip
+    for number, own in enumerate(takes.values(), 1):
+        for name, is_levelled in JOINED.items():
+            joined[name] |= _joined(model, own, is_levelled)
+        progress(0.5 + 0.5 * number / len(takes))
+    report = {}
+    for group, emotions in GROUPS.items():
+        report[group] = _orders(rows, emotions)
+        for name, own_rows in joined.items():
+            orders = _orders(own_rows, emotions)
+            report[group] |= {f"{name}, {k}": v for k, v in orders.items() if ": " in k}
+            report[group][f"{name}, intensity: step"] = _step(own_rows, emotions)
+        found = [numbers for emotion, numbers in inside if emotion in emotions]
+        means = np.nanmean(found, axis=0) if found else (np.nan, np.nan)
+        names = ("intensity: range inside takes", "intensity: r with level inside takes")
+        report[group] |= dict(zip(names, map(float, means), strict=True))
+    return report
 
 
-def _measures(model: DEITalk, clip: StrengthClip) -> dict[str, float]:
+def _joined(
+    model: DEITalk, takes: Mapping[str, StrengthClip], is_levelled: bool
+) -> dict[tuple[str, str, str], dict[str, float]]:
+    """Measures of the takes of one actor and emotion within one recording, in any fixed order."""
+    one = next(iter(takes.values()))
+    seed = hashlib.sha256(f"{one.speaker}{one.emotion}".encode()).digest()
+    gap = np.zeros(round(GAP_SECONDS * SAMPLE_RATE), np.float32)
+    parts, spans, length = [], {}, 0
+    for level in sorted(takes, key=lambda name: seed[LEVELS.index(name)]):
+        sound = load_audio(takes[level].path).waveform
+        sound = normalise_level(sound) if is_levelled else sound
+        spans[level] = (length, length + len(sound))
+        parts += [sound, gap]
+        length += len(sound) + len(gap)
+    joined = np.concatenate(parts)
+    sound = joined if np.abs(joined).max() <= 1 else joined / np.abs(joined).max()
+    performance = animate(
+        sound, EMOTIONS[one.emotion], model=model, sample_rate=SAMPLE_RATE, life="off"
+    )
+    speaking, times = speech_activity(sound) > 0, np.arange(len(performance.curves)) / FRAME_RATE
+    found = {}
+    for level, (first, last) in spans.items():
+        of_take = (times >= first / SAMPLE_RATE) & (times < last / SAMPLE_RATE)
+        measures = _measures(model, performance, speaking & of_take)
+        found[one.speaker, one.emotion, level] = {
+            k: measures[k] for k in ("intensity", "whole face")
+        }
+    return found
+
+
+def _step(
+    rows: Mapping[tuple[str, str, str], Mapping[str, float]], emotions: Sequence[str]
+) -> float:
+    """Mean difference of the intensity of high and low."""
+    steps = [
+        measures["intensity"] - rows[actor, emotion, LEVELS[0]]["intensity"]
+        for (actor, emotion, level), measures in rows.items()
+        if level == LEVELS[-1] and emotion in emotions and (actor, emotion, LEVELS[0]) in rows
+    ]
+    return float(np.mean(steps)) if steps else float("nan")
+
+
+def _inside(performance: Performance, speaking: Bool) -> tuple[float, float]:
+    """Range of the intensity over speech, and its r with the smoothed level."""
+    if speaking.sum() < FRAME_RATE // 3:
+        return float("nan"), float("nan")
+    prosody = measure_prosody(performance.recording.waveform, len(speaking))
+    weight = gaussian_smooth(speaking.astype(float), LEVEL_SIGMA)
+    level = gaussian_smooth(np.where(speaking, prosody.level, 0), LEVEL_SIGMA)
+    level = (level / np.maximum(weight, 1e-6))[speaking]
+    intensity = performance.predicted[speaking]
+    low, high = np.percentile(intensity, (5, 95))
+    return float(high - low), float(correlation(intensity, level))
+
+
+def _measures(model: DEITalk, performance: Performance, speaking: Bool) -> dict[str, float]:
     """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
-    performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, life="off")
-    speaking = speech_activity(performance.recording.waveform) > 0
     if not speaking.any():
         return dict.fromkeys(("intensity", "whole face", "opening", *PARTS), 0.0)
     controls = performance.curves.names

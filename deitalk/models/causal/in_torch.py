@@ -34,15 +34,14 @@ class TensorState(NamedTuple):
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
-        return (*self.frontend, self.saliency, *self.neutral, *self.emotional)
+        return (*self.frontend.tensors(), self.saliency, *self.neutral, *self.emotional)
 
     @classmethod
-    def of(cls, tensors: tuple[Tensor, ...]) -> "TensorState":
-        """The state that `tensors` gave."""
-        n_own = len(CausalState._fields)
-        layers = (len(tensors) - n_own - 1) // 2
-        frontend, rest = CausalState(*tensors[:n_own]), tensors[n_own + 1 :]
-        return cls(frontend, tensors[n_own], rest[:layers], rest[layers:])
+    def of(cls, tensors: tuple[Tensor, ...], n_frontend: int) -> "TensorState":
+        """The state that `tensors` gave, so many of them of the frontend."""
+        frontend, rest = CausalState.of(tensors[:n_frontend]), tensors[n_frontend + 1 :]
+        layers = len(rest) // 2
+        return cls(frontend, tensors[n_frontend], rest[:layers], rest[layers:])
 
 
 class TensorRows(NamedTuple):
@@ -91,7 +90,8 @@ class TorchNetwork:
 
     def _state(self, state: State) -> TensorState:
         device = self.model.device
-        return TensorState.of(tuple(torch.from_numpy(part).to(device) for part in state))
+        tensors = tuple(torch.from_numpy(part).to(device) for part in state)
+        return TensorState.of(tensors, causal_frontend(self.model).n_states)
 
 
 def grid_of(model: DEITalk) -> SpectraGrid:

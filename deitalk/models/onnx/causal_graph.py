@@ -44,7 +44,7 @@ class CausalGraph(nn.Module):
         state : Tensor
             From the call before; see `first_states`.
         """
-        before = TensorState.of(state)
+        before = TensorState.of(state, causal_frontend(self.model).n_states)
         rows, after = advance(self.model, windows, emotion[:, None], before)
         frame = (rows.emotional, rows.neutral, rows.saliency, rows.strength)
         return (*(part[:, 0] for part in frame), *after.tensors())
@@ -53,7 +53,10 @@ class CausalGraph(nn.Module):
 def first_states(model: DEITalk) -> dict[str, Tensor]:
     """Names and first values of a stream's state, without the stream's axis."""
     state = first_state(model, 1)
-    names = [*state.frontend._fields, "saliency_past"]
+    layers = range(len(state.frontend.layers) // 3)
+    names = ["level", "mel", "place"]
+    names += [f"{part}_{k}" for k in layers for part in ("rows", "keys", "values")]
+    names += ["saliency_past"]
     names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
     finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors())
     return dict(zip(names, cast("list[Tensor]", list(finite)), strict=True))

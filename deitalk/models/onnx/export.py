@@ -12,7 +12,6 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
-from deitalk.frontends.causal_whisper import CausalState
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.installed import __version__
 from deitalk.models.causal.in_torch import grid_of
@@ -138,7 +137,7 @@ def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
         for name, first in states.items()
     ]
     texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
-    texts["frontend_states"] = str(len(CausalState._fields))
+    texts["frontend_states"] = str(list(states).index("saliency_past"))
     return texts | {"schema": CAUSAL_SCHEMA}
 
 

@@ -35,6 +35,11 @@ def test_rising_voices_have_rising_intensity_and_faces(table):
     for measure in ("intensity", "whole face", *PARTS):
         assert scores[f"{measure}: high above low"] == 1, measure
     assert scores["intensity: rank correlation"] == 1
+    for name in ("joined", "joined at one level"):
+        assert scores[f"{name}, intensity: high above low"] == 1
+        assert scores[f"{name}, intensity: step"] > 0.1
+    assert 0.05 < scores["intensity: range inside takes"] < 0.6
+    assert scores["intensity: r with level inside takes"] > 0.5  # of syllables, the louder
     assert np.isnan(report["sadness"]["intensity: high above low"])
     assert "whole face: high above low" in as_markdown(report)
 

@@ -58,7 +58,7 @@ def test_any_pieces_give_the_features_of_one(frontend, pieces):
         parts.append(features)
         done += size
     torch.testing.assert_close(torch.cat(parts, dim=1), whole, atol=1e-5, rtol=1e-5)
-    for found, expected in zip(state, last, strict=True):
+    for found, expected in zip(state.tensors(), last.tensors(), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
 
 
@@ -98,7 +98,8 @@ def test_streams_of_different_age_do_not_change_each_other(frontend):
     old, young = (windows_of(frontend, voice(5.0, seed), 150) for seed in (1, 2))
     _, aged = frontend.advance(old[:, :360], frontend.first_state(1))
     states = aged, frontend.first_state(1)
-    both = CausalState(*(torch.cat(pair) for pair in zip(*states, strict=True)))
+    pairs = zip(*(state.tensors() for state in states), strict=True)
+    both = CausalState.of(tuple(torch.cat(pair) for pair in pairs))
     found, _ = frontend.advance(torch.cat((old[:, 360:], young[:, :90])), both)
     for row, (windows, state) in enumerate(((old[:, 360:], aged), (young[:, :90], states[1]))):
         alone, _ = frontend.advance(windows, state)
