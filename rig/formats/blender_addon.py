@@ -28,6 +28,7 @@ import numpy as np
 from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
 
 from rig.retarget.blendshapes import shape_key
+from rig.unreal.deitalk_clip import key_frames
 
 bl_info = {
     "name": "deitalk curves",
@@ -173,12 +174,13 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
 
 
 def apply(
-    curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0
+    curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0, tolerance: float = 0.0
 ) -> tuple[int, float, list[str]]:
     """Key the shape keys of meshes.
 
-    Times are in seconds and are put into the frame rate of the scene; keys are linear. An action
-    that is there is replaced.
+    Times are in seconds and are put into the frame rate of the scene; keys are linear, and left out
+    where lines between the others stay within a tolerance above 0. An action that is there is
+    replaced.
 
     Returns
     -------
@@ -206,10 +208,12 @@ def apply(
             block.slider_min = min(block.slider_min, math.floor(values.min()))
             block.slider_max = max(block.slider_max, math.ceil(values.max()))
             curve = lists.new(_path(block))
+            keyed = key_frames(values.tolist(), tolerance) if tolerance else slice(None)
+            places = np.column_stack([frames, values])[keyed]
             points = curve.keyframe_points
-            points.add(len(frames))
-            points.foreach_set("co", np.column_stack([frames, values]).ravel())
-            points.foreach_set("interpolation", np.full(len(frames), LINEAR))
+            points.add(len(places))
+            points.foreach_set("co", places.ravel())
+            points.foreach_set("interpolation", np.full(len(places), LINEAR))
             curve.update()
             count += 1
     return count, float(frames[-1]), driven
@@ -320,6 +324,7 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
     filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.glb", options={"HIDDEN"})  # type: ignore[valid-type]
     start: bpy.props.FloatProperty(name="First frame", default=1.0)  # type: ignore[valid-type]
+    tolerance: bpy.props.FloatProperty(name="Tolerance of keys", default=0.0, min=0.0, max=0.1)  # type: ignore[valid-type]
     with_sound: bpy.props.BoolProperty(name="Add the sound", default=True)  # type: ignore[valid-type]
 
     def execute(self, context: Any) -> set[str]:
@@ -330,7 +335,7 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
                 curves = take_from_glb(self.filepath, meshes)
             else:
                 curves = best_fit(self.filepath, meshes)
-            count, last, driven = apply(curves, meshes, context.scene, self.start)
+            count, last, driven = apply(curves, meshes, context.scene, self.start, self.tolerance)
             if driven:
                 self.report({"WARNING"}, f"a driver moves {_listed(driven)}: no keys there")
             if not count:

@@ -6,12 +6,14 @@ The script runs in Maya's Python 2.7 and 3 and takes namespaces, the time unit o
 boards of 2021 to 2023 into account.
 """
 
+import inspect
 import json
 from pathlib import Path
 
 from rig.controls import default_controls
 from rig.curves import RigCurves
 from rig.formats.decimal_text import Block, rows
+from rig.unreal.deitalk_clip import key_frames
 
 DECIMALS = 4
 STILL = 5e-5
@@ -23,7 +25,8 @@ TEMPLATE = Path(__file__).with_name("maya_template.txt")
 
 def write(path: Path, curves: RigCurves) -> None:
     """Write the script; a curve that never moves is one number."""
-    head, tail = TEMPLATE.read_text(encoding="utf-8").split("CURVES = {}\n")
+    text = TEMPLATE.read_text(encoding="utf-8").replace("KEY_FRAMES\n", key_frames_text())
+    head, tail = text.split("CURVES = {}\n")
     with path.open("wb") as stream:
         stream.write(head.replace("FPS = 30.0", f"FPS = {curves.fps!r}").encode())
         stream.write(f"OLDER = {json.dumps(_older_names())}\nCURVES = {{\n".encode())
@@ -39,6 +42,12 @@ def write(path: Path, curves: RigCurves) -> None:
             stream.writelines(rows([Block(values.reshape(1, -1), DECIMALS)]))
             stream.write(b"],\n")
         stream.write(b"}\n" + tail.encode())
+
+
+def key_frames_text() -> str:
+    """Return the source of `key_frames` without annotations, which Python 2.7 does not read."""
+    lines = inspect.getsource(key_frames).splitlines()
+    return "\n".join(["def key_frames(values, tolerance=0.0):", *lines[1:], ""])
 
 
 def _older_names() -> dict[str, str]:

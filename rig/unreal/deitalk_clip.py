@@ -184,11 +184,26 @@ def rate_steps(current: Fraction, wanted: Fraction) -> list[Fraction]:
     return [Fraction(common, gcd(current.denominator, wanted.denominator)), wanted]
 
 
-def key_frames(values: list[float]) -> list[int]:
-    """Return the frames that need a key: all but those within a run of one value."""
+def key_frames(values: list[float], tolerance: float = 0.0) -> list[int]:
+    """Return the frames whose keys, joined by straight lines, are near all values.
+
+    Without a tolerance all but those within a run of one value; with one, few that are within it
+    of every value: the furthest frame from a line is keyed until none is too far.
+    """
     last = len(values) - 1
-    around = [values[max(i - 1, 0) : i + 2] for i in range(len(values))]
-    return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
+    if not tolerance:
+        around = [values[max(i - 1, 0) : i + 2] for i in range(len(values))]
+        return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
+    keyed, spans = {0, last}, [(0, last)]
+    while spans:
+        first, end = spans.pop()
+        step = (values[end] - values[first]) / float(max(end - first, 1))
+        off = [abs(values[i] - values[first] - step * (i - first)) for i in range(first + 1, end)]
+        if off and max(off) > tolerance:
+            middle = first + 1 + off.index(max(off))
+            keyed.add(middle)
+            spans += [(first, middle), (middle, end)]
+    return sorted(keyed)
 
 
 def describe(values: Any) -> str:

@@ -102,7 +102,12 @@ def anim_sequence(
 
 
 def control_rig(
-    path: str, sequence: str = "", rig: str = BOARD, start_frame: int = 0, dry_run: bool = False
+    path: str,
+    sequence: str = "",
+    rig: str = BOARD,
+    start_frame: int = 0,
+    dry_run: bool = False,
+    tolerance: float = 0.0,
 ) -> list[str]:
     """Key the face board in a Level Sequence; one that never moves gets one key.
 
@@ -122,6 +127,8 @@ def control_rig(
         First frame, in the sequence's display rate.
     dry_run : bool
         Print what would be done and change nothing.
+    tolerance : float
+        Leave keys out where lines between the others stay this near: 0.01 leaves a third of them.
 
     Returns
     -------
@@ -156,7 +163,7 @@ def control_rig(
                     skipped.append(control)
                 for axis, channel in channels.items():
                     values = resampled(data, axes[axis], fps)
-                    n_keys = write_channel(channel, values, start_frame, last)
+                    n_keys = write_channel(channel, values, start_frame, last, tolerance)
                     written.append((max(values) - min(values), n_keys, channel, values[-1]))
     unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
     if skipped:
@@ -259,12 +266,14 @@ def _channels_of(board: Any, section: dict[str, Any], control: str, axes: Any) -
     return {axis: section[full] for axis, full in names.items()} if name and has_all else {}
 
 
-def write_channel(channel: Any, values: list[float], start: int, last: int) -> int:
+def write_channel(
+    channel: Any, values: list[float], start: int, last: int, tolerance: float = 0.0
+) -> int:
     """Replace the keys from start to last; return how many there are now."""
     for key in channel.get_keys():
         if start <= key.get_time(display_rate()).frame_number.value <= last:
             channel.remove_key(key)
-    linear, keyed = unreal.MovieSceneKeyInterpolation.LINEAR, key_frames(values)
+    linear, keyed = unreal.MovieSceneKeyInterpolation.LINEAR, key_frames(values, tolerance)
     for i in keyed:
         channel.add_key(unreal.FrameNumber(start + i), values[i], 0.0, display_rate(), linear)
     return len(keyed)

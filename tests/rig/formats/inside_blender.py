@@ -87,6 +87,10 @@ scene.render.fps = 25
 out["glb"] = load(glb, start=0.0)
 out["glb_values"] = [values(shapes, 0), values(shapes, 2)]
 out["objects"] = len(bpy.data.objects)
+few = face("jawOpen")
+scene.render.fps = 30
+out["few"] = load(glb, start=0.0, tolerance=0.01, with_sound=False)
+out["few_keys"] = [len(curve.keyframe_points) for curve in curves_of(few)]
 rigged = face("jawOpen", "mouthSmileLeft")
 driver = rigged.data.shape_keys.key_blocks["jawOpen"].driver_add("value")
 driver.driver.expression = "0.25"

@@ -204,6 +204,7 @@ def test_blender_moves_the_face(take, tmp_path, program):
     for found, jaw in zip(out["glb_values"], (0, 1), strict=True):
         assert found == {"mouthClose": 0, "jawOpen": near(jaw), "moved": near(jaw)}
     assert out["objects"] == 3  # those of the GLB are gone
+    assert out["few"] == ["FINISHED"] and out["few_keys"] == [2]  # an even rise
     assert out["driven_values"]["jawOpen"] == near(0.25)
     assert "a driver moves jawOpen: no keys there" in printed
     assert "none of 1 shape keys has a name" in out["errors"][0]

@@ -137,6 +137,19 @@ def test_board_moves_as_the_curves_in_true_time(script, curves, monkeypatch, fps
     assert len(maya.keys["CTRL_C_jaw.translateY"]) == 18  # two within a run of one value
 
 
+def test_few_keys_stay_near_the_curves(tmp_path, monkeypatch):
+    place = np.sin(np.linspace(0, 6, 120))[:, None].astype(np.float32)
+    values = np.clip(BOARD.rest + 0.5 * place, BOARD.minimum, BOARD.maximum).astype(np.float32)
+    smooth = RigCurves(values, BOARD.names, 30)
+    write_curves(tmp_path / "smooth.maya.py", smooth)
+    maya = Maya(board(), 30.0)
+    run(tmp_path / "smooth.maya.py", maya, monkeypatch, tolerance=0.01)
+    times = 1 + np.arange(120)
+    found = maya.at("CTRL_C_jaw.translateY", times)
+    np.testing.assert_allclose(found, smooth["CTRL_C_jaw.ty"], atol=0.01 + 5.1e-5)
+    assert len(maya.keys["CTRL_C_jaw.translateY"]) < 30
+
+
 def test_second_run_replaces_the_keys_and_keeps_others(script, monkeypatch):
     maya = Maya(board())
     maya.keys["CTRL_C_jaw.translateY"] = {3.0: 9.0, 500.0: 0.125}

@@ -280,6 +280,28 @@ def test_keys_are_left_out_only_where_the_straight_line_holds(monkeypatch):
     assert script.key_frames([1.0]) == [0] and script.key_frames([1.0, 1.0]) == [0, 1]
 
 
+@pytest.mark.parametrize("tolerance", [0.002, 0.01, 0.1])
+def test_lines_between_few_keys_stay_within_the_tolerance(monkeypatch, rng, tolerance):
+    script = run_inside(None, monkeypatch)
+    curve = np.cumsum(rng.normal(0, 0.05, 200)).tolist()
+    frames = script.key_frames(curve, tolerance)
+    lines = np.interp(range(200), frames, [curve[i] for i in frames])
+    assert np.abs(lines - curve).max() <= tolerance and {0, 199} <= set(frames)
+    assert frames == sorted(set(frames)) and len(frames) < 200
+    bend = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.0]
+    assert script.key_frames(bend, tolerance) == [0, 4, 6]
+    assert script.key_frames([1.0], tolerance) == [0]
+
+
+def test_board_is_keyed_with_few_keys_on_wish(take, monkeypatch):
+    """The jaw rises evenly, 0 to 0.75: two keys."""
+    rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
+    module = fake_unreal.make_unreal(level_sequence=fake_unreal.LevelSequence([rig]))
+    run_inside(module, monkeypatch).control_rig(take, tolerance=0.01)
+    assert rig.keys("CTRL_C_jaw.Y") == ([0, 3], [0, 0.75])
+    assert rig.keys("CTRL_L_brow_raiseIn") == ([0, 1, 2, 3], [0, 0.5, 0, 0.5])
+
+
 def test_sequence_that_is_not_open_is_opened_first(take, monkeypatch):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
     sequence = fake_unreal.LevelSequence([rig])
