@@ -2,16 +2,18 @@
 
 import asyncio
 
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
 from api.compute.exports import export_all
 from api.compute.live import Voices
-from api.compute.order import Limits
-from api.compute.pages import Pages
-from api.compute.pool import Pool, Stage
+from api.compute.order import Limits, Order
+from api.compute.pool import Pool, Stage, checked, result_path
+from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.errors import Problem
 from api.jobs.queue import Queue
 from api.jobs.runner import Runner
 from api.jobs.store import Store
 from api.jobs.table import open_database
-from api.metrics import Metrics
 from api.settings import Settings
 
 
@@ -70,3 +72,117 @@ class Service:
             await asyncio.to_thread(self.runner.stop)
         self.queue.engine.dispose()
         self.stage.close()
+
+
+# The studio's page with each head: drawn once, by a worker process that ends afterwards.
+
+
+DRAW_SECONDS = 120.0
+"""Longest time that drawing one page may take."""
+DRAW_BYTES = 2**30
+"""Memory that it may take."""
+
+
+class Pages:
+    """Pages by head. One is drawn at a time, however many are asked for.
+
+    Parameters
+    ----------
+    limits : Limits
+        Of the worker process, but for its memory.
+    stage : Stage
+        Where its folders are made.
+    """
+
+    def __init__(self, limits: Limits, stage: Stage) -> None:
+        self.worker, self.stage = Worker({**limits, "memory_bytes": DRAW_BYTES}), stage
+        self._one = asyncio.Lock()
+        self._drawn: dict[str, asyncio.Task[bytes]] = {}
+
+    async def page(self, head: str) -> bytes:
+        """Return the page with a head.
+
+        Parameters
+        ----------
+        head : str
+            Number, name or role of an identity; each is drawn once, whatever it is called.
+
+        Raises
+        ------
+        RigError
+            If there is no such head.
+        Problem
+            503 if it cannot be drawn; the next request tries again.
+        """
+        name = await asyncio.to_thread(_name_of, head)
+        drawing = self._drawn.get(name)
+        if drawing is None or (drawing.done() and drawing.exception() is not None):
+            drawing = self._drawn[name] = asyncio.create_task(self._draw(name))
+        return await asyncio.shield(drawing)
+
+    async def _draw(self, name: str) -> bytes:
+        async with self._one, self.stage.folder() as folder:
+            order: Order = {"kind": "studio", "folder": str(folder), "options": {"head": name}}
+            try:
+                answer = checked(await asyncio.to_thread(self.worker.run, order, DRAW_SECONDS))
+                return result_path(folder, answer).read_bytes()
+            except (OutOfTime, WorkerLost):
+                raise Problem(503, "the page was not drawn; try again later") from None
+            finally:
+                self.worker.stop()  # its memory is that of the largest page
+
+    def stop(self) -> None:
+        """End the worker process, and what waits for it."""
+        for drawing in self._drawn.values():
+            drawing.cancel()
+        self.worker.stop()
+
+
+def _name_of(head: str) -> str:
+    from rig.face.identity import resolve_identity  # takes as long to import as all else here
+
+    return resolve_identity(head).name
+
+
+# Counts and times for Prometheus; names and routes only, nothing of any request's content.
+
+
+class Metrics:
+    """The service's own registry."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.seconds = Histogram(
+            "deitalk_request_seconds",
+            "Time of requests by route",
+            ["method", "route"],
+            registry=self.registry,
+        )
+        self.requests = Counter(
+            "deitalk_requests",
+            "Requests by route and status",
+            ["method", "route", "status"],
+            registry=self.registry,
+        )
+        self.audio = Counter(
+            "deitalk_audio_seconds", "Seconds of speech animated", registry=self.registry
+        )
+        self.busy = Gauge(
+            "deitalk_busy_orders", "Orders in work or waiting", registry=self.registry
+        )
+        self.lost = Gauge(
+            "deitalk_lost_workers", "Worker processes that ended in an order",
+            registry=self.registry,
+        )  # fmt: skip
+        self.jobs = Gauge("deitalk_jobs", "Jobs by status", ["status"], registry=self.registry)
+        self.live = Gauge("deitalk_live_sessions", "Open live sessions", registry=self.registry)
+
+    def request(self, method: str, route: str, status: int, seconds: float) -> None:
+        """Count one request."""
+        known = method if method in ("GET", "POST", "DELETE", "HEAD", "PUT", "WS") else "other"
+        self.requests.labels(known, route, str(status)).inc()
+        self.seconds.labels(known, route).observe(seconds)
+
+    def text(self) -> bytes:
+        """Everything in the text format of Prometheus."""
+        return generate_latest(self.registry)

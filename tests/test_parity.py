@@ -14,7 +14,7 @@ import torch
 from typer.testing import CliRunner
 from websockets.sync.client import connect
 
-from api.live.messages import FRAME
+from api.live.session import FRAME
 from deitalk import LiveAnimator, animate
 from deitalk.cli import app
 from deitalk.config import Config

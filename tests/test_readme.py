@@ -122,3 +122,13 @@ def test_make_targets_of_the_pages_exist(page):
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / page).read_text(), re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_modules_and_files_of_the_code_that_pages_name_exist(page):
+    text = (ROOT / page).read_text()
+    for path in re.findall(r"`((?:rig|deitalk|api|tests)/[\w/.]*)`", text):
+        assert (ROOT / path).exists(), path
+    for module in re.findall(r"python -m ((?:rig|deitalk|tests)[\w.]*)", text):
+        path = ROOT.joinpath(*module.split("."))
+        assert path.is_dir() or path.with_suffix(".py").is_file(), module

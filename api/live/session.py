@@ -2,24 +2,24 @@
 
 import asyncio
 import json
+import struct
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from fastapi import WebSocket
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
+from api.compute.live import Voice
 from api.compute.order import ACTING, RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
 from api.guard.protocol import SEND_SECONDS
-from api.live.causal import CausalStream
-from api.live.messages import Start, acting_of, frames_message
 from api.live.stream import (
     BACKLOG_SECONDS,
     HOP_SECONDS,
@@ -29,11 +29,151 @@ from api.live.stream import (
 )
 from api.service import Service
 from deitalk.acting import LIVE_FIELDS, Acting, modern, user_error
-from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
 from rig.curves import HEAD
+
+# Messages of `WS /v1/live`.
+#
+# ::
+#
+#     client   {"type": "start", "sample_rate": 48000, "encoding": "pcm16", "frames": "binary", …}
+#     server   {"type": "header", "names": […], "head": […], "fps": 30, "lookahead_seconds": 0.2, …}
+#     client   samples as bytes, any number a message       {"type": "set", "emotion": "sad"}
+#     server   frames as bytes or {"type": "frames", …}
+#     client   {"type": "stop"}
+#     server   the last frames, {"type": "end", "frames": 421}
+
+FRAME = struct.Struct("<Ifd")
+"""Number of the frame, seconds between its sound and this message, its time in the sound."""
+
+
+class Start(BaseModel):
+    """The first message, but for its acting; `head` is for causal models."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    sample_rate: int = Field(default=16_000, ge=8_000, le=192_000)
+    encoding: Literal["pcm16", "float32"] = "pcm16"
+    frames: Literal["binary", "json"] = "binary"
+    model: str = Field(default="live", max_length=64)
+    head: bool = False
+
+
+def acting_of(fields: dict[str, Any], before: Acting | None = None) -> Acting:
+    """The acting of a message's fields; those that it does not give are those before.
+
+    Raises
+    ------
+    UserError
+        If a field is unknown, wrong, or needs the whole recording.
+    """
+    return Acting.of(before, files={}, **modern(fields)[0]).check_live()
+
+
+def frames_message(
+    first: int,
+    values: Float32,
+    late: list[float],
+    fps: float,
+    *,
+    as_json: bool,
+    head: Float32 | None = None,
+) -> bytes | dict[str, Any]:
+    """Return consecutive frames as one message.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first frame.
+    values : array [shape=(T, C)]
+        Curves.
+    late : list of float
+        Seconds between the arrival of each frame's sound and now.
+    fps : float
+        Frames per second.
+    as_json : bool
+        A mapping for JSON; else records of `FRAME` and C little-endian float32.
+    head : array [shape=(T, 6)], optional
+        Track of the head: ``head`` of a frame in JSON, the last six numbers of a record.
+    """
+    if not as_json:
+        rows = (values if head is None else np.concatenate((values, head), axis=1)).astype("<f4")
+        return b"".join(
+            FRAME.pack(first + k, late[k], (first + k) / fps) + rows[k].tobytes()
+            for k in range(len(rows))
+        )
+    listed = [
+        {
+            "index": first + k,
+            "time": (first + k) / fps,
+            "late": round(late[k], 4),
+            "values": np.round(values[k].astype(float), 5).tolist(),
+        }
+        | ({} if head is None else {"head": np.round(head[k].astype(float), 4).tolist()})
+        for k in range(len(values))
+    ]
+    return {"type": "frames", "frames": listed}
+
+
+class CausalStream(LiveStream):
+    """A stream whose sound goes to a voice as it comes; parameters as for `LiveStream`.
+
+    Parameters
+    ----------
+    sample_rate : int
+    is_float : bool
+    voice : Voice
+    """
+
+    def __init__(self, sample_rate: int, is_float: bool, voice: Voice) -> None:
+        super().__init__(sample_rate, is_float)
+        self.voice = voice
+
+    @property
+    def backlog_seconds(self) -> float:
+        """Sound whose frames have not come."""
+        return self.seconds - self.next_frame / FRAME_RATE
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all frames of the whole sound have come."""
+        return self.is_whole and self.next_frame >= self.n_frames
+
+    def finish(self) -> None:
+        """Take the end of the sound."""
+        super().finish()
+        self.voice.finish()
+
+    def change(self, acting: Acting) -> None:
+        """Act otherwise from the sound on that comes next."""
+        fields = acting.model_dump(mode="json", include=acting.model_fields_set)
+        self.voice.change({n: v for n, v in fields.items() if LIVE_FIELDS.get(n) == "change"})
+
+    def come(self, frames: Float32) -> tuple[int, list[float]]:
+        """Take the next frames.
+
+        Returns
+        -------
+        first : int
+            Number of the first of them.
+        late : list of float
+            Seconds since each frame's sound came.
+        """
+        begin, now = self.next_frame, monotonic()
+        late = [now - self._arrival(begin + k) for k in range(len(frames))]
+        self.next_frame += len(frames)
+        sample = self.next_frame * SAMPLE_RATE // FRAME_RATE
+        self._arrivals = [arrival for arrival in self._arrivals if arrival[0] >= sample]
+        return begin, late
+
+    def _append(self, chunk: Float32) -> None:
+        self.begin += len(chunk)
+        self._arrivals.append((self.begin, monotonic()))
+        self.voice.feed(np.asarray(chunk, np.float32))
+
 
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0

@@ -8,7 +8,6 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.actor import app as actor_app
 from deitalk.cli.animate import animate, plot, suggest
 from deitalk.cli.batch import batch
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
@@ -20,6 +19,7 @@ from deitalk.cli.face import controls
 from deitalk.cli.live import live
 from deitalk.cli.livelink import app as livelink_app
 from deitalk.cli.mesh import mesh, retarget
+from deitalk.cli.model import actor_app
 from deitalk.cli.model import app as model_app
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import hold_targets

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deitalk.errors import CheckpointError, ConfigError
+from deitalk.errors import CheckpointError, ConfigError, DeitalkError
 from rig import limits
 from rig.errors import quoted
 from rig.files.reading import check_file, load_json, open_file
@@ -117,7 +117,7 @@ def network_shapes(make: "Callable[[], nn.Module]") -> Shapes:
         with torch.device("meta"), without_random_numbers():
             state = make().state_dict()
     except (ValueError, TypeError, RuntimeError, AssertionError) as error:
-        if isinstance(error, ConfigError | CheckpointError):
+        if isinstance(error, DeitalkError):
             raise
         raise ConfigError(
             f"configuration: no network can be built of it ({quoted(error, 120)})"

@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from api.compute.pool import Stage
 from api.errors import Problem
 from api.guard import protocol
-from api.live.messages import FRAME
+from api.live.session import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
 from api.routes import live as live_route
 from api.serving import server_config

@@ -8,12 +8,11 @@ import httpx
 import pytest
 
 from api.app import problem_answer
-from api.compute.pages import Pages
 from api.compute.pool import Stage
 from api.compute.worker import WorkerLost
 from api.errors import Problem
 from api.guard.middleware import Guard
-from api.metrics import Metrics
+from api.service import Metrics, Pages
 from api.settings import Settings
 from rig.errors import RigError
 from rig.face.identity import IDENTITIES, ROLES

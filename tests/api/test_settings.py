@@ -19,7 +19,7 @@ from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.middleware import Guard
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
-from api.metrics import Metrics
+from api.service import Metrics
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app

@@ -17,7 +17,7 @@ from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import VOCA
 from tests.deitalk.models.test_mesh_model import tiny as tiny_mesh
 
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 
 
 def flat(tree: dict, prefix: str = "") -> dict:
