@@ -31,6 +31,9 @@ from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
 
+AROUND_WEIGHT = 1.5
+"""Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Speech:
@@ -120,8 +123,11 @@ class Speech:
 
     @cached_property
     def strengths(self) -> Float32:
-        """The same around each frame [shape=(T,)]."""
-        return vocal_strength().follow(strength_frames(self.prosody, self.activity))
+        """The same around each frame [shape=(T,)]: about that of the whole voice."""
+        around = vocal_strength().follow(strength_frames(self.prosody, self.activity))
+        if (self.activity > 0).any():
+            around = around - around[self.activity > 0].mean()
+        return (self.strength + AROUND_WEIGHT * around).astype(np.float32)
 
 
 class Intensities(NamedTuple):

@@ -26,7 +26,7 @@ MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
 MOST_PLACE, MOST_MOTION = 1.3, 2.2
 """Limits of the two parts, standard deviations."""
-LEVEL_SHARE, TONE_SHARE = 1.5, 0.25
+LEVEL_SHARE, TONE_SHARE = 1.5, 0.5
 """Of level, and of pitch and of tilt, in `VoiceIntensity.index_weight`."""
 NETWORK_WEIGHT = 0.4
 """Of the network's prediction, deviations per one of its own."""
