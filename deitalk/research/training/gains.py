@@ -50,7 +50,7 @@ def share_encoder(folder: Path, owner: str) -> None:
     """
     own, about = folder / ENCODER, read_about(folder)
     if own.read_bytes() != (model_folder(owner) / ENCODER).read_bytes():
-        raise ConfigError(f"{own}: not the encoder of {owner}; leave --encoder-of out")
+        raise ConfigError(f"{own}: not the encoder of {owner}; keep its own")
     own.unlink()
     text = json.dumps(about | {"encoder_of": owner}, indent=1) + "\n"
     (folder / "model.json").write_text(text)
