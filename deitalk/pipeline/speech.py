@@ -31,7 +31,7 @@ from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
 
-AROUND_WEIGHT = 1.5
+AROUND_WEIGHT = 1.75
 """Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
 
 

@@ -3,9 +3,10 @@
 The sum of two parts, in standard deviations z of liveliness. The *place* is how strong the voice is
 at any gain over two seconds (`deitalk.audio.vocal_strength`), relative to the actor's own where it
 is given; it is bounded, so that a shouted take still has a range to move in. The *motion* within
-the take is that of level, pitch, tilt and the network's prediction about their means. The
-intensity is e = 0.15 + 0.85 / (1 + exp(-1.3 z)), the scale of the corpus's labels. In pauses it
-relaxes towards 0.15, and returns just before the voice does.
+the take is that of level, pitch, tilt and the network's prediction about their means; the mean
+intensity of the take stays that of its place. The intensity is e = 0.15 + 0.85 / (1 + exp(-1.3 z)),
+the scale of the corpus's labels. In pauses it relaxes towards 0.15, and returns just before the
+voice does.
 
 Weights were chosen on validation actors and readers, so that acted takes move by a third of the
 range and what was acted stronger is stronger (MODEL_CARD.md).
@@ -24,11 +25,11 @@ SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: intensity does not follow single syllables."""
 MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
-MOST_PLACE, MOST_MOTION = 1.3, 2.2
+MOST_PLACE, MOST_MOTION = 1.3, 3.0
 """Limits of the two parts, standard deviations."""
 LEVEL_SHARE, TONE_SHARE = 1.5, 0.5
 """Of level, and of pitch and of tilt, in `VoiceIntensity.index_weight`."""
-NETWORK_WEIGHT = 0.4
+NETWORK_WEIGHT = 0.8
 """Of the network's prediction, deviations per one of its own."""
 DEEPEST_DB = 25.0
 """Level below the loudest speech; what is lower counts as this."""
@@ -78,9 +79,24 @@ def voice_intensity(
     if not prosody.voiced.any() or not speaking.any():
         return network
     place = MOST_PLACE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_PLACE)
+    place = np.broadcast_to(place, network.shape)
     z = _motion(network, prosody, speaking, rule) + place
-    intensity = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
-    return _relaxed(intensity, speaking).astype(np.float32)
+    z = z + _shift(z[speaking], _intensity(place[speaking]).mean())
+    return _relaxed(_intensity(z), speaking).astype(np.float32)
+
+
+def _intensity(z: Float64) -> Float64:
+    found: Float64 = FAINTEST + (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
+    return found
+
+
+def _shift(z: Float64, mean: float) -> float:
+    """What has to be added for a mean intensity, to 1e-6."""
+    low, high = -2 * MOST_MOTION, 2 * MOST_MOTION
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (low, middle) if _intensity(z + middle).mean() > mean else (middle, high)
+    return low
 
 
 def _motion(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceIntensity) -> Float64:
