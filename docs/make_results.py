@@ -42,7 +42,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "noise": curves.noise,
     "styles": curves.styles,
     "live": curves.live,
-    "words": curves.words,
     "acted": curves.acted,
     "acted-motion": curves.acted_motion,
     "wav2vec": curves.wav2vec,

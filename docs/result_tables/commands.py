@@ -50,15 +50,6 @@ OTHER = {
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
-    **{
-        f"words-{taught}-on-{half}": f"deitalk evaluate {model} --lips words_{half} --speaker s30 "
-        "--speaker s03 --speaker s32"
-        for taught, model in {
-            "before": "BEFORE",
-            **{name: f"runs/words_{name}/last" for name in ("all", "0", "1")},
-        }.items()
-        for half in "01"
-    },
     "sdfa-test": "deitalk evaluate sdfa --data corpus/ --split test --transitions --most 16",
     "sdfa-lips": "deitalk evaluate sdfa --data lips_data/ --split test",
     "sdfa-attention": "deitalk attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
@@ -104,9 +95,6 @@ PLACES = {
     "UNHEARD": "two recordings of noise, a tap and a cat, that no training used",
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
-    "BEFORE": "weights before measured lips (model card)",
-    "words_0": "measured lips at the words of one half (model card)",
-    "words_1": "and of the other half",
     "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
     "facegood_one/": "the same with `--actor tts` in place of the table",
     "facegood.yaml": "their rig",

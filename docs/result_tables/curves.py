@@ -158,20 +158,6 @@ def live() -> str:
     return speech + "\n" + table([["lips of people", *MEASURES.values()], ["r", *people]])
 
 
-def words() -> str:
-    """Lips of people on words with measured lips in the training, and on other words."""
-    rows = []
-    for text, names in {
-        "before measured lips": ("before-on-0", "before-on-1"),
-        "trained on all words": ("all-on-0", "all-on-1"),
-        "trained on the half that is scored": ("0-on-0", "1-on-1"),
-        "trained on the other half": ("1-on-0", "0-on-1"),
-    }.items():
-        means = [report(f"words-{name}")["network"]["mean"] for name in names]
-        rows.append([text, *(" / ".join(short(m[f"{x} r"], 2) for m in means) for x in MEASURES)])
-    return table([["r, words of the first half / of the second", *MEASURES.values()], *rows])
-
-
 ACTED = {"high above low": 3, "rank correlation": 2}
 """Scores of acted strengths, and their digits."""
 
