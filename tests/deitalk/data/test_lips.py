@@ -267,7 +267,7 @@ def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips)
     curves = torch.tensor(read_curves(clips["a"].curves).values)
     given = (lips(curves) - lips(REST))[:, 0].numpy()
     known = np.isfinite(wanted.measures[:, 0])
-    assert np.abs(given - wanted.measures[:, 0])[known].max() < 0.1
+    assert np.abs(given - wanted.measures[:, 0])[known].max() < 0.15  # cm
     with pytest.raises(ExistsError):
         write_lip_dataset(measured, out, model)
     with pytest.raises(DataError, match="no speaker 'x'"):

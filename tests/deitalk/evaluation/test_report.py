@@ -34,5 +34,11 @@ def test_machine_names_its_processor_and_cores():
 
 @pytest.mark.skipif("live" not in embedded_models(), reason="its weights are not here")
 def test_model_is_identified_by_the_hash_of_its_weights():
-    weights = (model_folder("live") / "model.safetensors").read_bytes()
-    assert identified("live") == {"model": "live", "sha256": hashlib.sha256(weights).hexdigest()}
+    """Of one file its hash; of a model with another's encoder that of both hashes."""
+    files = [model_folder("live") / "model.safetensors"]
+    files.append(model_folder("default") / "encoder.safetensors")
+    hashes = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    both = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    assert identified("live") == {"model": "live", "sha256": both}
+    weights = (model_folder("mel") / "model.safetensors").read_bytes()
+    assert identified("mel") == {"model": "mel", "sha256": hashlib.sha256(weights).hexdigest()}

@@ -11,6 +11,7 @@ RATE = 16_000
 TINY = {
     "frontend": {
         "kind": "causal_whisper",
+        "learns": "everything",
         "checkpoint": None,
         "n_mels": 16,
         "width": 24,

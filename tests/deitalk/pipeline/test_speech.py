@@ -50,7 +50,7 @@ def test_activity_of_a_recording_is_measured_once(tmp_path, speech, monkeypatch)
         calls.append(len(waveform))
         return speech_activity(waveform)
 
-    for module in ("load", "notes", "voice_activity"):
+    for module in ("load", "voice_activity"):
         monkeypatch.setattr(f"deitalk.audio.{module}.speech_activity", measured)
     recording = load_audio(tmp_path / "a.wav")
     assert np.array_equal(Speech.of_recording(recording).activity, speech.activity)
