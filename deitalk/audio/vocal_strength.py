@@ -9,7 +9,7 @@ to the number. They are evaluated here in numpy, and trained in torch:
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 
@@ -92,24 +92,20 @@ class VocalStrength:
         frames : array [shape=(T, F)]
             From `strength_frames`.
         """
-        return float(self._read(frames, len(frames), 0.0)[0]) if len(frames) else 0.0
+        return self.follow(frames)[0]
 
-    def follow(self, frames: Float32) -> Float32:
-        """Strength around each frame [shape=(T,)], as `measure`: of the sound some 2 s long."""
-        if not len(frames):
-            return np.zeros(0, np.float32)
-        blocks = self._read(frames, BLOCK_FRAMES, AROUND_BLOCKS)
-        middles = (np.arange(len(blocks)) + 0.5) * BLOCK_FRAMES - 0.5
-        return np.interp(np.arange(len(frames)), middles, blocks).astype(np.float32)
-
-    def _read(self, frames: Float32, size: int, sigma: float) -> Float32:
-        """Strength of blocks of so many frames [shape=(K,)], and of those around them."""
+    def follow(self, frames: Float32) -> tuple[float, Float32]:
+        """Strength of a recording as `measure`, and of some 2 s around each frame [shape=(T,)]."""
         if not frames[:, VOICED].any():
-            return np.zeros(-(-len(frames) // size), np.float32)
+            return 0.0, np.zeros(len(frames), np.float32)
         frames, _ = without_level(frames)
-        pool = _Pool(np.maximum(frames[:, -1], REST_WEIGHT), size, sigma)
-        found: Float32 = np.mean([_member(w, frames, pool) for w in self._members.values()], axis=0)
-        return found
+        weight = np.maximum(frames[:, -1], REST_WEIGHT)
+        pools = _Pool(weight, len(frames), 0.0), _Pool(weight, BLOCK_FRAMES, AROUND_BLOCKS)
+        read = [_member(weights, frames, pools) for weights in self._members.values()]
+        whole, blocks = (np.mean(part, axis=0) for part in zip(*read, strict=True))
+        middles = (np.arange(len(blocks)) + 0.5) * BLOCK_FRAMES - 0.5
+        around = np.interp(np.arange(len(frames)), middles, blocks)
+        return float(whole[0]), around.astype(np.float32)
 
 
 class _Pool:
@@ -153,16 +149,18 @@ class _Pool:
         ).astype(np.float32)
 
 
-def _member(weights: Mapping[str, Float32], frames: Float32, pool: _Pool) -> Float32:
-    """Strength in dB of blocks by one network [shape=(K,)]."""
+def _member(
+    weights: Mapping[str, Float32], frames: Float32, pools: Sequence[_Pool]
+) -> list[Float32]:
+    """Strength in dB by one network, of the blocks of each pool [shape=(K,)]."""
     x = (frames - weights["mean"]) / weights["spread"]
-    direct = _linear(weights, "direct", pool.mean_and_spread(x))
+    direct = [_linear(weights, "direct", pool.mean_and_spread(x)) for pool in pools]
     x = _layer(weights, 0, x)
     for i in range(1, len(DILATIONS)):
         x += _layer(weights, i, x)
-    hidden = _gelu(_linear(weights, "hidden", pool.mean_and_spread(x)))
-    found: Float32 = UNIT_DB * (direct + _linear(weights, "output", hidden))[:, 0]
-    return found
+    hidden = [_gelu(_linear(weights, "hidden", pool.mean_and_spread(x))) for pool in pools]
+    both = zip(direct, hidden, strict=True)
+    return [UNIT_DB * (first + _linear(weights, "output", then))[:, 0] for first, then in both]
 
 
 def _linear(weights: Mapping[str, Float32], name: str, x: Float32) -> Float32:

@@ -1,8 +1,8 @@
 """Intensity of a voice that has not ended: the causal form of `voice_intensity`.
 
-The motion is the same sum, about running means that forget; smoothing looks back instead of to both
-sides, and after a pause the intensity returns with the voice instead of before it. The strength of
-the voice, which needs seconds of it, is left out.
+The variation is the same sum, about running means that forget; smoothing looks back instead of to
+both sides, and after a pause the intensity rises with the voice instead of before it. The strength
+of the voice, which needs seconds of it, is left out.
 """
 
 import math
@@ -18,8 +18,8 @@ from deitalk.postprocess.voice_intensity import (
     FALL_FRAMES,
     FURTHEST_SEMITONES,
     LEVEL_SHARE,
-    MOST_MOTION,
     MOST_TONE,
+    MOST_VARIATION,
     NETWORK_WEIGHT,
     RISE_FRAMES,
     STEEPNESS,
@@ -101,7 +101,7 @@ class RunningIntensity:
         measures : Measures
             Prosody of the same frames.
         speaking : array of bool [shape=(n,)]
-            Frames of speech; in others the intensity relaxes.
+            Frames of speech; in others the intensity decays.
         """
         if self.rule is None:
             return network
@@ -124,8 +124,8 @@ class RunningIntensity:
                     index += TONE_SHARE * _limited(semitones / PITCH_SEMITONES, MOST_TONE)
             new = NETWORK_WEIGHT * self.usual.add(z) + self.rule.index_weight * index
             self.z += SMOOTHING * (new - self.z)
-        moved = MOST_MOTION * math.tanh(self.z / MOST_MOTION)
-        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * moved))
+        limited = MOST_VARIATION * math.tanh(self.z / MOST_VARIATION)
+        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * limited))
         return FAINTEST + share * self.kept
 
 

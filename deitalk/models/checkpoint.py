@@ -40,6 +40,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.devices import require_device
 from deitalk.models.folder import (
+    ENCODER,
     FORMAT_VERSION,
     RIG_FILE,
     model_folder,
@@ -177,6 +178,7 @@ def save_model(
     *,
     half: bool = False,
     half_bases: bool = True,
+    encoder_of: str | None = None,
 ) -> None:
     """Write a model folder; the files of one that was written before are replaced.
 
@@ -194,9 +196,13 @@ def save_model(
         Store all weights in float16.
     half_bases : bool
         Store the frozen bases of a mesh model in float16, the precision they were fitted in.
+    encoder_of : str or None
+        Embedded model whose encoder file is named instead of written, for embedded models.
 
     Raises
     ------
+    CheckpointError
+        If that encoder is another one.
     rig.errors.TargetError
         If the folder holds files that deitalk did not write, or edited ones.
     """
@@ -212,13 +218,16 @@ def save_model(
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": dict(summary),
     }
+    fixed = {name: weights.pop(name) for name in list(weights) if _is_fixed(name, model)}
+    encoder = save({name: _half(value) for name, value in fixed.items()})
+    if encoder_of is not None:
+        if encoder != (model_folder(encoder_of) / ENCODER).read_bytes():
+            raise CheckpointError(f"encoder_of={encoder_of!r}: the model has another encoder")
+        about, fixed = about | {"encoder_of": encoder_of}, {}
     with output_folder(folder, kind="model", force=True) as beside:
         # save_file would make a file that nobody else may read.
-        fixed = {name: weights.pop(name) for name in list(weights) if _is_fixed(name, model)}
         if fixed:
-            (beside / "encoder.safetensors").write_bytes(
-                save({k: _half(v) for k, v in fixed.items()})
-            )
+            (beside / ENCODER).write_bytes(encoder)
         (beside / "model.safetensors").write_bytes(save(weights))
         if isinstance(model, MeshModel):
             write_templates(beside, model, half=half)

@@ -117,17 +117,21 @@ class Speech:
         return measure_prosody(self.waveform, self.n_frames)
 
     @cached_property
+    def _followed_strength(self) -> tuple[float, Float32]:
+        return vocal_strength().follow(strength_frames(self.prosody, self.activity))
+
+    @property
     def strength(self) -> float:
         """Strength of the whole voice at any gain, dB above the usual."""
-        return vocal_strength().measure(strength_frames(self.prosody, self.activity))
+        return self._followed_strength[0]
 
-    @cached_property
+    @property
     def strengths(self) -> Float32:
-        """The same around each frame [shape=(T,)]: about that of the whole voice."""
-        around = vocal_strength().follow(strength_frames(self.prosody, self.activity))
-        if (self.activity > 0).any():
-            around = around - around[self.activity > 0].mean()
-        return (self.strength + AROUND_WEIGHT * around).astype(np.float32)
+        """The same around each frame [shape=(T,)]; its mean over speech is that of the voice."""
+        strength, around = self._followed_strength
+        speaking = self.activity > 0
+        usual = around[speaking].mean() if speaking.any() else 0.0
+        return (strength + AROUND_WEIGHT * (around - usual)).astype(np.float32)
 
 
 class Intensities(NamedTuple):

@@ -1,15 +1,15 @@
 """Intensity of a voice: the network's prediction and measured prosody.
 
-The sum of two parts, in standard deviations z of liveliness. The *place* is how strong the voice is
-at any gain over two seconds (`deitalk.audio.vocal_strength`), relative to the actor's own where it
-is given; it is bounded, so that a shouted take still has a range to move in. The *motion* within
-the take is that of level, pitch, tilt and the network's prediction about their means; the mean
-intensity of the take stays that of its place. The intensity is e = 0.15 + 0.85 / (1 + exp(-1.3 z)),
-the scale of the corpus's labels. In pauses it relaxes towards 0.15, and returns just before the
-voice does.
+The sum of two parts, in standard deviations z of liveliness. The *base*, the operating point, is
+how strong the voice is at any gain over two seconds (`deitalk.audio.vocal_strength`), relative to
+the actor's own where it is given; it is bounded, so that a shouted take still has a range to vary
+in. The *variation* within the take is that of level, pitch, tilt and the network's prediction about
+their means; the mean intensity of the take stays that of its base. The intensity is
+e = 0.15 + 0.85 / (1 + exp(-1.3 z)), the scale of the corpus's labels. In pauses it decays towards
+0.15, and rises just before the voice returns.
 
-Weights were chosen on validation actors and readers, so that acted takes move by a third of the
-range and what was acted stronger is stronger (MODEL_CARD.md).
+The weights were chosen on training and validation actors and validation readers; MODEL_CARD.md has
+the scores of test actors.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: intensity does not follow single syllables."""
 MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
-MOST_PLACE, MOST_MOTION = 1.3, 3.0
+MOST_BASE, MOST_VARIATION = 1.3, 3.0
 """Limits of the two parts, standard deviations."""
 LEVEL_SHARE, TONE_SHARE = 1.5, 0.5
 """Of level, and of pitch and of tilt, in `VoiceIntensity.index_weight`."""
@@ -38,10 +38,11 @@ FURTHEST_SEMITONES = 9.0
 BRIGHTEST_DB = 5.0
 """Tilt above which a frame is a hiss, whose pitch and tilt are none of the voice."""
 FEWEST_VOICED = 4
+"""Voiced frames below which pitch and tilt do not count."""
 MOST_TONE = 2.5
 """Limit of the standard deviations of pitch and tilt."""
 FALL_FRAMES, RISE_FRAMES, END_FRAMES = 10.0, 5.0, 30.0
-"""Time constants of a pause: after the voice, and before it returns; and after the last of it."""
+"""Time constants: decay in a pause, rise before speech, decay after the last speech."""
 
 
 def voice_intensity(
@@ -78,11 +79,11 @@ def voice_intensity(
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return network
-    place = MOST_PLACE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_PLACE)
-    place = np.broadcast_to(place, network.shape)
-    z = _motion(network, prosody, speaking, rule) + place
-    z = z + _shift(z[speaking], _intensity(place[speaking]).mean())
-    return _relaxed(_intensity(z), speaking).astype(np.float32)
+    base = MOST_BASE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_BASE)
+    base = np.broadcast_to(base, network.shape)
+    z = _variation(network, prosody, speaking, rule) + base
+    z = z + _shift(z[speaking], _intensity(base[speaking]).mean())
+    return _decayed(_intensity(z), speaking).astype(np.float32)
 
 
 def _intensity(z: Float64) -> Float64:
@@ -92,14 +93,14 @@ def _intensity(z: Float64) -> Float64:
 
 def _shift(z: Float64, mean: float) -> float:
     """What has to be added for a mean intensity, to 1e-6."""
-    low, high = -2 * MOST_MOTION, 2 * MOST_MOTION
+    low, high = -2 * MOST_VARIATION, 2 * MOST_VARIATION
     while high - low > 1e-6:
         middle = (low + high) / 2
         low, high = (low, middle) if _intensity(z + middle).mean() > mean else (middle, high)
     return low
 
 
-def _motion(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceIntensity) -> Float64:
+def _variation(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceIntensity) -> Float64:
     """Standard deviations of every frame about the take's mean, limited."""
     level = np.maximum(prosody.level, np.percentile(prosody.level[speaking], 95) - DEEPEST_DB)
     index = LEVEL_SHARE * _centred(level, speaking) / LEVEL_DB
@@ -112,23 +113,23 @@ def _motion(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceInten
             tone = np.clip((track - track[voiced].mean()) / unit, -MOST_TONE, MOST_TONE)
             index = index + TONE_SHARE * _smoothed(tone, voiced)
     z = NETWORK_WEIGHT * _centred(deviation(network), speaking) + rule.index_weight * index
-    moved: Float64 = MOST_MOTION * np.tanh(z / MOST_MOTION)
-    return moved
+    limited: Float64 = MOST_VARIATION * np.tanh(z / MOST_VARIATION)
+    return limited
 
 
-def _relaxed(intensity: Float64, speaking: Bool) -> Float64:
+def _decayed(intensity: Float64, speaking: Bool) -> Float64:
     """Intensity that falls to `FAINTEST` in pauses, from its value beside them."""
     frames, spoken = np.arange(len(speaking)), np.flatnonzero(speaking)
     held = np.interp(frames, spoken, intensity[spoken])
-    place = np.searchsorted(spoken, frames, side="right")
-    since = np.where(place > 0, frames - spoken[np.maximum(place - 1, 0)], np.inf)
+    after = np.searchsorted(spoken, frames, side="right")  # the next frame of speech, of `spoken`
+    since = np.where(after > 0, frames - spoken[np.maximum(after - 1, 0)], np.inf)
     until = np.where(
-        place < len(spoken), spoken[np.minimum(place, len(spoken) - 1)] - frames, np.inf
+        after < len(spoken), spoken[np.minimum(after, len(spoken) - 1)] - frames, np.inf
     )
-    fall = np.where(place < len(spoken), FALL_FRAMES, END_FRAMES)
+    fall = np.where(after < len(spoken), FALL_FRAMES, END_FRAMES)
     kept = np.maximum(np.exp(-since / fall), np.exp(-until / RISE_FRAMES))
-    relaxed: Float64 = np.where(speaking, intensity, FAINTEST + (held - FAINTEST) * kept)
-    return relaxed
+    decayed: Float64 = np.where(speaking, intensity, FAINTEST + (held - FAINTEST) * kept)
+    return decayed
 
 
 def take_z(strength: float, rule: VoiceIntensity = VoiceIntensity()) -> float:

@@ -170,8 +170,10 @@ def acted() -> str:
         for name, text in (
             ("intensity", "predicted intensity over speech, `deitalk animate`"),
             ("whole face", "distance of all curves from rest"),
+            ("level", "mean level at the recording's gain, the baseline"),
             ("joined, intensity", "intensity of the three takes in one recording"),
             ("joined, whole face", "distance from rest in it"),
+            ("joined, level", "mean level in it, the baseline"),
             ("joined at one level, intensity", "intensity, each take at one level"),
             ("joined at one level, whole face", "distance from rest, each at one level"),
         )

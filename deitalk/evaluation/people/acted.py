@@ -5,8 +5,9 @@ with its gain removed as always; the mean intensity over speech and the mean dis
 from rest, of the whole face and of its parts, should be ordered as the strengths.
 
 The three takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
-between, at their own gain and each at one level. Within the middle and high takes, the range of the
-intensity and its correlation with the smoothed level are those over speech.
+between, at their own gain and each at one level; the mean level of the speech is the baseline.
+Within the middle and high takes, the range of the intensity and its correlation with the smoothed
+level are those over speech.
 """
 
 import hashlib
@@ -232,7 +233,7 @@ def _joined(
         of_take = (times >= first / SAMPLE_RATE) & (times < last / SAMPLE_RATE)
         measures = _measures(model, performance, speaking & of_take)
         found[one.speaker, one.emotion, level] = {
-            k: measures[k] for k in ("intensity", "whole face")
+            k: measures[k] for k in ("intensity", "level", "whole face")
         }
     return found
 
@@ -265,11 +266,14 @@ def _inside(performance: Performance, speaking: Bool) -> tuple[float, float]:
 def _measures(model: DEITalk, performance: Performance, speaking: Bool) -> dict[str, float]:
     """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
     if not speaking.any():
-        return dict.fromkeys(("intensity", "whole face", "opening", *PARTS), 0.0)
+        return dict.fromkeys(("intensity", "level", "whole face", "opening", *PARTS), 0.0)
     controls = performance.curves.names
     moved: Float32 = np.abs(performance.curves.values - model.controls.rest)[speaking]
     measures = {
         "intensity": float(performance.predicted[speaking].mean()),
+        "level": float(
+            measure_prosody(performance.recording.waveform, len(speaking)).level[speaking].mean()
+        ),
         "whole face": float(moved.sum(axis=1).mean()),
         "opening": float(mouth_opening(performance.curves.values, model.controls)[speaking].mean()),
     }

@@ -7,7 +7,6 @@ written without its encoder, which must be that of an embedded one.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from deitalk.config import load_config
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import EMBEDDED, ENCODER, model_folder, read_about
+from deitalk.models.folder import EMBEDDED, model_folder, read_about
 
 
 @torch.no_grad()
@@ -40,22 +39,6 @@ def scale_controls(model: DEITalk, gains: Mapping[str, float]) -> None:
         layer.bias[places] = rest[places] + gain * (layer.bias[places] - rest[places])
 
 
-def share_encoder(folder: Path, owner: str) -> None:
-    """Replace a model's encoder by that of an embedded model, which is the same.
-
-    Raises
-    ------
-    ConfigError
-        If it is another one.
-    """
-    own, about = folder / ENCODER, read_about(folder)
-    if own.read_bytes() != (model_folder(owner) / ENCODER).read_bytes():
-        raise ConfigError(f"{own}: not the encoder of {owner}; keep its own")
-    own.unlink()
-    text = json.dumps(about | {"encoder_of": owner}, indent=1) + "\n"
-    (folder / "model.json").write_text(text)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.gains")
@@ -70,9 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         model = require_model(folder, DEITalk)
         scale_controls(model, gains)
         summary = read_about(folder)["training"] | {"gains": gains}
-        save_model(given.out, model, load_config(folder / "config.yaml"), summary, half=True)
-        if given.encoder_of:
-            share_encoder(given.out, given.encoder_of)
+        config = load_config(folder / "config.yaml")
+        save_model(given.out, model, config, summary, half=True, encoder_of=given.encoder_of)
     except (DeitalkError, ValueError) as error:
         sys.exit(str(error))
 

@@ -1,5 +1,6 @@
 """Model folders: round trips, kinds of model, and damaged files refused in one line."""
 
+import copy
 import json
 import subprocess
 import sys
@@ -13,7 +14,13 @@ from deitalk.config import Config, load_config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import describe_model, embedded_models, model_folder, product_of
+from deitalk.models.folder import (
+    describe_model,
+    embedded_models,
+    model_folder,
+    product_of,
+    weights_hash,
+)
 from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
 from rig import default_controls
 
@@ -195,3 +202,41 @@ def test_required_kind_rejects_another_and_names_both(folder, model):
         require_model({}, MeshModel)
     assert require_model(model, DEITalk) is model
     assert isinstance(require_model(folder, DEITalk), DEITalk)
+
+
+@pytest.fixture(scope="module")
+def live():
+    return require_model("live", DEITalk), load_config(model_folder("live") / "config.yaml")
+
+
+def same_weights(folder, model):
+    read, given = load_model(folder).state_dict(), model.state_dict()
+    return read.keys() == given.keys() and all(torch.equal(read[k], given[k]) for k in given)
+
+
+def test_encoder_of_an_embedded_model_is_named_instead_of_written(live, tmp_path):
+    model, config = live
+    save_model(tmp_path / "own", model, config, {}, half=True)
+    save_model(tmp_path / "named", model, config, {}, half=True, encoder_of="default")
+    assert (tmp_path / "own/encoder.safetensors").is_file()
+    assert not (tmp_path / "named/encoder.safetensors").exists()
+    assert same_weights(tmp_path / "own", model) and same_weights(tmp_path / "named", model)
+    assert weights_hash(tmp_path / "own") == weights_hash(tmp_path / "named")
+
+
+def test_another_encoder_is_not_named(live, tmp_path):
+    model, config = copy.deepcopy(live[0]), live[1]
+    with torch.no_grad():
+        model.frontend.encoder.conv1.weight[0, 0, 0] += 1
+    with pytest.raises(CheckpointError, match="the model has another encoder"):
+        save_model(tmp_path / "m", model, config, {}, half=True, encoder_of="default")
+    assert not (tmp_path / "m").exists()
+
+
+@pytest.mark.parametrize("owner", ["other", "/etc/passwd", "../default", 3])
+def test_encoder_of_no_embedded_model_is_refused(live, tmp_path, owner):
+    model, config = live
+    save_model(tmp_path / "m", model, config, {}, half=True, encoder_of="default")
+    about = json.loads((tmp_path / "m/model.json").read_text())
+    (tmp_path / "m/model.json").write_text(json.dumps(about | {"encoder_of": owner}))
+    refused(tmp_path / "m", "is no embedded model")

@@ -15,8 +15,8 @@ def corrected(waveform: np.ndarray, network: np.ndarray, strength: float = 0.0) 
     return voice_intensity(network, prosody, speech_activity(waveform), strength)
 
 
-@pytest.mark.parametrize(("decibels", "place"), [(1.0, 0.1493), (5.0, 0.6766), (60.0, 1.3)])
-def test_mean_of_a_take_is_that_of_its_strength(decibels, place):
+@pytest.mark.parametrize(("decibels", "base"), [(1.0, 0.1493), (5.0, 0.6766), (60.0, 1.3)])
+def test_mean_of_a_take_is_that_of_its_strength(decibels, base):
     """0.15 deviations a decibel, 1.3 at most, whatever moves in the take."""
     loud = voice(seconds=6)
     loud[3 * 16_000 :] *= 3
@@ -25,7 +25,7 @@ def test_mean_of_a_take_is_that_of_its_strength(decibels, place):
         rising = np.linspace(0.3, 0.9, frames).astype(np.float32)
         intensity = corrected(waveform, rising, decibels)
         mean = intensity[speech_activity(waveform) > 0].mean()
-        assert mean == pytest.approx(0.15 + 0.85 / (1 + np.exp(-1.3 * place)), abs=1e-4)
+        assert mean == pytest.approx(0.15 + 0.85 / (1 + np.exp(-1.3 * base)), abs=1e-4)
 
 
 def test_strength_is_that_around_each_frame():
@@ -51,7 +51,7 @@ def test_louder_second_half_has_a_higher_intensity():
 
 
 def test_whole_range_is_left_to_a_shouted_take():
-    """A place at its limit, 1.3, and a motion of about one deviation to either side."""
+    """A base at its limit, 1.3, and a variation of about one deviation to either side."""
     waveform = voice(seconds=6)
     waveform[3 * 16_000 :] *= 3
     intensity = corrected(waveform, np.full(180, 0.5, np.float32), 60.0)
