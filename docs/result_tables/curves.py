@@ -168,9 +168,9 @@ def acted() -> str:
     rows = [
         [text, *(short(report("default-acted")[g][f"{name}: {s}"], ACTED[s]) for g, s in columns)]
         for name, text in (
-            ("intensity", "predicted intensity over speech, `deitalk animate`"),
+            ("intensity", "predicted intensity over speech"),
             ("whole face", "distance of all curves from rest"),
-            ("level", "mean level at the recording's gain, the baseline"),
+            ("level", "mean level, the baseline"),
             ("joined, intensity", "intensity of the three takes in one recording"),
             ("joined, whole face", "distance from rest in it"),
             ("joined, level", "mean level in it, the baseline"),
@@ -185,7 +185,7 @@ def acted_motion() -> str:
     """How far the intensity moves between and inside acted takes."""
     groups = ("anger and joy", "sadness")
     names = {
-        "joined, intensity: step": "high less low, three takes in one recording",
+        "joined, intensity: step": "high less low, takes in one recording",
         "joined at one level, intensity: step": "the same, each take at one level",
         "intensity: range inside takes": "5th to 95th percentile inside middle and high takes",
         "intensity: r with level inside takes": "r with the level of the syllables there",
