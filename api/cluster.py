@@ -90,7 +90,7 @@ def deployment(settings: Settings) -> Any:
         """Make the application on the machine of a replica."""
         from api.app import create_app
 
-        log_to_stderr()
+        log_to_stderr(settings.log)
         return create_app(Settings(**given))
 
     return serve.deployment(

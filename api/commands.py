@@ -23,8 +23,10 @@ from rig.files import atomic_write
 LONGEST_START_SECONDS = 60
 
 
-def serve(file: Path | None, *, ray: bool = False, **given: Any) -> None:
+def serve(file: Path | None, *, ray: bool = False, migrate: bool = False, **given: Any) -> None:
     """Serve with the settings of a file, the environment and some given; by Ray if `ray`.
+
+    With `migrate` only the tables of jobs are brought to this program's schema.
 
     Raises
     ------
@@ -35,6 +37,12 @@ def serve(file: Path | None, *, ray: bool = False, **given: Any) -> None:
     """
     settings = load_settings(file, **given)
     settings.check()
+    if migrate:
+        from api.jobs.schema import open_database
+
+        settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
+        open_database(settings.database_url, migrate=True).dispose()
+        return
     if ray:
         from api import cluster
 

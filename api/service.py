@@ -1,8 +1,9 @@
 """What the routes share: settings, worker processes, jobs, counts."""
 
 import asyncio
-
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from api.compute.exports import export_all
 from api.compute.live import Voices
@@ -10,10 +11,13 @@ from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem
+from api.guard.keys import Caller
+from api.guard.metrics import Metrics
+from api.guard.middleware import Traffic
 from api.jobs.queue import Queue
 from api.jobs.runner import Runner
+from api.jobs.schema import open_database
 from api.jobs.store import Store
-from api.jobs.table import open_database
 from api.settings import Settings
 
 
@@ -27,7 +31,9 @@ class Service:
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.metrics = settings, Metrics()
-        self.live_sessions = 0
+        self.traffic = Traffic()
+        self.live: Counter[str] = Counter()
+        self.is_draining = False
         self.limits: Limits = {
             "memory_bytes": settings.memory_mb * 2**20,
             "max_channels": settings.max_channels,
@@ -49,10 +55,16 @@ class Service:
         self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
-            engine, settings.lease_seconds, settings.job_attempts, settings.queued_jobs
+            engine,
+            settings.lease_seconds,
+            settings.job_attempts,
+            settings.queued_jobs,
+            {key.name: key.share for key in settings.keys},
         )
         self.store = await asyncio.to_thread(Store, settings.storage_url)
-        self.runner = Runner(self.queue, self.store, self.stage, self.limits, settings)
+        self.runner = Runner(
+            self.queue, self.store, self.stage, self.limits, settings, self.metrics
+        )
         self._starting = asyncio.create_task(self._start_workers())
 
     async def _start_workers(self) -> None:
@@ -60,6 +72,42 @@ class Service:
             await asyncio.to_thread(export_all, self.limits)
         await self.pool.start()
         self.runner.start()
+
+    def drain(self) -> None:
+        """Be not ready any more, and begin no other job."""
+        self.is_draining = True
+        self.runner.drain()
+
+    async def check_room(self, caller: Caller, *, is_job: bool) -> None:
+        """Refuse a request, before its body is read, that would be refused after.
+
+        Raises
+        ------
+        Problem
+            429, 503.
+        """
+        if caller.audio_seconds_per_hour:
+            await asyncio.to_thread(self.queue.check_quota, caller)
+        if is_job:
+            await asyncio.to_thread(self.queue.check_room, caller)
+        else:
+            self.pool.check_room(caller)
+
+    @contextmanager
+    def session(self, caller: Caller) -> Iterator[None]:
+        """Count a live session; Problem 503 if all of the service or of the key are taken."""
+        again = {"Retry-After": "10"}
+        if self.live.total() >= self.settings.live_sessions:
+            text = "all live sessions are taken; try again later"
+            raise Problem(503, text, "busy", headers=again)
+        if self.live[caller.name] >= caller.live:
+            text = f"{caller.live} live sessions of this key are open; end one"
+            raise Problem(503, text, "busy", headers=again)
+        self.live[caller.name] += 1
+        try:
+            yield
+        finally:
+            self.live[caller.name] -= 1
 
     async def stop(self) -> None:
         """Stop the workers; jobs that run are put back."""
@@ -142,47 +190,3 @@ def _name_of(head: str) -> str:
     from rig.face.identity import resolve_identity  # takes as long to import as all else here
 
     return resolve_identity(head).name
-
-
-# Counts and times for Prometheus; names and routes only, nothing of any request's content.
-
-
-class Metrics:
-    """The service's own registry."""
-
-    def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-        self.seconds = Histogram(
-            "deitalk_request_seconds",
-            "Time of requests by route",
-            ["method", "route"],
-            registry=self.registry,
-        )
-        self.requests = Counter(
-            "deitalk_requests",
-            "Requests by route and status",
-            ["method", "route", "status"],
-            registry=self.registry,
-        )
-        self.audio = Counter(
-            "deitalk_audio_seconds", "Seconds of speech animated", registry=self.registry
-        )
-        self.busy = Gauge(
-            "deitalk_busy_orders", "Orders in work or waiting", registry=self.registry
-        )
-        self.lost = Gauge(
-            "deitalk_lost_workers", "Worker processes that ended in an order",
-            registry=self.registry,
-        )  # fmt: skip
-        self.jobs = Gauge("deitalk_jobs", "Jobs by status", ["status"], registry=self.registry)
-        self.live = Gauge("deitalk_live_sessions", "Open live sessions", registry=self.registry)
-
-    def request(self, method: str, route: str, status: int, seconds: float) -> None:
-        """Count one request."""
-        known = method if method in ("GET", "POST", "DELETE", "HEAD", "PUT", "WS") else "other"
-        self.requests.labels(known, route, str(status)).inc()
-        self.seconds.labels(known, route).observe(seconds)
-
-    def text(self) -> bytes:
-        """Everything in the text format of Prometheus."""
-        return generate_latest(self.registry)

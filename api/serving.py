@@ -1,19 +1,26 @@
 """The running server: uvicorn with limits of headers, connections and messages, and its log."""
 
+import asyncio
+import json
 import logging.config
 import os
 import socket
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
+from time import monotonic
+from types import FrameType
 from typing import Any
 
 import uvicorn
 
 from api.app import create_app
+from api.errors import describe
 from api.guard.middleware import HEADER_BYTES
 from api.guard.protocol import GuardedProtocol, GuardedSocket
+from api.jobs.schema import open_database
 from api.jobs.store import Store
-from api.jobs.table import open_database
+from api.service import Service
 from api.settings import Settings
 from deitalk.errors import ConfigError
 from deitalk.installed import __version__
@@ -33,13 +40,54 @@ def run(settings: Settings) -> None:
     """
     app = create_app(settings)
     print_settings(settings)
-    log_to_stderr()
+    log_to_stderr(settings.log)
     check_port(settings)
     check_places(settings)
-    server = uvicorn.Server(server_config(app, settings))
+    server = Server(server_config(app, settings), app.state.service)
     server.run()
     if not server.started:
         raise ConfigError(f"the service did not start on {settings.host} port {settings.port}")
+
+
+class Server(uvicorn.Server):
+    """Ends in steps: not ready, no new work, no work that goes on for longer than is allowed.
+
+    Parameters
+    ----------
+    config : uvicorn.Config
+    service : Service
+        Of the application.
+    """
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self.service = service
+        self._signal: int | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to end; end at once at the second signal."""
+        if self._signal is not None:
+            super().handle_exit(sig, frame)
+        self._signal = sig
+
+    async def on_tick(self, counter: int) -> bool:
+        """Drain once a signal has come."""
+        if self._signal is not None and self._task is None:
+            self._task = asyncio.create_task(self._drain(self._signal))
+        return await super().on_tick(counter)
+
+    async def _drain(self, sig: int) -> None:
+        settings, traffic = self.service.settings, self.service.traffic
+        self.service.drain()
+        await asyncio.sleep(settings.drain_notice_seconds)
+        traffic.drain()
+        end = monotonic() + settings.drain_seconds
+        while (traffic.active or self.service.runner.at_work) and monotonic() < end:
+            await asyncio.sleep(0.05)
+        traffic.end_all()
+        await asyncio.sleep(0.2)  # the answers to those that were ended
+        super().handle_exit(sig, None)
 
 
 def server_config(app: Any, settings: Settings) -> uvicorn.Config:
@@ -48,14 +96,13 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         app,
         host=settings.host,
         port=settings.port,
-        http=GuardedProtocol.limited(settings.header_seconds),
+        http=GuardedProtocol.limited(settings.header_seconds, settings.connections),
         ws=GuardedSocket,
         ws_max_size=LIVE_MESSAGE_BYTES,
         ws_per_message_deflate=False,  # a kilobyte could stand for a megabyte
         h11_max_incomplete_event_size=HEADER_BYTES,
-        limit_concurrency=settings.connections,
         timeout_keep_alive=KEEP_ALIVE_SECONDS,
-        timeout_graceful_shutdown=10,
+        timeout_graceful_shutdown=2,  # for what `Server` left
         access_log=False,
         log_config=None,
         server_header=False,
@@ -111,12 +158,34 @@ def _reason(error: Exception) -> str:
     return said or type(error).__name__
 
 
-def log_to_stderr() -> None:
-    """Send the service's lines and uvicorn's warnings to stderr."""
+class LineFormatter(logging.Formatter):
+    """A line a record; of an exception its class and functions, without text and paths."""
+
+    def __init__(self, *, as_json: bool = False) -> None:
+        super().__init__("%(asctime)s %(levelname)s %(message)s")
+        self.as_json = as_json
+
+    def formatException(self, ei: Any) -> str:
+        """Describe an exception."""
+        return describe(ei[1])
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        if not self.as_json:
+            return one_line(super().format(record))
+        time = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        content = {"time": time, "level": record.levelname, "message": record.getMessage().strip()}
+        if record.exc_info and record.exc_info[1]:
+            content["error"] = describe(record.exc_info[1])
+        return json.dumps(content | getattr(record, "facts", {}))
+
+
+def log_to_stderr(form: str = "text") -> None:
+    """Send the service's lines and uvicorn's warnings to stderr, as ``text`` or ``json``."""
     logging.config.dictConfig({
         "version": 1,
         "disable_existing_loggers": False,
-        "formatters": {"line": {"format": "%(asctime)s %(levelname)s %(message)s"}},
+        "formatters": {"line": {"()": LineFormatter, "as_json": form == "json"}},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
         "loggers": {
             "deitalk.service": {"handlers": ["stderr"], "level": "INFO", "propagate": False},

@@ -3,6 +3,7 @@
 A later one replaces an earlier one. Lists and mappings in the environment are JSON.
 """
 
+import base64
 import os
 import sys
 from ipaddress import ip_address
@@ -28,6 +29,8 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 Scope = Literal["animate", "jobs", "live", "metrics"]
 SCOPES: tuple[Scope, ...] = ("animate", "jobs", "live", "metrics")
 
+SECRET_PREFIX = "whsec_"
+
 
 class ApiKey(BaseModel):
     """One key that may call the service; the key itself is not stored."""
@@ -39,6 +42,24 @@ class ApiKey(BaseModel):
     scopes: tuple[Scope, ...] = SCOPES
     requests_per_minute: int = Field(default=600, ge=1, le=1_000_000)
     jobs: int = Field(default=100, ge=0, le=100_000)
+    concurrent: int = Field(default=16, ge=1, le=10_000)
+    live: int = Field(default=2, ge=0, le=1000)
+    share: float = Field(default=1.0, ge=0.01, le=100)
+    audio_seconds_per_hour: int = Field(default=0, ge=0, le=10_000_000)
+    keep_mb: int | None = Field(default=None, ge=1, le=100_000_000)
+    webhook_secret: str = Field(default="", repr=False)
+
+    @field_validator("webhook_secret")
+    @classmethod
+    def _is_secret(cls, text: str) -> str:
+        if text and not (text.startswith(SECRET_PREFIX) and 24 <= len(_bytes_of(text)) <= 64):
+            raise ValueError(f"it must be {SECRET_PREFIX} and base64 of 24 to 64 bytes")
+        return text
+
+    @property
+    def secret(self) -> bytes | None:
+        """Secret that webhooks are signed with."""
+        return _bytes_of(self.webhook_secret) if self.webhook_secret else None
 
 
 class Settings(BaseSettings):
@@ -79,6 +100,9 @@ class Settings(BaseSettings):
     body_seconds: float = Field(default=60, gt=0, le=3600)
     live_sessions: int = Field(default=4, ge=0, le=1000)
     live_seconds: float = Field(default=3600, gt=0, le=86_400)
+    drain_notice_seconds: float = Field(default=0, ge=0, le=600)
+    drain_seconds: float = Field(default=30, ge=0, le=86_400)
+    log: Literal["text", "json"] = "text"
 
     job_attempts: int = Field(default=3, ge=1, le=20)
     lease_seconds: float = Field(default=10, ge=0.2, le=600)
@@ -253,6 +277,13 @@ def _data_folder() -> Path:
         return Path.home() / "Library" / "Application Support" / "deitalk-service"
     share = os.environ.get("XDG_DATA_HOME", Path.home() / ".local" / "share")
     return Path(share) / "deitalk-service"
+
+
+def _bytes_of(secret: str) -> bytes:
+    try:
+        return base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
+    except ValueError:
+        return b""
 
 
 def _text(value: Any) -> str:

@@ -46,8 +46,8 @@ FLOORS = {
         messages
         service
         jobs
-        guard
         compute
+        guard
         settings
         errors
     """,

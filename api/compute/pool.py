@@ -3,19 +3,84 @@
 import asyncio
 import shutil
 import tempfile
+import threading
+from collections import Counter
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from math import inf
 from pathlib import Path
+from time import monotonic
 
 from filelock import FileLock, Timeout
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import InternalError, Problem, named_problem
+from api.guard.keys import Caller
 
 SERVER_PREFIX = "deitalk-server-"
 LOCK = ".deitalk.lock"
+
+
+FAIR_SECONDS = 60.0
+"""Of two callers that wait, the one with less work in this time, for its share, is next."""
+
+
+class Turns:
+    """Workers that are free, and the callers who wait for one.
+
+    Parameters
+    ----------
+    workers : list of Worker
+    """
+
+    def __init__(self, workers: list[Worker]) -> None:
+        self.idle = list(workers)
+        self.waiting: list[tuple[Caller, asyncio.Future[Worker]]] = []
+        self.work: dict[str, list[list[float]]] = {}
+        """Begin and end of the work for each caller in the last `FAIR_SECONDS`."""
+
+    async def take(self, caller: Caller) -> Worker:
+        """Wait for a worker; nobody who goes meanwhile gets one."""
+        turn: asyncio.Future[Worker] = asyncio.get_running_loop().create_future()
+        self.waiting.append((caller, turn))
+        self._next()
+        try:
+            return await turn
+        except BaseException:
+            if turn.done() and not turn.cancelled():
+                self.idle.append(turn.result())
+            else:
+                self.waiting.remove((caller, turn))
+            self._next()
+            raise
+
+    def give(self, worker: Worker) -> None:
+        """Take a worker back."""
+        self.idle.append(worker)
+        self._next()
+
+    def begin(self, caller: Caller) -> list[float]:
+        """Note work; its end is infinite until it is set."""
+        span = [monotonic(), inf]
+        self.work.setdefault(caller.name, []).append(span)
+        return span
+
+    def _next(self) -> None:
+        while self.idle and self.waiting:
+            now = monotonic()
+            least = min(self.waiting, key=lambda wait: self._worked(wait[0], now))
+            self.waiting.remove(least)
+            if not least[1].done():
+                least[1].set_result(self.idle.pop())
+
+    def _worked(self, caller: Caller, now: float) -> float:
+        """Seconds of work for a caller in the last time, for its share."""
+        begin = now - FAIR_SECONDS
+        spans = [span for span in self.work.get(caller.name, ()) if span[1] > begin]
+        self.work[caller.name] = spans
+        return sum(min(end, now) - max(start, begin) for start, end in spans) / caller.share
 
 
 class Pool:
@@ -35,12 +100,12 @@ class Pool:
 
     def __init__(self, limits: Limits, workers: int, seconds: float, waiting: int) -> None:
         self.seconds, self.most = seconds, workers + waiting
-        self._idle = [Worker(limits) for _ in range(workers)]
-        self._all = tuple(self._idle)
-        self._free = asyncio.Semaphore(workers)
+        self._all = [Worker(limits) for _ in range(workers)]
+        self.turns = Turns(self._all)
         self._threads = ThreadPoolExecutor(workers, "worker")
-        self.busy = 0
-        self.lost = 0
+        self._own: Counter[str] = Counter()
+        self.busy = self.lost = self.left = 0
+        self._is_ending = False
 
     @property
     def is_ready(self) -> bool:
@@ -54,31 +119,38 @@ class Pool:
             with suppress(WorkerLost):
                 await loop.run_in_executor(self._threads, worker.start)
 
-    async def run(self, order: Order) -> Answer:
-        """Wait for a free process and its answer.
+    def check_room(self, caller: Caller) -> None:
+        """Refuse an order that would not be carried out soon.
 
         Raises
         ------
         Problem
-            503 if too many orders wait, 413 if the work passed its limits,
-            422 and others for errors of the content.
+            503 if too many orders wait, 429 if too many are the caller's.
         """
         if self.busy >= self.most:
-            raise Problem(
-                503,
-                "the service is busy; try again in a second",
-                "busy",
-                None,
-                {"Retry-After": "1"},
-            )
+            text, headers = "the service is busy; try again in a second", {"Retry-After": "1"}
+            raise Problem(503, text, "busy", None, headers)
+        if self._own[caller.name] >= caller.concurrent:
+            text = f"{caller.concurrent} requests of this key are at work; wait for one to end"
+            raise Problem(429, text, headers={"Retry-After": "1"})
+
+    async def run(self, order: Order, caller: Caller) -> Answer:
+        """Wait for a process and its answer; if the client goes, the work ends.
+
+        Raises
+        ------
+        Problem
+            503, 429 as `check_room`; 413 if the work passed its limits, 422 and others for errors
+            of the content.
+        """
+        self.check_room(caller)
         self.busy += 1
+        self._own[caller.name] += 1
         try:
-            await self._free.acquire()
-            worker = self._idle.pop()
-            loop = asyncio.get_running_loop()
-            work = loop.run_in_executor(self._threads, worker.run, order, self.seconds)
-            work.add_done_callback(lambda done: self._give_back(worker))
-            return checked(await asyncio.shield(work))
+            return checked(await self._run(order, caller))
+        except asyncio.CancelledError:
+            self.left += 1
+            raise
         except OutOfTime:
             raise Problem(
                 413, f"the request took more than {self.seconds:g} s; send less, or make a job"
@@ -90,14 +162,37 @@ class Pool:
             ) from None
         finally:
             self.busy -= 1
+            self._own[caller.name] -= 1
 
-    def _give_back(self, worker: Worker) -> None:
-        """Take the next order, also where the client of the last one has gone."""
-        self._idle.append(worker)
-        self._free.release()
+    async def _run(self, order: Order, caller: Caller) -> Answer:
+        worker = await self.turns.take(caller)
+        span, gone = self.turns.begin(caller), threading.Event()
+
+        def give_back(done: "asyncio.Future[Answer]") -> None:
+            span[1] = monotonic()
+            if not done.cancelled():
+                done.exception()  # nobody waits for that of a client who has gone
+            self.turns.give(worker)
+
+        def run() -> Answer:
+            try:
+                return worker.run(order, self.seconds, stopped=gone.is_set)
+            finally:
+                if not (worker.is_ready or self._is_ending):
+                    with suppress(WorkerLost):
+                        worker.start()
+
+        work = asyncio.get_running_loop().run_in_executor(self._threads, run)
+        work.add_done_callback(give_back)
+        try:
+            return await asyncio.shield(work)
+        except asyncio.CancelledError:
+            gone.set()
+            raise
 
     def stop(self) -> None:
         """End all processes."""
+        self._is_ending = True
         for worker in self._all:
             worker.stop()
         self._threads.shutdown(wait=False, cancel_futures=True)

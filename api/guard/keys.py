@@ -6,7 +6,7 @@ A key is 256 random bits, so that its SHA-256 is enough to store: nobody can try
 import hashlib
 import secrets
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from time import monotonic
 
 from api.errors import Problem
@@ -19,22 +19,25 @@ MOST_CALLERS = 10_000
 
 @dataclass(frozen=True)
 class Caller:
-    """Who makes a request.
+    """Who makes a request; fields but `id` are those of `api.settings.ApiKey`.
 
     Attributes
     ----------
     name : str
         Of the key; ``local`` where no keys are needed.
-    scopes : tuple of str
-    jobs : int
-        Most jobs that are queued or run at a time.
-    requests_per_minute : int
+    id : str
+        First letters of the key's SHA-256, for the log; empty without keys.
     """
 
     name: str
     scopes: tuple[Scope, ...]
     jobs: int
     requests_per_minute: int
+    id: str = ""
+    concurrent: int = 10**6
+    live: int = 10**6
+    share: float = 1.0
+    audio_seconds_per_hour: int = 0
 
 
 def new_key() -> tuple[str, str]:
@@ -115,7 +118,8 @@ class Rates:
 
 
 def _caller(key: ApiKey) -> Caller:
-    return Caller(key.name, key.scopes, key.jobs, key.requests_per_minute)
+    limits = key.model_dump(include={field.name for field in fields(Caller)})
+    return Caller(id=key.sha256[:8], **limits)
 
 
 def _refused(message: str, code: str) -> Problem:

@@ -11,15 +11,18 @@
 import asyncio
 import json
 import logging
+import re
+import secrets
 from ipaddress import ip_address
 from time import monotonic, perf_counter
-from typing import Any
 from urllib.parse import urlsplit
 
+import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import MEDIA_TYPE, Problem, describe, internal_problem
 from api.guard.keys import KeyRing, Rates
+from api.guard.metrics import Metrics
 from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"
@@ -40,14 +43,51 @@ ADDED_HEADERS = (
     (b"content-security-policy", b"default-src 'none'; style-src 'unsafe-inline'; sandbox"),
     (b"cross-origin-resource-policy", b"same-origin"),
 )
+REQUEST_ID = b"x-request-id"
+_PLAIN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 log = logging.getLogger("deitalk.service")
+
+
+class _Active:
+    """A request at work, which can be ended from outside."""
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope, self.cancelling = scope, anyio.CancelScope()
+        self.status, self.is_stream = 0, scope["type"] == "websocket"
+        self.is_complete, self.is_ended = False, False
+
+    def end(self) -> None:
+        """End it; an answer that has not begun becomes Problem 503."""
+        self.is_ended = True
+        self.cancelling.cancel()
+
+
+class Traffic:
+    """The requests at work, but for probes."""
+
+    def __init__(self) -> None:
+        self.active: set[_Active] = set()
+        self.is_draining = False
+
+    def drain(self) -> None:
+        """Refuse what comes now, and end streams, whose clients connect to another server."""
+        self.is_draining = True
+        for active in [active for active in self.active if active.is_stream]:
+            active.end()
+
+    def end_all(self) -> None:
+        """End every request at work."""
+        for active in list(self.active):
+            active.end()
 
 
 class Guard:
     """ASGI middleware around the application."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, metrics: Any) -> None:
-        self.app, self.settings, self.metrics = app, settings, metrics
+    def __init__(
+        self, app: ASGIApp, settings: Settings, metrics: Metrics, traffic: Traffic
+    ) -> None:
+        self.app, self.settings, self.metrics, self.traffic = app, settings, metrics, traffic
         self.keys, self.rates = KeyRing(settings), Rates()
         self.hosts = {name.lower() for name in (*settings.hosts, settings.host)}
 
@@ -56,30 +96,47 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        began, status = perf_counter(), 0
+        began, active = perf_counter(), _Active(scope)
+        identity = scope.setdefault("state", {})["request"] = _identity(scope)
 
         async def sent(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-                given = {name.lower() for name, _ in message["headers"]}
-                added = [header for header in ADDED_HEADERS if header[0] not in given]
-                message = dict(message) | {"headers": [*message["headers"], *added]}
-            await send(message)
+            await send(_noted(message, active, identity))
 
+        if scope["path"] not in PROBE_PATHS:
+            self.traffic.active.add(active)
+        try:
+            await self._answer(active, receive, sent)
+        finally:
+            self.traffic.active.discard(active)
+            self._record(scope, active.status, perf_counter() - began)
+
+    async def _answer(self, active: _Active, receive: Receive, send: Send) -> None:
+        """Answer a request; its work ends when its client goes, or when it is ended."""
+        if active.scope["type"] == "websocket":
+            with active.cancelling:
+                await self._run(active, receive, send)
+        else:
+            body = _Body(receive, self.settings)
+            async with anyio.create_task_group() as group:
+                active.cancelling = group.cancel_scope
+                group.start_soon(body.watch, active)
+                await self._run(active, body, send)
+                group.cancel_scope.cancel()
+        if active.is_ended and not active.is_complete:
+            await _end(active, send)
+
+    async def _run(self, active: _Active, receive: Receive, send: Send) -> None:
+        scope = active.scope
         try:
             self._admit(scope)
-            body = _Body(receive, self.settings) if scope["type"] == "http" else receive
-            await self.app(scope, body, sent)
+            await self.app(scope, receive, send)
         except Problem as problem:
-            await _refuse(scope, problem, sent)
+            await _refuse(scope, problem, send)
         except Exception as error:
-            if status:  # the answer has begun: the connection is closed
+            if active.status:  # the answer has begun: the connection is closed
                 log.error("an answer broke off: %s", describe(error))
                 return
-            await _refuse(scope, internal_problem(error), sent)
-        finally:
-            self._record(scope, status, perf_counter() - began)
+            await _refuse(scope, internal_problem(error), send)
 
     def _admit(self, scope: Scope) -> None:
         n_bytes = sum(len(name) + len(value) for name, value in scope["headers"])
@@ -96,6 +153,7 @@ class Guard:
             self._check_origin(headers)
         if scope["path"] in PROBE_PATHS:
             return
+        self._check_room()
         client = (scope.get("client") or ("unknown",))[0]
         if scope["path"] in OPEN_PATHS:
             self.rates.take(f"address {client}", self.settings.requests_per_minute)
@@ -112,6 +170,15 @@ class Guard:
             raise _too_many_bytes(self.settings.max_bytes)
         if headers.get(b"content-encoding", "identity") != "identity":
             raise Problem(415, "send the body without Content-Encoding")
+
+    def _check_room(self) -> None:
+        if self.traffic.is_draining:
+            raise _ending()
+        if len(self.traffic.active) > self.settings.connections:
+            raise Problem(
+                503, "too many requests are at work; try again in a second", "busy",
+                headers={"Retry-After": "1", "Connection": "close"},
+            )  # fmt: skip
 
     def _check_host(self, host: str) -> None:
         name = _hostname(host)
@@ -131,11 +198,16 @@ class Guard:
             raise Problem(403, "requests of other sites' pages are refused", "cross_origin")
 
     def _record(self, scope: Scope, status: int, seconds: float) -> None:
-        """Log and count a request by its route's pattern: ids and options are left out."""
+        """Log and count a request by its route's pattern: options and ids of jobs are left out."""
         route = getattr(scope.get("route"), "path", "unknown")
         method = scope.get("method", "WS")
         self.metrics.request(method, route, status, seconds)
-        log.info("%s %s %d %.1f ms", method, route, status, 1000 * seconds)
+        caller = scope["state"].get("caller")
+        facts = {"method": method, "route": route, "status": status, "ms": round(1000 * seconds, 1)}
+        facts["request"] = scope["state"]["request"]
+        if caller is not None:
+            facts |= {"key": caller.name, "key_id": caller.id}
+        log.info("%s %s %d %.1f ms", *list(facts.values())[:4], extra={"facts": facts})
 
 
 class _Body:
@@ -146,6 +218,14 @@ class _Body:
         self.end = monotonic() + settings.body_seconds
         self.seconds = settings.body_seconds
         self.n_bytes, self.is_whole = 0, False
+        self.whole = asyncio.Event()
+
+    async def watch(self, active: _Active) -> None:
+        """Cancel the work on a request whose client goes."""
+        await self.whole.wait()
+        await self.receive()
+        if not active.is_complete:
+            active.cancelling.cancel()
 
     async def __call__(self) -> Message:
         if self.is_whole:  # waiting for the client to go
@@ -161,10 +241,55 @@ class _Body:
             ) from None
         if message["type"] == "http.request":
             self.n_bytes += len(message.get("body", b""))
-            self.is_whole = not message.get("more_body", False)
+            if not message.get("more_body", False):
+                self.is_whole = True
+                self.whole.set()
             if self.n_bytes > self.most:
                 raise _too_many_bytes(self.most)
         return message
+
+
+def _noted(message: Message, active: _Active, identity: str) -> Message:
+    """Note where an answer is, and return its message with the headers of every answer."""
+    kind = message["type"]
+    if kind.endswith("response.body"):
+        active.is_complete = not message.get("more_body", False)
+    if kind == "websocket.close":
+        active.status, active.is_complete = active.status or 403, True
+    if not kind.endswith(("response.start", "websocket.accept")):
+        return message
+    active.status = message.get("status", 101)
+    headers = list(message.get("headers", ()))
+    given = {name.lower(): value for name, value in headers}
+    active.is_stream |= given.get(b"content-type", b"").startswith(b"text/event-stream")
+    added = [(REQUEST_ID, identity.encode()), *(ADDED_HEADERS if "status" in message else ())]
+    headers += [header for header in added if header[0] not in given]
+    return dict(message) | {"headers": headers}
+
+
+async def _end(active: _Active, send: Send) -> None:
+    """Answer a request that was ended because the server ends."""
+    problem = _ending()
+    if active.status == 0:
+        await _refuse(active.scope, problem, send)
+    elif active.scope["type"] == "websocket":
+        text = json.dumps({"type": "problem", **problem.content})
+        await send({"type": "websocket.send", "text": text})
+        await send({"type": "websocket.close", "code": 1012})
+    elif active.is_stream:
+        body = f"event: {problem.code}\ndata: {json.dumps(problem.content)}\n\n"
+        await send({"type": "http.response.body", "body": body.encode()})
+
+
+def _ending() -> Problem:
+    headers = {"Retry-After": "1", "Connection": "close"}
+    return Problem(503, "the server ends; send it again", "draining", headers=headers)
+
+
+def _identity(scope: Scope) -> str:
+    """The request's own id where it is a plain one, else a new one."""
+    given = dict(scope["headers"]).get(REQUEST_ID, b"").decode("latin-1")
+    return given if _PLAIN_ID.fullmatch(given) else secrets.token_hex(8)
 
 
 async def _refuse(scope: Scope, problem: Problem, send: Send) -> None:

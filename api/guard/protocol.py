@@ -1,4 +1,7 @@
-"""uvicorn's protocols with time limits: for a request's headers, and for reading of a WebSocket."""
+"""uvicorn's protocols with limits of time, for a request's headers and for reading, and of number.
+
+A connection on which nothing is asked makes room for a new one: a flood of them refuses nobody.
+"""
 
 import asyncio
 from typing import Any
@@ -8,25 +11,64 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 SEND_SECONDS = 10.0
 """Time in which the client of a WebSocket must take a message."""
+READ_SECONDS = 60.0
+"""Time in which a client must take some of an answer."""
 
 
-class GuardedProtocol(H11Protocol):
+class _Reader:
+    """Cuts off a client that does not read: a closing would wait for it too."""
+
+    read_seconds = SEND_SECONDS
+    loop: asyncio.AbstractEventLoop
+    transport: asyncio.Transport
+    _reading: asyncio.TimerHandle | None = None
+
+    def pause_writing(self) -> None:
+        """Start the clock: as much as may wait for the client waits."""
+        super().pause_writing()  # type: ignore[misc]
+        self._reading = self.loop.call_later(self.read_seconds, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Stop the clock: the client has read."""
+        self._stop_reading()
+        super().resume_writing()  # type: ignore[misc]
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the clock."""
+        self._stop_reading()
+        super().connection_lost(exc)  # type: ignore[misc]
+
+    def _stop_reading(self) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
+            self._reading = None
+
+
+class GuardedProtocol(_Reader, H11Protocol):
     """Closes a connection whose request line and headers are not there in time.
 
     The size of the headers is limited by uvicorn (``h11_max_incomplete_event_size``), the time of
     a body by `api.guard.middleware`.
     """
 
-    header_seconds = 10.0
+    header_seconds, most = 10.0, 256
+    read_seconds = READ_SECONDS
 
     @classmethod
-    def limited(cls, seconds: float) -> type["GuardedProtocol"]:
-        """Return the protocol with another limit, in seconds."""
-        return type(cls.__name__, (cls,), {"header_seconds": seconds})
+    def limited(cls, seconds: float, most: int) -> type["GuardedProtocol"]:
+        """Return the protocol with other limits: seconds for headers, open connections."""
+        return type(cls.__name__, (cls,), {"header_seconds": seconds, "most": most})
 
     def connection_made(self, transport: Any) -> None:
-        """Start the clock."""
+        """Start the clock; beyond the most connections close the one that is idle longest."""
         super().connection_made(transport)
+        self.idle_since = self.loop.time()
+        if len(self.connections) > self.most:
+            idle = (other for other in self.connections if _is_idle(other) and other is not self)
+            longest = min(idle, key=lambda other: other.idle_since, default=None)  # type: ignore[union-attr]
+            if longest is not None:
+                longest.transport.close()
+                self.connections.discard(longest)
         self._clock: asyncio.TimerHandle | None = None
         self._start_clock()
 
@@ -40,6 +82,7 @@ class GuardedProtocol(H11Protocol):
     def on_response_complete(self) -> None:
         """Look at what the client has sent since."""
         super().on_response_complete()
+        self.idle_since = self.loop.time()
         self._stop_clock_in_request()
 
     def handle_websocket_upgrade(self, event: Any) -> None:
@@ -70,27 +113,11 @@ class GuardedProtocol(H11Protocol):
             self.transport.close()
 
 
-class GuardedSocket(WebSocketsSansIOProtocol):
-    """Cuts off a client that does not read for `SEND_SECONDS`: a closing would wait for it too."""
+def _is_idle(connection: Any) -> bool:
+    return isinstance(connection, GuardedProtocol) and (
+        connection.cycle is None or connection.cycle.response_complete
+    )
 
-    _clock: asyncio.TimerHandle | None = None
 
-    def pause_writing(self) -> None:
-        """Start the clock: as much as may wait for the client waits."""
-        super().pause_writing()
-        self._clock = self.loop.call_later(SEND_SECONDS, self.transport.abort)
-
-    def resume_writing(self) -> None:
-        """Stop the clock: the client has read."""
-        self._stop_clock()
-        super().resume_writing()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the clock."""
-        self._stop_clock()
-        super().connection_lost(exc)
-
-    def _stop_clock(self) -> None:
-        if self._clock is not None:
-            self._clock.cancel()
-            self._clock = None
+class GuardedSocket(_Reader, WebSocketsSansIOProtocol):
+    """A WebSocket whose client must take a message within `SEND_SECONDS`."""

@@ -2,6 +2,7 @@
 
 import json
 import secrets
+from collections.abc import Mapping
 from time import time
 from typing import Any
 
@@ -11,11 +12,28 @@ from sqlalchemy.exc import IntegrityError
 
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.jobs.table import CANCELLED, DONE, ENDED, FAILED, JOBS, QUEUED, RUNNING, Job, job_of
+from api.jobs.table import (
+    CANCELLED,
+    DONE,
+    DUTIES,
+    ENDED,
+    FAILED,
+    JOBS,
+    QUEUED,
+    RUNNING,
+    USAGE,
+    Job,
+    job_of,
+)
 
 WEBHOOK_TRIES = 5
 WEBHOOK_SECONDS = 30.0
 """Time from one try of a webhook to the next."""
+FAIR_SECONDS = 60.0
+"""Of two keys that wait, the one with less work in this time, for its share, is next."""
+BATCH = 500
+"""Jobs that one statement removes or looks up."""
+HOUR = 3600
 
 
 def new_id() -> str:
@@ -36,11 +54,20 @@ class Queue:
         Times that a job is begun before it counts as failed.
     most : int
         Most jobs that are queued or run, of all callers.
+    shares : mapping of str to float, optional
+        Of the workers, by owner, where many wait; 1 for others.
     """
 
-    def __init__(self, engine: Engine, lease_seconds: float, attempts: int, most: int) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        lease_seconds: float,
+        attempts: int,
+        most: int,
+        shares: Mapping[str, float] | None = None,
+    ) -> None:
         self.engine, self.lease_seconds = engine, lease_seconds
-        self.attempts, self.most = attempts, most
+        self.attempts, self.most, self.shares = attempts, most, shares or {}
 
     def known(self, caller: Caller, idempotency: str | None, digest: str) -> Job | None:
         """Return the job of an idempotency key; Problem 409 if it was of another request."""
@@ -131,16 +158,22 @@ class Queue:
             return {status: count for status, count in connection.execute(query)}
 
     def claim(self) -> Job | None:
-        """Take the oldest job that waits or whose holder is gone; None if there is none."""
+        """Take a job that waits or whose holder is gone; None if there is none.
+
+        The owner with least work in the last minute for its share is next, with its oldest job.
+        """
         while True:
             now = time()
             is_free = sql.or_(
                 JOBS.c.status == QUEUED,
                 sql.and_(JOBS.c.status == RUNNING, JOBS.c.lease < now),
             )
-            job = self._one(is_free, order=JOBS.c.created)
-            if job is None:
+            owner = self._next_owner(is_free, now)
+            if owner is None:
                 return None
+            job = self._one(sql.and_(is_free, JOBS.c.owner == owner), order=JOBS.c.created)
+            if job is None:  # another server has it
+                continue
             same = [JOBS.c.id == job.id, JOBS.c.status == job.status, JOBS.c.holder == job.holder]
             if job.attempts >= self.attempts:
                 error = {"code": "worker_lost", "message": "the worker ended in every attempt"}
@@ -153,6 +186,25 @@ class Queue:
             }  # fmt: skip
             if self._update([*same, is_free], values):
                 return self._one(JOBS.c.id == job.id)
+
+    def _next_owner(self, is_free: Any, now: float) -> str | None:
+        begin, job = now - FAIR_SECONDS, JOBS.c
+        oldest = sql.select(job.owner, sql.func.min(job.created)).where(is_free)
+        end = sql.case((job.status == RUNNING, now), else_=job.finished)
+        worked = end - sql.case((job.started > begin, job.started), else_=begin)
+        with self.engine.connect() as connection:
+            waits = [tuple(row) for row in connection.execute(oldest.group_by(job.owner))]
+            if len(waits) < 2:
+                return waits[0][0] if waits else None
+            query = (
+                sql.select(job.owner, sql.func.sum(worked))
+                .where(job.owner.in_([owner for owner, _ in waits]), job.started.is_not(None))
+                .where(sql.or_(job.status == RUNNING, job.finished > begin))
+            )
+            seconds = {o: n for o, n in connection.execute(query.group_by(job.owner))}
+        return str(
+            min(waits, key=lambda w: (seconds.get(w[0], 0.0) / self.shares.get(w[0], 1.0), w[1]))[0]
+        )
 
     def renew(self, job: Job, progress: float) -> bool:
         """Keep a job that is worked on; False if it was cancelled or is another's."""
@@ -185,21 +237,102 @@ class Queue:
         """End a job whose cancellation its holder has seen."""
         return self._end([*self._mine(job), JOBS.c.cancel == 1], CANCELLED)
 
-    def remove(self, job: Job) -> bool:
-        """Delete the row of a job that has ended."""
-        where = (JOBS.c.id == job.id, JOBS.c.status.in_(ENDED))
-        with self.engine.begin() as connection:
-            return connection.execute(sql.delete(JOBS).where(*where)).rowcount == 1
+    def expired(self, oldest: float, room: int, rooms: Mapping[str, int]) -> list[str]:
+        """Return ids of ended jobs that are no longer kept, at most `BATCH`.
 
-    def ended(self) -> list[Job]:
-        """Return every job that has ended, the oldest first."""
-        query = sql.select(JOBS).where(JOBS.c.status.in_(ENDED)).order_by(JOBS.c.finished)
+        Parameters
+        ----------
+        oldest : float
+            Jobs that ended before, seconds since 1970, are not kept.
+        room : int
+            Bytes of the newest results of an owner that are kept.
+        rooms : mapping of str to int
+            The same of owners who have another.
+        """
+        job = JOBS.c
+        newer = sql.func.sum(job.result_bytes).over(
+            partition_by=job.owner, order_by=[job.finished.desc(), job.id]
+        )
+        own = [(job.owner == owner, n_bytes) for owner, n_bytes in rooms.items()]
+        limit = sql.case(*own, else_=room) if own else sql.literal(room, sql.BigInteger)
+        ended = (
+            sql.select(job.id, job.finished, newer.label("newer"), limit.label("room"))
+            .where(job.status.in_(ENDED))
+            .subquery()
+        )
+        query = sql.select(ended.c.id).where(
+            sql.or_(ended.c.finished < oldest, ended.c.newer > ended.c.room)
+        )
         with self.engine.connect() as connection:
-            return [job_of(row) for row in connection.execute(query)]
+            return list(connection.execute(query.limit(BATCH)).scalars())
 
-    def exists(self, job_id: str) -> bool:
-        """Whether a job is in the table."""
-        return self._one(JOBS.c.id == job_id) is not None
+    def remove_ended(self, ids: list[str]) -> int:
+        """Delete rows of jobs that have ended; return their number."""
+        where = (JOBS.c.id.in_(ids), JOBS.c.status.in_(ENDED))
+        with self.engine.begin() as connection:
+            return connection.execute(sql.delete(JOBS).where(*where)).rowcount
+
+    def known_of(self, ids: list[str]) -> set[str]:
+        """Return those of some ids that are in the table."""
+        found: set[str] = set()
+        with self.engine.connect() as connection:
+            for begin in range(0, len(ids), BATCH):
+                where = JOBS.c.id.in_(ids[begin : begin + BATCH])
+                found |= set(connection.execute(sql.select(JOBS.c.id).where(where)).scalars())
+        return found
+
+    def take_duty(self, name: str, seconds: float) -> bool:
+        """Whether this server does, for `seconds`, what one server does for all."""
+        now = time()
+        values = {"name": name, "until": now + seconds}
+        with self.engine.begin() as connection:
+            due = sql.update(DUTIES).where(DUTIES.c.name == name, DUTIES.c.until < now)
+            if connection.execute(due.values(**values)).rowcount == 1:
+                return True
+            if connection.execute(sql.select(DUTIES).where(DUTIES.c.name == name)).first():
+                return False
+        try:
+            with self.engine.begin() as connection:
+                connection.execute(sql.insert(DUTIES).values(**values))
+        except IntegrityError:  # another server was first
+            return False
+        return True
+
+    def use(self, owner: str, seconds: float) -> None:
+        """Count sound that a key had animated."""
+        values = {"owner": owner, "hour": int(time() // HOUR)}
+        where = (USAGE.c.owner == owner, USAGE.c.hour == values["hour"])
+        more = sql.update(USAGE).where(*where).values(seconds=USAGE.c.seconds + seconds)
+        with self.engine.begin() as connection:
+            if connection.execute(more).rowcount == 1:
+                return
+        try:
+            with self.engine.begin() as connection:
+                connection.execute(sql.insert(USAGE).values(**values, seconds=seconds))
+        except IntegrityError:  # another server was first
+            with self.engine.begin() as connection:
+                connection.execute(more)
+
+    def check_quota(self, caller: Caller) -> None:
+        """Refuse a caller whose sound of this hour is used: Problem 429."""
+        if not caller.audio_seconds_per_hour:
+            return
+        hour, rest = divmod(time(), HOUR)
+        where = (USAGE.c.owner == caller.name, USAGE.c.hour == int(hour))
+        with self.engine.connect() as connection:
+            used = connection.execute(sql.select(USAGE.c.seconds).where(*where)).scalar() or 0.0
+        if used >= caller.audio_seconds_per_hour:
+            raise Problem(
+                429,
+                f"the key's {caller.audio_seconds_per_hour} seconds of sound an hour are used; "
+                "wait for the next hour", "quota_used",
+                headers={"Retry-After": str(int(HOUR - rest) + 1)},
+            )  # fmt: skip
+
+    def forget_usage(self) -> None:
+        """Remove counts of sound that are a day old."""
+        with self.engine.begin() as connection:
+            connection.execute(sql.delete(USAGE).where(USAGE.c.hour < time() // HOUR - 24))
 
     def claim_webhook(self) -> Job | None:
         """Take one webhook that is due; it is due again later unless `webhook_sent` is called."""

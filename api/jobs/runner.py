@@ -9,6 +9,7 @@ from api.compute.order import Answer, Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
 from api.errors import InternalError, Problem
+from api.guard.metrics import Metrics
 from api.jobs.queue import Queue
 from api.jobs.store import Store
 from api.jobs.table import Job
@@ -18,6 +19,9 @@ from api.settings import Settings
 IDLE_SECONDS = 0.5
 """Time between two looks for work, unless `Runner.wake` is called."""
 CLEAR_SECONDS = 60.0
+"""Time between two removals of jobs that are no longer kept, by one of all servers."""
+LOST_SECONDS = 3600.0
+"""Time between two looks for files without a job."""
 log = logging.getLogger("deitalk.service")
 
 
@@ -32,21 +36,32 @@ class Runner:
         Of the worker processes.
     settings : Settings
         Number of workers, times, retention.
+    metrics : Metrics
     """
 
     def __init__(
-        self, queue: Queue, store: Store, stage: Stage, limits: Limits, settings: Settings
+        self,
+        queue: Queue,
+        store: Store,
+        stage: Stage,
+        limits: Limits,
+        settings: Settings,
+        metrics: Metrics,
     ) -> None:
         self.queue, self.store, self.stage = queue, store, stage
-        self.settings = settings
-        self.webhooks = Webhooks(queue, settings.webhook_hosts)
+        self.settings, self.metrics = settings, metrics
+        secrets = {key.name: key.secret for key in settings.keys if key.secret is not None}
+        self.webhooks = Webhooks(queue, settings.webhook_hosts, secrets)
+        self.at_work = 0
         self.workers = [Worker(limits) for _ in range(settings.job_workers)]
         self._ending, self._wake = threading.Event(), threading.Event()
+        self._draining = False
         self._threads = [
             threading.Thread(target=self._work, args=(worker,), daemon=True)
             for worker in self.workers
         ]
-        self._threads.append(threading.Thread(target=self._clear_up, daemon=True))
+        for duty in (self._deliver, self._clear_up):
+            self._threads.append(threading.Thread(target=duty, daemon=True))
 
     def start(self) -> None:
         """Start the threads."""
@@ -56,6 +71,10 @@ class Runner:
     def wake(self) -> None:
         """Look for work now."""
         self._wake.set()
+
+    def drain(self) -> None:
+        """Begin no other job; `at_work` tells how many are left."""
+        self._draining = True
 
     def stop(self) -> None:
         """Stop; jobs that run are put back into the queue."""
@@ -67,9 +86,9 @@ class Runner:
     def _work(self, worker: Worker) -> None:
         while not self._ending.is_set():
             try:
-                job = self.queue.claim()
+                job = None if self._draining else self.queue.claim()
                 if job is not None:
-                    self._carry_out(job, worker)
+                    self._work_on(job, worker)
                     continue
             except Exception as error:  # a database or store that is away for a while
                 log.warning("jobs wait: %s", type(error).__name__)
@@ -78,7 +97,19 @@ class Runner:
             self._wake.clear()
         worker.stop()
 
+    def _work_on(self, job: Job, worker: Worker) -> None:
+        began = time()
+        if job.attempts == 1:
+            self.metrics.waited.observe(began - job.created)
+        self.at_work += 1
+        try:
+            self._carry_out(job, worker)
+        finally:
+            self.at_work -= 1
+            self.metrics.job_seconds.labels(job.work["format"]).observe(time() - began)
+
     def _carry_out(self, job: Job, worker: Worker) -> None:
+        """Do a job and end it, or leave it to the next."""
         folder = self.stage.make()
         try:
             self.store.get_folder(job.id, folder)
@@ -86,9 +117,13 @@ class Runner:
             answer = checked(self._run(job, worker, order))
             path = result_path(folder, answer)
             name = self.store.put_result(path, job.id, job.holder)
-            about = {"notes": answer.get("notes", []), "facts": answer.get("facts", {})}
+            facts = answer.get("facts", {})
+            about = {"notes": answer.get("notes", []), "facts": facts}
             if self.queue.finish(job, name, path.stat().st_size, about):
                 self.store.remove_inputs(job.id)
+                seconds = facts.get("seconds", 0.0)
+                self.metrics.audio.labels("job").inc(seconds)
+                self.queue.use(job.owner, seconds)
         except Problem as problem:
             self.queue.fail(job, problem)
         except InternalError as error:
@@ -124,34 +159,41 @@ class Runner:
 
         return worker.run(order, self.settings.job_work_seconds, note, must_stop)
 
-    def _clear_up(self) -> None:
-        cleared = 0.0
+    def _deliver(self) -> None:
         while not self._ending.wait(IDLE_SECONDS):
             try:
-                self.webhooks.deliver()
-                if monotonic() - cleared > CLEAR_SECONDS:
-                    cleared = monotonic()
+                while self.webhooks.deliver() and not self._ending.is_set():
+                    pass
+            except Exception as error:
+                log.warning("webhooks wait: %s", type(error).__name__)
+
+    def _clear_up(self) -> None:
+        while not self._ending.wait(IDLE_SECONDS):
+            try:
+                if self.queue.take_duty("retention", CLEAR_SECONDS):
                     remove_old(self.queue, self.store, self.settings)
+                if self.queue.take_duty("lost files", LOST_SECONDS):
+                    remove_lost(self.queue, self.store)
+                    self.queue.forget_usage()
             except Exception as error:
                 log.warning("clearing up waits: %s", type(error).__name__)
+            self._ending.wait(CLEAR_SECONDS / 4)
 
 
 def remove_old(queue: Queue, store: Store, settings: Settings) -> int:
-    """Remove ended jobs beyond the age and size that are kept, and files without a job.
-
-    Returns
-    -------
-    int
-        Jobs removed.
-    """
-    oldest, room = time() - settings.keep_days * 86_400, settings.keep_mb * 2**20
-    removed = 0
-    for job in reversed(queue.ended()):  # the newest first
-        room -= job.result_bytes
-        if (job.finished or 0.0) < oldest or room < 0:
-            removed += queue.remove(job)
-            store.remove(job.id)
-    for job_id in store.jobs():
-        if not queue.exists(job_id) and store.age(job_id) > CLEAR_SECONDS:
+    """Remove ended jobs beyond the age and size that are kept of each key; return their number."""
+    oldest, removed = time() - settings.keep_days * 86_400, 0
+    rooms = {key.name: key.keep_mb * 2**20 for key in settings.keys if key.keep_mb is not None}
+    while ids := queue.expired(oldest, settings.keep_mb * 2**20, rooms):
+        removed += queue.remove_ended(ids)
+        for job_id in ids:
             store.remove(job_id)
     return removed
+
+
+def remove_lost(queue: Queue, store: Store) -> None:
+    """Remove files without a job, which a server leaves that is killed while it takes one."""
+    there = store.jobs()
+    for job_id in there - queue.known_of(sorted(there)):
+        if store.age(job_id) > CLEAR_SECONDS:
+            store.remove(job_id)

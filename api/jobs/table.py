@@ -1,4 +1,4 @@
-"""The table of jobs.
+"""The tables of jobs; `api.jobs.schema` makes them.
 
 ::
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sql
-from sqlalchemy import Column, Engine, Float, Integer, MetaData, String, Table, Text, event
+from sqlalchemy import BigInteger, Column, Float, Integer, MetaData, String, Table, Text
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 ENDED = (DONE, FAILED, CANCELLED)
@@ -31,7 +31,7 @@ JOBS = Table(
     Column("work", Text, nullable=False),
     Column("created", Float, nullable=False, index=True),
     Column("started", Float),
-    Column("finished", Float),
+    Column("finished", Float, index=True),
     Column("progress", Float, nullable=False, default=0.0),
     Column("attempts", Integer, nullable=False, default=0),
     Column("holder", String(64), nullable=False, default=""),
@@ -39,15 +39,30 @@ JOBS = Table(
     Column("cancel", Integer, nullable=False, default=0),
     Column("ends", Integer, nullable=False, default=0),
     Column("result", String(200)),
-    Column("result_bytes", Integer, nullable=False, default=0),
+    Column("result_bytes", BigInteger, nullable=False, default=0),
     Column("answer", Text),
     Column("error", Text),
     Column("idempotency", String(300), unique=True),
     Column("digest", String(64), nullable=False),
     Column("webhook", String(500)),
-    Column("webhook_left", Integer, nullable=False, default=0),
+    Column("webhook_left", Integer, nullable=False, default=0, index=True),
     Column("webhook_at", Float, nullable=False, default=0.0),
 )
+USAGE = Table(
+    "deitalk_usage",
+    METADATA,
+    Column("owner", String(64), primary_key=True),
+    Column("hour", Integer, primary_key=True, autoincrement=False),
+    Column("seconds", Float, nullable=False),
+)
+"""Seconds of sound that each key had animated in each hour since 1970."""
+DUTIES = Table(
+    "deitalk_duties",
+    METADATA,
+    Column("name", String(40), primary_key=True),
+    Column("until", Float, nullable=False),
+)
+"""What one server does for all, and until when no other does."""
 
 
 @dataclass(frozen=True)
@@ -107,23 +122,3 @@ def job_of(row: "sql.Row[Any]") -> Job:
     for name in ("work", "answer", "error"):
         values[name] = None if values[name] is None else json.loads(values[name])
     return Job(**values)
-
-
-def open_database(url: str) -> Engine:
-    """Return an engine for a SQLAlchemy URL, with the table made if it is not there."""
-    engine = sql.create_engine(url, pool_pre_ping=True)
-    if engine.dialect.name == "sqlite":
-        event.listen(engine, "connect", _tune_sqlite)
-    try:
-        METADATA.create_all(engine)
-    except sql.exc.DBAPIError:  # another server that starts now made the table after the look
-        METADATA.create_all(engine)
-    return engine
-
-
-def _tune_sqlite(connection: Any, record: Any) -> None:
-    """Readers beside one writer; a writer waits for another; kept after kill and power cut."""
-    cursor = connection.cursor()
-    for setting in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000"):
-        cursor.execute(f"PRAGMA {setting}")
-    cursor.close()

@@ -19,6 +19,7 @@ from api.compute.live import Voice
 from api.compute.order import ACTING, RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
+from api.guard.keys import Caller
 from api.guard.protocol import SEND_SECONDS
 from api.live.stream import (
     BACKLOG_SECONDS,
@@ -191,12 +192,16 @@ class Session:
     websocket : WebSocket
         Accepted.
     service : Service
+    caller : Caller
     folder : Path
         Of the session's orders.
     """
 
-    def __init__(self, websocket: WebSocket, service: Service, folder: Path) -> None:
+    def __init__(
+        self, websocket: WebSocket, service: Service, caller: Caller, folder: Path
+    ) -> None:
         self.websocket, self.service, self.folder = websocket, service, folder
+        self.caller = caller
         self.news = asyncio.Event()
         self.room = asyncio.Event()
         self.room.set()
@@ -256,7 +261,15 @@ class Session:
         finally:
             for task in (reading, writing):
                 task.cancel()
+            await self._count()
         await self._send({"type": "end", "frames": self.stream.next_frame})
+
+    async def _count(self) -> None:
+        """Count the sound of the session, to the key's quota too."""
+        self.service.metrics.audio.labels("live").inc(self.stream.seconds)
+        if self.caller.audio_seconds_per_hour:
+            use = self.service.queue.use
+            await asyncio.shield(asyncio.to_thread(use, self.caller.name, self.stream.seconds))
 
     def _model_folder(self) -> Path:
         models = self.service.settings.known_models
@@ -276,6 +289,7 @@ class Session:
         while not stream.is_done:
             frames = await stream.voice.next_frames()
             begin, late = stream.come(frames)
+            self._observe(late)
             self.room.set()
             values, head = frames[:, : -len(HEAD)], frames[:, -len(HEAD) :]
             message = frames_message(
@@ -287,6 +301,10 @@ class Session:
                 head=head if self.start.head else None,
             )
             await self._send(message)
+
+    def _observe(self, late: list[float]) -> None:
+        for seconds in late:
+            self.service.metrics.late.observe(seconds)
 
     async def _read(self) -> None:
         """Take messages; none while too much sound waits."""
@@ -317,6 +335,7 @@ class Session:
             values = await self._animated(samples, fields)
             begin, frames, late = self.stream.take(first, values)
             if len(frames):
+                self._observe(late)
                 as_json = self.start.frames == "json"
                 await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
 
@@ -329,7 +348,7 @@ class Session:
             "folder": str(self.folder),
             "options": {"model": self.start.model},
         }
-        answer = await self.service.pool.run(order)
+        answer = await self.service.pool.run(order, self.caller)
         values = np.fromfile(result_path(self.folder, answer), "<f4")
         rows = values.reshape(answer["facts"]["frames"], -1).astype(np.float32)
         return rows[: -(-len(samples) * FRAME_RATE // 16_000)]

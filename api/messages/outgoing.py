@@ -64,9 +64,12 @@ async def answer_order(
     }
     try:
         if given.wait:
-            answer = await service.pool.run(work | {"folder": str(folder)})
+            answer = await service.pool.run(work | {"folder": str(folder)}, caller)
             if "long" not in answer:
-                service.metrics.audio.inc(answer.get("facts", {}).get("seconds", 0.0))
+                seconds = answer.get("facts", {}).get("seconds", 0.0)
+                service.metrics.audio.labels("request").inc(seconds)
+                if caller.audio_seconds_per_hour:
+                    await anyio.to_thread.run_sync(service.queue.use, caller.name, seconds)
                 return await file_answer(folder, answer, output)
         job = await accept(request, service, caller, folder, work, given, output)
         body = view_of(job).model_dump_json()

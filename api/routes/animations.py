@@ -95,6 +95,7 @@ async def retargets(request: Request, service: ServiceDep, caller: AnimatorDep) 
 )
 async def conversions(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A file of curves in another format, on the control board."""
+    await service.check_room(caller, is_job=False)
     async with service.stage.folder() as folder:
         received = await receive(request, folder, ConversionOptions, ("curves",))
         given, sent = received.options, received.sent
@@ -102,7 +103,7 @@ async def conversions(request: Request, service: ServiceDep, caller: AnimatorDep
         options = given.order_options() | checked_curves(sent)
         options |= {"format": output.name, "suffix": output.suffix}
         order: Order = {"kind": "conversion", "folder": str(folder), "options": options}
-        return await file_answer(folder, await service.pool.run(order), output)
+        return await file_answer(folder, await service.pool.run(order, caller), output)
 
 
 class NoOptions(BaseModel):
@@ -114,11 +115,12 @@ class NoOptions(BaseModel):
 @router.post("/validate", openapi_extra=body_docs.body(NoOptions, ("curves",), raw=False))
 async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -> ValidationView:
     """Check a file of curves by the rules of the programs that import it."""
+    await service.check_room(caller, is_job=False)
     async with service.stage.folder() as folder:
         received = await receive(request, folder, NoOptions, ("curves",))
         options = checked_curves(received.sent)
         order: Order = {"kind": "validation", "folder": str(folder), "options": options}
-        answer = await service.pool.run(order)
+        answer = await service.pool.run(order, caller)
         return ValidationView(**answer["facts"])
 
 
@@ -153,6 +155,8 @@ async def speech(
     at_once : bool
         Whether a short recording is answered at once.
     """
+    is_job = not at_once or request.query_params.get("wait") == "false"
+    await service.check_room(caller, is_job=is_job)
     async with service.stage.folder() as folder:
         received = await receive(request, folder, model, files)
         given = received.options

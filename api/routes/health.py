@@ -19,6 +19,8 @@ async def health() -> StatusView:
 @router.get("/readyz", responses=problems())
 async def ready(service: ServiceDep) -> StatusView:
     """Whether a worker has read the models and no live worker has ended; 503 otherwise."""
+    if service.is_draining:
+        raise Problem(503, "the server ends", "draining", None, {"Retry-After": "1"})
     if not service.pool.is_ready:
         raise Problem(503, "the models are being read", "starting", None, {"Retry-After": "1"})
     if not service.voices.is_ready:
@@ -36,7 +38,8 @@ def metrics(service: ServiceDep, caller: MetricsDep) -> Response:
     counts = service.metrics
     counts.busy.set(service.pool.busy)
     counts.lost.set(service.pool.lost)
-    counts.live.set(service.live_sessions)
+    counts.left.set(service.pool.left)
+    counts.live.set(service.live.total())
     for status, count in service.queue.counts().items():
         counts.jobs.labels(status).set(count)
     return Response(counts.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -107,7 +107,7 @@ def cancel(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
 def delete(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
     """Delete a job that has ended, with its files; 409 while it is queued or runs."""
     job = service.queue.get(job_id, caller)
-    if not service.queue.remove(job):
+    if not service.queue.remove_ended([job.id]):
         raise Problem(409, f"the job is {job.status}; cancel it first", "job_active")
     service.store.remove(job.id)
 

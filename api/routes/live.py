@@ -26,23 +26,20 @@ async def live(websocket: WebSocket) -> None:
     service: Service = websocket.app.state.service
     caller: Caller = websocket.state.caller
     require(caller, "live")
-    if service.live_sessions >= service.settings.live_sessions:
-        raise Problem(503, "all live sessions are taken; try again later", "busy")
-    service.live_sessions += 1
-    try:
+    if caller.audio_seconds_per_hour:
+        await asyncio.to_thread(service.queue.check_quota, caller)
+    with service.session(caller):
         is_offered = SUBPROTOCOL in websocket.scope.get("subprotocols", [])
         await websocket.accept(subprotocol=SUBPROTOCOL if is_offered else None)
-        await _serve(websocket, service)
-    finally:
-        service.live_sessions -= 1
+        await _serve(websocket, service, caller)
 
 
-async def _serve(websocket: WebSocket, service: Service) -> None:
+async def _serve(websocket: WebSocket, service: Service, caller: Caller) -> None:
     """Serve a session, and close the connection within `SEND_SECONDS`."""
     problem = None
     try:
         async with service.stage.folder() as folder:
-            await Session(websocket, service, folder).run()
+            await Session(websocket, service, caller, folder).run()
     except WebSocketDisconnect:
         return
     except Problem as error:

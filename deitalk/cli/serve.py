@@ -28,6 +28,9 @@ def serve(
     ray: Annotated[
         bool, typer.Option("--ray", help="Serve on the machines of a Ray cluster (extra ray).")
     ] = False,
+    migrate: Annotated[
+        bool, typer.Option("--migrate", help="Only bring the tables of jobs to this version.")
+    ] = False,
 ) -> None:
     """Serve animations over HTTP and WebSocket.
 
@@ -41,7 +44,7 @@ def serve(
 
     deitalk serve --ray --settings cluster.yaml
     """
-    _commands().serve(settings, ray=ray, host=host, port=port, backend=backend)
+    _commands().serve(settings, ray=ray, migrate=migrate, host=host, port=port, backend=backend)
 
 
 def studio(

@@ -11,8 +11,9 @@ from api.app import problem_answer
 from api.compute.pool import Stage
 from api.compute.worker import WorkerLost
 from api.errors import Problem
-from api.guard.middleware import Guard
-from api.service import Metrics, Pages
+from api.guard.metrics import Metrics
+from api.guard.middleware import Guard, Traffic
+from api.service import Pages
 from api.settings import Settings
 from rig.errors import RigError
 from rig.face.identity import IDENTITIES, ROLES
@@ -85,7 +86,7 @@ def test_pages_without_a_key_are_counted_by_address_and_probes_are_not():
     async def app(scope, receive, send):
         await problem_answer(Problem(400, "seen"))(scope, receive, send)
 
-    guard = Guard(app, Settings(requests_per_minute=60), Metrics())
+    guard = Guard(app, Settings(requests_per_minute=60), Metrics(), Traffic())
 
     async def ask(path: str) -> list[int]:
         def client(address):

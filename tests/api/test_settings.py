@@ -16,10 +16,10 @@ from api import commands
 from api.app import create_app
 from api.errors import Problem, problem_of, without_paths
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
-from api.guard.middleware import Guard
+from api.guard.metrics import Metrics
+from api.guard.middleware import Guard, Traffic
 from api.jobs.webhooks import check_webhook
 from api.messages.formats import ANIMATION_FORMATS, choose_format
-from api.service import Metrics
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app
@@ -143,7 +143,7 @@ def test_webhooks_need_an_allowed_host():
 
 
 def test_hosts_of_loopback_are_known_by_every_spelling(tmp_path):
-    guard = Guard(None, Settings(data=tmp_path), None)
+    guard = Guard(None, Settings(data=tmp_path), None, Traffic())
     for host in ("localhost:8000", "127.0.0.1", "[::1]:8000", "127.0.0.2:1"):
         guard._check_host(host)
     for host in ("evil.example", "", "localhost.evil.example", "a b", "1" * 300):
@@ -172,7 +172,7 @@ def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, 
 
     entry = {"name": "farm", "sha256": digest_of("dk_key"), "scopes": ["animate"]}
     settings = Settings(host="0.0.0.0", data=tmp_path, keys=[entry], hosts=["voice.example"])
-    guard = Guard(passed, settings, Metrics())
+    guard = Guard(passed, settings, Metrics(), Traffic())
     for path in ("/healthz", "/readyz"):
         assert asyncio.run(_answer(guard, path, host)) == 200
         assert asyncio.run(_answer(guard, path, "voice.example")) == 200

@@ -13,9 +13,10 @@ from api.compute.pool import SERVER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
-from api.jobs.runner import remove_old
+from api.jobs.runner import remove_lost, remove_old
+from api.jobs.schema import open_database
 from api.jobs.store import Store
-from api.jobs.table import JOBS, open_database
+from api.jobs.table import JOBS
 from api.settings import SCOPES, Settings
 from tests.api.server import ROOT
 
@@ -91,11 +92,10 @@ def test_old_jobs_and_the_oldest_beyond_the_size_are_removed(queue, store, tmp_p
 def test_files_of_no_job_are_removed_after_a_while(queue, store, tmp_path, monkeypatch):
     (tmp_path / "recording").write_bytes(b"x")
     store.put_result(tmp_path / "recording", "lost", "holder")
-    settings = Settings(data=tmp_path)
-    remove_old(queue, store, settings)
+    remove_lost(queue, store)
     assert store.jobs() == {"lost"}  # a request may be about to add its job
     monkeypatch.setattr(store, "age", lambda job_id: 1000.0)
-    remove_old(queue, store, settings)
+    remove_lost(queue, store)
     assert store.jobs() == set()
 
 
@@ -122,7 +122,8 @@ def test_cancelling_a_job_that_runs_waits_for_its_holder(queue, store, tmp_path)
     assert not queue.renew(running, 0.5)
     assert queue.confirm_cancelled(running) and not queue.confirm_cancelled(running)
     assert queue.get(running.id, CALLER).status == "cancelled"
-    assert not queue.remove(add(queue, store, tmp_path)) and queue.remove(running)
+    assert not queue.remove_ended([add(queue, store, tmp_path).id])
+    assert queue.remove_ended([running.id]) == 1
 
 
 def test_clearing_up_leaves_the_user_s_own_folders(tmp_path, queue):
@@ -136,6 +137,7 @@ def test_clearing_up_leaves_the_user_s_own_folders(tmp_path, queue):
     outside = tmp_path / "stage" / f"{SERVER_PREFIX}link"
     outside.symlink_to(tmp_path / "inputs")
     remove_old(queue, Store(str(tmp_path)), Settings())
+    remove_lost(queue, Store(str(tmp_path)))
     Stage(tmp_path / "stage").close()
     left = {path.name for path in tmp_path.rglob("*.*") if "sqlite" not in path.name}
     assert left - {".deitalk.lock"} == {"take.csv", "line.wav", "notes.txt"}
