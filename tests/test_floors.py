@@ -161,6 +161,46 @@ def test_packages_have_few_entries(package, most):
     assert len(entries) <= most, sorted(entries)
 
 
+def kinds_asked(tree: ast.AST) -> list[int]:
+    """Lines of `isinstance` by a class of a configuration, a frontend or a model."""
+    homes = ("deitalk.config", "deitalk.frontends", "deitalk.models")
+    classes = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").startswith(homes)
+        and node.module != "deitalk.models.temporal_conv"  # a layer
+        for alias in node.names
+    }
+    asked = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "id", "") in ("isinstance", "issubclass")
+    ]
+    return [
+        call.lineno
+        for call in asked
+        if {name.id for name in ast.walk(call.args[1]) if isinstance(name, ast.Name)} & classes
+    ]
+
+
+def test_no_module_asks_for_the_class_of_a_model_or_its_configuration():
+    """`kind`, `product` and methods decide; a new kind of model needs no change elsewhere."""
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in files("deitalk") + files("api")
+        if "research" not in path.parts
+        for line in kinds_asked(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_asking_for_a_kind_is_found():
+    text = "from deitalk.models.curve_model import DEITalk\nisinstance(x, str | DEITalk)\n"
+    assert kinds_asked(ast.parse(text)) == [2]
+
+
 def test_files_are_small():
     for package in FLOORS:
         for path in files(package):

@@ -1,9 +1,8 @@
 """Curve networks of a worker by the backend of the settings."""
 
 from api.compute.order import Limits
-from deitalk.models.causal.network import CausalNetwork
 from deitalk.models.load import load_causal
-from deitalk.models.network import CurveNetwork
+from deitalk.models.protocol import CausalNetwork, CurveNetwork
 
 
 def curve_network(name: str, limits: Limits) -> CurveNetwork:
@@ -27,4 +26,4 @@ def curve_network(name: str, limits: Limits) -> CurveNetwork:
 
 def causal_network(name: str, limits: Limits) -> CausalNetwork:
     """Return a network for voices that have not ended; errors as `curve_network`."""
-    return load_causal(curve_network(name, limits))  # type: ignore[arg-type]
+    return load_causal(curve_network(name, limits))

@@ -13,11 +13,10 @@ from deitalk.batch.outputs import AnyOutputs
 from deitalk.batch.report import Pace, Progress, Row
 from deitalk.batch.source import ACTORS
 from deitalk.batch.storage import Recordings
-from deitalk.config import Config, load_config
 from deitalk.emotions import ActorReference, parse_actor
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
 from deitalk.installed import __version__
-from deitalk.models.folder import RIG_FILE, describe_model, model_folder, weights_hash
+from deitalk.models.folder import RIG_FILE, describe_model, model_folder, product_of, weights_hash
 from deitalk.models.load import BACKENDS, Backend
 from deitalk.pipeline.speech import reference_of
 from rig.errors import TargetError, UserError, quoted
@@ -172,7 +171,7 @@ def model_identity(model: str | Path, backend: Backend = "torch") -> str:
         parts = [__version__, "onnx", str(describe_model(model)["sha256"])]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = model_folder(model)
-    if not isinstance(load_config(folder / "config.yaml"), Config):
+    if product_of(folder) != "curves":
         raise CheckpointError(
             f"{model}: a mesh model; a DEITalk model (curves) is needed, such as default"
         )

@@ -24,7 +24,7 @@ from deitalk.pipeline.performance import Performance
 from rig.errors import UserError, one_line
 
 if TYPE_CHECKING:
-    from deitalk.models.network import Reading
+    from deitalk.models.protocol import Reading
     from deitalk.pipeline.curves import Prepared
 
 TOGETHER = 8

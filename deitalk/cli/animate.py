@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from deitalk.acting import Acting
     from deitalk.audio.load import Recording
-    from deitalk.models.network import CurveNetwork
+    from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
     from deitalk.pipeline.suggest import Suggestion
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deitalk.acting import Acting
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
-    from deitalk.models.causal.network import CausalNetwork
+    from deitalk.models.protocol import CausalNetwork
     from rig.livelink import LiveSender
     from rig.livelink.live import LiveReport
 

@@ -60,11 +60,10 @@ def train(
 
 def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
     """The training of the configuration's kind of model."""
-    from deitalk.config import SDFAConfig
     from deitalk.errors import ConfigError
     from deitalk.models.folder import model_folder
 
-    if isinstance(settings, SDFAConfig):
+    if settings.kind == "sdfa":
         from deitalk.training.mesh import train_mesh
 
         if start_from is not None:

@@ -111,8 +111,7 @@ class ModelConfig(Section):
             return self
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        is_causal = isinstance(self.frontend, CausalWhisperConfig)
-        if is_causal or self.kept_controls or self.actor_ranges:
+        if self.frontend.kind == "causal_whisper" or self.kept_controls or self.actor_ranges:
             raise ValueError(
                 f"decoder: {self.decoder} takes no causal frontend, kept_controls or actor_ranges"
             )
@@ -123,7 +122,7 @@ class ModelConfig(Section):
     @model_validator(mode="after")
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
-        if isinstance(self.frontend, CausalWhisperConfig):
+        if self.frontend.kind == "causal_whisper":
             if self.positions:
                 raise ValueError("causal_whisper takes no positions; set positions: false")
             if self.actor_ranges:
@@ -238,6 +237,7 @@ class TrainConfig(Optimisation):
 class Config(Section):
     """Settings of a run: network, rules, loss, data and training."""
 
+    kind: Literal["deitalk"] = "deitalk"
     name: str = "deitalk"
     model: ModelConfig = ModelConfig()
     rules: RulesConfig = RulesConfig()
@@ -318,7 +318,7 @@ class TuneConfig(Section):
 class FinetuneConfig(Config):
     """Settings of a fine-tuning: low rates, few steps, an end when nothing improves."""
 
-    kind: Literal["finetune"] = "finetune"
+    kind: Literal["finetune"] = "finetune"  # type: ignore[assignment]
     name: str = "finetune"
     rules: RulesConfig = RulesConfig.for_captures()
     loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
@@ -344,6 +344,6 @@ class FinetuneConfig(Config):
         recipe = {
             name: field.default.model_dump()
             for name, field in cls.model_fields.items()
-            if isinstance(field.default, Section) and isinstance(tree.get(name), dict)
+            if hasattr(field.default, "model_dump") and isinstance(tree.get(name), dict)
         }
         return tree | {name: settings | tree[name] for name, settings in recipe.items()}

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter
 
 from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
@@ -13,13 +15,13 @@ from rig import limits
 from rig.errors import quoted
 
 AnyConfig = Config | SDFAConfig
-
-
-_KINDS: dict[str, type[AnyConfig]] = {"sdfa": SDFAConfig, "finetune": FinetuneConfig}
+_ANY: TypeAdapter[AnyConfig] = TypeAdapter(
+    Annotated[Config | FinetuneConfig | SDFAConfig, Field(discriminator="kind")]
+)
 
 
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
-    """Check a tree of settings; its ``kind`` chooses the class, `Config` if it has none.
+    """Check a tree of settings; its ``kind`` chooses the class, ``deitalk`` if it has none.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
     ConfigError
         With the key, the value and the rule of every problem, in one line.
     """
-    return checked(_KINDS.get(str(tree.get("kind")), Config), tree)
+    return checked(_ANY.validate_python, {"kind": "deitalk"} | tree)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:

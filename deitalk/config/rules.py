@@ -157,4 +157,6 @@ def read_rules(path: Path) -> RulesConfig | None:
     tree = read_yaml(path) or {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
-    return None if tree.get("kind") == "sdfa" else checked(RulesConfig, tree.get("rules", {}))
+    if tree.get("kind") == "sdfa":
+        return None
+    return checked(RulesConfig.model_validate, tree.get("rules", {}))

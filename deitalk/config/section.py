@@ -1,6 +1,6 @@
 """Types and limits of the fields of a configuration."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -92,8 +92,8 @@ _PROBLEMS = 5
 """Largest number of problems in one message."""
 
 
-def checked(kind: type[S], tree: Any) -> S:
-    """Settings of a tree of a YAML file.
+def checked(validate: Callable[[Any], S], tree: Any) -> S:
+    """Settings of a tree of a YAML file, by pydantic's `validate`.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def checked(kind: type[S], tree: Any) -> S:
         With the key, the value and the rule of every problem, in one line.
     """
     try:
-        return kind.model_validate(tree)
+        return validate(tree)
     except ValidationError as error:
         items = error.errors(include_url=False, include_context=False)
         problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
@@ -111,8 +111,20 @@ def checked(kind: type[S], tree: Any) -> S:
 
 
 def _problem(item: Any) -> str:
-    kinds = ("mel", "causal_whisper", "wav2vec", "whisper", "karras", "voca", "deitalk")
+    kinds = (
+        "mel",
+        "causal_whisper",
+        "wav2vec",
+        "whisper",
+        "karras",
+        "voca",
+        "deitalk",
+        "sdfa",
+        "finetune",
+    )
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
+    if item["type"] == "union_tag_invalid":
+        key, item = f"{key}.kind".strip("."), item | {"input": item["input"]["kind"]}
     rule = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         rule = "unknown key"

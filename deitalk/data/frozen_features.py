@@ -19,8 +19,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
-from deitalk.frontends import Frontend
-from deitalk.frontends.causal_whisper import CausalWhisperFrontend
+from deitalk.frontends.base import Frontend
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
@@ -188,7 +187,7 @@ def _write_pass(
             sound = augment(change_speed(sound, speed), rng, surroundings, others)
         n_frames = max(int(np.ceil(len(sound) * FRAME_RATE / SAMPLE_RATE)), 1)
         lead = 0
-        if k and isinstance(frontend, CausalWhisperFrontend):
+        if k and frontend.is_causal:
             lead = int(rng.integers(MOST_LEAD_FRAMES + 1))
             sound = np.pad(sound, (lead * SAMPLE_RATE // FRAME_RATE, 0))
             sound = sound * np.float32(10 ** (rng.uniform(*STREAM_GAIN_DB) / 20))

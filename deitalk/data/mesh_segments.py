@@ -23,7 +23,7 @@ from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.mesh_folder import MOTION, MeshClip
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.errors import DataError
-from deitalk.frontends.windows import Encoder
+from deitalk.frontends.base import Encoder
 from rig.arrays import Float32, Float64
 
 # Augmentations of SDFA §4.3: of the frame's time, of the audio, of the mel spectrogram.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,7 +181,7 @@ def evaluate_mesh(
     """
     _check_heads(model)
     lips = head_lips()
-    emotions = EMOTIONS if isinstance(model, MeshHead) else (EMOTION,)
+    emotions = EMOTIONS if model.has_emotion else (EMOTION,)
     clips = acted_clips(data, split, emotions, None if transitions else most)
     if transitions:
         clips = [clip for clip in clips if _has_transition(clip)][:most]
@@ -190,7 +190,7 @@ def evaluate_mesh(
         raise DataError(f"{data}: no {which} clips in the split {split!r}; name another")
     groups: dict[str, Tally] = {"all": Tally()}
     for i, clip in enumerate(clips):
-        group = clip.emotion if isinstance(model, MeshHead) else clip.source
+        group = clip.emotion if model.has_emotion else clip.source
         tallies = groups["all"], groups.setdefault(group, Tally())
         _score(tallies, model, clip, model.speakers[i % len(model.speakers)], lips)
         progress((i + 1) / len(clips))
@@ -201,8 +201,10 @@ def evaluate_mesh(
         "encoder": model.config.frontend.kind,
         "groups": {name: tally.summary() for name, tally in groups.items() if tally.clips},
     }
-    if isinstance(model, MeshHead):
-        report["expression"] = expression_probe(model, [clip.audio for clip in clips])
+    if model.has_emotion:
+        report["expression"] = expression_probe(
+            cast("MeshHead", model), [clip.audio for clip in clips]
+        )
     return report
 
 
@@ -253,12 +255,12 @@ def _score(
 
 def _seen(model: MeshModel, clip: Clip, waveform: Float32, speaker: str) -> dict[str, Float32]:
     """Vertices (T, V, 3) of the model, of the model before its seal, and of its curves."""
-    acting = Acting.of(emotion=clip.emotion) if isinstance(model, MeshHead) else None
+    acting = Acting.of(emotion=clip.emotion) if model.has_emotion else None
     unsealed = predict_mesh(model, waveform, speaker, acting, sealed=False)
     sealed = seal_lips(unsealed, model.config.seal_mm, model.unit_mm)
     seen = {"model": sealed, "unsealed": unsealed}
-    if isinstance(model, MeshHead):
-        seen["curves"] = acted_by_curves(model, clip.audio, speaker, clip.emotion)
+    if model.has_emotion:
+        seen["curves"] = acted_by_curves(cast("MeshHead", model), clip.audio, speaker, clip.emotion)
     return seen
 
 

@@ -1,13 +1,10 @@
-"""Waveform to speech features: the encoder of each configuration.
+"""Waveform to speech features: the encoder that a configuration's ``kind`` names.
 
-`Frontend` gives one row per frame at 30 Hz, for DEITalk; `deitalk.frontends.windows.Encoder` gives
-rows at any moments, for SDFA and its comparison models.
+A `Frontend` gives one row per frame at 30 Hz, for DEITalk; an `Encoder` gives rows at any moments,
+for SDFA and its comparison models.
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
-
-from torch import Tensor
+from importlib import import_module
 
 from deitalk.config import (
     CausalWhisperConfig,
@@ -18,27 +15,16 @@ from deitalk.config import (
     Wav2VecConfig,
     WhisperConfig,
 )
+from deitalk.frontends.base import Encoder, Frontend
 from deitalk.installed import research
 
-if TYPE_CHECKING:
-    from deitalk.frontends.windows import Encoder
-
-
-class Frontend(Protocol):
-    """A speech encoder of one row per frame at 30 Hz."""
-
-    output_size: int
-
-    def __call__(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Map (B, S) at 16 kHz to (B, n_frames, output_size); row i is time i / 30 s."""
-
-    def encode(
-        self, waveform: Tensor, n_frames: int, *, progress: Callable[[float], None] = ...
-    ) -> Tensor:
-        """Map a whole clip (S,) to (n_frames, output_size) in bounded memory, no gradient.
-
-        `progress` is called with the share done, 0 to 1.
-        """
+FRONTENDS = {
+    "mel": ("mel_bilstm", "MelFrontend"),
+    "wav2vec": ("wav2vec", "Wav2VecFrontend"),
+    "whisper": ("whisper", "WhisperFrontend"),
+    "causal_whisper": ("causal_whisper", "CausalWhisperFrontend"),
+}
+"""Module and class of each kind; a module is imported when its frontend is built."""
 
 
 def build_frontend(
@@ -49,35 +35,23 @@ def build_frontend(
     Parameters
     ----------
     config : MelConfig, CausalWhisperConfig, Wav2VecConfig or WhisperConfig
-        Its class chooses the frontend.
+        Its kind chooses the frontend.
     pretrained : bool
         Read the weights of a checkpoint; False reads its sizes only.
     """
-    if isinstance(config, MelConfig):
-        from deitalk.frontends.mel_bilstm import MelFrontend
-
-        return MelFrontend(config)
-    if isinstance(config, CausalWhisperConfig):
-        from deitalk.frontends.causal_whisper import CausalWhisperFrontend
-
-        return CausalWhisperFrontend.build(config, pretrained=pretrained)
-    if isinstance(config, WhisperConfig):
-        from deitalk.frontends.whisper import WhisperFrontend
-
-        return WhisperFrontend.build(config, pretrained=pretrained)
-    from deitalk.frontends.wav2vec import Wav2VecFrontend
-
-    return Wav2VecFrontend.build(config, pretrained=pretrained)
+    module, name = FRONTENDS[config.kind]
+    kind = getattr(import_module(f"deitalk.frontends.{module}"), name)
+    frontend: Frontend = kind.build(config, pretrained=pretrained)
+    return frontend
 
 
-def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> "Encoder":
-    """Build the encoder of a mesh model, by the class of its configuration."""
-    if isinstance(config, SDFAMelConfig):
+def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
+    """Build the encoder of a mesh model, by the kind of its configuration."""
+    if config.kind == "mel":
         from deitalk.frontends.sdfa import SDFAEncoder
 
         return SDFAEncoder(config)
-    if isinstance(config, KarrasConfig):
-        karras: Encoder = research("comparison.karras", "frontend karras").KarrasEncoder(config)
-        return karras
-    voca: Encoder = research("comparison.voca", "frontend voca").VocaEncoder(config)
-    return voca
+    kinds = {"karras": "KarrasEncoder", "voca": "VocaEncoder"}
+    module = research(f"comparison.{config.kind}", f"frontend {config.kind}")
+    encoder: Encoder = getattr(module, kinds[config.kind])(config)
+    return encoder

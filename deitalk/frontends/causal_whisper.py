@@ -17,7 +17,7 @@ bins, D width.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -84,6 +84,9 @@ class CausalWhisperFrontend(WhisperFrontend):
         Tensors of a `CausalState`.
     """
 
+    is_causal = True
+    most_together = 0
+
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)
         self.delay = LOOKAHEAD_FRAMES * len(self.encoder.layers)
@@ -116,6 +119,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         n_frames: int,
         chunk_seconds: float | None = None,
         overlap_seconds: float | None = None,
+        *,
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Tensor:
@@ -143,8 +147,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, [], len(self.encoder.layers)
         near, keys_at = _around(x)
-        for k, layer in enumerate(self.encoder.layers):
-            assert isinstance(layer, Layer)
+        for k, layer in enumerate(cast("list[Layer]", list(self.encoder.layers))):
             rows, *past = state.layers[3 * k : 3 * k + 3]
             rows = torch.cat((rows, x), dim=1)
             rows, queries = rows[:, x.shape[1] :], rows[:, : x.shape[1]]

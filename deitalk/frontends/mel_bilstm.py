@@ -8,6 +8,7 @@ N windows, W spectra of a window.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -18,18 +19,17 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config import MelConfig
 from deitalk.errors import CheckpointError
+from deitalk.frontends.base import Frontend
 from deitalk.frontends.whole_clip import encode_whole
 
 SEGMENT_FRAMES = 960
 """Rig frames whose windows are encoded at once on a clip, with ``recurrence: window`` (32 s)."""
 CONTEXT_FRAMES = 256
 """Rig frames of context on either side of them, computed and not kept, for the rig's layers."""
+TOGETHER_FRAMES = 375
+"""Most rig frames of recordings that are read together (12.5 s)."""
 ATTENDED_FRAMES = 128
 """Rig frames whose attention is applied at once: a matrix of so many rows, banded."""
-
-NO_ATTENTION = (
-    "this model has no temporal attention; choose one with a mel frontend, such as default"
-)
 
 
 class FrequencyConv(nn.Conv1d):
@@ -207,7 +207,7 @@ class RigBiLSTM(nn.Module):
         return out
 
 
-class MelFrontend(nn.Module):
+class MelFrontend(Frontend):
     """Waveform to speech features at 30 Hz.
 
     Parameters
@@ -224,6 +224,7 @@ class MelFrontend(nn.Module):
         super().__init__()
         self.config = config
         self.output_size = 2 * config.time_hidden
+        self.most_together = TOGETHER_FRAMES if config.recurrence == "segment" else 0
         self.mel = MelSpectrogram(
             config.window_seconds, config.frame_rate, config.n_mels, config.tapers
         )
@@ -252,6 +253,11 @@ class MelFrontend(nn.Module):
             *(RigBiLSTM(self.output_size, config.dropout) for _ in range(config.rig_layers))
         )
 
+    @classmethod
+    def build(cls, config: MelConfig, *, pretrained: bool = True) -> Self:
+        """Make the frontend of a configuration; there are no weights to read."""
+        return cls(config)
+
     def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
         """Map (B, S) at 16 kHz to (B, n_frames, D); row i describes time i / 30 s."""
         return self._frames(waveform, 0, n_frames)
@@ -278,17 +284,18 @@ class MelFrontend(nn.Module):
         )
 
     @torch.no_grad()
-    def encode_together(self, waveforms: Tensor, n_frames: int) -> Tensor:
-        """Map short clips (B, S) to (B, n_frames, D), as `encode` of each, to rounding.
+    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Map short clips (S,) to (B, n_frames, D), as `encode` of each, to rounding.
 
         All phases of all clips are one batch; for ``recurrence: segment``.
         """
         config = self.config
+        clips = nn.utils.rnn.pad_sequence(list(waveforms), batch_first=True)
         centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
         n_spectra = (int(centres[-1]) + 1) * config.time_stack
-        mel = torch.cat([self.mel(waveforms, n_spectra, 0, shift) for shift in self.shifts])
+        mel = torch.cat([self.mel(clips, n_spectra, 0, shift) for shift in self.shifts])
         rows = self._from_mel(mel, centres)
-        return rows.view(len(self.shifts), *waveforms.shape[:1], n_frames, -1).mean(dim=0)
+        return rows.view(len(self.shifts), len(clips), n_frames, -1).mean(dim=0)
 
     @torch.no_grad()
     def attention_weights(self, waveform: Tensor, n_frames: int) -> Tensor:

@@ -11,13 +11,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config import SDFAMelConfig
+from deitalk.errors import CheckpointError
+from deitalk.frontends.base import NO_ATTENTION, Encoder, window_index
 from deitalk.frontends.mel_bilstm import (
     MelFrontend,
     SpectralGathering,
     TemporalAttention,
     normalise_weights,
 )
-from deitalk.frontends.windows import Encoder, window_index
 
 WINDOWS_AT_ONCE = 64
 CONTEXT_SECONDS = 1.0
@@ -49,10 +50,10 @@ class SDFAEncoder(Encoder):
             summary = ConvolutionSummary(self.output_size, config.window_frames)
             self.frontend.attention = cast("TemporalAttention", summary)
         if config.weight_norm:
-            for part, kind in ((self.frontend.spectral, ConvolutionGathering),
-                               (self.frontend.attention, ConvolutionSummary)):  # fmt: skip
-                if isinstance(part, kind):
-                    normalise_weights(part)
+            if config.gathering == "convolution":
+                normalise_weights(self.frontend.spectral)
+            if config.summary == "convolution":
+                normalise_weights(self.frontend.attention)
 
     def features(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
         """Log-mel and its derivatives [shape=(B, 3, F, n_spectra)]."""
@@ -89,6 +90,8 @@ class SDFAEncoder(Encoder):
     @torch.no_grad()
     def attention_weights(self, features: Tensor, places: Tensor) -> Tensor:
         """Attention weights [shape=(T, W)] of each place in features (1, 3, F, L)."""
+        if self.config.summary != "attention":
+            raise CheckpointError(NO_ATTENTION)
         spectral = self.frontend.spectral(features)[0]
         index = window_index(places, self.config.window_frames, len(spectral))
         if self.config.recurrence == "segment":

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.errors import ConfigError
+from deitalk.frontends.base import Frontend
 from rig.arrays import Float32
 
 MOMENTUM = 0.01
@@ -20,7 +21,7 @@ LARGEST = 6.0
 """Standardised features are limited to this: a few dimensions have rare, huge values."""
 
 
-class StridedFrontend(nn.Module):
+class StridedFrontend(Frontend):
     """An encoder of 16 kHz sound with one row per rig frame.
 
     Row i describes the time i/30 s. Feature k of the encoder describes the sample
@@ -34,21 +35,15 @@ class StridedFrontend(nn.Module):
 
     Attributes
     ----------
-    output_size : int
-        D.
     stride, centre, margin : int or float
         Samples between features, sample of feature 0, and samples around a row's own that its
         features need.
-    layers : tuple of int
-        Layers of the encoder whose states are mixed; none: its output is taken.
     """
 
-    output_size: int
     stride: float
     centre: float
     margin: int
     chunk_seconds, overlap_seconds = 24.0, 2.0
-    layers: tuple[int, ...] = ()
     norms: nn.ModuleList
     mix: nn.Parameter
 
@@ -117,6 +112,7 @@ class StridedFrontend(nn.Module):
         n_frames: int,
         chunk_seconds: float | None = None,
         overlap_seconds: float | None = None,
+        *,
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Tensor:

@@ -231,6 +231,7 @@ class WhisperFrontend(StridedFrontend):
 
     centre = 0.0
     chunk_seconds, overlap_seconds = 10.0, 1.0
+    most_together = 120
 
     def __init__(self, config: WhisperShape) -> None:
         super().__init__()
@@ -261,6 +262,14 @@ class WhisperFrontend(StridedFrontend):
                 encoder_weights(config.checkpoint, frontend.encoder.state_dict())
             )
         return frontend
+
+    def described(self, config: WhisperShape) -> WhisperShape:
+        """The configuration without its checkpoint."""
+        return config.model_copy(update={"checkpoint": None})
+
+    def is_fixed(self, name: str) -> bool:
+        """Whether a weight is of the encoder, and that does not learn."""
+        return name.startswith("encoder.") and self.config.learns == "nothing"
 
     def count(self, n_samples: int) -> int:
         """Features of a sound."""

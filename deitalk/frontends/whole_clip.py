@@ -9,7 +9,7 @@ call, to rounding.
 Letters: K states of the Time-BiLSTM, n of a piece, H units per direction.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -41,8 +41,8 @@ class MelLayers(Protocol):
     attention: Any
     rig: nn.Sequential
 
-    def encode_together(self, waveforms: Tensor, n_frames: int) -> Tensor:
-        """Features (B, T, D) of clips (B, S)."""
+    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Features (B, T, D) of clips (S,)."""
 
     def centred(self, attended: Tensor, centre: Tensor) -> Tensor:
         """Attended states with their own centre."""
@@ -76,7 +76,7 @@ def encode_whole(
         In float16 if the clip is longer than `EXACT_FRAMES`, else in float32.
     """
     if n_frames <= ONE_PIECE_FRAMES:
-        features = frontend.encode_together(waveform.unsqueeze(0) * gain, n_frames)[0]
+        features = frontend.encode_together([waveform * gain], n_frames)[0]
         progress(1.0)
         return features
     phases = len(frontend.shifts)

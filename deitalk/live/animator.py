@@ -20,9 +20,8 @@ from deitalk.live import rules
 from deitalk.live.life import RunningLife
 from deitalk.live.rules import DueRows
 from deitalk.live.stream import Stream
-from deitalk.models.causal.network import CausalNetwork, NetworkRows, put, take
 from deitalk.models.load import load_causal
-from deitalk.models.network import chosen_actor, styles_of
+from deitalk.models.protocol import CausalNetwork, NetworkRows, chosen_actor, put, styles_of, take
 from rig.arrays import Float32
 from rig.curves import HEAD
 from rig.limits import SEED

@@ -17,7 +17,7 @@ from deitalk.live.activity import AHEAD, RunningActivity
 from deitalk.live.intensity import Measures, RunningIntensity
 from deitalk.live.life import RunningLife
 from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
-from deitalk.models.causal.network import SpectraGrid
+from deitalk.models.protocol import SpectraGrid
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import torch
 import yaml
@@ -15,26 +15,20 @@ from safetensors.torch import save
 
 from deitalk.config import (
     AnyConfig,
-    CausalWhisperConfig,
     Config,
     DEITalkFeaturesConfig,
     KarrasConfig,
-    MelConfig,
     ModelConfig,
     SDFAConfig,
     SDFAMelConfig,
     SDFAModelConfig,
     VocaConfig,
-    Wav2VecConfig,
-    WhisperConfig,
-    WhisperShape,
     load_config,
 )
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
-from deitalk.frontends.wav2vec import Wav2VecFrontend
-from deitalk.frontends.windows import Encoder
+from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
@@ -51,7 +45,6 @@ from deitalk.models.folder import (
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
 from deitalk.models.mesh_weights import (
     FROZEN,
-    about_mesh,
     all_numbers,
     empty_layers,
     only_moving,
@@ -60,6 +53,7 @@ from deitalk.models.mesh_weights import (
     whole_shapes,
     write_templates,
 )
+from deitalk.models.protocol import NEEDED, check_product
 from deitalk.models.weights_file import (
     Shapes,
     check_fit,
@@ -74,18 +68,10 @@ from rig.files import output_folder
 from rig.mesh import TriMesh
 
 Model: TypeAlias = DEITalk | MeshModel
-ModelT = TypeVar("ModelT", bound=DEITalk | MeshModel)
+ModelT = TypeVar("ModelT", DEITalk, MeshModel)
 About: TypeAlias = dict[str, Any]
 """Content of ``model.json``."""
 Build: TypeAlias = Callable[[], Model]
-
-NAMES: dict[type, tuple[str, str]] = {
-    DEITalk: ("a DEITalk model (curves)", "default"),
-    MeshModel: ("a mesh model", "sdfa"),
-    SDFA: ("an SDFA model (mesh)", "sdfa"),
-    MeshHead: ("a mesh head", "mesh_head"),
-}
-"""Name of each class in messages, and an embedded example of it."""
 
 
 def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> Model:
@@ -135,39 +121,31 @@ def _load(folder: Path, config: AnyConfig, device: str) -> Model:
 def require_model(
     model: str | Path | Model, wanted: type[ModelT], *, device: str = "cpu"
 ) -> ModelT:
-    """Return a model of one class, loaded if a name or a folder is given.
+    """Return a model of curves or of meshes, loaded if a name or a folder is given.
 
     Parameters
     ----------
     model : str, Path or loaded model
         A loaded one is put into evaluation mode and stays on its device.
     wanted : type
-        `DEITalk`, `MeshModel`, `SDFA` or `MeshHead`.
+        `DEITalk` or `MeshModel`.
     device : str
         As for `load_model`.
 
     Raises
     ------
     CheckpointError
-        As `load_model`; or if the model is of another class.
+        As `load_model`; or if the model makes the other product.
     """
-    needed, example = NAMES[wanted]
-    if isinstance(model, str | Path):
-        folder = model_folder(model)
-        config = load_config(folder / "config.yaml")
-        found = kind_of(config).model
-        if not issubclass(found, wanted):
-            raise CheckpointError(
-                f"{model}: {NAMES[found][0]}; {needed} is needed, such as {example}"
-            )
-        model = _load(folder, config, device)
-    if not isinstance(model, wanted):
-        name, _ = NAMES.get(type(model), (f"a {type(model).__name__}", ""))
-        raise CheckpointError(
-            f"model {quoted(model)} is {name}; {needed} is needed: a name such as {example}, a "
-            "folder, or a loaded model"
-        )
-    return model.eval()
+    if not isinstance(model, str | Path):
+        check_product(model, wanted.product)
+        return cast("ModelT", model.eval())
+    folder = model_folder(model)
+    config = load_config(folder / "config.yaml")
+    product = kind_of(config).model.product
+    if product != wanted.product:
+        raise CheckpointError(f"{model}: makes {product}; {NEEDED[wanted.product]}")
+    return cast("ModelT", _load(folder, config, device))
 
 
 def save_model(
@@ -211,14 +189,13 @@ def save_model(
         name: (_half(value) if half or (half_bases and FROZEN in name) else value).contiguous()
         for name, value in weights.items()
     }
-    kind = kind_of(config)
     about = {
         "format_version": FORMAT_VERSION,
-        **kind.describe(model),
+        **model.about(),
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": dict(summary),
     }
-    fixed = {name: weights.pop(name) for name in list(weights) if _is_fixed(name, model)}
+    fixed = {name: weights.pop(name) for name in list(weights) if model.is_fixed(name)}
     encoder = save({name: _half(value) for name, value in fixed.items()})
     if encoder_of is not None:
         if encoder != (model_folder(encoder_of) / ENCODER).read_bytes():
@@ -229,34 +206,21 @@ def save_model(
         if fixed:
             (beside / ENCODER).write_bytes(encoder)
         (beside / "model.safetensors").write_bytes(save(weights))
-        if isinstance(model, MeshModel):
-            write_templates(beside, model, half=half)
-        if isinstance(model, DEITalk) and isinstance(config, Config):
-            config = _complete(config, model)
+        if model.product == "mesh":
+            write_templates(beside, cast("MeshModel", model), half=half)
+        else:
+            config = _complete(cast("Config", config), curves := cast("DEITalk", model))
             if config.model.control_set == RIG_FILE:
-                (beside / RIG_FILE).write_text(rig_text(model.controls))
+                (beside / RIG_FILE).write_text(rig_text(curves.controls))
         settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (beside / "config.yaml").write_text(settings)
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
-def _is_fixed(name: str, model: Model) -> bool:
-    """Whether a weight is that of a published encoder, which did not learn."""
-    if not isinstance(model, DEITalk) or not isinstance(model.config.frontend, WhisperShape):
-        return False
-    return name.startswith("frontend.encoder.") and model.config.frontend.learns == "nothing"
-
-
 def _complete(config: Config, model: DEITalk) -> Config:
     """Configuration that needs no file outside the model folder: no checkpoint, no rig file."""
-    settings = config.model
-    if isinstance(model.frontend, Wav2VecFrontend):
-        assert isinstance(settings.frontend, Wav2VecConfig)
-        frontend = model.frontend.described(settings.frontend)
-        settings = settings.model_copy(update={"frontend": frontend})
-    if isinstance(settings.frontend, WhisperShape):
-        whisper = settings.frontend.model_copy(update={"checkpoint": None})
-        settings = settings.model_copy(update={"frontend": whisper})
+    frontend = model.frontend.described(config.model.frontend)
+    settings = config.model.model_copy(update={"frontend": frontend})
     if model.controls.id != DEFAULT_ID:
         settings = settings.model_copy(update={"control_set": RIG_FILE})
     return config.model_copy(update={"model": settings})
@@ -286,17 +250,16 @@ def new_mesh_model(
         If `config` needs lips that the templates lack.
     """
     check_faces(config.seal_mm, templates.values())
+    kind = MeshHead if config.frontend.kind == "deitalk" else SDFA
     encoder = new_encoder(config.frontend)
-    if isinstance(encoder, DEITalkFeatures):
-        return MeshHead(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
-    return SDFA(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
+    return kind(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
 
 
 def new_encoder(
     config: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig,
 ) -> Encoder | DEITalkFeatures:
     """Build the encoder of a mesh model; the DEITalk model that a mesh head decodes is loaded."""
-    if not isinstance(config, DEITalkFeaturesConfig):
+    if config.kind != "deitalk":
         return build_encoder(config)
     network = require_model(config.model, DEITalk)
     return DEITalkFeatures(network, weights_hash(model_folder(config.model)))
@@ -324,14 +287,13 @@ def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> 
 
 def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
     parts, frontend = _mesh_parts(folder, config, about), config.model.frontend
-    assert not isinstance(frontend, DEITalkFeaturesConfig)
-    return lambda: SDFA(config.model, build_encoder(frontend), empty_layers(shapes), **parts)
+    return lambda: SDFA(config.model, new_encoder(frontend), empty_layers(shapes), **parts)
 
 
 def _read_mesh_head(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
     parts, frontend = _mesh_parts(folder, config, about), config.model.frontend
-    features = new_encoder(frontend)
-    assert isinstance(frontend, DEITalkFeaturesConfig) and isinstance(features, DEITalkFeatures)
+    assert frontend.kind == "deitalk"
+    features = cast("DEITalkFeatures", new_encoder(frontend))
     if features.fingerprint != about.get("decodes_sha256"):
         raise CheckpointError(
             f"{folder}: decodes the features of other weights than those of {frontend.model!r} "
@@ -353,45 +315,22 @@ def _mesh_parts(folder: Path, config: SDFAConfig, about: About) -> dict[str, Any
         raise CheckpointError(f"{folder}: files do not fit one another ({reason})") from None
 
 
-def _about_curves(model: DEITalk) -> About:
-    about: About = {"control_set": model.controls.id, "controls": list(model.controls.names)}
-    return about | ({"actors": list(model.config.actors)} if model.config.actors else {})
-
-
-def _about_mesh_head(model: MeshHead) -> About:
-    return {**about_mesh(model), "decodes_sha256": model.encoder.fingerprint}
-
-
 class Kind(NamedTuple):
     """One kind of model."""
 
-    config: type[AnyConfig]
-    frontends: tuple[type, ...]
-    """Classes of its configuration, and of `model.frontend` in it."""
     model: type[Model]
     read: Callable[[Path, Any, About, Shapes], Build]
     """Folder, configuration, ``model.json`` and weight shapes to what builds the network."""
-    describe: Callable[[Any], About]
-    """The kind's own entries of ``model.json``."""
 
 
-KINDS = (
-    Kind(
-        Config,
-        (MelConfig, CausalWhisperConfig, Wav2VecConfig, WhisperConfig),
-        DEITalk,
-        _read_curves,
-        _about_curves,
-    ),
-    Kind(SDFAConfig, (SDFAMelConfig, KarrasConfig, VocaConfig), SDFA, _read_sdfa, about_mesh),
-    Kind(SDFAConfig, (DEITalkFeaturesConfig,), MeshHead, _read_mesh_head, _about_mesh_head),
-)
+KINDS = {
+    "deitalk": Kind(DEITalk, _read_curves),
+    "finetune": Kind(DEITalk, _read_curves),
+    "sdfa": Kind(SDFA, _read_sdfa),
+    "mesh_head": Kind(MeshHead, _read_mesh_head),
+}
 
 
 def kind_of(config: AnyConfig) -> Kind:
     """Kind of the model that a configuration describes."""
-    return next(
-        kind
-        for kind in KINDS
-        if isinstance(config, kind.config) and isinstance(config.model.frontend, kind.frontends)
-    )
+    return KINDS["mesh_head" if config.model.frontend.kind == "deitalk" else config.kind]

@@ -2,33 +2,25 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, frame_count
-from deitalk.config import CausalWhisperConfig, ModelConfig, RulesConfig
+from deitalk.config import ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
-from deitalk.frontends.mel_bilstm import NO_ATTENTION, MelFrontend
-from deitalk.frontends.strided import StridedFrontend
-from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
-from deitalk.models.network import Reading, Tracks, neutral_and_acted
+from deitalk.models.protocol import Product, Reading, Tracks, neutral_and_acted
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
 DECODE_FRAMES = 1024
 """Rig frames decoded at once on a long clip (34 s)."""
-
-TOGETHER_FRAMES = 375
-"""Most rig frames of recordings that are read together (12.5 s); longer ones gain nothing."""
-WHISPER_TOGETHER_FRAMES = 120
-"""The same for a Whisper frontend (4 s)."""
 
 
 class Output(NamedTuple):
@@ -81,6 +73,7 @@ class DEITalk(nn.Module):
         Post-processing of the curves; the network itself does not read it.
     """
 
+    product: Product = "curves"
     fps = float(FRAME_RATE)
     """Frames per second of the curves."""
 
@@ -159,7 +152,7 @@ class DEITalk(nn.Module):
     @property
     def is_causal(self) -> bool:
         """Whether frames depend on a bounded look-ahead only (`deitalk.live`)."""
-        return isinstance(self.config.frontend, CausalWhisperConfig)
+        return self.frontend.is_causal
 
     @property
     def rig_decoder(self) -> RigDecoder:
@@ -170,9 +163,9 @@ class DEITalk(nn.Module):
         CheckpointError
             If the model has the decoder of another paper.
         """
-        if not isinstance(self.decoder, RigDecoder):
+        if self.config.decoder != "convolution":
             raise CheckpointError(f"a model with decoder: {self.config.decoder} is for comparison")
-        return self.decoder
+        return cast("RigDecoder", self.decoder)
 
     @property
     def device(self) -> torch.device:
@@ -192,7 +185,7 @@ class DEITalk(nn.Module):
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Reading:
-        """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
+        """Curves of a whole recording; see `deitalk.models.protocol.CurveNetwork`."""
         analysis = self.analyse(torch.from_numpy(sound), len(weights), progress, gain)
         return self._acted(analysis, weights, actor)
 
@@ -202,16 +195,18 @@ class DEITalk(nn.Module):
         readings = list(self.decode(analysis, styles.to(self.device)).cpu().numpy())
         return Reading(readings[0], readings[-1], analysis.tracks)
 
+    def about(self) -> dict[str, Any]:
+        """Its entries of ``model.json``."""
+        about = {"control_set": self.controls.id, "controls": list(self.controls.names)}
+        return about | ({"actors": list(self.actors)} if self.actors else {})
+
+    def is_fixed(self, name: str) -> bool:
+        """Whether a weight is that of a published encoder, which did not learn."""
+        return self.frontend.is_fixed(name.removeprefix("frontend."))
+
     def reads_together(self, n_frames: int) -> bool:
         """Whether `read_together` takes recordings of so many frames."""
-        frontend = self.frontend
-        if self.is_causal:
-            return False
-        if isinstance(frontend, WhisperFrontend):
-            return n_frames <= WHISPER_TOGETHER_FRAMES
-        if not isinstance(frontend, MelFrontend) or frontend.config.recurrence != "segment":
-            return False
-        return n_frames <= TOGETHER_FRAMES
+        return n_frames <= self.frontend.most_together
 
     @torch.no_grad()
     def read_together(
@@ -230,14 +225,8 @@ class DEITalk(nn.Module):
         actors : sequence of str
             As for `read`, of each recording.
         """
-        assert isinstance(self.frontend, MelFrontend | WhisperFrontend)
         clips = [torch.from_numpy(sound).to(self.device) for sound in sounds]
-        total = len(weights[0])
-        if isinstance(self.frontend, WhisperFrontend):
-            speech = self.frontend.encode_together(clips, total)
-        else:  # silence follows a recording in `read` too
-            padded = torch.nn.utils.rnn.pad_sequence(clips, batch_first=True)
-            speech = self.frontend.encode_together(padded, total)
+        speech = self.frontend.encode_together(clips, len(weights[0]))
         intensity = self.intensity(speech) if self.config.intensity else None
         return [
             self._acted(_analysis_of(speech, intensity, row), weights[row], actors[row])
@@ -290,10 +279,8 @@ class DEITalk(nn.Module):
         """
         if waveform.ndim == 2:
             speech = waveform
-        elif isinstance(self.frontend, MelFrontend | StridedFrontend):
-            speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
         else:
-            speech = self.frontend.encode(waveform * gain, n_frames, progress=progress)
+            speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
         if not self.config.intensity:
             return Analysis(speech, None, None, None)
         module = self.intensity
@@ -325,8 +312,6 @@ class DEITalk(nn.Module):
         CheckpointError
             If the frontend has no temporal attention.
         """
-        if not isinstance(self.frontend, MelFrontend):
-            raise CheckpointError(NO_ATTENTION)
         return self.frontend.attention_weights(sound, frame_count(len(sound)))
 
     @torch.no_grad()

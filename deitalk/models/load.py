@@ -1,26 +1,22 @@
-"""Networks by name, folder, file or as they are, in torch or in ONNX Runtime.
+"""Networks of curves by name, folder, file or as they are, in torch or in ONNX Runtime.
 
 `deitalk.models.checkpoint` reads model folders and `deitalk.models.onnx` ONNX files; both are
 imported only where they are needed, so that one backend does not wait for the other.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias, cast
 
 from deitalk.errors import CheckpointError, DeitalkError
-from deitalk.models.causal.network import CausalNetwork
-from deitalk.models.network import CurveNetwork
+from deitalk.models.protocol import CausalNetwork, CurveNetwork, check_product
 from rig.errors import quoted
-
-if TYPE_CHECKING:
-    from deitalk.models.curve_model import DEITalk
 
 Backend: TypeAlias = Literal["torch", "onnx"]
 BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
 
 
 def load_network(
-    model: "str | Path | CurveNetwork",
+    model: str | Path | CurveNetwork,
     *,
     backend: str = "torch",
     device: str = "cpu",
@@ -50,7 +46,8 @@ def load_network(
     if backend not in BACKENDS:
         raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
     if not isinstance(model, str | Path):
-        return _checked(model)
+        check_product(model, "curves")
+        return model.eval()
     if is_onnx(model, backend):
         from deitalk.models.onnx import load_onnx
 
@@ -66,61 +63,26 @@ def is_onnx(model: str | Path, backend: str) -> bool:
     return backend == "onnx" or str(model).endswith(".onnx")
 
 
-def _checked(model: CurveNetwork) -> CurveNetwork:
-    """A loaded network; one of torch is put into evaluation mode."""
-    from deitalk.models.onnx import OnnxCausalNetwork, OnnxNetwork
-
-    if isinstance(model, OnnxNetwork | OnnxCausalNetwork):
-        return model
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-
-    return require_model(model, DEITalk)  # type: ignore[arg-type]
-
-
 def load_causal(
-    model: "str | Path | DEITalk | CausalNetwork", *, backend: str = "torch"
+    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "torch"
 ) -> CausalNetwork:
-    """Return a causal network, loaded if a name, a folder or an ONNX file is given.
-
-    Parameters
-    ----------
-    model : str, Path, DEITalk or CausalNetwork
-        As for `load_network`.
-    backend : str
-        ``torch`` or ``onnx``.
+    """Return a causal network; arguments and errors as for `load_network`.
 
     Raises
     ------
     CheckpointError
-        If there is no such model, or it is one that needs the whole clip.
-    DeitalkError
-        If the backend is unknown or not installed.
+        Also if the model needs the whole clip.
     """
-    if backend not in BACKENDS:
-        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
     if hasattr(model, "first_state"):
-        return cast(CausalNetwork, model)
-    if isinstance(model, str | Path) and is_onnx(model, backend):
-        from deitalk.models.onnx import load_onnx
+        return cast("CausalNetwork", model)
+    network = load_network(model, backend=backend)
+    if not network.is_causal:
+        raise CheckpointError(
+            f"model {quoted(str(model))} needs the whole clip; use the model live, or one trained "
+            "from configs/live.yaml"
+        )
+    if hasattr(network, "first_state"):
+        return cast("CausalNetwork", network)
+    from deitalk.models.causal_torch import TorchNetwork
 
-        network = load_onnx(model)
-        if not hasattr(network, "first_state"):
-            raise whole_clip_error(model)
-        return cast(CausalNetwork, network)
-    from deitalk.models.causal.in_torch import TorchNetwork
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-
-    found = require_model(cast("str | Path | DEITalk", model), DEITalk)
-    if not found.is_causal:
-        raise whole_clip_error(model)
-    return TorchNetwork(found)
-
-
-def whole_clip_error(model: object) -> CheckpointError:
-    """Error of a model that cannot be used live."""
-    return CheckpointError(
-        f"model {quoted(str(model))} needs the whole clip; use the model live, or one trained "
-        "from configs/live.yaml"
-    )
+    return TorchNetwork(cast(Any, network))

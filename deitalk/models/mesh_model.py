@@ -13,25 +13,23 @@ paper compares itself with (`deitalk.research.comparison.karras`,
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config import SDFAMelConfig, SDFAModelConfig
+from deitalk.config import SDFAModelConfig
 from deitalk.errors import CheckpointError
-from deitalk.frontends.mel_bilstm import NO_ATTENTION
-from deitalk.frontends.sdfa import SDFAEncoder
-from deitalk.frontends.windows import Encoder, nearest_places
+from deitalk.frontends.base import Encoder, nearest_places
 from deitalk.models.deformation_decoder import (
     Coefficients,
     InversePCA,
     Motion,
     MotionDecoder,
-    Offsets,
 )
+from deitalk.models.protocol import Product
 from rig.arrays import Float32
 from rig.deformation.reconstruct import DeformationSolver, mesh_solver
 from rig.mesh import TriMesh
@@ -131,6 +129,9 @@ class MeshModel(nn.Module):
         Millimetres in a unit of the templates.
     """
 
+    product: Product = "mesh"
+    has_emotion = False
+
     def __init__(
         self,
         config: SDFAModelConfig,
@@ -171,11 +172,27 @@ class MeshModel(nn.Module):
 
     def vertices(self, motion: Motion, template: TriMesh) -> Float32:
         """Vertices (T, V, 3) of a template in frames of gradients or offsets (§3.5)."""
-        if isinstance(motion, Offsets):
-            offsets = motion.offsets.cpu().numpy().reshape(-1, *template.vertices.shape)
+        rows = [part.cpu().double().numpy() for part in motion]
+        if self.config.motion == "offsets":
+            offsets = rows[0].reshape(-1, *template.vertices.shape)
             return np.asarray(template.vertices + offsets, dtype=np.float32)
-        s, r = (rows.cpu().double().numpy() for rows in motion)
+        s, r = rows
         return np.asarray(_solver(template).solve(s, r), dtype=np.float32)
+
+    def about(self) -> dict[str, Any]:
+        """Its entries of ``model.json``."""
+        return {
+            "kind": "sdfa",
+            "control_set": "none (meshes)",  # curve models name theirs
+            "controls": [],
+            "speakers": list(self.speakers),
+            "fps": self.fps,
+            "unit_mm": self.unit_mm,
+        }
+
+    def is_fixed(self, name: str) -> bool:
+        """Whether a weight is that of a published encoder, which did not learn: none is."""
+        return False
 
     def template(self, speaker: str | int) -> TriMesh:
         """Expressionless mesh of a speaker, by name or number."""
@@ -259,11 +276,6 @@ class SDFA(MeshModel):
         CheckpointError
             If this model has no attention.
         """
-        config = self.config.frontend
-        if not isinstance(self.encoder, SDFAEncoder) or (
-            isinstance(config, SDFAMelConfig) and config.summary != "attention"
-        ):
-            raise CheckpointError(NO_ATTENTION)
         rows = [
             self.encoder.attention_weights(features, places)[kept]
             for features, places, kept in self.feature_chunks(sound)
@@ -290,7 +302,12 @@ def _solver(template: TriMesh) -> DeformationSolver:
 class MeshHead(MeshModel):
     """`MeshModel` whose encoder is a trained DEITalk model."""
 
+    has_emotion = True
     encoder: DEITalkFeatures
+
+    def about(self) -> dict[str, Any]:
+        """With the weights whose features it decodes."""
+        return super().about() | {"decodes_sha256": self.encoder.fingerprint}
 
     @torch.no_grad()
     def coefficients(

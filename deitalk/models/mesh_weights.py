@@ -22,8 +22,6 @@ from rig.mesh import TriMesh
 
 FROZEN = "inverse_pca"
 """Name of the frozen layers in the weights."""
-CONTROL_SET = "none (meshes)"
-"""Value of `control_set`, which curve models fill with their controls."""
 
 
 def only_moving(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
@@ -80,18 +78,6 @@ def empty_layers(shapes: Shapes) -> dict[str, InversePCA]:
         name.removeprefix("decoder.branches.").removesuffix(end): InversePCA(*shape)
         for name, shape in shapes.items()
         if name.endswith(end)
-    }
-
-
-def about_mesh(model: MeshModel) -> dict[str, Any]:
-    """Entries of ``model.json`` that only mesh models have."""
-    return {
-        "kind": "sdfa",
-        "control_set": CONTROL_SET,
-        "controls": [],
-        "speakers": list(model.speakers),
-        "fps": model.fps,
-        "unit_mm": model.unit_mm,
     }
 
 

@@ -1,6 +1,7 @@
 """Emotion-guided decoder: speech, style and intensity to control curves (DEITalk §3.4, Eq. 7)."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -244,7 +245,7 @@ class RigDecoder(Decoder):
         What they share, speech and in each layer intensity, is computed once. Arguments as
         `Decoder.hidden_readings`.
         """
-        layers = [layer for layer in self.layers if isinstance(layer, TemporalConv)]
+        layers = cast("list[TemporalConv]", list(self.layers))
         (_, length, width), channels = speech.shape, self.output.in_features
         gap, size = max(layer.reach for layer in layers), channels + self.style.out_features
         given = JoinedRows(1, length, width + self.guidance_size, gap, speech)
@@ -276,7 +277,7 @@ class RigDecoder(Decoder):
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span)."""
-        layers = [layer for layer in self.layers if isinstance(layer, TemporalConv)]
+        layers = cast("list[TemporalConv]", list(self.layers))
         return tuple(
             layer.conv.weight.new_zeros(batch, layer.conv.in_channels, layer.span)
             for layer in layers

@@ -17,7 +17,7 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import DeitalkError
 from deitalk.models.load import load_network
-from deitalk.models.network import CurveNetwork, Reading, chosen_actor
+from deitalk.models.protocol import CurveNetwork, Reading, chosen_actor
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript

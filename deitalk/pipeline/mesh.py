@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
-from deitalk.models.network import neutral_and_acted
+from deitalk.models.protocol import neutral_and_acted
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
@@ -105,9 +105,11 @@ def animate_mesh(
         fps = snap_fps(fps)
     recording = recording_of(audio, sample_rate)
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
-    if isinstance(network, MeshModel):
+    if network.product == "mesh":
         _check_fields(acted)
-        return _by_gradients(network.eval(), recording, speaker, fps, acted, progress)
+        return _by_gradients(
+            require_model(network, MeshModel), recording, speaker, fps, acted, progress
+        )
     act = partial(animate, recording, acting=acted, progress=progress)
     return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
 
@@ -189,12 +191,11 @@ def mesh_coefficients(
 ) -> Iterator[Coefficients]:
     """Coefficients (T, K) of a recording, some frames at a time; arguments as `predict_mesh`."""
     acting, speech = acting or Acting(), Speech.of(waveform)
-    if isinstance(model, MeshHead):
-        return _head_coefficients(model, speech, speaker, acting)
+    if model.has_emotion:
+        return _head_coefficients(cast("MeshHead", model), speech, speaker, acting)
     if acting.settings.keys() & {*TO_MESH_MODELS}:
         raise EmotionError(NO_EMOTION)
-    assert isinstance(model, SDFA)
-    return model.coefficients(torch.from_numpy(speech.sound), speaker)
+    return cast("SDFA", model).coefficients(torch.from_numpy(speech.sound), speaker)
 
 
 def _head_coefficients(
@@ -312,7 +313,7 @@ def retarget_speech(
     """
     acted = acted_as(emotion, acting, fields)
     network = load_model(model, device=device)
-    if isinstance(network, MeshModel):
+    if network.product == "mesh":
         moved = animate_mesh(
             audio, acting=acted, model=network, speaker=speaker, fps=fps, progress=progress
         )
@@ -327,7 +328,9 @@ def retarget_speech(
             landmarks=landmarks,
         )
         return report, moved.fps, (*moved.recording.warnings, *report.notes)
-    performance = animate(audio, acting=acted, model=network, progress=progress)
+    performance = animate(
+        audio, acting=acted, model=require_model(network, DEITalk), progress=progress
+    )
     curves = performance.curves if fps is None else performance.curves.resample(fps)
     report = retarget_curves(curves, mesh, out, landmarks=landmarks)
     return report, curves.fps, (*performance.recording.warnings, *report.notes)

@@ -24,7 +24,7 @@ from deitalk.audio.voice_activity import level_gain, normalise_level, speech_act
 from deitalk.config import Gates, VoiceIntensity
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
-from deitalk.models.network import Tracks
+from deitalk.models.protocol import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import expression_gate, mouth_gate
 from deitalk.postprocess.life.traits import Seeds, Traits

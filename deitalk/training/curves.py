@@ -28,7 +28,6 @@ from deitalk.evaluation.validation import (
     predict,
 )
 from deitalk.figures.validation import ClipRows, Row
-from deitalk.frontends.strided import StridedFrontend
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
@@ -144,7 +143,7 @@ class CurveTask(Task[Window]):
             start_as(self.model, teacher)
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
-        elif isinstance(self.model.frontend, StridedFrontend) and self.model.frontend.layers:
+        elif self.model.frontend.layers:
             sounds = [
                 read_waveform(clip.audio) for clip in spread_clips(self.clips, MEASURED_CLIPS)
             ]

@@ -24,12 +24,13 @@ from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.mesh import lip_gap
 from deitalk.figures.validation import ClipRows, Row
+from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, new_mesh_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_model import DEITalkFeatures, MeshHead, MeshModel
+from deitalk.models.mesh_model import DEITalkFeatures, MeshModel
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.training.mesh_losses import MeshLoss
 from deitalk.training.trainer import Progress, Task, run_training, silent
@@ -136,10 +137,11 @@ class MeshTask(Task[Segment]):
         }
         speakers = self.model.speakers
         encoder = new_encoder(self.config.model.frontend)  # its own: spectra are cut on the CPU
-        if isinstance(encoder, DEITalkFeatures):
-            return FeatureSegments(clips, speakers, encoder, **drawing)
-        augment = self.config.data.augment
-        return Segments(clips, speakers, self.folder.fps, encoder, augment=augment, **drawing)
+        if self.config.model.frontend.kind == "deitalk":
+            features = cast("DEITalkFeatures", encoder)
+            return FeatureSegments(clips, speakers, features, **drawing)
+        augment, spectral = self.config.data.augment, cast("Encoder", encoder)
+        return Segments(clips, speakers, self.folder.fps, spectral, augment=augment, **drawing)
 
     def epoch_size(self) -> int:
         """Frames of all clips."""
@@ -184,10 +186,10 @@ def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
 
 def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
     """Copy an encoder but for its `new` parts; what SDFA's lacks (`centre`, `rig`) is left out."""
-    encoder = model.encoder
-    start = require_model(name, DEITalk).frontend
+    encoder, owner = cast("SDFAEncoder", model.encoder), require_model(name, DEITalk)
+    start = cast("MelFrontend", owner.frontend)
     try:
-        assert isinstance(encoder, SDFAEncoder) and isinstance(start, MelFrontend)
+        assert model.config.frontend.kind == owner.config.frontend.kind == "mel"
         for setting in ("window_seconds", "frame_rate", "tapers"):  # which no shape shows
             assert getattr(encoder.frontend.config, setting) == getattr(start.config, setting)
         left_out = {*new, "rig"}
@@ -248,7 +250,7 @@ def _measure(model: MeshModel, folder: MeshFolder, clip: MeshClip) -> tuple[floa
     else:
         motion = np.linalg.norm(truth - template.vertices, axis=-1).max(axis=0)
         lively = np.argsort(motion)[-max(len(motion) // 20, 1) :]
-    acting = Acting.of(emotion=clip.emotion) if isinstance(model, MeshHead) else None
+    acting = Acting.of(emotion=clip.emotion) if model.has_emotion else None
     predicted = predict_mesh(model, waveform, style, acting, template)
     n_frames = min(len(predicted), len(truth))
     truth, predicted = truth[:n_frames], predicted[:n_frames]

@@ -6,8 +6,8 @@
     mel_graph.py                      parts of it
     causal_graph.py     one frame of a causal model, with its state
     export.py           graph -> file with metadata
-    network.py          file -> `deitalk.models.network.CurveNetwork`; imports no torch
-    causal_network.py   file -> `deitalk.models.causal.network.CausalNetwork`, as little
+    network.py          file -> `deitalk.models.protocol.CurveNetwork`; imports no torch
+    causal_network.py   file -> `deitalk.models.protocol.CausalNetwork`, as little
     load.py             name, folder or file -> network; exports into the cache at the first use
 """
 

@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from deitalk.models.causal.in_torch import TensorState, advance, causal_frontend, first_state
+from deitalk.models.causal_torch import TensorState, advance, causal_frontend, first_state
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.whisper_graph import ProductMel
 

@@ -5,13 +5,22 @@ Letters: B streams, G frames of a call, P spectra of a frame, W samples of a spe
 
 import json
 from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.models.causal.network import NetworkRows, SpectraGrid, State
-from deitalk.models.network import Reading, Tracks, is_neutral, styles_of
 from deitalk.models.onnx.network import OnnxFile, damaged
+from deitalk.models.protocol import (
+    NetworkRows,
+    Product,
+    Reading,
+    SpectraGrid,
+    State,
+    Tracks,
+    is_neutral,
+    styles_of,
+)
 from rig.arrays import Float32
 
 PROGRESS_FRAMES = 300
@@ -30,6 +39,9 @@ class OnnxCausalNetwork:
         If its metadata are damaged.
     """
 
+    product: Product = "curves"
+    is_causal = True
+
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
         self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
@@ -41,6 +53,10 @@ class OnnxCausalNetwork:
             self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
         except (KeyError, TypeError, ValueError):
             raise damaged(self.path) from None
+
+    def eval(self) -> Self:
+        """The network itself: it has no other mode."""
+        return self
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the next two methods."""
@@ -75,7 +91,7 @@ class OnnxCausalNetwork:
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Reading:
-        """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
+        """Curves of a whole recording; see `deitalk.models.protocol.CurveNetwork`."""
         grid, total = self.grid, len(weights)
         styles = styles_of(weights, self.actors, actor)[None]
         centres = np.arange((total + grid.delay) * grid.spectra) * SAMPLE_RATE / grid.rate

@@ -4,7 +4,7 @@ import json
 import warnings
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -14,7 +14,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import MissingError
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.installed import __version__
-from deitalk.models.causal.in_torch import grid_of
+from deitalk.models.causal_torch import grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.causal_graph import OUTPUTS, CausalGraph, first_states
 from deitalk.models.onnx.graph import CurveGraph, GraphOutput
@@ -107,13 +107,12 @@ def _trace(graph: CurveGraph, path: Path) -> dict[str, str]:
     axes = {name: {0: size} for name, size in inputs.items()}
     axes |= {name: {0: "T"} for name in GraphOutput._fields}
     names, texts = list(inputs), {}
-    if isinstance(model.frontend, WhisperFrontend):
+    if model.config.frontend.kind == "whisper":
         example, names = (*example, torch.tensor(0.0)), [*names, "peak"]
         around = model.decoder.margin + (model.config.saliency_frames or 0) // 2
-        parts = parts_of(around)._asdict() | {
-            "n_mels": model.frontend.config.n_mels,
-            "mel_rate": model.frontend.mel.rate,
-        }
+        frontend = cast("WhisperFrontend", model.frontend)
+        sizes = {"n_mels": frontend.config.n_mels, "mel_rate": frontend.mel.rate}
+        parts = parts_of(around)._asdict() | sizes
         texts = {"parts": json.dumps(parts)}
     _export(graph, example, path, names, list(GraphOutput._fields), axes)
     return texts

@@ -6,8 +6,9 @@ slices.
 """
 
 import math
+from collections.abc import Callable
 from copy import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,12 +17,11 @@ from torch.nn import functional as F
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import CheckpointError
 from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
-from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
-from deitalk.models.network import neutral_weights
 from deitalk.models.onnx.mel_graph import MelGraph
 from deitalk.models.onnx.whisper_graph import WhisperGraph
+from deitalk.models.protocol import neutral_weights
 
 BLOCK = 64
 """Frames whose attention is applied in one product."""
@@ -123,6 +123,10 @@ class MelFrontendGraph(nn.Module):
         return padded[:, offset : last : self.steps]
 
 
+GRAPHS: dict[str, Callable[[Any], nn.Module]] = {"mel": MelFrontendGraph, "whisper": WhisperGraph}
+"""By the kinds of frontends that are exported."""
+
+
 class CurveGraph(nn.Module):
     """A curve model, arguments and results without a batch.
 
@@ -143,16 +147,13 @@ class CurveGraph(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.model = model
-        self.frontend: nn.Module
-        if isinstance(model.frontend, MelFrontend) and model.config.intensity:
-            self.frontend = MelFrontendGraph(model.frontend)
-        elif isinstance(model.frontend, WhisperFrontend) and model.config.intensity:
-            self.frontend = WhisperGraph(model.frontend)
-        else:
+        graph = GRAPHS.get(model.config.frontend.kind)
+        if graph is None or not model.config.intensity:
             raise CheckpointError(
                 "only models with a Whisper or mel frontend and an intensity module are exported, "
                 "such as default and live"
             )
+        self.frontend = graph(model.frontend)
         self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
         size = model.frontend.output_size
         exponent = torch.arange(0, size, 2, dtype=torch.float32) / size

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,7 +14,7 @@ from deitalk.audio.log_mel import loudest
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import parse_controls
 from deitalk.errors import CheckpointError, MissingError
-from deitalk.models.network import Reading, Tracks, is_neutral, styles_of
+from deitalk.models.protocol import Product, Reading, Tracks, is_neutral, styles_of
 from rig import ControlSet, default_controls, limits
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -72,7 +72,7 @@ def damaged(path: Path) -> CheckpointError:
 
 
 class OnnxNetwork:
-    """A model for whole recordings; a `deitalk.models.network.CurveNetwork`.
+    """A model for whole recordings; a `deitalk.models.protocol.CurveNetwork`.
 
     Parameters
     ----------
@@ -83,6 +83,9 @@ class OnnxNetwork:
     CheckpointError
         If its metadata are damaged.
     """
+
+    product: Product = "curves"
+    is_causal = False
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
@@ -96,6 +99,10 @@ class OnnxNetwork:
         except (AttributeError, ValueError):
             raise damaged(self.path) from None
 
+    def eval(self) -> Self:
+        """The network itself: it has no other mode."""
+        return self
+
     def read(
         self,
         sound: Float32,
@@ -104,7 +111,7 @@ class OnnxNetwork:
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Reading:
-        """Curves of a whole recording; see `deitalk.models.network.CurveNetwork`."""
+        """Curves of a whole recording; see `deitalk.models.protocol.CurveNetwork`."""
         total = len(weights)
         styles = styles_of(weights, self.actors, actor)
         place = np.arange(total, dtype=np.float32) / np.float32(total)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.config import VocaConfig
-from deitalk.frontends.windows import Encoder, window_index
+from deitalk.frontends.base import Encoder, window_index
 
 
 class VocaEncoder(Encoder):

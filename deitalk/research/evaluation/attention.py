@@ -13,7 +13,7 @@ from deitalk.audio.load import load_audio
 from deitalk.config import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
-from deitalk.frontends.mel_bilstm import NO_ATTENTION
+from deitalk.frontends.base import NO_ATTENTION
 from deitalk.phones import PLOSIVES, VOWELS
 from deitalk.pipeline.speech import Speech
 from deitalk.research.evaluation.attention_figure import AttentionMap, attention_at

@@ -22,8 +22,8 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
 from deitalk.data.mesh_folder import head_templates
 from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
+from deitalk.frontends.base import window_index
 from deitalk.frontends.sdfa import SDFAEncoder
-from deitalk.frontends.windows import window_index
 from deitalk.models.checkpoint import new_mesh_model, require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_model import SDFA

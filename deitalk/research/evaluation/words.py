@@ -25,7 +25,7 @@ from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summa
 from deitalk.evaluation.report import identified, table, write_json
 from deitalk.evaluation.validation import lips_together
 from deitalk.models.load import load_network
-from deitalk.models.network import CurveNetwork
+from deitalk.models.protocol import CurveNetwork
 from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from deitalk.config import CausalWhisperConfig, Config, FinetuneConfig, load_config
+from deitalk.config import Config, FinetuneConfig, load_config
 from deitalk.config.load import parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
@@ -84,7 +84,7 @@ def with_ranges(config: FinetuneConfig) -> FinetuneConfig:
 
     Not for voices that have not ended, nor from random weights, which are for comparison.
     """
-    is_causal = isinstance(config.model.frontend, CausalWhisperConfig)
+    is_causal = config.model.frontend.kind == "causal_whisper"
     wanted = config.tune.ranges and config.tune.start == "base" and bool(config.model.actors)
     if not wanted or is_causal or is_same_rig(config):
         return config
@@ -152,11 +152,7 @@ def _with_kept_controls(
     Of a base that was tuned so itself, its first decoder stays for those that are still not shown.
     """
     base = _base_config(config).model
-    if (
-        not config.tune.keep
-        or config.tune.part == "all"
-        or isinstance(base.frontend, CausalWhisperConfig)
-    ):
+    if not config.tune.keep or config.tune.part == "all" or base.frontend.kind == "causal_whisper":
         if base.kept_controls:
             raise ConfigError(
                 f"tune.part={config.tune.part}, tune.keep={config.tune.keep}: {config.tune.base} "

@@ -193,7 +193,7 @@ def test_embedded_models_load_as_their_kind(name, kind):
 def test_required_kind_rejects_another_and_names_both(folder, model):
     with pytest.raises(
         CheckpointError,
-        match=r"model: a DEITalk model \(curves\); a mesh head is needed, such as mesh_head",
+        match="model: makes curves; a mesh model is needed, such as sdfa",
     ):
         require_model(folder, MeshHead)
     with pytest.raises(CheckpointError, match="no model there"):

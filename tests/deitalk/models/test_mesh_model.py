@@ -16,7 +16,7 @@ from deitalk.config import (
 )
 from deitalk.data.mesh_folder import Lips
 from deitalk.errors import AudioError, CheckpointError, ConfigError
-from deitalk.frontends.windows import window_index
+from deitalk.frontends.base import window_index
 from deitalk.models import mesh_model as sdfa_module
 from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets

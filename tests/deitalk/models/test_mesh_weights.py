@@ -81,10 +81,10 @@ def test_trim_command_writes_a_model_once(tmp_path):
 def test_require_model_rejects_another_kind(tmp_path):
     save_model(tmp_path / "m", model(), tiny(), {})
     assert isinstance(load_model(tmp_path / "m"), SDFA)
-    needed = r"m: an SDFA model \(mesh\); a DEITalk model \(curves\) is needed, such as default"
+    needed = r"m: makes mesh; a DEITalk model \(curves\) is needed, such as default"
     with pytest.raises(CheckpointError, match=needed):
         require_model(tmp_path / "m", DEITalk)
-    with pytest.raises(CheckpointError, match="is an SDFA model"):
+    with pytest.raises(CheckpointError, match="makes mesh; a DEITalk model"):
         require_model(model(), DEITalk)
 
 

@@ -11,7 +11,7 @@ from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.models.network import Tracks, neutral_and_acted
+from deitalk.models.protocol import Tracks, neutral_and_acted
 from deitalk.pipeline.speech import Speech, measure_intensities
 
 

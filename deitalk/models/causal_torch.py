@@ -4,7 +4,7 @@ Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group,
 spectrum, C controls.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Self, cast
 
 import torch
 from torch import Tensor
@@ -13,8 +13,8 @@ from deitalk.audio.log_mel import N_FFT
 from deitalk.config import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
-from deitalk.models.causal.network import NetworkRows, SpectraGrid, State
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.protocol import NetworkRows, Product, SpectraGrid, State
 from rig import ControlSet
 from rig.arrays import Float32
 
@@ -62,12 +62,20 @@ class TorchNetwork:
         With a causal frontend, in evaluation mode.
     """
 
+    product: Product = "curves"
+    is_causal = True
+
     def __init__(self, model: DEITalk) -> None:
         self.model = model
         self.controls: ControlSet = model.controls
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
         self.grid = grid_of(model)
+
+    def eval(self) -> Self:
+        """The network, its model in evaluation mode."""
+        self.model.eval()
+        return self
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the other methods."""
@@ -111,8 +119,7 @@ def first_state(model: DEITalk, batch: int) -> TensorState:
 
 def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
     """The model's frontend, which is causal."""
-    assert isinstance(model.frontend, CausalWhisperFrontend)
-    return model.frontend
+    return cast("CausalWhisperFrontend", model.frontend)
 
 
 def advance(

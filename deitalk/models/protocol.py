@@ -1,0 +1,247 @@
+"""What is needed of a network: arrays in, arrays out; imports neither torch nor ONNX Runtime.
+
+::
+
+    CurveNetwork    a whole recording -> curves
+    CausalNetwork   the next frames of many streams, with the state in the caller's hands
+
+`deitalk.models.curve_model.DEITalk` and `deitalk.models.causal_torch.TorchNetwork` evaluate in
+torch, the classes of `deitalk.models.onnx` in ONNX Runtime; `deitalk.models.load` makes them.
+
+Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group, W samples of a
+spectrum, C controls, T frames.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.config import RulesConfig
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError
+from rig import ControlSet
+from rig.arrays import Float32
+from rig.errors import quoted
+
+
+class Tracks(NamedTuple):
+    """What a network predicts of each frame besides curves; None if it has no such module."""
+
+    saliency: Float32 | None
+    """e_sim (DEITalk Eq. 5) [shape=(T,), range -1 to 1]."""
+    strength: Float32 | None
+    """Predicted intensity [shape=(T,), range 0 to 1]."""
+
+
+class Reading(NamedTuple):
+    """Output of a network for a whole recording."""
+
+    neutral: Float32
+    """Curves of the neutral reading [shape=(T, C)]."""
+    emotional: Float32
+    """Curves with the emotion; the same array as `neutral` if all weights are neutral."""
+    tracks: Tracks
+
+
+def styles_of(emotion: Float32, actors: Sequence[str], actor: str) -> Float32:
+    """Weights of all styles (..., 5 + actors): those of the emotions (..., 5), and of an actor."""
+    chosen = np.array([name == actor for name in actors], np.float32)
+    shape = (*emotion.shape[:-1], len(actors))
+    return np.concatenate((emotion, np.broadcast_to(chosen, shape)), axis=-1, dtype=np.float32)
+
+
+Product: TypeAlias = Literal["curves", "mesh"]
+NEEDED = {
+    "curves": "a DEITalk model (curves) is needed, such as default",
+    "mesh": "a mesh model is needed, such as sdfa",
+}
+"""Rule and way out where a model makes the other product."""
+
+
+class Network(Protocol):
+    """What every network of curves has."""
+
+    product: Product
+
+    @property
+    def controls(self) -> ControlSet:
+        """Columns of the curves."""
+
+    @property
+    def rules(self) -> RulesConfig:
+        """Post-processing that belongs to the model."""
+
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names of the actors whose styles it has; empty if it has none."""
+
+    @property
+    def is_causal(self) -> bool:
+        """Whether its frames depend on the past and a bounded look-ahead."""
+
+    def eval(self) -> Self:
+        """The network, ready to predict."""
+
+
+class CurveNetwork(Network, Protocol):
+    """A network from speech and emotion to curves."""
+
+    def read(
+        self,
+        sound: Float32,
+        weights: Float32,
+        actor: str = "",
+        progress: Callable[[float], None] = ...,
+        gain: float = 1.0,
+    ) -> Reading:
+        """Predict curves of a whole recording.
+
+        Parameters
+        ----------
+        sound : array [shape=(S,)]
+            16 kHz.
+        weights : array [shape=(T, 5)]
+            Emotion of each frame.
+        actor : str
+            One of `actors`, or empty.
+        progress : callable
+            Called with the share of the work that is done, 0 to 1.
+        gain : float
+            Factor that brings the sound's speech to the level of the training.
+        """
+
+
+State: TypeAlias = tuple[Float32, ...]
+"""What a network keeps of streams between two calls; every array begins with the stream."""
+
+
+class SpectraGrid(NamedTuple):
+    """Where the spectra lie that a causal network reads."""
+
+    spectra: int
+    """P, of a rig frame."""
+    length: int
+    """W, samples of a spectrum."""
+    delay: int
+    """Groups that must come after a frame's own before the frame is known."""
+
+    @property
+    def rate(self) -> int:
+        """Spectra a second."""
+        return FRAME_RATE * self.spectra
+
+    @property
+    def lookahead_samples(self) -> int:
+        """Samples after the time of a frame that the network's rows depend on."""
+        last = (self.delay + 1) * self.spectra - 1
+        return round(last * SAMPLE_RATE / self.rate) + self.length - self.length // 2
+
+
+class NetworkRows(NamedTuple):
+    """What the network gives for consecutive frames."""
+
+    neutral: Float32
+    """[shape=(B, G, C)]."""
+    emotional: Float32
+    """[shape=(B, G, C)]."""
+    saliency: Float32
+    """[shape=(B, G), range -1 to 1]; 0 without the intensity module."""
+    strength: Float32
+    """Predicted intensity [shape=(B, G), range 0 to 1]; 1 without the intensity module."""
+
+
+class CausalNetwork(Network, Protocol):
+    """A network whose frames depend on the past and a bounded look-ahead."""
+
+    @property
+    def grid(self) -> SpectraGrid:
+        """Where the spectra lie."""
+
+    def first_state(self, batch: int) -> State:
+        """State of streams before their first sample."""
+
+    def begin(self, windows: Float32, state: State) -> State:
+        """Read the first groups of streams, as many as the grid's `delay`: they give no frame.
+
+        The decoder begins with the first frame, as on a whole clip. Parameters as for `advance`.
+        """
+
+    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+        """Read the next frames of streams in the neutral and in another emotion.
+
+        Parameters
+        ----------
+        windows : array [shape=(B, G P, W)]
+            Samples of the next groups of spectra.
+        styles : array [shape=(B, G, 5 + actors)]
+            From `styles_of`, of the frames that are read: the grid's `delay` before the groups.
+        state : State
+            From `first_state`, or from the call before.
+        """
+
+
+def take(state: State, streams: Sequence[int]) -> State:
+    """State of some streams."""
+    index = list(streams)
+    return tuple(part[index] for part in state)
+
+
+def put(state: State, streams: Sequence[int], new: State) -> None:
+    """Replace the state of some streams, in place."""
+    index = list(streams)
+    for old, part in zip(state, new, strict=True):
+        old[index] = part
+
+
+def check_product(model: Any, wanted: Product) -> None:
+    """Refuse a loaded model that does not make the wanted product.
+
+    Raises
+    ------
+    CheckpointError
+        It names a model that does.
+    """
+    if (product := getattr(model, "product", None)) != wanted:
+        kind = f"makes {product}" if product else f"is a {type(model).__name__}"
+        raise CheckpointError(f"model {quoted(model)} {kind}; {NEEDED[wanted]}")
+
+
+def chosen_actor(actors: Sequence[str], name: str | None) -> str:
+    """The actor whose style is wanted, or the model's first, or nobody.
+
+    Raises
+    ------
+    CheckpointError
+        If the model has no such actor.
+    """
+    if name is not None and name not in actors:
+        known = ", ".join(actors) or "none: it is of one actor, or of nobody"
+        raise CheckpointError(f"actor {quoted(name)} is unknown; the model's are {known}")
+    return name or next(iter(actors), "")
+
+
+def neutral_weights(n_frames: int) -> Float32:
+    """Weights of the neutral reading [shape=(T, 5)]."""
+    return np.tile(np.eye(len(EMOTIONS), dtype=np.float32)[_NEUTRAL], (n_frames, 1))
+
+
+def is_neutral(weights: Float32) -> bool:
+    """Whether no frame has another emotion."""
+    return not (weights[:, _NEUTRAL] < 1).any()
+
+
+def neutral_and_acted(weights: Float32) -> tuple[Float32, ...]:
+    """Weights of the neutral reading of a speech, and of the emotional one if it is another.
+
+    Parameters
+    ----------
+    weights : array [shape=(T, 5)]
+        Emotion of each frame.
+    """
+    neutral = neutral_weights(len(weights))
+    return (neutral,) if is_neutral(weights) else (neutral, weights)
+
+
+_NEUTRAL = EMOTIONS.index("neutral")
