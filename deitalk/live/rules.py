@@ -109,8 +109,7 @@ class RunningRules:
             readings.append(curves)
             contacts.append(sharp)
         curves = rules.blend(readings[0], readings[1], own.scale)
-        applied = own.applied * rows.gates.expression
-        rules.widen_speech(curves, readings[0], own.emotion, applied)
+        rules.express(curves, readings[0], own.emotion, own.scale, own.network)
         blended = (contacts[1] - contacts[0]) * rows.scale
         if rules.settings.keep_contacts is not None:
             blended = np.maximum(blended, 0)

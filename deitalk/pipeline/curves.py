@@ -231,7 +231,7 @@ def _apply_rules(
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
     out = None if emotional is neutral else emotional  # not needed any more
     values = rules.blend(neutral, emotional, intensities.scale, out)
-    rules.widen_speech(values, neutral, weights, intensities.applied)
+    rules.express(values, neutral, weights, intensities.scale, intensities.network)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)
         rules.apply_dead_zone(reading)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.config import KeepContacts, RulesConfig
-from deitalk.emotions import EMOTIONS
+from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
@@ -99,10 +99,10 @@ class Expression:
         delta += neutral
         return delta
 
-    def widen_speech(
-        self, curves: Float32, neutral: Float32, weights: Float32, applied: Float32
+    def express(
+        self, curves: Float32, neutral: Float32, weights: Float32, scale: Float32, network: Float32
     ) -> None:
-        """Open the mouth wider for the emotion, in place; closed lips stay closed.
+        """Change the expression by the table of `deitalk.postprocess.expressions`, in place.
 
         Parameters
         ----------
@@ -110,16 +110,15 @@ class Expression:
             The blend of both readings, and the neutral one.
         weights : array [shape=(T, 5)]
             Emotion of each frame.
-        applied : array [shape=(T,), range 0 to 4]
-            Intensity to show; at 0 nothing changes.
+        scale : array [shape=(T,)]
+            Factor on the difference of the readings.
+        network : array [shape=(T,), range 0 to 1]
+            Intensity that the emotional reading holds.
         """
-        rule = self.settings.widen_speech
-        if rule is None:
-            return
-        gains = [getattr(rule, emotion, 0.0) for emotion in EMOTIONS]
-        wider = (weights * np.array(gains, np.float32)).sum(axis=1)
-        wider *= applied * (1 - self.contact(neutral))
-        curves[:, self.lively] *= 1 + wider[:, None]
+        if self.settings.expressions is not None:
+            strength = scale * np.maximum(network, LEAST_PREDICTED)
+            table = expression_table(self.controls.names)
+            table.add_to(curves, neutral, weights, strength, 1 - self.contact(neutral))
 
     def sharpen_contacts(self, curves: Float32) -> None:
         """Raise likely contacts and lower unlikely ones, in place.

@@ -36,7 +36,7 @@ STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squi
 LIDS = STEMS.index("eye_blink")
 ACCENTS: dict[str, tuple[float, ...]] = {
     "neutral": (0.18, 0.15, 0.0, 0.0, 0.02, 0.02, -0.03),
-    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.12, 0.03),
+    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.12, -0.04),
     "happy": (-0.03, 0.04, 0.0, 0.0, 0.15, 0.28, 0.03),
     "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
     "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
@@ -44,13 +44,13 @@ ACCENTS: dict[str, tuple[float, ...]] = {
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 HELD: dict[str, tuple[float, ...]] = {
     "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.34),
+    "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.0),
     "happy": (0.0, 0.0, 0.0, 0.0, 0.06, 0.12, 0.0),
     "sad": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08),
     "surprised": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
 }
 """What an emotion holds of `STEMS` besides the network's expression, also between the accents:
-narrowed lids and knit brows in anger, raised cheeks and lower lids in joy, heavy lids in sadness
+lower lids and knit brows in anger, raised cheeks and lower lids in joy, heavy lids in sadness
 (Ekman, Friesen and Hager 2002); amounts by eye."""
 HELD_SPREAD, HELD_SECONDS = 0.25, 2.0
 """Standard deviation of its slow factor, and the sigma of the Gaussian that smooths its noise."""

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deitalk.config import RulesConfig
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.curve_rules import Expression, expression_scale
 from rig import default_controls
 
@@ -228,23 +227,7 @@ def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
     RULES.scale_opening(curves, usual, usual, take=1.5)
-    np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.18, 0.4 * 1.18, 0.4], rtol=1e-5)
-
-
-def test_an_emotion_widens_speech_by_its_intensity_and_contacts_stay():
-    """Angry .27 at intensity 1, half angry at 2, happy .18; at 0 and in contact nothing."""
-    neutral = np.tile(half_open()[0], (6, 1))
-    neutral[4] = half_open()[2]
-    weights = np.zeros((6, 5), np.float32)
-    weights[:, EMOTIONS.index("angry")] = 1, 0.5, 0, 1, 1, 0
-    weights[[1, 5], EMOTIONS.index("neutral")] = 0.5, 1
-    weights[2, EMOTIONS.index("happy")] = 1
-    applied = np.array([1, 2, 1, 0, 1, 1], np.float32)
-    curves = neutral.copy()
-    RULES.widen_speech(curves, neutral, weights, applied)
-    np.testing.assert_allclose(curves[:, JAW] / 0.4, [1.27, 1.27, 1.18, 1, 1, 1], rtol=1e-5)
-    others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
-    np.testing.assert_array_equal(curves[:, others], neutral[:, others])
+    np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.06, 0.4 * 1.06, 0.4], rtol=1e-5)
 
 
 def test_rules_that_are_off_change_nothing():
@@ -253,12 +236,15 @@ def test_rules_that_are_off_change_nothing():
     neutral, emotional = rng.uniform(0, 1, (2, 40, len(CONTROLS))).astype(np.float32)
     off = Expression(CONTROLS, RulesConfig.none())
     strength = rng.uniform(0, 1, 40).astype(np.float32)
+    rest = np.tile(CONTROLS.rest, (40, 1))
     for apply in (
         off.sharpen_contacts,
         off.limit_contact_speed,
         off.apply_dead_zone,
         lambda rows: off.scale_opening(rows, strength, 0.5 * strength, 1.0),
-        lambda rows: off.widen_speech(rows, rows, np.eye(5, dtype=np.float32)[[1] * 40], strength),
+        lambda rows: off.express(
+            rows, rest, np.eye(5, dtype=np.float32)[[1] * 40], strength, strength
+        ),
         lambda rows: off.rest_in_silence(rows, 0 * strength, 0 * strength),
     ):
         changed = neutral.copy()

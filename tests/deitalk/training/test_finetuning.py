@@ -454,7 +454,7 @@ def test_contacts_that_no_capture_holds_keep_the_rules_of_the_base(base, data, t
     assert tuned.sharpen_contacts == rules.sharpen_contacts is not None
     assert tuned.keep_contacts == rules.keep_contacts is not None
     assert tuned.limit_contact_speed.step == 0.7
-    assert tuned.dead_zone is None and tuned.widen_speech is None
+    assert tuned.dead_zone is None and tuned.expressions is None
     off = FinetuneTask(recipe(base, "tune.contact_rules=recipe"), folder).config.rules
     assert off.sharpen_contacts is None
     table.assign(known="").to_csv(folder / "clips.csv", index=False)

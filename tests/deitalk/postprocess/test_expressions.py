@@ -1,0 +1,96 @@
+"""The table of expressions: hand-worked poses, and the laws at any intensity."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from deitalk.emotions import EMOTIONS
+from deitalk.postprocess.curve_rules import Expression, expression_scale
+from deitalk.postprocess.expressions import expression_table
+from rig import default_controls
+
+CONTROLS = default_controls()
+RULES = Expression(CONTROLS)
+TABLE = expression_table(CONTROLS.names)
+SMILE, LIP, LID = (
+    CONTROLS.index(f"CTRL_L_{stem}.ty")
+    for stem in ("mouth_cornerPull", "mouth_upperLipRaise", "eye_blink")
+)
+ROUNDED = [i for i, name in enumerate(CONTROLS.names) if "mouth_purse" in name]
+
+
+def weights_of(emotion, n_frames=1):
+    return np.eye(len(EMOTIONS), dtype=np.float32)[[EMOTIONS.index(emotion)] * n_frames]
+
+
+def expressed(neutral, emotional, emotion, applied, predicted=0.5):
+    """One frame after the blend and the table."""
+    applied, predicted = (np.array([value], np.float32) for value in (applied, predicted))
+    scale = expression_scale(applied, predicted)
+    curves = RULES.blend(neutral, emotional.copy(), scale)
+    RULES.express(curves, neutral, weights_of(emotion), scale, predicted)
+    return curves
+
+
+def readings(seed=0):
+    rng = np.random.default_rng(seed)
+    span = CONTROLS.maximum - CONTROLS.minimum
+    return tuple(
+        (CONTROLS.rest + span * rng.uniform(0, 0.4, (1, len(CONTROLS)))).astype(np.float32)
+        for _ in range(2)
+    )
+
+
+def test_pose_and_gain_are_those_of_the_table():
+    """At intensity .6, angry lids: .6 of the pose; a network's smile of .2 at .5: .24 times."""
+    rest = CONTROLS.rest[None].astype(np.float32)
+    place = list(TABLE.places)
+    pose = TABLE.poses[EMOTIONS.index("angry"), place.index(LID)]
+    assert pose < 0  # lids off the pupil
+    angry = expressed(rest, rest, "angry", 0.6)
+    np.testing.assert_allclose(angry[0, LID], 0.6 * pose, rtol=1e-5)
+    smiling = rest.copy()
+    smiling[0, SMILE] += 0.2
+    gain = TABLE.gains[EMOTIONS.index("happy"), place.index(SMILE)]
+    assert gain > 1
+    happy = expressed(rest, smiling, "happy", 0.6)
+    np.testing.assert_allclose(happy[0, SMILE], 0.24 * gain, rtol=1e-5)
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS)
+@pytest.mark.parametrize("seed", range(3))
+def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(emotion, seed):
+    neutral, emotional = readings(seed)
+    steps = [expressed(neutral, emotional, emotion, k) - neutral for k in (0, 0.3, 0.6, 1, 1.5)]
+    assert not steps[0].any()
+    for less, more in pairwise(steps):
+        assert (np.abs(more) >= np.abs(less) - 1e-6).all()
+        assert (more * less >= -1e-9).all()
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+def test_closed_lips_stay_closed(emotion):
+    neutral = CONTROLS.rest[None].astype(np.float32).copy()
+    neutral[:, RULES.seals] = 1
+    curves = expressed(neutral, neutral.copy(), emotion, 1.5)
+    np.testing.assert_array_equal(curves[:, RULES.opening], neutral[:, RULES.opening])
+    np.testing.assert_array_equal(curves[:, RULES.seals], neutral[:, RULES.seals])
+
+
+def test_a_smile_yields_to_rounding():
+    """Fully pursed lips keep a fifth of it; the eyes keep all."""
+    neutral = CONTROLS.rest[None].astype(np.float32)
+    rounded = neutral.copy()
+    rounded[:, ROUNDED] = 0.8
+    pose = np.zeros_like(neutral)
+    pose[:, [SMILE, CONTROLS.index("CTRL_L_eye_cheekRaise.ty")]] = 0.3
+    spread, pursed = (expressed(n, n + pose, "happy", 0.5) - n for n in (neutral, rounded))
+    moved = [SMILE, LIP]
+    np.testing.assert_allclose(pursed[0, moved], 0.2 * spread[0, moved], rtol=1e-4)
+    cheek = CONTROLS.index("CTRL_L_eye_cheekRaise.ty")
+    np.testing.assert_allclose(pursed[0, cheek], spread[0, cheek], rtol=1e-5)
+
+
+def test_a_rig_without_the_controls_has_no_table():
+    assert not len(expression_table(("smile", "jaw")).places)
