@@ -18,7 +18,14 @@ from deitalk.live.tracks import begun
 from deitalk.live.voice import RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import move_brows
-from deitalk.postprocess.life.motion import MOST_SHOWN, move_eyes, move_neck
+from deitalk.postprocess.life.motion import (
+    AGAINST,
+    MOST_SHOWN,
+    attend,
+    move_eyes,
+    move_neck,
+)
+from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
 from deitalk.postprocess.life.neck import neck_tracks
 from deitalk.postprocess.life.traits import Traits
 from rig import ControlSet
@@ -96,8 +103,12 @@ class RunningLife:
         )
         if self.controls.id == DEFAULT_ID:
             events, side = brow_events(brows), self.traits.side
+            plain = neutral[:, mouth_columns(self.controls)]
+            lean_mouth(curves, plain, self.controls, events.accents, side, life.brows)
             move_brows(curves, neutral, self.controls, events, mixture, side, life.brows)
-            gaze = life.gaze * (shown * eyes[:, 2:] + motion[:, :2] * (1, -1))
+            held = (head - motion)[:, :2] * AGAINST
+            gaze = attend(shown * eyes[:, 2:], held, mixture) + motion[:, :2] * AGAINST
+            gaze *= life.gaze
             gaze += shown * np.array(life.look_at)
             move_eyes(curves, self.controls, gaze, eyes[:, :2] * bool(life.blinks))
             neck = neck_tracks(

@@ -245,7 +245,9 @@ def _motion(prepared: Prepared, shown: Float32) -> TakeMotion | None:
     life, actor = acting.motion, acting.voice
     if idle is None or life is None or not (acting.listen or speech.activity.any()):
         return None
-    seeds = Seeds.of(speech.waveform, prepared.style, acting.seed)
+    emotions = shown.sum(axis=0)
+    emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
+    seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = measure_voice(speech.activity, speech.prosody)
     traits = Traits(**actor.traits) if actor is not None and actor.traits else None
     return plan_motion(voice, shown, seeds, idle, life, traits)

@@ -174,7 +174,7 @@ def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEv
         if phrase.is_question:
             span, shape = swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
             question[span] += shape
-    shown = presence(n_frames)
+    shown = presence(n_frames, voice.silence)
     drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
     drift *= np.asarray(DRIFT)
     drift[:, LIDS] += LID_DRIFT * slow_noise(n_frames, LID_SECONDS, rng)

@@ -140,7 +140,7 @@ def head_motion(
     motion *= (calm + mixture[:, 1:] @ lively[1:])[:, None] * traits.head_range
     side = np.array([1, 1, 1 if traits.side >= 0 else -1, 1, 1, 1])
     held = mixture @ np.array([POSTURE[name] for name in EMOTIONS]) * side
-    shown = presence(n_frames)[:, None]
+    shown = presence(n_frames, voice.silence)[:, None]
     posture = _smooth(held) * shown
     return (motion * shown).astype(np.float32), posture.astype(np.float32)
 

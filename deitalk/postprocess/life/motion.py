@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from deitalk.config import Idle
+from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.blinks import lid_closure, plan_blinks
 from deitalk.postprocess.life.brows import BrowEvents, move_brows, plan_brows
 from deitalk.postprocess.life.gaze import LID_SHARE, as_controls, gaze_degrees, plan_aversions
 from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
 from deitalk.postprocess.life.neck import neck_motion
 from deitalk.postprocess.life.tracks import presence
 from deitalk.postprocess.life.traits import Seeds, Traits
@@ -30,6 +32,10 @@ ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
 LOWER_LID = 0.14
 """Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
 the nose (Evinger, Manning and Sibony 1991); amount by eye."""
+AGAINST = np.array([1, -1], np.float32)
+"""Signs of a turn of the eyes that undoes yaw and pitch of the head."""
+STARE = 0.8
+"""Share of the aversions that anger takes away at intensity 1: its gaze stays on the listener."""
 MOST_SHOWN = 1.5
 """Intensity above which accents and posture grow no more."""
 
@@ -42,8 +48,8 @@ class TakeMotion:
     traits: Traits
     lids: Float32
     """Closure of the left and the right lids [shape=(T, 2), range 0 to 1]."""
-    gaze: Float32
-    """Degrees to the character's left and up [shape=(T, 2)]."""
+    gaze: tuple[Float32 | Float64, Float32]
+    """Degrees to the character's left and up, and those of the neutral reading [shape=(T, 2)]."""
     brows: BrowEvents
     head: Float32 | None
     """Track of the head [shape=(T, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
@@ -67,11 +73,32 @@ class TakeMotion:
         if controls.id != DEFAULT_ID:
             return
         calm = np.zeros_like(self.mixture)
-        for reading, mixture in ((curves, self.mixture), (neutral, calm)):
-            side, amount = self.traits.side, self.amounts.brows
+        side, amount = self.traits.side, self.amounts.brows
+        plain = neutral[:, mouth_columns(controls)]
+        for reading, mixture, gaze in zip(
+            (curves, neutral), (self.mixture, calm), self.gaze, strict=True
+        ):
+            lean_mouth(reading, plain, controls, self.brows.accents, side, amount)
             move_brows(reading, neutral, controls, self.brows, mixture, side, amount)
-            move_eyes(reading, controls, self.gaze, self.lids)
+            move_eyes(reading, controls, gaze, self.lids)
             move_neck(reading, controls, self.neck)
+
+
+def attend(gaze: Float32 | Float64, held: Float32 | Float64, mixture: Float32) -> Float64:
+    """Gaze of an emotion, degrees: anger stares, sadness alone looks where its head is lowered to.
+
+    Parameters
+    ----------
+    gaze : array [shape=(T, 2)]
+        Fixations and aversions of a neutral face.
+    held : array [shape=(T, 2)]
+        Turn of the eyes that undoes the posture of the head.
+    mixture : array [shape=(T, S)]
+        Emotion shown at each frame.
+    """
+    angry, sad = (mixture[:, [EMOTIONS.index(name)]] for name in ("angry", "sad"))
+    shown: Float64 = gaze * np.maximum(1 - STARE * angry, 0) + held * np.maximum(1 - sad, 0)
+    return shown
 
 
 def move_eyes(
@@ -140,19 +167,22 @@ def plan_motion(
     rng = seeds.generator("gaze")
     aversions = plan_aversions(voice, rng, traits.avoids)
     gaze, shifts = gaze_degrees(n_frames, aversions, rng)
-    place = presence(n_frames)[:, None] * np.asarray(life.look_at, np.float32)
+    shown = presence(n_frames, voice.silence)[:, None]
+    place = shown * np.asarray(life.look_at, np.float32)
     mixture = np.minimum(mixture, MOST_SHOWN)
-    head, neck, turned = None, {}, np.zeros((n_frames, 2), np.float32)
+    head, neck = None, {}
+    turned = held = np.zeros((n_frames, 2), np.float32)
     if amounts.head:
         motion, posture = head_motion(voice, traits, mixture, seeds.generator("head"))
         motion, head = amounts.head * motion, amounts.head * (motion + posture)
         neck = neck_motion(voice, head, amounts.head, seeds.generator("neck"))
-        turned = motion[:, :2] * np.array([1, -1], np.float32)
-    gaze = amounts.gaze * (gaze + turned) + place
+        turned, held = (track[:, :2] * AGAINST for track in (motion, amounts.head * posture))
+    calm = amounts.gaze * (gaze + turned) + place
+    acted = amounts.gaze * (attend(gaze, held, mixture) + turned) + place
     rng, lids = seeds.generator("blinks"), np.zeros((n_frames, 2), np.float32)
     if amounts.blinks:
         factor = traits.blink_interval / amounts.blinks
         shifts = shifts if amounts.gaze else []
         lids = lid_closure(plan_blinks(voice, rng, idle, shifts, factor), n_frames, rng)
     brows = plan_brows(voice, traits, seeds.generator("brows"))
-    return TakeMotion(amounts, traits, lids, gaze, brows, head, neck, mixture)
+    return TakeMotion(amounts, traits, lids, (acted, calm), brows, head, neck, mixture)

@@ -64,7 +64,7 @@ def neck_motion(
             span, shape = swell(n_frames, peak, *SWALLOW)
             swallows[span] = np.maximum(swallows[span], shape)
             due = peak + LEAST_WAIT + rng.exponential(SWALLOW_EVERY - LEAST_WAIT)
-    shown = amount * presence(n_frames)
+    shown = amount * presence(n_frames, voice.silence)
     return neck_tracks(breath * shown, swallows * shown, head[:, 0])
 
 

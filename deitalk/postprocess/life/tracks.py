@@ -12,7 +12,9 @@ from rig.curves.filters import gaussian_smooth
 RISE_SECONDS, FADE_SECONDS = 0.5, 0.9
 """Motion begins at rest with a take, and comes to rest before its end."""
 STILL_SECONDS = 0.5
-"""Rest at the end, but for a take that is too short for it."""
+"""Rest at the end, but for a silence that is too short for it."""
+CUT_SECONDS = 0.2
+"""Silence at the end below which a take counts as cut."""
 
 
 def swell(
@@ -52,11 +54,21 @@ def slow_noise(n_frames: int, seconds: float, rng: np.random.Generator) -> Float
     return scaled
 
 
-def presence(n_frames: int) -> Float32:
-    """Share of the motion shown: 0 in the first and the last frames of a take [shape=(T,)]."""
+def presence(n_frames: int, silence: float) -> Float32:
+    """Share of the motion shown: 0 at the start of a take and in silence at its end [shape=(T,)].
+
+    Parameters
+    ----------
+    n_frames : int
+        T.
+    silence : float
+        Seconds without speech at the end; a take that is cut in its speech keeps its motion.
+    """
     time = np.arange(n_frames) / FRAME_RATE
-    left = (n_frames - 1) / FRAME_RATE - time
-    still = min(STILL_SECONDS, left[0] / 4 if n_frames else 0.0)
-    rise, fade = np.clip(time / RISE_SECONDS, 0, 1), np.clip((left - still) / FADE_SECONDS, 0, 1)
+    rise, fade = np.clip(time / RISE_SECONDS, 0, 1), np.ones(n_frames)
+    if silence > CUT_SECONDS:
+        still = min(STILL_SECONDS, silence / 3)
+        left = (n_frames - 1) / FRAME_RATE - time - still
+        fade = np.clip(left / min(FADE_SECONDS, silence - still), 0, 1)
     shape: Float32 = (rise * rise * (3 - 2 * rise) * fade * fade * (3 - 2 * fade)).astype("f4")
     return shape

@@ -1,7 +1,7 @@
 """Random numbers of a take, and the traits of its character.
 
-The seed of a take is the hash of its sound with the name of the actor and a number: the same
-recording of the same actor always moves alike, two recordings or two actors never do. Each part
+The seed of a take is the hash of its sound with the name of the actor, a number and the emotion:
+the same take always moves alike, two recordings, actors or emotions never do. Each part
 of the motion has its own numbers, so that one that is off changes no other.
 """
 
@@ -27,18 +27,23 @@ class Seeds:
     ----------
     words : tuple of int
         Hash of the sound, hash of the actor, and the caller's number.
+    emotion : int
+        Place of the emotion shown most, 0 for none: its events have their own times, the character
+        is the same.
     """
 
     words: tuple[int, int, int]
+    emotion: int = 0
 
     @classmethod
-    def of(cls, waveform: Float32, actor: str, seed: int) -> "Seeds":
+    def of(cls, waveform: Float32, actor: str, seed: int, emotion: int = 0) -> "Seeds":
         """Seeds of a recording [shape=(S,)] of an actor; equal arguments give equal ones."""
-        return cls((_hash(_pcm(waveform)), _hash([actor.encode()]), seed))
+        return cls((_hash(_pcm(waveform)), _hash([actor.encode()]), seed), emotion)
 
     def generator(self, part: str) -> np.random.Generator:
         """Random numbers of a part of `PARTS`."""
-        return np.random.default_rng([*self.words, PARTS.index(part)])
+        own = (self.emotion,) if self.emotion else ()
+        return np.random.default_rng([*self.words, PARTS.index(part), *own])
 
     def character(self) -> np.random.Generator:
         """Random numbers of the actor, whatever the recording; of the take if there is none."""

@@ -82,6 +82,12 @@ class Voice(NamedTuple):
             track[phrase.start : phrase.stop] = 1
         return track
 
+    @property
+    def silence(self) -> float:
+        """Seconds after the last phrase."""
+        spoken = self.phrases[-1].stop if self.phrases else 0
+        return (self.n_frames - spoken) / FRAME_RATE
+
     def pauses(self, least: float = 0.3) -> Iterator[tuple[int, int]]:
         """Yield first frame and end of the silences of at least so many seconds."""
         edges = [0, *(edge for phrase in self.phrases for edge in phrase[:2]), self.n_frames]

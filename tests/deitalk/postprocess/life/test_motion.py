@@ -22,8 +22,9 @@ from deitalk.postprocess.life.head import (
     head_motion,
 )
 from deitalk.postprocess.life.motion import LOWER_LID, move_eyes, plan_motion
+from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS
-from deitalk.postprocess.life.tracks import swell
+from deitalk.postprocess.life.tracks import presence, swell
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from deitalk.research.evaluation.nods import find_nods
@@ -328,15 +329,52 @@ def test_eyes_turn_against_the_head():
     seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
     turned = plan_motion(VOICE, shown("neutral"), seeds)
     still = plan_motion(VOICE, shown("neutral"), seeds, life=Life(head=0))
-    compensated = turned.gaze - still.gaze
+    compensated = turned.gaze[1] - still.gaze[1]
     np.testing.assert_allclose(compensated[:, 0], turned.head[:, 0], atol=1e-4)
     np.testing.assert_allclose(compensated[:, 1], -turned.head[:, 1], atol=1e-4)
+
+
+@pytest.mark.parametrize("emotion", ["angry", "surprised"])
+def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
+    """The posture is undone as the motion is; anger at 1.25 has no aversions left, surprise has."""
+    motion = plan_motion(VOICE, shown(emotion, 1.25), Seeds((1, 2, 3)))
+    seen = motion.gaze[0] - motion.head[:, :2] * (1, -1)
+    assert (np.abs(seen).max() < 1e-3) == (emotion == "angry")
+    assert np.abs(motion.head[:, 1]).max() > 2
+
+
+@pytest.mark.parametrize("silence", [0, 0.1, 3])
+def test_a_take_that_is_cut_keeps_its_motion(silence):
+    shares = presence(300, silence)
+    assert shares[0] == 0
+    assert shares[60:200].min() == 1
+    assert shares[-1] == (silence < 1)
+
+
+def test_emotions_of_a_recording_have_their_own_times_and_one_character():
+    takes = [Seeds((1, 2, 3), emotion) for emotion in range(2)]
+    assert Traits.of(takes[0].character()) == Traits.of(takes[1].character())
+    lids = [plan_motion(VOICE, shown("neutral"), seeds).lids for seeds in takes]
+    assert not np.array_equal(*lids)
+
+
+def test_one_side_of_the_mouth_does_more_and_silence_none():
+    """A smile of .4 over speech of .2 on a side .1 stronger: .2 (1 + .025) + .2 (1 + .05)."""
+    neutral = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
+    smile = [CONTROLS.index(f"CTRL_{side}_mouth_cornerPull.ty") for side in "LR"]
+    neutral[0, smile] = 0.2
+    curves = neutral.copy()
+    curves[0, smile] = 0.4
+    accents = np.zeros((2, 2))
+    lean_mouth(curves, neutral[:, mouth_columns(CONTROLS)], CONTROLS, accents, 0.1, 1.0)
+    np.testing.assert_allclose(curves[0, smile], [0.415, 0.385], atol=1e-6)
+    np.testing.assert_array_equal(curves[1], neutral[1])
 
 
 def test_gaze_rests_where_it_is_told():
     seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
     there, here = (
-        plan_motion(VOICE, shown("neutral"), seeds, life=Life(look_at=place)).gaze
+        plan_motion(VOICE, shown("neutral"), seeds, life=Life(look_at=place)).gaze[0]
         for place in ((10.0, -5.0), (0.0, 0.0))
     )
     np.testing.assert_allclose((there - here)[60:800], [[10, -5]] * 740, atol=1e-4)
