@@ -5,16 +5,23 @@ import hashlib
 import re
 from collections.abc import AsyncIterator
 from functools import lru_cache
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from starlette.responses import StreamingResponse
+from starlette.responses import FileResponse, StreamingResponse
 
 from api.routes.deps import ServiceDep
+from deitalk.preview.page import BUNDLE
 
 router = APIRouter()
 PIECE_BYTES = 1 << 16
 """A page is sent in pieces: what a slow client has not read is not kept for it."""
+SAMPLES = (
+    BUNDLE.with_name("sample.flac"),
+    Path(__file__).parents[2] / "docs/samples/amiable.flac",
+)
+"""In a wheel, and in a checkout."""
 _SCRIPT = re.compile(rb"<script type=\"module\"[^>]*>(.*?)</script>", re.DOTALL)
 
 
@@ -26,6 +33,12 @@ async def studio(
     page = await service.pages.page(head)
     headers = {"Content-Security-Policy": _policy(page), "Content-Length": str(len(page))}
     return StreamingResponse(_pieces(page), headers=headers, media_type="text/html")
+
+
+@router.get("/sample", include_in_schema=False)
+async def sample() -> FileResponse:
+    """A recording to try the page with: docs/samples/README.md names its reader and licence."""
+    return FileResponse(next(path for path in SAMPLES if path.is_file()), media_type="audio/flac")
 
 
 async def _pieces(page: bytes) -> AsyncIterator[bytes]:

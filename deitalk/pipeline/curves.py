@@ -160,7 +160,10 @@ def _suggested(acting: Acting, recording: Recording) -> tuple[Acting, Recording]
     from deitalk.pipeline.suggest import suggest_emotion  # needs torch
 
     found = suggest_emotion(recording)
-    note = f"suggested from the voice: {found.line}"
+    others = ", ".join(
+        f"{name} {share:.2f}" for name, share in found.probabilities.items() if name != found.label
+    )
+    note = f"suggested from the voice: {found.line}; {others}"
     recording = replace(recording, warnings=(*recording.warnings, note))
     return Acting.of(acting, emotion=found.label), recording
 

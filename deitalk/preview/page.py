@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.errors import MissingError
 from deitalk.pipeline.performance import Performance
 from deitalk.preview.source import (
@@ -200,6 +201,9 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
     arrays: dict[str, NDArray[Any]] = {"values": np.ascontiguousarray(curves.values, np.float32)}
     if source.neutral is not None:
         arrays["neutral"] = np.ascontiguousarray(source.neutral, np.float32)
+    if source.sample_rate == SAMPLE_RATE:
+        speaking = speech_activity(source.samples)[: len(curves)]
+        arrays["speaking"] = np.asarray(speaking > 0, np.uint8)
     for name, track in curves.tracks.items():
         arrays[name] = np.ascontiguousarray(track, np.float32)
     facts = {

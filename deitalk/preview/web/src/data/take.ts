@@ -33,6 +33,8 @@ export class Take {
   /** Applied intensity of the reading, before any edit. */
   readonly intensity?: Float32Array;
   readonly warnings: Warning[];
+  /** 1 in speech, else 0 (T,); undefined without a recording. */
+  private readonly speaking?: Uint8Array;
   private readonly values: Float32Array;
   private readonly neutral?: Float32Array;
   /** Turn and shift of the head (T, 6); undefined if it is unknown. */
@@ -55,6 +57,7 @@ export class Take {
     this.head = arrays.head as Float32Array | undefined;
     this.emotion = arrays.emotion as Float32Array | undefined;
     this.intensity = arrays.intensity as Float32Array | undefined;
+    this.speaking = arrays.speaking as Uint8Array | undefined;
     this.warnings = findWarnings(this.values, this, board, facts.warnings ?? []);
     this.apply(NO_EDIT);
   }
@@ -91,13 +94,21 @@ export class Take {
     return Math.min(this.intensity[frame] * factorAt(points, frame / this.fps), MAX_INTENSITY);
   }
 
-  /** Mean of the applied intensity over the take; 0 if every frame is neutral. */
-  get meanIntensity(): number {
-    const n = this.emotions.length, place = this.emotions.indexOf("neutral");
-    if (!this.emotion?.some((weight, k) => k % n === place && weight < 1)) return 0;
-    let sum = 0;
-    for (let k = 0; k < this.frames; k++) sum += this.intensityAt(k);
-    return sum / this.frames;
+  /** Mean of the applied intensity over speech, as `deitalk animate` prints it; undefined without speech. */
+  get meanIntensity(): number | undefined {
+    let sum = 0, count = 0;
+    this.speaking?.forEach((speaks, k) => {
+      if (!speaks) return;
+      sum += this.intensityAt(k);
+      count++;
+    });
+    return count ? sum / count : undefined;
+  }
+
+  /** The strongest emotion of a frame; undefined if it is unknown. */
+  emotionAt(frame: number): string | undefined {
+    const n = this.emotions.length, row = this.emotion?.subarray(frame * n, frame * n + n);
+    return row && this.emotions[row.indexOf(Math.max(...row))];
   }
 
   /** All controls at a time, linear between frames. */

@@ -25,6 +25,8 @@ export interface Source {
 
 export interface Order extends Source {
   edit: Edit;
+  /** `auto` or a name instead of the keys of the edit. */
+  emotion?: string;
   /** `intensity.csv` to apply instead of the predicted intensity. */
   intensityCsv?: string;
   format: string;
@@ -72,7 +74,8 @@ export function fileNameOf(title: string): string {
 export async function order(given: Order, progress: Progress, signal: AbortSignal): Promise<Result> {
   const form = new FormData();
   form.append("recording", given.recording, "recording");
-  form.append("emotion", new Blob([emotionCsv(given.edit, given)]), "emotion.csv");
+  if (given.emotion) form.append("emotion", given.emotion);
+  else form.append("emotion", new Blob([emotionCsv(given.edit, given)]), "emotion.csv");
   if (given.intensityCsv) form.append("intensity_curve", new Blob([given.intensityCsv]), "intensity.csv");
   const gains = Object.entries(gainsOf(given.edit)).map(([region, gain]) => `${region}=${gain}`);
   if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));

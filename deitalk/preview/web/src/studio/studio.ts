@@ -11,11 +11,13 @@ import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
+import { convert, emotionCsv, optionOf, optionsOf, order, type Order, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
 const EMOTIONS = ["neutral", "angry", "happy", "sad", "surprised"];
+/** Emotion of a first recording. */
+const FIRST = "happy";
 /** Kinds of files: label, format of the service, whether it takes long enough for a job. */
 const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
@@ -49,18 +51,19 @@ export class Studio {
     document.body.classList.add("studio");
     player.workbench!.emotion.isEditable = true;
     player.workbench!.emotion.onSelect = () => this.showEmotion();
-    player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: "neutral", strength: 1 }] });
+    player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: FIRST, strength: 1 }] });
     player.onEdit = () => this.edited();
     player.convert = convert;
     addEventListener("pagehide", () => this.save());
     player.intake.recording = (file) => this.open(file);
     player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
+    $("sample").addEventListener("click", () => void this.openSample());
     this.live = new Live(player, () => this.emotion);
     bindMicrophone((file) => this.open(file));
     this.showForm = bindForm(player.history);
     this.showForm();
-    $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)));
+    $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)), this.autoButton());
     $("exports").append(
       ...EXPORTS.map(([label, format, isLong]) => button(label, () => void this.export(format, isLong))),
       button("Edits", () => this.exportEdits()),
@@ -105,7 +108,7 @@ export class Studio {
 
   /** Begin anew with a recording, in the emotion that was chosen. */
   async open(file: File): Promise<void> {
-    const keys = [{ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? "neutral", strength: 1 }];
+    const keys = [{ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? FIRST, strength: 1 }];
     const edit: Edit = { ...NO_EDIT, keys };
     const source: Source = { recording: file, name: file.name, options: {}, hasOwnIntensity: false };
     const packed = await this.animate(source, edit);
@@ -119,8 +122,24 @@ export class Studio {
     this.player.transport.play();
   }
 
+  private async openSample(): Promise<void> {
+    try {
+      const answer = await fetch("/sample");
+      if (!answer.ok) throw new Error("this installation has no sample");
+      await this.open(new File([await answer.blob()], "sample.flac", { type: "audio/flac" }));
+    } catch (error) {
+      notice(messageOf(error));
+    }
+  }
+
+  /** The emotion that the voice suggests, whose probabilities the service tells in its notes. */
+  private async suggest(session: Session): Promise<void> {
+    const packed = await this.animate({ ...session, emotion: "auto" }, session.edit);
+    if (packed) this.choose((await this.unpacked(packed)).take.emotionAt(0)!);
+  }
+
   /** The take as the page shows it, by the service. */
-  private animate(source: Source, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
+  private animate(source: Source & Pick<Order, "emotion">, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
     return this.animating.run("Animating", async (progress, signal) => {
       const { content, notes } = await order({ ...source, edit, intensityCsv, format: "packed" }, progress, signal);
       if (notes.length) notice(notes.join("; "));
@@ -153,6 +172,12 @@ export class Studio {
       this.player.workbench!.emotion.choose(name, this.player.transport.shown);
     });
     made.style.setProperty("--emotion", COLORS[name]);
+    return made;
+  }
+
+  private autoButton(): HTMLButtonElement {
+    const made = button("auto", () => this.session && void this.suggest(this.session));
+    made.title = "The emotion that the voice suggests";
     return made;
   }
 
@@ -295,7 +320,7 @@ export class Studio {
 
   private enable(): void {
     const isOn = this.session !== undefined;
-    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #keep, #add-key")) {
+    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #keep, #add-key, #emotions button:last-child")) {
       b.disabled = !isOn;
     }
     this.showEmotion();

@@ -1,39 +1,44 @@
-/** The intensity lane: predicted and applied intensity, and the factor between them as points. */
+/** The intensity lane: predicted and applied intensity on a linear axis; the line is dragged. */
 
 import { type FactorPoint, factorAt, type History, MAX_FACTOR } from "../data/edit";
 import type { Take } from "../data/take";
-import { PointLane, type PointOwner, svg } from "./points";
+import { MARGIN, PointLane, type PointOwner, svg } from "./points";
 import type { Span } from "./span";
 
-/** Factors 0, 1 and 4 are at the bottom, the middle and the top. */
-const levelOf = (factor: number) => Math.sqrt(factor / MAX_FACTOR);
-const factorOf = (level: number) => Math.round(level * level * MAX_FACTOR * 100) / 100;
 const LEVEL_STEP = 0.02;
-const LEAST_TOP = 1.2;
+/** Labels of the axis, and the room that is left above the highest intensity, as a factor. */
+const GRID = 0.5, ROOM = 1.3;
+/** Predicted intensity below which a factor is reckoned as if it were this. */
+const FAINT = 0.02;
+/** How near the line a press takes it, pixels, and how far a drag bends it to either side, seconds. */
+const NEAR = 14, REACH = 0.4;
 
 export class IntensityLane implements PointOwner {
   private readonly lane: PointLane;
+  private readonly axis = svg("g", "axis");
   private readonly area = svg("polygon", "area");
   private readonly predicted = svg("polyline", "predicted");
-  private readonly one = svg("line", "one");
-  private readonly line = svg("polyline", "factor");
+  private readonly applied = svg("polyline", "applied");
   private readonly head = svg("line", "head");
   private take?: Take;
+  /** Intensity at the top; it stays during a drag. */
+  private top = 1;
 
   constructor(box: SVGSVGElement, private readonly span: Span, private readonly history: History) {
-    box.append(this.area, this.predicted, this.one, this.line, this.head);
+    box.append(this.axis, this.area, this.predicted, this.applied, this.head);
     this.lane = new PointLane(box, span, this);
   }
 
   show(take: Take): void {
     this.take = take;
     this.lane.isEditable = take.isEditable;
-    this.layout();
+    this.scale();
   }
 
   points() {
     return this.factors.map(({ time, factor }) => ({
-      time, level: levelOf(factor), label: `factor ${factor.toFixed(2)} at ${time.toFixed(2)} s`,
+      time, level: this.appliedAt(time) / this.top,
+      label: `intensity ${this.appliedAt(time).toFixed(2)}, factor ${factor.toFixed(2)} at ${time.toFixed(2)} s`,
     }));
   }
 
@@ -45,16 +50,22 @@ export class IntensityLane implements PointOwner {
     const p = this.factors, gap = 1 / (this.take?.fps ?? 30);
     const low = index ? p[index - 1].time + gap : 0;
     const high = index < p.length - 1 ? p[index + 1].time - gap : this.take!.seconds;
-    const moved = { time: Math.min(Math.max(time, low), high), factor: factorOf(level) };
+    const at = Math.min(Math.max(time, low), high), moved = { time: at, factor: this.factorOf(at, level) };
     this.history.change({ points: p.map((old, k) => (k === index ? moved : old)) }, `point ${index}`);
   }
 
   add(time: number, level?: number): number {
-    const factor = level === undefined ? factorAt(this.factors, time) : factorOf(level);
-    const others = this.factors.filter((p) => Math.abs(p.time - time) > 1e-3);
-    const points = [...others, { time, factor }].sort((a, b) => a.time - b.time);
-    this.history.change({ points });
-    return points.findIndex((p) => p.time === time);
+    const factor = level === undefined ? factorAt(this.factors, time) : this.factorOf(time, level);
+    return this.insert([{ time, factor }], time);
+  }
+
+  /** Take the line near a press: a point there, and one to either side that holds the rest. */
+  grab(time: number, level: number): number | undefined {
+    const pixels = Math.abs(level - this.appliedAt(time) / this.top) * (this.lane.box.clientHeight - 2 * MARGIN);
+    if (pixels > NEAR) return undefined;
+    const isFree = (t: number) => t >= 0 && t <= this.take!.seconds && !this.factors.some((p) => Math.abs(p.time - t) < REACH);
+    const times = [time, ...[time - REACH, time + REACH].filter(isFree)];
+    return this.insert(times.map((t) => ({ time: t, factor: factorAt(this.factors, t) })), time);
   }
 
   /** Add a point on the line and give it the focus. */
@@ -68,23 +79,21 @@ export class IntensityLane implements PointOwner {
 
   done(): void {
     this.history.endGesture();
+    this.scale();
   }
 
   layout(): void {
-    const { take, lane } = this;
+    const { take, lane, top } = this;
     if (!take) return;
-    const height = lane.box.clientHeight, middle = String(lane.y(levelOf(1)));
-    for (const [name, value] of [["x1", "0"], ["x2", String(lane.width)], ["y1", middle], ["y2", middle]]) {
-      this.one.setAttribute(name, value);
-    }
-    this.line.setAttribute("points", this.factorLine());
     const frames = take.intensity ? this.frames() : [];
-    const top = Math.max(LEAST_TOP, ...frames.map((f) => Math.max(take.intensityAt(f), take.intensity![f])));
     const draw = (value: (frame: number) => number) =>
-      frames.map((f) => `${lane.x(f / take.fps)},${height * (1 - value(f) / top)}`).join(" ");
+      frames.map((f) => `${lane.x(f / take.fps)},${lane.y(value(f) / top)}`).join(" ");
+    const line = draw((f) => take.intensityAt(f));
     this.predicted.setAttribute("points", draw((f) => take.intensity![f]));
+    this.applied.setAttribute("points", line);
     const [first, last] = [frames[0] ?? 0, frames[frames.length - 1] ?? 0].map((f) => lane.x(f / take.fps));
-    this.area.setAttribute("points", `${first},${height} ${draw((f) => take.intensityAt(f))} ${last},${height}`);
+    this.area.setAttribute("points", `${first},${lane.y(0)} ${line} ${last},${lane.y(0)}`);
+    this.drawAxis();
     lane.layout();
   }
 
@@ -95,17 +104,54 @@ export class IntensityLane implements PointOwner {
     }
   }
 
+  /** Follow the highest intensity, but not in a drag. */
+  private scale(): void {
+    const { take } = this, values = take?.intensity ? Array.from(take.intensity, (value, f) => Math.max(value, take.intensityAt(f))) : [];
+    const highest = values.reduce((high, value) => Math.max(high, value), 0);
+    this.top = Math.max(1, Math.ceil((ROOM * highest) / GRID) * GRID);
+    this.layout();
+  }
+
+  private drawAxis(): void {
+    const { lane, top } = this;
+    this.axis.replaceChildren(...Array.from({ length: Math.round(top / GRID) + 1 }, (_, k) => {
+      const line = svg("line"), label = svg("text"), y = String(lane.y((k * GRID) / top));
+      for (const [name, value] of [["x1", "0"], ["x2", String(lane.width)], ["y1", y], ["y2", y]]) line.setAttribute(name, value);
+      label.setAttribute("x", "3");
+      label.setAttribute("y", y);
+      label.textContent = (k * GRID).toFixed(1);
+      const mark = svg("g");
+      mark.append(line, label);
+      return mark;
+    }));
+  }
+
   private get factors(): readonly FactorPoint[] {
     return this.history.edit.points;
   }
 
-  /** The factor at every second pixel: its scale bends straight lines. */
-  private factorLine(): string {
-    const { lane, span } = this, width = lane.width;
-    return Array.from({ length: Math.ceil(width / 2) + 1 }, (_, k) => {
-      const factor = factorAt(this.factors, span.time(2 * k, width));
-      return `${2 * k},${lane.y(levelOf(factor))}`;
-    }).join(" ");
+  private frameAt(time: number): number {
+    return Math.min(Math.max(Math.round(time * this.take!.fps), 0), this.take!.frames - 1);
+  }
+
+  /** Applied intensity at a time. */
+  private appliedAt(time: number): number {
+    return this.take!.intensityAt(this.frameAt(time), this.factors);
+  }
+
+  /** The factor that brings the prediction at a time to a level. */
+  private factorOf(time: number, level: number): number {
+    const predicted = Math.max(this.take!.intensity![this.frameAt(time)], FAINT);
+    return Math.round(Math.min((level * this.top) / predicted, MAX_FACTOR) * 100) / 100;
+  }
+
+  /** Add points; return the place of the one at a time. */
+  private insert(added: FactorPoint[], time: number): number {
+    const others = this.factors.filter((p) => !added.some((q) => Math.abs(p.time - q.time) <= 1e-3));
+    const points = [...others, ...added].sort((a, b) => a.time - b.time);
+    const index = points.findIndex((p) => p.time === time);
+    this.history.change({ points }, `point ${index}`);
+    return index;
   }
 
   /** Frames of the span, at most one for each pixel. */

@@ -20,6 +20,8 @@ export interface PointOwner {
   /** Index of the new point. */
   add(time: number, level: number): number;
   remove(index: number): void;
+  /** Index of the point that a press beside all points takes; undefined: none. */
+  grab?(time: number, level: number): number | undefined;
   /** The end of a drag. */
   done(): void;
   select?(index: number): void;
@@ -44,6 +46,14 @@ export class PointLane {
     private readonly span: Span,
     private readonly owner: PointOwner,
   ) {
+    box.addEventListener("pointerdown", (event) => {
+      if (!this.isEditable || event.button || event.target instanceof SVGCircleElement) return;
+      const index = this.owner.grab?.(...this.place(event));
+      if (index === undefined) return;
+      event.preventDefault();
+      this.focus(index);
+      this.dots[index].setPointerCapture(event.pointerId);
+    });
     box.addEventListener("dblclick", (event) => {
       if (!this.isEditable || event.target instanceof SVGCircleElement) return;
       const [time, level] = this.place(event);

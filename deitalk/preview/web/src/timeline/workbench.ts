@@ -24,7 +24,7 @@ export class Workbench {
   private readonly regions: Regions;
   private readonly life: (() => void)[];
   private take?: Take;
-  private mean = 0;
+  private mean?: number;
   private stale = 0;
 
   constructor(
@@ -88,12 +88,12 @@ export class Workbench {
 
   private words(take: Take, seconds: number): string {
     const frame = Math.min(Math.round(seconds * take.fps), take.frames - 1), parts: string[] = [];
-    if (take.emotion) {
-      const n = take.emotions.length;
-      const row = Array.from(take.emotion.subarray(frame * n, frame * n + n));
-      parts.push(take.emotions[row.indexOf(Math.max(...row))]);
+    const emotion = take.emotionAt(frame);
+    if (emotion) parts.push(emotion);
+    if (take.intensity && emotion !== "neutral") {
+      const mean = this.mean === undefined ? "" : ` (mean over speech ${this.mean.toFixed(2)})`;
+      parts.push(`intensity ${take.intensityAt(frame).toFixed(2)}${mean}`);
     }
-    if (take.intensity) parts.push(`intensity ${take.intensityAt(frame).toFixed(2)} (mean ${this.mean.toFixed(2)})`);
     if (take.isBlend) parts.push("a blend of two readings: animate with the saved CSV applies every rule");
     return parts.join(", ");
   }
