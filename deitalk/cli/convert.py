@@ -1,5 +1,6 @@
 """`deitalk convert`: curves from any format to any other."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,7 +9,7 @@ import typer
 
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import Digits, Force, Json, WrittenIdentity
+from deitalk.cli.options import Digits, Force, Json, WrittenIdentity, control_set_of
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
@@ -48,7 +49,10 @@ def convert(
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
     rig: Annotated[
         str,
-        typer.Option(help="Controls of csv, json, npz: board, raw, arkit, as-is; of glb: arkit."),
+        typer.Option(
+            help="Controls of csv, json, npz: board, raw, arkit, as-is, or an avatar (oculus "
+            "vrchat vrm0 vrm1 vroid mmd cc4 daz8 daz9); of glb: arkit."
+        ),
     ] = "board",
     identity: WrittenIdentity = None,
     list_formats: Annotated[
@@ -74,6 +78,7 @@ def convert(
     from rig import read_curves, write_curves
     from rig.controls import DEFAULT_ID
     from rig.conversion.convert import convert as to_set
+    from rig.conversion.convert import convert_and_note
 
     if list_formats:
         from rig.formats.table import FORMATS
@@ -92,29 +97,23 @@ def convert(
     if gain or offset or mirror or smooth:
         gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
-    if wanted is not None:
-        curves = to_set(curves, wanted)
+    curves, note = convert_and_note(curves, wanted or curves.control_set)
     speech = _speech(source, target, to, is_whole=not start and end is None)
     report = write_curves(
         target, curves, format=to, fps=fps, digits=digits, identity=head, **speech
     )
-    _report(report, as_json)
+    _report(replace(report, note="; ".join(filter(None, (note, report.note)))), as_json)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:
     """Control set to convert to before writing; None if the format determines it."""
-    from rig.controls import DEFAULT_ID
-    from rig.conversion.arkit import ARKIT_ID
-    from rig.conversion.raw import RAW_ID
     from rig.formats.table import find_format
 
-    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID, "as-is": None}
-    if rig not in sets:
-        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
+    given = None if rig == "as-is" else control_set_of(rig)
     chosen = find_format(target, to, writable=True)
-    if chosen.control_set is None or sets[rig] in chosen.also:
-        return sets[rig]
-    if rig in ("raw", "arkit") and chosen.control_set != sets[rig]:
+    if chosen.control_set is None or given in chosen.also:
+        return given
+    if rig not in ("board", "as-is") and chosen.control_set != given:
         raise DeitalkError(
             f"--rig {rig} does not apply to {chosen.name}, whose curves are {chosen.control_set}; "
             "leave it out, or write csv, json, npz, or for arkit glb"

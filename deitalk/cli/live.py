@@ -12,8 +12,8 @@ import typer
 from deitalk.acting import LIVE_FIELDS
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console
-from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port
-from deitalk.cli.options import Backend
+from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port, vmc_set
+from deitalk.cli.options import Backend, control_set_of
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def live(
     port: Port = None,
     protocol: ProtocolName = "livelink",
     subject: Subject = "deitalk",
+    rig: Annotated[str, typer.Option(help="Of vmc: arkit, or an avatar: vrm1, vrchat …")] = "arkit",
     seconds: Annotated[
         float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
     ] = None,
@@ -65,6 +66,7 @@ def live(
     if mic == (speech is not None):
         raise DeitalkError("give either a recording or --mic")
     port = checked_port(host, port, protocol, subject, None)
+    control_set_of(rig)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.load import load_causal
@@ -76,7 +78,7 @@ def live(
         waveform = load_audio(speech).waveform
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
     animator = _warm_animator(network, source.sample_rate, given.acting)
-    sender = _sender(animator, protocol, host, port, subject)
+    sender = _sender(animator, protocol, (host, port), subject, rig)
     console().print(
         f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "
         "the computing behind the sound, Ctrl-C stops"
@@ -138,7 +140,7 @@ def transmit(
 
 
 def _sender(
-    animator: "LiveAnimator", protocol: str, host: str, port: int, subject: str
+    animator: "LiveAnimator", protocol: str, address: tuple[str, int], subject: str, rig: str
 ) -> "LiveSender":
     from datetime import datetime
 
@@ -149,8 +151,8 @@ def _sender(
     midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
     names = (*animator.names, *HEAD) if protocol == "json" else animator.names
     return LiveSender(
-        make_protocol(protocol, subject, names),
-        (host, port),
+        make_protocol(protocol, subject, names, vmc_set(rig, protocol)),
+        address,
         animator.names,
         animator.network.controls.id,
         animator.fps,

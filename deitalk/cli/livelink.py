@@ -9,7 +9,7 @@ import typer
 
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console
-from deitalk.cli.options import CheckedCommands, Force, Model
+from deitalk.cli.options import CheckedCommands, Force, Model, control_set_of
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from deitalk.acting import Acting
     from rig import RigCurves
     from rig.formats.livelink_csv import LiveLinkTake
+    from rig.livelink.protocols import LiveProtocol
 
 app = CheckedCommands(help="Send a face live over UDP, receive one, replay a take.")
 
@@ -24,6 +25,10 @@ Host = Annotated[str, typer.Option(help="Address of the receiver.")]
 Port = Annotated[int | None, typer.Option(help="UDP port; the protocol's own by default.")]
 ProtocolName = Annotated[str, typer.Option(help="livelink, json or vmc.")]
 Subject = Annotated[str, typer.Option(help="Subject name in Unreal.")]
+SentRig = Annotated[
+    str,
+    typer.Option(help="Controls of json: board, raw, arkit; of json and vmc: an avatar (vrm1 …)."),
+]
 Fps = Annotated[float | None, typer.Option(help="Rate to send, Hz; the source's by default.")]
 Loop = Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")]
 StartSignal = Annotated[
@@ -44,9 +49,7 @@ def send(
     subject: Subject = "deitalk",
     fps: Fps = None,
     loop: Loop = False,
-    rig: Annotated[
-        str, typer.Option(help="Controls of json: board, raw (CTRL_expressions) or arkit.")
-    ] = "board",
+    rig: SentRig = "board",
     play: Annotated[bool, typer.Option("--play", help="Play the audio too.")] = False,
     start_signal: StartSignal = None,
 ) -> None:
@@ -61,7 +64,11 @@ def send(
     deitalk livelink send speech.wav --emotion happy --host 192.168.0.12
 
     deitalk livelink send take/curves.json --protocol json --loop
+
+    deitalk livelink send take/ --protocol vmc --rig vrm1
     """
+    from rig.livelink import make_protocol
+
     _check_rig(rig, protocol)
     signals = [_signal(start_signal)] if start_signal else []
     port = checked_port(host, port, protocol, subject, fps)
@@ -69,7 +76,12 @@ def send(
     if protocol == "json":
         curves = _as_rig(curves, rig)
     started = [_player(audio), *signals] if play else signals
-    _send(curves, protocol, host, port, subject, fps, loop, started)
+    if (avatar := vmc_set(rig, protocol)) is not None:
+        from rig.conversion.convert import convert_and_note
+
+        console().note(convert_and_note(curves, avatar)[1])
+    chosen = make_protocol(protocol, subject, curves.names, avatar)
+    _send(curves, chosen, (host, port), subject, fps, loop, started)
 
 
 @app.command()
@@ -89,18 +101,12 @@ def replay(
     deitalk livelink replay MySlate_1_iPhone.csv --loop
     """
     from rig import read_curves
+    from rig.livelink import make_protocol
 
     port = checked_port(host, port, protocol, subject, fps)
-    _send(
-        read_curves(curves_of(file), control_set=None),
-        protocol,
-        host,
-        port,
-        subject,
-        fps,
-        loop,
-        [],
-    )
+    curves = read_curves(curves_of(file), control_set=None)
+    chosen = make_protocol(protocol, subject, curves.names)
+    _send(curves, chosen, (host, port), subject, fps, loop, [])
 
 
 @app.command()
@@ -175,9 +181,8 @@ def _write_recording(out: Path, take: "LiveLinkTake") -> None:
 
 def _send(
     curves: "RigCurves",
-    protocol: str,
-    host: str,
-    port: int,
+    chosen: "LiveProtocol",
+    address: tuple[str, int],
     subject: str,
     fps: float | None,
     loop: bool,
@@ -185,16 +190,14 @@ def _send(
 ) -> None:
     from datetime import datetime
 
-    from rig.livelink import make_protocol
     from rig.livelink import send as transmit
 
     if fps is not None:
         curves = curves.resample(fps)
-    chosen = make_protocol(protocol, subject, curves.names)
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     since = (datetime.now().astimezone() - midnight).total_seconds()
     console().print(
-        f"sending {curves.duration:.1f} s to {host}:{port} as {subject!r}, Ctrl-C stops"
+        f"sending {curves.duration:.1f} s to {address[0]}:{address[1]} as {subject!r}, Ctrl-C stops"
     )
 
     def start() -> None:
@@ -204,7 +207,7 @@ def _send(
     report = transmit(
         curves,
         chosen,
-        (host, port),
+        address,
         loop=loop,
         first_frame=int(since * curves.fps),
         on_start=start,
@@ -264,29 +267,27 @@ def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
     from rig.formats.livelink_csv import with_subject
     from rig.livelink.protocols import with_head
 
-    curves = convert(curves, _rig_id(rig))
+    curves = convert(curves, control_set_of(rig))
     return with_subject(curves) if rig == "raw" else with_head(curves)
 
 
 def _check_rig(rig: str, protocol: str) -> None:
     """Raise for an unknown rig, and for one that the protocol does not send."""
-    _rig_id(rig)
-    if rig == "raw" and protocol != "json":
+    from rig.conversion.avatars import AVATARS
+
+    control_set_of(rig)
+    if (rig == "raw" and protocol != "json") or (rig in AVATARS and protocol == "livelink"):
         raise DeitalkError(
-            f"--rig raw does not apply to --protocol {protocol}, which sends ARKit's values; "
+            f"--rig {rig} does not apply to --protocol {protocol}, which sends ARKit's values; "
             "use --protocol json, or leave it out"
         )
 
 
-def _rig_id(rig: str) -> str:
-    from rig.controls import DEFAULT_ID
-    from rig.conversion.arkit import ARKIT_ID
-    from rig.conversion.raw import RAW_ID
+def vmc_set(rig: str, protocol: str) -> str | None:
+    """Control set of VMC's values where they are an avatar's."""
+    from rig.conversion.avatars import AVATARS
 
-    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID}
-    if rig not in sets:
-        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}")
-    return sets[rig]
+    return rig if protocol == "vmc" and rig in AVATARS else None
 
 
 def _player(audio: Path | None) -> Callable[[], None]:

@@ -14,7 +14,7 @@ from deitalk.cli.options import (
     Json,
     MeshOut,
 )
-from deitalk.cli.paths import curves_of, reserve_mesh
+from deitalk.cli.paths import curves_of, reserve_file, reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -147,6 +147,10 @@ def retarget(
         Path | None,
         typer.Option(help="CSV shape,control,value: controls of your own shape names."),
     ] = None,
+    write_mapping: Annotated[
+        Path | None,
+        typer.Option(help="CSV to write: what each shape was taken for; edit it for --mapping."),
+    ] = None,
     method: Annotated[
         str,
         typer.Option(help="Shapes for a neutral mesh by displacements or gradients (slower)."),
@@ -159,10 +163,10 @@ def retarget(
 ) -> None:
     """Retarget a take to your own face: drive its blendshapes, or make new ones.
 
-    A mesh with shapes of the names of ARKit, Live Link Face, ICT-FaceKit or MetaHuman is driven
-    by name. A single neutral mesh of any topology, mouth closed and eyes open, gets the shapes of
-    the embedded head, laid over it by landmarks. Curves of a rig of your own drive the shapes of
-    their names.
+    A mesh with shapes of the names of ARKit, Live Link Face, ICT-FaceKit, MetaHuman or a common
+    avatar (VRM, VRChat, Ready Player Me, Character Creator, Daz, MMD) is driven by name. A single
+    neutral mesh of any topology, mouth closed and eyes open, gets the shapes of the embedded head,
+    laid over it by landmarks. Curves of a rig of your own drive the shapes of their names.
 
     Examples
     --------
@@ -172,10 +176,13 @@ def retarget(
     """
     from rig.formats import read_known_or_own
     from rig.retarget.retarget_files import retarget_curves
+    from rig.retarget.retarget_files import write_mapping as save
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping))
+    if write_mapping is not None:
+        reserve_file(write_mapping, force=force, inputs=(curves_of(take), mesh, mapping))
     curves = read_known_or_own(curves_of(take))
     with console().status("retargeting"):
         report = retarget_curves(
@@ -187,6 +194,8 @@ def retarget(
             method="gradients" if method == "gradients" else "displacements",
             as_neutral=as_neutral,
         )
+    if write_mapping is not None:
+        save(write_mapping, report.mapping)
     _retarget_report(report, as_json)
 
 
@@ -195,8 +204,7 @@ def _retarget_report(report: "RetargetReport", as_json: bool) -> None:
     if as_json:
         emit_json(asdict(report) | {"path": str(report.path)})
         return
-    lost = "" if report.lost is None else f", {report.lost:.0%} of the movement has no shape"
     kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
     for note in report.notes:
         console().note(note)
-    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{lost}")
+    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}")

@@ -74,6 +74,20 @@ def path(text: str | Path) -> Path:
     return Path(text)
 
 
+def control_set_of(rig: str) -> str:
+    """Return the control set of --rig: board, raw, arkit or an avatar; raise for another."""
+    from deitalk.errors import DeitalkError
+    from rig.controls import DEFAULT_ID
+    from rig.conversion.arkit import ARKIT_ID
+    from rig.conversion.avatars import AVATARS
+    from rig.conversion.raw import RAW_ID
+
+    sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID} | {a: a for a in AVATARS}
+    if rig not in sets:
+        raise DeitalkError(f"--rig {rig!r} is unknown; use {', '.join(sets)}, or as-is to convert")
+    return sets[rig]
+
+
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
     str, typer.Option("--model", help="default, live, a model folder, or an .onnx file.")

@@ -1,9 +1,11 @@
-"""Conversion between the known control sets: board, raw curves, ARKit shapes."""
+"""Conversion between the known control sets: board, raw curves, ARKit shapes, avatars' shapes."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, arkit_to_raw, raw_to_arkit
+from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
 from rig.curves import RigCurves
 from rig.errors import ControlError
@@ -12,13 +14,13 @@ KNOWN: dict[str, Callable[[], ControlSet]] = {
     DEFAULT_ID: default_controls,
     RAW_ID: raw_controls,
     ARKIT_ID: arkit_controls,
+    **{avatar: partial(avatar_controls, avatar) for avatar in AVATARS},
 }
-_STEPS: dict[tuple[str, str], Callable[[RigCurves], RigCurves]] = {
-    (DEFAULT_ID, RAW_ID): board_to_raw,
-    (RAW_ID, DEFAULT_ID): raw_to_board,
-    (ARKIT_ID, RAW_ID): arkit_to_raw,
-    (RAW_ID, ARKIT_ID): lambda curves: raw_to_arkit(curves).curves,
-    (DEFAULT_ID, ARKIT_ID): lambda curves: raw_to_arkit(curves).curves,
+_TO_RAW: dict[str, Callable[[RigCurves], RigCurves]] = {
+    DEFAULT_ID: board_to_raw,
+    RAW_ID: lambda curves: curves,
+    ARKIT_ID: arkit_to_raw,
+    **dict.fromkeys(AVATARS, avatar_to_raw),
 }
 
 
@@ -36,19 +38,29 @@ def convert(curves: RigCurves, control_set: str) -> RigCurves:
     ControlError
         If there is no conversion between the two sets.
     """
+    return convert_and_note(curves, control_set)[0]
+
+
+def convert_and_note(curves: RigCurves, control_set: str) -> tuple[RigCurves, str]:
+    """Convert as `convert`; return also a line on what the other set cannot show, or none."""
     if curves.control_set == control_set:
-        return curves
-    direct = _STEPS.get((curves.control_set, control_set))
-    if direct is not None:
-        return direct(curves)
-    to_raw = _STEPS.get((curves.control_set, RAW_ID))
-    from_raw = _STEPS.get((RAW_ID, control_set))
-    if to_raw is None or from_raw is None:
+        return curves, ""
+    if curves.control_set not in KNOWN or control_set not in KNOWN:
         raise ControlError(
             f"no conversion from control set {curves.control_set!r} to {control_set!r}; "
             f"known: {', '.join(KNOWN)}; keep a rig of your own as .csv, .json or .npz"
         )
-    return from_raw(to_raw(curves))
+    if control_set == ARKIT_ID and curves.control_set == DEFAULT_ID:
+        fit = raw_to_arkit(curves)  # in pieces, so that an hour fits
+        return fit.curves, str(fit)
+    raw = _TO_RAW[curves.control_set](curves)
+    if control_set == ARKIT_ID:
+        fit = raw_to_arkit(raw)
+        return fit.curves, str(fit)
+    if control_set in AVATARS:
+        shapes, found = raw_to_avatar(raw, control_set)
+        return shapes, f"{control_set}: {found}"
+    return (raw if control_set == RAW_ID else raw_to_board(raw)), ""
 
 
 def controls_of(names: Sequence[str], *, where: str) -> ControlSet:

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import DEFAULT_ID, ControlSet
-from rig.conversion.arkit import ARKIT_ID, raw_to_arkit
-from rig.conversion.convert import convert, known_controls
-from rig.conversion.raw import RAW_ID
+from rig.conversion.arkit import ARKIT_ID
+from rig.conversion.convert import convert, convert_and_note, known_controls
 from rig.curves import RigCurves
 from rig.curves.edit import ClampReport, clamp
 from rig.errors import FormatError, quoted
@@ -242,12 +241,8 @@ def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves,
     if known is not None and known.id != ARKIT_ID:
         curves, clipped = clamp(curves, known)
     wanted = chosen.control_set
-    if wanted == ARKIT_ID and curves.control_set != ARKIT_ID:
-        is_board = curves.control_set == DEFAULT_ID
-        fit = raw_to_arkit(curves if is_board else convert(curves, RAW_ID))
-        curves, note = fit.curves, str(fit)
-    elif wanted is not None and curves.control_set not in chosen.also:
-        curves = convert(curves, wanted)
+    if wanted is not None and curves.control_set not in chosen.also:
+        curves, note = convert_and_note(curves, wanted)
     more = chosen.note(path, curves) if chosen.note else ""
     return curves, clipped, "; ".join(line for line in (note, more) if line)
 

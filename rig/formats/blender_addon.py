@@ -7,7 +7,8 @@ Edit > Preferences > Add-ons > Install from Disk, choose it, tick it. Then selec
 choose File > Import > deitalk curves: a take folder, any file of it, or
 
 - ``*.unreal.json``: shape keys named after MetaHuman's raw curves (``jawOpen``,
-  ``CTRL_expressions_jawOpen``, ``head_lod0_mesh__jaw_open``);
+  ``CTRL_expressions_jawOpen``, ``head_lod0_mesh__jaw_open``), or those of an avatar (VRM, VRChat,
+  Ready Player Me, Character Creator, Daz, MMD), fitted to the raw curves;
 - a Live Link Face CSV: shape keys named after ARKit (``mouthSmileLeft``, ``mouthSmile_L``);
 - ``curves.json`` or ``.csv`` of any set whose names are those of shape keys, spelled as for
   ``deitalk retarget`` (``blendShape1.jawOpen``);
@@ -27,7 +28,14 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
 
-from rig.retarget.blendshapes import shape_key
+from rig.conversion.shape_fit import (
+    close_lips,
+    closing_columns,
+    fit_shapes,
+    pose_of,
+    shape_key,
+)
+from rig.formats.blender import POSES, RAW, REST, VISEMES
 from rig.unreal.deitalk_clip import key_frames
 
 bl_info = {
@@ -41,6 +49,7 @@ bl_info = {
 }
 MARK = "deitalk"
 """Property of the actions that the add-on makes."""
+PREFIX = "CTRL_expressions_"
 SOUNDS = (".wav", ".flac", ".ogg", ".mp3", ".m4a")
 
 
@@ -53,10 +62,16 @@ class Curves:
     values : dict of str to array [shape=(T,)]
         By name.
     path : str
+
+    Attributes
+    ----------
+    lost : float [range 0 to 1]
+        Share of the movement that the shapes do not show, where it is known.
     """
 
     def __init__(self, times: Any, values: dict[str, Any], path: str) -> None:
         self.times, self.values, self.path = times, values, path
+        self.lost = 0.0
 
 
 def read(path: str) -> Curves:
@@ -164,6 +179,10 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
         count = len(wanted & {shape_key(name) for name in curves.values})
         if count > most:
             best, most = curves, count
+        if any(name.startswith(PREFIX) for name in curves.values):
+            shapes = fitted(curves, sorted(wanted))
+            if len(shapes.values) > most:
+                best, most = shapes, len(shapes.values)
     if best is None:
         raise ValueError(
             reason
@@ -171,6 +190,26 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
             "the face; ARKit's names need the Live Link CSV, MetaHuman's the .unreal.json"
         )
     return best
+
+
+def fitted(curves: Curves, keys: list[str]) -> Curves:
+    """Return curves of shapes by `shape_key`, fitted to raw curves; unknown shapes are left out."""
+    known = {key: np.zeros(len(RAW)) for key in POSES}
+    for key, pose in POSES.items():
+        known[key][list(pose)] = list(pose.values())
+    poses = np.array([pose_of(key, known, RAW) for key in keys])
+    columns = closing_columns(keys)
+    used = [i for i, pose in enumerate(poses) if pose.any() or i in (columns or ())]
+    zeros, values = np.zeros(len(curves.times)), curves.values
+    moved = np.column_stack([values.get(PREFIX + name, zeros) for name in RAW]) - REST
+    visemes = np.array([key in VISEMES for key in keys])
+    weights, missed, _ = fit_shapes(moved, poses, visemes, RAW, columns is not None)
+    if columns:
+        close_lips(weights, moved, columns, RAW, 1.0)
+        missed[:, [name.startswith("mouthLipsTogether") for name in RAW]] = 0.0
+    found = Curves(curves.times, {keys[i]: weights[:, i] for i in used}, curves.path)
+    found.lost = float(np.sqrt((missed**2).sum() / max((moved**2).sum(), 1e-12)))
+    return found
 
 
 def apply(
@@ -352,7 +391,8 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
                 add_sound(sound, context.scene, self.start)
         except RuntimeError as error:
             self.report({"WARNING"}, f"keys without the sound: {error}")
-        self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}")
+        lost = f", {curves.lost:.0%} of the movement has no shape" if curves.lost > 0.001 else ""
+        self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}{lost}")
         return {"FINISHED"}
 
 

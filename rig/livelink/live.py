@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arrays import Float32
-from rig.conversion.convert import convert
 from rig.curves import HEAD, RigCurves
-from rig.livelink.protocols import LiveProtocol, rest_values, with_head
+from rig.livelink.protocols import LiveProtocol, prepared, rest_values, with_head
 from rig.livelink.sender import REST_REPEATS, Clock, connected
 
 IN_TIME = 0.95
@@ -175,8 +174,7 @@ class LiveSender:
         )
         if self.protocol.control_set in (None, self.control_set):
             return with_head(curves).values if self.sends_head else values
-        assert self.protocol.control_set is not None
-        return convert(curves, self.protocol.control_set).values
+        return prepared(curves, self.protocol).values
 
     def _send(self, number: int, row: Float32) -> None:
         seconds = number / self.fps

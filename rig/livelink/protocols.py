@@ -21,7 +21,7 @@ from rig.conversion.arkit import (
     head_values,
     udp_order,
 )
-from rig.conversion.convert import known_controls
+from rig.conversion.convert import convert, known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
 from rig.formats.livelink_csv import SUBJECT_REST
@@ -120,6 +120,13 @@ def with_head(curves: RigCurves) -> RigCurves:
     return replace(curves, values=values, names=(*curves.names, *HEAD))
 
 
+def prepared(curves: RigCurves, protocol: LiveProtocol) -> RigCurves:
+    """Curves in the control set of a protocol, with their head."""
+    if protocol.control_set is None:
+        return curves
+    return with_head(convert(curves, protocol.control_set))
+
+
 def rest_values(control_set: str, names: Sequence[str]) -> Float32:
     """Values of a face at rest; 0 for names that the control set has not, but for constants."""
     controls = known_controls(control_set)
@@ -150,11 +157,18 @@ class Vmc:
     """VMC protocol over OSC: one value per curve, then Apply, with a time and an OK before.
 
     In frames whose HeadYaw, HeadPitch or HeadRoll is not 0 the bone Head is sent too, in Unity's
-    axes (left-handed, x right, y up, z forward), turned by roll, pitch and yaw.
+    axes (left-handed, x right, y up, z forward), turned by roll, pitch and yaw. An avatar without
+    ARKit's shapes gets its own, of `rig.conversion.avatars`.
     """
 
-    names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; the head's are last where the control set has none."""
+        known = known_controls(self.control_set or ARKIT_ID)
+        assert known is not None
+        return known.names if HEAD[0] in known.names else (*known.names, *HEAD)
 
     def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return bundles that fit an Ethernet frame each."""
@@ -164,7 +178,7 @@ class Vmc:
             *self._head(values),
             *(
                 osc.message("/VMC/Ext/Blend/Val", name, float(value))
-                for name, value in zip(self.names, values, strict=True)
+                for name, value in zip(self.names, values, strict=False)
             ),
             osc.message("/VMC/Ext/Blend/Apply"),
         ]
@@ -172,8 +186,8 @@ class Vmc:
 
     def _head(self, values: Float32) -> list[bytes]:
         """The message of a turned head."""
-        found = [self.names.index(name) for name in HEAD if name in self.names]
-        if len(found) < len(HEAD) or not values[found].any():
+        found = [self.names.index(name) for name in HEAD]
+        if found[-1] >= len(values) or not values[found].any():
             return []
         yaw, pitch, roll = (np.radians(values[found] * np.array(HEAD_DEGREES)) / 2).tolist()
         (sy, sx, sz), (cy, cx, cz) = (
@@ -190,21 +204,27 @@ class Vmc:
 
 @dataclass(frozen=True)
 class ProtocolInfo:
-    """A protocol: its usual port, and its constructor from subject and names."""
+    """A protocol: its usual port, and its constructor from subject, names and control set."""
 
     port: int
     description: str
-    make: Callable[[str, Sequence[str]], LiveProtocol]
+    make: Callable[[str, Sequence[str], str | None], LiveProtocol]
 
 
 PROTOCOLS: dict[str, ProtocolInfo] = {
     "livelink": ProtocolInfo(
-        PORT, "Live Link Face v6, 61 ARKit values", lambda subject, names: LiveLinkFace(subject)
+        PORT, "Live Link Face v6, 61 ARKit values", lambda subject, names, _: LiveLinkFace(subject)
     ),
     "json": ProtocolInfo(
-        54321, "JSON properties (FgLiveLinkReceiver), all curves by name", PropertyJson
+        54321,
+        "JSON properties (FgLiveLinkReceiver), all curves by name",
+        lambda subject, names, _: PropertyJson(subject, names),
     ),
-    "vmc": ProtocolInfo(39539, "VMC over OSC, 61 ARKit values", lambda subject, names: Vmc()),
+    "vmc": ProtocolInfo(
+        39539,
+        "VMC over OSC, 61 ARKit values, or an avatar's",
+        lambda subject, names, control_set: Vmc(control_set or ARKIT_ID),
+    ),
 }
 
 
@@ -221,8 +241,10 @@ def find_protocol(name: str) -> ProtocolInfo:
     return PROTOCOLS[name]
 
 
-def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol:
-    """Return a protocol by its name.
+def make_protocol(
+    name: str, subject: str, names: Sequence[str], control_set: str | None = None
+) -> LiveProtocol:
+    """Return a protocol by its name; `control_set` is that of VMC's values, ARKit's by default.
 
     Raises
     ------
@@ -236,4 +258,4 @@ def make_protocol(name: str, subject: str, names: Sequence[str]) -> LiveProtocol
         raise FormatError(f"subject {quoted(subject)} is no UTF-8; give another name") from None
     if size > MAX_TEXT_BYTES or (name == "livelink" and not size):
         raise FormatError(f"subject has {size} bytes; 1 to {MAX_TEXT_BYTES} are allowed")
-    return find_protocol(name).make(subject, names)
+    return find_protocol(name).make(subject, names, control_set)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from threading import Event
 
 from rig.arrays import Float32
-from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.livelink.protocols import LiveProtocol, rest_values
+from rig.livelink.protocols import LiveProtocol, prepared, rest_values
 
 REST_REPEATS = 3
 """Packets of the face at rest at the end, since UDP may lose one."""
@@ -90,8 +89,7 @@ def send(
     """
     if not len(curves):
         raise FormatError("there are no frames to send")
-    if protocol.control_set is not None:
-        curves = convert(curves, protocol.control_set)
+    curves = prepared(curves, protocol)
     clock = clock or Clock()
     with connected(address) as link:
         run = _Run(curves, protocol, link, clock, first_frame, loop=loop)

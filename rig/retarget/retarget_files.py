@@ -2,15 +2,17 @@
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from rig.conversion.avatars import ShapeFit
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
+from rig.files import atomic_write
 from rig.files.reading import load_json, read_text
 from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.glb import WeightAnimation, write_glb
@@ -20,12 +22,14 @@ from rig.mesh.ply import read_ply
 from rig.mesh.sequence import check_out, principal_shapes, write_sequence
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, check_length
-from rig.retarget.blendshapes import BlendshapeFit, ShapePoses, match_shapes
+from rig.retarget.blendshapes import FacePoses, match_shapes
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import read_landmarks
 from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
 from rig.retarget.source_head import source_head
 
+LEAST_LOST = 1e-3
+"""Share of the movement below which nothing is said."""
 Way = Literal["blendshapes", "neutral", "sequence"]
 
 
@@ -47,6 +51,8 @@ class RetargetReport:
         Share of the movement that the mesh's own shapes lack.
     notes : tuple of str
         Warnings, one line each.
+    mapping : mapping
+        Raw curves that each shape of the mesh was taken for; none for an unknown name.
     """
 
     path: Path
@@ -55,6 +61,7 @@ class RetargetReport:
     frames: int
     lost: float | None
     notes: tuple[str, ...]
+    mapping: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def retarget_curves(
@@ -275,13 +282,13 @@ def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str) -> RetargetRe
 
 def _fit(
     curves: RigCurves, shapes: ShapeSet, mapping: Path | str | None
-) -> tuple[BlendshapeFit, ShapePoses]:
+) -> tuple[ShapeFit, FacePoses]:
     own = None if mapping is None else read_mapping(mapping)
     poses = match_shapes(shapes.names, mapping=own, shapes=shapes)
     return poses.weights(curves), poses
 
 
-def _driven(out: Path | str, fit: BlendshapeFit, poses: ShapePoses, frames: int) -> RetargetReport:
+def _driven(out: Path | str, fit: ShapeFit, poses: FacePoses, frames: int) -> RetargetReport:
     notes = []
     unknown = [name for name in poses.names if name not in poses.understood]
     if unknown:
@@ -289,10 +296,10 @@ def _driven(out: Path | str, fit: BlendshapeFit, poses: ShapePoses, frames: int)
             f"{len(unknown)} shapes of unknown name stay at 0 ({', '.join(unknown[:4])}"
             f"{' ...' if len(unknown) > 4 else ''}); a mapping file can name them"
         )
-    if fit.unsaid:
-        notes.append(f"no shape for {', '.join(fit.unsaid[:6])}")
-    count = len(poses.understood)
-    return RetargetReport(Path(out), "blendshapes", count, frames, fit.lost, tuple(notes))
+    if fit.lost > LEAST_LOST or fit.unsaid or fit.replaced:
+        notes.append(str(fit))
+    count, mapping = len(poses.understood), poses.mapping()
+    return RetargetReport(Path(out), "blendshapes", count, frames, fit.lost, tuple(notes), mapping)
 
 
 def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
@@ -310,6 +317,8 @@ def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
 def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
     """Read a mapping file: CSV ``shape,control,value`` or JSON ``{shape: {control: value}}``.
 
+    A row without a control, as `write_mapping` has it for an unknown shape, says nothing.
+
     Raises
     ------
     FormatError
@@ -325,6 +334,8 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
                 mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
         else:
             for row in csv.DictReader(text.splitlines()):
+                if not row["control"]:
+                    continue
                 value = _value(row.get("value") or 1.0)
                 mapping.setdefault(_name(row["shape"]), {})[_name(row["control"])] = value
     except (ValueError, KeyError, AttributeError, TypeError, OverflowError, csv.Error):
@@ -337,6 +348,15 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
             'or JSON {"smile_L": {"mouthCornerPullL": 1.0}}'
         )
     return mapping
+
+
+def write_mapping(path: Path | str, mapping: Mapping[str, Mapping[str, float]]) -> None:
+    """Write a mapping as CSV, to be edited and read by `read_mapping`."""
+    with atomic_write(path) as beside, open(beside, "w", encoding="utf-8", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(("shape", "control", "value"))
+        for shape, controls in mapping.items():
+            rows.writerows((shape, *pair) for pair in controls.items() or (("", ""),))
 
 
 def _name(text: str | None) -> str:

@@ -98,7 +98,7 @@ def test_live_link_becomes_board_by_default(curves_file, tmp_path):
         assert run("convert", live_link, out, "--rig", rig).exit_code == 0
         assert json.loads(out.read_text())["control_set"] == control_set
     result = run("convert", live_link, tmp_path / "x.json", "--rig", "maya")
-    assert "use board, raw, arkit, as-is" in str(result.exception)
+    assert "use board, raw, arkit, oculus" in str(result.exception)
 
 
 def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):

@@ -17,9 +17,9 @@ import soundfile
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls
 from rig.conversion.raw import board_to_raw
+from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
 from rig.formats.exchange import write_exchange_files
-from rig.retarget.blendshapes import shape_key
 
 SESSION = Path(__file__).with_name("inside_blender.py")
 BOARD = default_controls()

@@ -15,7 +15,7 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import read_take, with_subject, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
-from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, with_head
+from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, prepared, with_head
 from rig.livelink.sender import REST_REPEATS, Clock
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
@@ -383,6 +383,30 @@ def test_vmc_frames_are_read_by_an_independent_library():
     values = {m.params[0]: m.params[1] for m in messages[2:-1]}
     assert values["JawOpen"] == 1 and values["LeftEyeYaw"] == -0.25 and len(values) == 61
     assert messages[-1].address == "/VMC/Ext/Blend/Apply"
+
+
+def test_vmc_sends_an_avatars_shapes_and_its_head():
+    pytest.importorskip("pythonosc.osc_packet", reason="needs python-osc")
+    from pythonosc.osc_packet import OscPacket
+
+    values = np.tile(default_controls().rest, (2, 1))
+    values[1, default_controls().indices(["CTRL_L_eye_blink.ty", "CTRL_R_eye_blink.ty"])] = 1
+    head = np.array([[0, 0, 0, 0, 0, 0], [90, 0, 0, 0, 0, 0]], np.float32)
+    curves = RigCurves(values, default_controls().names, head=head)
+    protocol = make_protocol("vmc", "", (), "vrm1")
+    ready = prepared(curves, protocol)
+    messages = [
+        m.message
+        for data in protocol.datagrams(1, 1 / 30, 30, ready.values[1])
+        for m in OscPacket(data).messages
+    ]
+    sent = {m.params[0]: m.params[1] for m in messages if m.address == "/VMC/Ext/Blend/Val"}
+    blinks = [sent[name] for name in ("blink", "blinkLeft", "blinkRight")]
+    assert blinks[0] + min(blinks[1:]) == pytest.approx(1, abs=1e-3)
+    assert set(sent) == {*ready.names} and sent["aa"] == 0
+    (bone,) = (m.params for m in messages if m.address == "/VMC/Ext/Bone/Pos")
+    # 90 degrees to the right, about Unity's y
+    assert bone[4:] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6)
 
 
 @pytest.mark.parametrize(

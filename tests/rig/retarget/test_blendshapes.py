@@ -7,11 +7,12 @@ import pytest
 
 from rig import RigCurves, default_controls
 from rig.controls import Control, ControlSet
+from rig.conversion.shape_fit import shape_key
 from rig.errors import ControlError, FormatError, MeshError
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import Driver, Half, bake, face_correctives
-from rig.retarget.blendshapes import closing_weight, match_shapes, shape_key
+from rig.retarget.blendshapes import closing_weight, match_shapes
 from rig.retarget.retarget_files import read_mapping
 
 BOARD = default_controls()
@@ -106,8 +107,9 @@ def test_raw_and_board_names_are_driven_exactly():
 def test_substitute_replaces_a_missing_shape_and_the_loss_is_reported():
     found, fit = weights_of(ARKIT, {"CTRL_L_mouth_sharpCornerPull": 1.0})
     assert found[0] == pytest.approx({"mouthSmileLeft": 0.6, "mouthDimpleLeft": 0.5})
-    assert fit.unsaid == ("mouthSharpCornerPullL",)
-    assert fit.lost > 0.5
+    assert fit.replaced == ("mouthSharpCornerPullL",) and not fit.unsaid
+    assert "similar shapes show mouthSharpCornerPullL" in str(fit)
+    assert fit.lost == pytest.approx(0, abs=1e-6)
 
 
 def test_weights_stay_in_range_for_any_curves(rng):
@@ -123,11 +125,11 @@ def test_weights_stay_in_range_for_any_curves(rng):
 def test_fit_is_the_bounded_least_squares_solution(rng):
     from scipy.optimize import lsq_linear
 
-    from rig.retarget.blendshapes import _bounded_fit
+    from rig.conversion.shape_fit import bounded_fit
 
     poses = rng.normal(size=(8, 30)) * (rng.random((8, 30)) < 0.4)
     moved = rng.normal(size=(20, 30))
-    fitted = _bounded_fit(moved, poses)
+    fitted = bounded_fit(moved, poses)
     for row, target in zip(fitted, moved, strict=True):
         expected = lsq_linear(poses.T, target, bounds=(0, 1)).x
         np.testing.assert_allclose(row, expected, atol=2e-3)
