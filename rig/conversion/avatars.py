@@ -18,9 +18,8 @@ from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.arrays import Float32, Float64
+from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control, ControlSet, default_controls
 from rig.conversion.arkit import arkit_controls, arkit_to_raw
 from rig.conversion.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
@@ -88,7 +87,7 @@ class ShapePoses:
 
     names: tuple[str, ...]
     poses: Float64
-    visemes: NDArray[np.bool_]
+    visemes: Bool
     close_gain: float = 1.0
 
     @cached_property
@@ -147,7 +146,7 @@ def _described(
     weights: Float64,
     moved: Float64,
     missed: Float64,
-    replaced: NDArray[np.bool_],
+    replaced: Bool,
 ) -> ShapeFit:
     total = float(np.square(moved).sum())
     lost = min(1.0, float(np.sqrt(np.square(missed).sum() / total))) if total else 0.0
@@ -165,7 +164,7 @@ def bare_names() -> list[str]:
     return [name.removeprefix(PREFIX) for name in raw_controls().names]
 
 
-def poses_of(shapes: Sequence[str]) -> tuple[Float64, NDArray[np.bool_]]:
+def poses_of(shapes: Sequence[str]) -> tuple[Float64, Bool]:
     """Return poses [shape=(K, 251)] of shapes by their names, and which are visemes.
 
     Zero for unknown names; a mouth that closes over an open jaw has no pose.
