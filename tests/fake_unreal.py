@@ -267,12 +267,44 @@ class FrameTime:
 
 
 class MovieSceneKeyInterpolation:
-    LINEAR = "LINEAR"
+    LINEAR, BREAK = "LINEAR", "BREAK"
+
+
+class RichCurveInterpMode:
+    RCIM_CUBIC = "cubic"
+
+
+class RichCurveTangentMode:
+    RCTM_BREAK = "break"
+
+
+class RichCurveTangentWeightMode:
+    RCTWM_WEIGHTED_NONE = "none"
 
 
 class Key:
+    """Slopes are per tick of the sequence's resolution, as its channels evaluate them."""
+
     def __init__(self, frame, value):
         self.frame, self.value = frame, value
+        self.arrive = self.leave = None
+
+    def set_interpolation_mode(self, mode):
+        assert mode == RichCurveInterpMode.RCIM_CUBIC
+
+    def set_tangent_mode(self, mode):
+        assert mode == RichCurveTangentMode.RCTM_BREAK
+
+    def set_tangent_weight_mode(self, mode):
+        assert mode == RichCurveTangentWeightMode.RCTWM_WEIGHTED_NONE
+
+    def set_arrive_tangent(self, slope):
+        check(slope, float, "slope")
+        self.arrive = slope
+
+    def set_leave_tangent(self, slope):
+        check(slope, float, "slope")
+        self.leave = slope
 
     def get_time(self, time_unit):
         assert time_unit.endswith(".DISPLAY_RATE")
@@ -300,11 +332,13 @@ class Channel:
         check(new_value, float, "new_value")
         check(sub_frame, float, "sub_frame")
         assert time_unit.endswith(".DISPLAY_RATE")
-        assert interpolation == MovieSceneKeyInterpolation.LINEAR
+        assert interpolation in ("LINEAR", "BREAK")
         assert all(key.frame != time.value for key in self.keys), "two keys on one frame"
         self.n_calls += 1
-        self.keys.append(Key(time.value, new_value))
+        key = Key(time.value, new_value)
+        self.keys.append(key)
         self.keys.sort(key=lambda key: key.frame)
+        return key
 
     def at(self, frame):
         frames = [key.frame for key in self.keys]
@@ -470,6 +504,9 @@ class LevelSequence:
 
     def get_display_rate(self):
         return self.rate
+
+    def get_tick_resolution(self):
+        return FrameRate(24000, 1)
 
     def get_name(self):
         return self.name
@@ -640,6 +677,9 @@ def make_unreal(*, level_sequence=None, skeletons=(), time_unit="MovieSceneTimeU
         LiveLinkFaceImporterFactory,
         MovieSceneAudioTrack,
         MovieSceneKeyInterpolation,
+        RichCurveInterpMode,
+        RichCurveTangentMode,
+        RichCurveTangentWeightMode,
         SoundWave,
         RawCurveTrackTypes,
         RigControlType,

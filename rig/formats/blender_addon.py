@@ -36,7 +36,7 @@ from rig.conversion.shape_fit import (
     shape_key,
 )
 from rig.formats.blender import POSES, RAW, REST, VISEMES
-from rig.unreal.deitalk_clip import key_frames
+from rig.unreal.deitalk_clip import curve_keys
 
 bl_info = {
     "name": "deitalk curves",
@@ -168,21 +168,16 @@ def best_fit(path: str, meshes: list[Any]) -> Curves:
         If none fits any.
     """
     wanted = {name for mesh in meshes for name in keys_of(mesh)}
-    best: Curves | None = None
-    most, reason = 0, ""
+    found, reason = [], ""
     for candidate in files_of_take(path):
         try:
-            curves = read(candidate)
+            found.append(read(candidate))
         except ValueError as error:
             reason = reason or str(error)
-            continue
-        count = len(wanted & {shape_key(name) for name in curves.values})
-        if count > most:
-            best, most = curves, count
-        if any(name.startswith(PREFIX) for name in curves.values):
-            shapes = fitted(curves, sorted(wanted))
-            if len(shapes.values) > most:
-                best, most = shapes, len(shapes.values)
+    raw = [curves for curves in found if any(name.startswith(PREFIX) for name in curves.values)]
+    found += [fitted(curves, sorted(wanted)) for curves in raw]  # last: by name is exact
+    counts = [len(wanted & {shape_key(name) for name in curves.values}) for curves in found]
+    best = found[counts.index(max(counts))] if any(counts) else None
     if best is None:
         raise ValueError(
             reason
@@ -213,13 +208,18 @@ def fitted(curves: Curves, keys: list[str]) -> Curves:
 
 
 def apply(
-    curves: Curves, meshes: list[Any], scene: Any, start: float = 1.0, tolerance: float = 0.0
+    curves: Curves,
+    meshes: list[Any],
+    scene: Any,
+    start: float = 1.0,
+    tolerance: float = 0.0,
+    still: bool = True,
 ) -> tuple[int, float, list[str]]:
     """Key the shape keys of meshes.
 
-    Times are in seconds and are put into the frame rate of the scene; keys are linear, and left out
-    where lines between the others stay within a tolerance above 0. An action that is there is
-    replaced.
+    Times are in seconds and are put into the frame rate of the scene. Keys are linear; with a
+    tolerance above 0 they are few, and their curves stay within it. Without `still`, keys that move
+    less than that get none. An action that is there is replaced.
 
     Returns
     -------
@@ -246,16 +246,31 @@ def apply(
             values = by_name[name]
             block.slider_min = min(block.slider_min, math.floor(values.min()))
             block.slider_max = max(block.slider_max, math.ceil(values.max()))
-            curve = lists.new(_path(block))
-            keyed = key_frames(values.tolist(), tolerance) if tolerance else slice(None)
-            places = np.column_stack([frames, values])[keyed]
-            points = curve.keyframe_points
-            points.add(len(places))
-            points.foreach_set("co", places.ravel())
-            points.foreach_set("interpolation", np.full(len(places), LINEAR))
-            curve.update()
-            count += 1
+            if still or np.ptp(values) > tolerance:
+                key_curve(lists.new(_path(block)), frames, values, tolerance)
+                count += 1
     return count, float(frames[-1]), driven
+
+
+def key_curve(curve: Any, frames: Any, values: Any, tolerance: float) -> None:
+    """Give a curve its keys: all of them, linear, or few with handles within a tolerance."""
+    keys = np.array(curve_keys(values.tolist(), tolerance) if tolerance else [])
+    chosen = keys[:, 0].astype(int) if tolerance else np.arange(len(values))
+    places, points = np.column_stack([frames[chosen], values[chosen]]), curve.keyframe_points
+    points.add(len(places))
+    points.foreach_set("co", places.ravel())
+    points.foreach_set("interpolation", np.full(len(places), BEZIER if tolerance else LINEAR))
+    if tolerance:
+        points.foreach_set("handle_left_type", np.zeros(len(places), int))
+        points.foreach_set("handle_right_type", np.zeros(len(places), int))
+        # A handle a third of the way to the next key makes the curve the cubic of the slopes.
+        gaps = np.diff(places[:, 0], prepend=places[0, 0] - 1, append=places[-1, 0] + 1) / 3
+        steps = np.diff(chosen, prepend=chosen[0] - 1, append=chosen[-1] + 1) / 3
+        left = places - np.column_stack([gaps[:-1], keys[:, 1] * steps[:-1]])
+        right = places + np.column_stack([gaps[1:], keys[:, 2] * steps[1:]])
+        points.foreach_set("handle_left", left.ravel())
+        points.foreach_set("handle_right", right.ravel())
+    curve.update()
 
 
 def _drivers(shape_keys: Any) -> set[str]:
@@ -264,8 +279,8 @@ def _drivers(shape_keys: Any) -> set[str]:
     return {driver.data_path for driver in data.drivers} if data else set()
 
 
-LINEAR = 1
-"""Number of the interpolation LINEAR of Keyframe."""
+LINEAR, BEZIER = 1, 2
+"""Numbers of interpolations of Keyframe; 0 is the type FREE of its handles."""
 
 
 def _path(block: Any) -> str:
@@ -364,6 +379,7 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
     filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.glb", options={"HIDDEN"})  # type: ignore[valid-type]
     start: bpy.props.FloatProperty(name="First frame", default=1.0)  # type: ignore[valid-type]
     tolerance: bpy.props.FloatProperty(name="Tolerance of keys", default=0.0, min=0.0, max=0.1)  # type: ignore[valid-type]
+    still: bpy.props.BoolProperty(name="Key what is still", default=True)  # type: ignore[valid-type]
     with_sound: bpy.props.BoolProperty(name="Add the sound", default=True)  # type: ignore[valid-type]
 
     def execute(self, context: Any) -> set[str]:
@@ -374,7 +390,9 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
                 curves = take_from_glb(self.filepath, meshes)
             else:
                 curves = best_fit(self.filepath, meshes)
-            count, last, driven = apply(curves, meshes, context.scene, self.start, self.tolerance)
+            count, last, driven = apply(
+                curves, meshes, context.scene, self.start, self.tolerance, self.still
+            )
             if driven:
                 self.report({"WARNING"}, f"a driver moves {_listed(driven)}: no keys there")
             if not count:

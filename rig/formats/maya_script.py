@@ -8,12 +8,13 @@ boards of 2021 to 2023 into account.
 
 import inspect
 import json
+import re
 from pathlib import Path
 
 from rig.controls import default_controls
 from rig.curves import RigCurves
 from rig.formats.decimal_text import Block, rows
-from rig.unreal.deitalk_clip import key_frames
+from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
 
 DECIMALS = 4
 STILL = 5e-5
@@ -45,9 +46,18 @@ def write(path: Path, curves: RigCurves) -> None:
 
 
 def key_frames_text() -> str:
-    """Return the source of `key_frames` without annotations, which Python 2.7 does not read."""
-    lines = inspect.getsource(key_frames).splitlines()
-    return "\n".join(["def key_frames(values, tolerance=0.0):", *lines[1:], ""])
+    """Return the sources of the keys' functions without annotations, as Python 2.7 reads them."""
+    functions = (key_frames, curve_keys, split_curve, fit_segment)
+    bare = [_bare(inspect.getsource(function)) for function in functions]
+    return "\n\n".join(bare)
+
+
+def _bare(source: str) -> str:
+    head, _, body = source.partition(":\n")
+    name, given = head.split("(", 1)
+    names = [argument.partition(":")[0].strip() for argument in given.split(") ->")[0].split(", ")]
+    body = re.sub(r"^( +\w+): [^=\n]+ =", r"\1 =", body, flags=re.MULTILINE)
+    return f"{name}({', '.join(names)}):\n{body}"
 
 
 def _older_names() -> dict[str, str]:

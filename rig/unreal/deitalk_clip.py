@@ -184,26 +184,74 @@ def rate_steps(current: Fraction, wanted: Fraction) -> list[Fraction]:
     return [Fraction(common, gcd(current.denominator, wanted.denominator)), wanted]
 
 
-def key_frames(values: list[float], tolerance: float = 0.0) -> list[int]:
-    """Return the frames whose keys, joined by straight lines, are near all values.
-
-    Without a tolerance all but those within a run of one value; with one, few that are within it
-    of every value: the furthest frame from a line is keyed until none is too far.
-    """
+def key_frames(values: list[float]) -> list[int]:
+    """Return the frames that need linear keys: all but those within a run of one value."""
     last = len(values) - 1
-    if not tolerance:
-        around = [values[max(i - 1, 0) : i + 2] for i in range(len(values))]
-        return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
-    keyed, spans = {0, last}, [(0, last)]
-    while spans:
-        first, end = spans.pop()
-        step = (values[end] - values[first]) / float(max(end - first, 1))
-        off = [abs(values[i] - values[first] - step * (i - first)) for i in range(first + 1, end)]
-        if off and max(off) > tolerance:
-            middle = first + 1 + off.index(max(off))
-            keyed.add(middle)
-            spans += [(first, middle), (middle, end)]
-    return sorted(keyed)
+    around = [values[max(i - 1, 0) : i + 2] for i in range(len(values))]
+    return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
+
+
+def curve_keys(values: list[float], tolerance: float) -> list[list[Any]]:
+    """Return few keys whose cubic segments stay within a tolerance of all values.
+
+    Each is [frame, arriving slope, leaving slope], slopes per frame; its value is that of the
+    frame. First and last frame of every run at the highest value are keyed: lips that meet do so
+    at their frame. A curve that moves less than the tolerance has one key.
+    """
+    top, last = max(values), len(values) - 1
+    if top - min(values) <= tolerance:
+        return [[0, 0.0, 0.0]]
+    held = [value >= top - 1e-6 for value in values] + [False]
+    ends = [i for i in range(1, last) if held[i] and not (held[i - 1] and held[i + 1])] + [last]
+    return split_curve(ends, tolerance, lambda first, end: fit_segment(values, first, end))
+
+
+def split_curve(ends: list[int], tolerance: float, fit: Any) -> list[list[Any]]:
+    """Return keys from frame 0 to the last of `ends`, all of which have one.
+
+    Segments are as long as they can be, one after the other. `fit` takes two frames and returns
+    the largest error of a cubic between them and its two slopes.
+    """
+    keys: list[list[Any]] = [[0, 0.0, 0.0]]
+    for end in ends:
+        while keys[-1][0] < end:
+            first = keys[-1][0]
+            near, far = first + 1, min(end, first + 96) + 1
+            step, best = 1, fit(first, first + 1)
+            while near + 1 < far:
+                middle = min(near + step, far - 1)
+                found = fit(first, middle)
+                if found[0] <= tolerance:
+                    near, best, step = middle, found, 2 * step
+                else:
+                    far, step = middle, max((middle - near) // 2, 1)
+            keys[-1][2] = best[1]
+            keys.append([near, best[2], 0.0])
+    return keys
+
+
+def fit_segment(values: list[float], first: int, last: int) -> tuple[float, float, float]:
+    """Return the largest error of a cubic through two frames' values, and its slopes per frame.
+
+    Least squares; the small weight keeps the slopes near the line where frames are few.
+    """
+    n = float(last - first)
+    slope = (values[last] - values[first]) / n
+    left, right = [], []
+    for i in range(1, last - first):
+        t = i / n
+        left.append(n * t * (1 - t) ** 2)
+        right.append(-n * t * t * (1 - t))
+    off = [values[first + i] - values[first] - slope * i for i in range(1, last - first)]
+    aa = sum(a * a for a in left) + 1e-6
+    bb = sum(b * b for b in right) + 1e-6
+    ab = sum(a * b for a, b in zip(left, right))  # noqa: B905
+    ra = sum(a * r for a, r in zip(left, off))  # noqa: B905
+    rb = sum(b * r for b, r in zip(right, off))  # noqa: B905
+    det = aa * bb - ab * ab
+    a, b = (ra * bb - rb * ab) / det, (rb * aa - ra * ab) / det
+    errors = [abs(r - a * p - b * q) for r, p, q in zip(off, left, right)]  # noqa: B905
+    return max(errors or [0.0]), slope + a, slope + b
 
 
 def describe(values: Any) -> str:

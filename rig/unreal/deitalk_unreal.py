@@ -27,6 +27,7 @@ sys.path.append(os.path.dirname(os.path.abspath(__file__)))
 from deitalk_clip import (  # type: ignore[import-not-found]
     DeitalkError,
     asset_name,
+    curve_keys,
     describe,
     frame_count,
     key_frames,
@@ -108,6 +109,7 @@ def control_rig(
     start_frame: int = 0,
     dry_run: bool = False,
     tolerance: float = 0.0,
+    still: bool = True,
 ) -> list[str]:
     """Key the face board in a Level Sequence; one that never moves gets one key.
 
@@ -128,7 +130,9 @@ def control_rig(
     dry_run : bool
         Print what would be done and change nothing.
     tolerance : float
-        Leave keys out where lines between the others stay this near: 0.01 leaves a third of them.
+        Leave keys out where cubic curves through the others stay this near: 0.01 leaves an eighth.
+    still : bool
+        Key controls that move less than the tolerance, once.
 
     Returns
     -------
@@ -149,6 +153,8 @@ def control_rig(
     display = level_sequence.get_display_rate()
     fps = Fraction(display.numerator, display.denominator)
     last = start_frame + frame_count(data, fps) - 1
+    resolution = level_sequence.get_tick_resolution()
+    ticks = float(Fraction(resolution.numerator, resolution.denominator) / fps)
     section, skipped, written = channels_of_rig(proxy), [], []
     title = "deitalk: keys on the face board"
     with unreal.ScopedEditorTransaction(title):
@@ -163,7 +169,9 @@ def control_rig(
                     skipped.append(control)
                 for axis, channel in channels.items():
                     values = resampled(data, axes[axis], fps)
-                    n_keys = write_channel(channel, values, start_frame, last, tolerance)
+                    if not still and max(values) - min(values) <= tolerance:
+                        continue
+                    n_keys = write_channel(channel, values, start_frame, last, tolerance, ticks)
                     written.append((max(values) - min(values), n_keys, channel, values[-1]))
     unreal.LevelSequenceEditorBlueprintLibrary.refresh_current_level_sequence()
     if skipped:
@@ -267,16 +275,36 @@ def _channels_of(board: Any, section: dict[str, Any], control: str, axes: Any) -
 
 
 def write_channel(
-    channel: Any, values: list[float], start: int, last: int, tolerance: float = 0.0
+    channel: Any,
+    values: list[float],
+    start: int,
+    last: int,
+    tolerance: float = 0.0,
+    ticks: float = 800.0,
 ) -> int:
-    """Replace the keys from start to last; return how many there are now."""
+    """Replace the keys from start to last; return how many there are now.
+
+    With a tolerance they are cubic, with slopes per tick, as the channel evaluates them: `ticks`
+    is their number in a frame of the display rate.
+    """
     for key in channel.get_keys():
         if start <= key.get_time(display_rate()).frame_number.value <= last:
             channel.remove_key(key)
-    linear, keyed = unreal.MovieSceneKeyInterpolation.LINEAR, key_frames(values, tolerance)
-    for i in keyed:
-        channel.add_key(unreal.FrameNumber(start + i), values[i], 0.0, display_rate(), linear)
-    return len(keyed)
+    if not tolerance:
+        linear, keyed = unreal.MovieSceneKeyInterpolation.LINEAR, key_frames(values)
+        for i in keyed:
+            channel.add_key(unreal.FrameNumber(start + i), values[i], 0.0, display_rate(), linear)
+        return len(keyed)
+    keys = curve_keys(values, tolerance)
+    for i, arrive, leave in keys:
+        broken = unreal.MovieSceneKeyInterpolation.BREAK
+        key = channel.add_key(unreal.FrameNumber(start + i), values[i], 0.0, display_rate(), broken)
+        key.set_interpolation_mode(unreal.RichCurveInterpMode.RCIM_CUBIC)
+        key.set_tangent_mode(unreal.RichCurveTangentMode.RCTM_BREAK)
+        key.set_tangent_weight_mode(unreal.RichCurveTangentWeightMode.RCTWM_WEIGHTED_NONE)
+        key.set_arrive_tangent(arrive / ticks)
+        key.set_leave_tangent(leave / ticks)
+    return len(keys)
 
 
 def _check_written(written: list[Any], rig: str) -> None:

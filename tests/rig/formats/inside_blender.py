@@ -87,10 +87,16 @@ scene.render.fps = 25
 out["glb"] = load(glb, start=0.0)
 out["glb_values"] = [values(shapes, 0), values(shapes, 2)]
 out["objects"] = len(bpy.data.objects)
-few = face("jawOpen")
-scene.render.fps = 30
-out["few"] = load(glb, start=0.0, tolerance=0.01, with_sound=False)
-out["few_keys"] = [len(curve.keyframe_points) for curve in curves_of(few)]
+few = face("jawOpen", "mouthSmileLeft", "Mouth_Smile_R")
+scene.render.fps = 60
+for still in (True, False):
+    out["few"] = load(
+        take + "/hi.unreal.json", start=0.0, tolerance=0.01, still=still, with_sound=False
+    )
+    out[f"few_keys_{still}"] = {
+        curve.data_path.split('"')[1]: len(curve.keyframe_points) for curve in curves_of(few)
+    }
+out["few_values"] = [values(few, frame) for frame in range(0, 80, 2)]
 rigged = face("jawOpen", "mouthSmileLeft")
 driver = rigged.data.shape_keys.key_blocks["jawOpen"].driver_add("value")
 driver.driver.expression = "0.25"

@@ -16,6 +16,7 @@ from rig import RigCurves, default_controls, read_curves, rest_curves, write_cur
 from rig.conversion.raw import board_to_raw
 from rig.validation.curves import validate
 from tests import fake_unreal
+from tests.splines import hermite
 
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
 SKELETON = "/Game/MetaHumans/Common/Face/Face_Archetype_Skeleton"
@@ -280,26 +281,53 @@ def test_keys_are_left_out_only_where_the_straight_line_holds(monkeypatch):
     assert script.key_frames([1.0]) == [0] and script.key_frames([1.0, 1.0]) == [0, 1]
 
 
+def hills(rng, n_frames=300):
+    """A curve as speech moves one: hills of a fifth of a second, from 0 to a held 1."""
+    rows = np.convolve(rng.uniform(0, 1, n_frames + 6), [0.1, 0.25, 0.3, 0.25, 0.1], "same")[3:-3]
+    return np.minimum((rows - rows.min()) / (np.quantile(rows, 0.97) - rows.min()), 1).tolist()
+
+
 @pytest.mark.parametrize("tolerance", [0.002, 0.01, 0.1])
-def test_lines_between_few_keys_stay_within_the_tolerance(monkeypatch, rng, tolerance):
+def test_curves_between_few_keys_stay_within_the_tolerance(monkeypatch, rng, tolerance):
     script = run_inside(None, monkeypatch)
-    curve = np.cumsum(rng.normal(0, 0.05, 200)).tolist()
-    frames = script.key_frames(curve, tolerance)
-    lines = np.interp(range(200), frames, [curve[i] for i in frames])
-    assert np.abs(lines - curve).max() <= tolerance and {0, 199} <= set(frames)
-    assert frames == sorted(set(frames)) and len(frames) < 200
-    bend = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.0]
-    assert script.key_frames(bend, tolerance) == [0, 4, 6]
-    assert script.key_frames([1.0], tolerance) == [0]
+    curve = hills(rng)
+    frames, arrive, leave = zip(*script.curve_keys(curve, tolerance), strict=True)
+    found = hermite(frames, [curve[i] for i in frames], arrive, leave, range(300))
+    assert np.abs(found - curve).max() <= tolerance + 1e-9
+    assert list(frames) == sorted(set(frames)) and frames[0] == 0 and frames[-1] == 299
+    top = [i for i, value in enumerate(curve) if value == 1]
+    assert len(top) > 3 and (found[top] == 1).all()  # what is held at the top is exact
 
 
-def test_board_is_keyed_with_few_keys_on_wish(take, monkeypatch):
-    """The jaw rises evenly, 0 to 0.75: two keys."""
-    rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
-    module = fake_unreal.make_unreal(level_sequence=fake_unreal.LevelSequence([rig]))
-    run_inside(module, monkeypatch).control_rig(take, tolerance=0.01)
-    assert rig.keys("CTRL_C_jaw.Y") == ([0, 3], [0, 0.75])
-    assert rig.keys("CTRL_L_brow_raiseIn") == ([0, 1, 2, 3], [0, 0.5, 0, 0.5])
+def test_a_cubic_is_two_keys_and_its_own_slopes(monkeypatch):
+    """x(1 - x)(2 - x) on 0 to 1 has the slopes 2 and -1."""
+    script = run_inside(None, monkeypatch)
+    x = np.arange(21) / 20
+    keys = script.curve_keys((x * (1 - x) * (2 - x)).tolist(), 1e-3)
+    top = int(np.argmax(x * (1 - x) * (2 - x)))
+    assert [key[0] for key in keys] == [0, top, 20]
+    assert keys[0][2] * 20 == pytest.approx(2, abs=0.01)
+    assert keys[-1][1] * 20 == pytest.approx(-1, abs=0.01)
+    assert script.curve_keys([0.5, 0.505, 0.5], 0.01) == [[0, 0, 0]]
+    assert script.curve_keys([1.0], 0.01) == [[0, 0, 0]]
+
+
+def test_board_is_keyed_with_few_cubic_keys_on_wish(tmp_path, monkeypatch, rng):
+    """As its channels evaluate them, slopes per tick; controls that are still get one key, or none."""
+    values = np.tile(BOARD.rest, (300, 1))
+    values[:, BOARD.index("CTRL_C_jaw.ty")] = hills(rng)
+    write_curves(tmp_path / "a.unreal.json", RigCurves(values.astype(np.float32), BOARD.names, 30))
+    for still, others in ((True, 1), (False, 0)):
+        rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
+        module = fake_unreal.make_unreal(level_sequence=fake_unreal.LevelSequence([rig], (60, 1)))
+        given = {"tolerance": 0.01, "still": still}
+        run_inside(module, monkeypatch).control_rig(str(tmp_path / "a.unreal.json"), **given)
+        channel = rig.section.channels["CTRL_C_jaw.Y"]
+        rows = [(400 * k.frame, k.value, k.arrive, k.leave) for k in channel.keys]
+        found = hermite(*zip(*rows, strict=True), 400 * np.arange(0, 600, 2))
+        assert np.abs(found - values[:, BOARD.index("CTRL_C_jaw.ty")]).max() <= 0.0101
+        assert len(rows) < 150
+        assert len(rig.section.channels["CTRL_L_brow_raiseIn"].keys) == others
 
 
 def test_sequence_that_is_not_open_is_opened_first(take, monkeypatch):
