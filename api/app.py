@@ -3,21 +3,22 @@
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.routing import Route
 
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
 from api.guard.middleware import Guard
-from api.messages.schemas import ProblemView
 from api.routes import animations, catalogue, docs_page, health, jobs, live, studio
+from api.routes.schema import complete_schema
 from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk.installed import __version__
 from rig.errors import UserError
 
+ROUTES = (animations, jobs, catalogue, health, live, studio)
 DESCRIPTION = (
     "MetaHuman facial animation from speech and an emotion. Errors are problem JSON: code, "
     "message, detail. A key is sent as `Authorization: Bearer <key>`."
@@ -58,14 +59,16 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
         openapi_url="/openapi.json",
         separate_input_output_schemas=False,
+        redirect_slashes=False,  # to an address that a Host header names
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
-    for module in (animations, jobs, catalogue, health, live, studio):
+    for module in ROUTES:
         app.include_router(module.router)
     app.add_api_route("/docs", docs_page.show, include_in_schema=False)
     _add_handlers(app)
     app.add_middleware(Guard, settings=settings, metrics=service.metrics, traffic=service.traffic)
-    _complete_schema(app)
+    complete_schema(app)
     return app
 
 
@@ -93,22 +96,14 @@ def _add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def unknown(request: Request, error: HTTPException) -> Response:
-        code = STATUS_CODES.get(error.status_code, "error")
-        problem = Problem(error.status_code, str(error.detail), code, headers=error.headers)
-        return problem_answer(problem)
+        code, headers = STATUS_CODES.get(error.status_code, "error"), dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods(request.scope["path"]))
+        return problem_answer(Problem(error.status_code, str(error.detail), code, None, headers))
 
 
-def _complete_schema(app: FastAPI) -> None:
-    """Add what routes cannot: the problem's schema, and the key."""
-    make = app.openapi
-
-    def openapi() -> dict[str, Any]:
-        schema = make()
-        parts = schema.setdefault("components", {})
-        problem = ProblemView.model_json_schema()
-        parts.setdefault("schemas", {})["Problem"] = problem
-        parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
-        schema["security"] = [{"key": []}, {}]
-        return schema
-
-    app.openapi = openapi  # type: ignore[method-assign]
+def _methods(path: str) -> list[str]:
+    """Methods of every route that has a path."""
+    routes = [route for module in ROUTES for route in module.router.routes]
+    fitting = [r for r in routes if isinstance(r, Route) and r.path_regex.match(path)]
+    return sorted({method for route in fitting for method in route.methods or ()})

@@ -62,6 +62,7 @@ STATUS_CODES = {
     409: "conflict",
     413: "too_large",
     415: "type_unsupported",
+    416: "range_invalid",
     422: "request_invalid",
     429: "too_many_requests",
     503: "unavailable",

@@ -61,10 +61,12 @@ class Store:
         self.files.put_file(str(path), self._at(name))
         return name
 
-    def read(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of a file in blocks."""
+    def read(self, name: str, begin: int, end: int) -> Iterator[bytes]:
+        """Yield the bytes of a file from `begin` to before `end`, in blocks."""
         with self.files.open(self._at(name), "rb") as file:
-            while block := file.read(BLOCK_BYTES):
+            file.seek(begin)
+            while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
+                begin += len(block)
                 yield block
 
     def remove(self, job_id: str) -> None:

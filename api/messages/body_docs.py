@@ -16,11 +16,18 @@ DESCRIPTIONS = {
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
     "voice": "A file of `deitalk actor build`; or its text.",
+    "format": "Kind of file; else that of `Accept`.",
     "words": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
 }
 
 
-def body(model: type[BaseModel], files: tuple[str, ...], *, raw: bool) -> dict[str, Any]:
+def body(
+    model: type[BaseModel],
+    files: tuple[str, ...],
+    formats: dict[str, OutputFormat] | None = None,
+    *,
+    raw: bool,
+) -> dict[str, Any]:
     """Return ``requestBody`` and ``parameters`` of a route.
 
     Parameters
@@ -29,11 +36,16 @@ def body(model: type[BaseModel], files: tuple[str, ...], *, raw: bool) -> dict[s
         Of the options: fields of the form, or parameters of the query.
     files : tuple of str
         File parts of the form.
+    formats : dict, optional
+        Values of ``format``.
     raw : bool
         Whether the body may be the bytes of a recording.
     """
     schema = model.model_json_schema()
     options = schema.get("properties", {})
+    if formats:
+        about = {"type": "string", "enum": list(formats), "description": DESCRIPTIONS["format"]}
+        options["format"] = about
     parts = {n: BINARY | {"description": DESCRIPTIONS[n]} for n in files if n in DESCRIPTIONS}
     required = ["mesh"] if "mesh" in files else [files[0]]
     form = {

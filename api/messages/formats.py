@@ -4,6 +4,7 @@ A request names one by ``?format=`` or by its ``Accept`` header.
 """
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from api.errors import Problem
 from rig.errors import quoted
@@ -33,6 +34,13 @@ class OutputFormat:
     name: str
     suffix: str
     description: str
+    cost: float = 0.1
+    """Seconds of one processor for a second of sound, rounded up (`python -m tests.api.load
+    --formats`); what takes longer than a client should wait for becomes a job."""
+
+    def at_once_seconds(self, work_seconds: float) -> float:
+        """Longest recording, seconds, that takes a twelfth of the longest work on a request."""
+        return work_seconds / 12 / self.cost
 
     @property
     def media_type(self) -> str:
@@ -43,18 +51,18 @@ class OutputFormat:
 CURVE_FORMATS = {
     known.name: OutputFormat(known.name, known.suffixes[0], known.description)
     for known in FORMATS
-    if known.write
+    if known.write and (known.name != "usd" or find_spec("pxr"))
 }
 ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
-    "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720"),
+    "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720", cost=3.0),
     "page": OutputFormat("page", ".html", "preview page in one file, offline"),
     "packed": OutputFormat("packed", ".packed.gz", "arrays that the studio shows, and the sound"),
 }
 MESH_FORMATS = {
-    "glb": OutputFormat("glb", ".glb", "morph targets and their animation"),
-    "npz": OutputFormat("npz", ".npz", "vertices (T, V, 3) and triangles"),
-    "ply": OutputFormat("ply", ".zip", "one PLY file a frame, zipped"),
+    "glb": OutputFormat("glb", ".glb", "morph targets and their animation", cost=0.7),
+    "npz": OutputFormat("npz", ".npz", "vertices (T, V, 3) and triangles", cost=0.4),
+    "ply": OutputFormat("ply", ".zip", "one PLY file a frame, zipped", cost=0.8),
 }
 
 

@@ -39,7 +39,7 @@ async def answer_order(
     given: SpeechOptions,
     output: OutputFormat,
 ) -> Response:
-    """Carry out an order now if its recording is short, else accept a job.
+    """Carry out an order now if its recording is short for its format, else accept a job.
 
     Parameters
     ----------
@@ -59,7 +59,9 @@ async def answer_order(
     work: Order = {
         "kind": kind,
         "options": options | {"format": output.name, "suffix": output.suffix},
-        "at_once_seconds": service.settings.max_seconds,
+        "at_once_seconds": min(
+            service.settings.max_seconds, output.at_once_seconds(service.settings.work_seconds)
+        ),
         "most_seconds": service.settings.max_job_seconds,
     }
     try:

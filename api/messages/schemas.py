@@ -101,6 +101,22 @@ class JobView(BaseModel):
     error: ProblemView | None
 
 
+class EndedView(BaseModel):
+    """A job that has ended."""
+
+    id: str = Field(examples=[JOB_EXAMPLE])
+    status: Literal["done", "failed", "cancelled"]
+    job: str = Field(description="Path of the job")
+
+
+class JobEndedView(BaseModel):
+    """What a webhook is sent."""
+
+    type: Literal["job.done", "job.failed", "job.cancelled"]
+    timestamp: datetime
+    data: EndedView
+
+
 class JobsView(BaseModel):
     """Jobs, the newest first."""
 

@@ -45,15 +45,16 @@ from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES, "transcript", "phones")
+RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
 @router.post(
     "/animations",
     response_class=Response,
     responses=body_docs.answers(ANIMATION_FORMATS, JobView),
-    openapi_extra=body_docs.body(AnimationOptions, SPEECH, raw=True),
+    openapi_extra=body_docs.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
 )
-async def animations(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
     return await speech(
         request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json"
@@ -64,9 +65,9 @@ async def animations(request: Request, service: ServiceDep, caller: AnimatorDep)
     "/meshes",
     response_class=Response,
     responses=body_docs.answers(MESH_FORMATS, JobView),
-    openapi_extra=body_docs.body(MeshOptions, SPEECH, raw=True),
+    openapi_extra=body_docs.body(MeshOptions, SPEECH, MESH_FORMATS, raw=True),
 )
-async def meshes(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
     return await speech(request, service, caller, "mesh", MeshOptions, MESH_FORMATS, "glb")
 
@@ -76,14 +77,16 @@ async def meshes(request: Request, service: ServiceDep, caller: AnimatorDep) -> 
     response_class=Response,
     responses=body_docs.answers(MESH_FORMATS, JobView),
     openapi_extra=body_docs.body(
-        RetargetOptions, ("mesh", "curves", "landmarks", "mapping", *SPEECH), raw=False
+        RetargetOptions,
+        ("mesh", "curves", "landmarks", "mapping", *SPEECH),
+        MESH_FORMATS,
+        raw=False,
     ),
 )
-async def retargets(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves, or a recording, on a mesh that the request sends (GLB, OBJ, PLY or NPZ)."""
-    files = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
     return await speech(
-        request, service, caller, "retarget", RetargetOptions, MESH_FORMATS, "glb", files
+        request, service, caller, "retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET
     )
 
 
@@ -91,9 +94,9 @@ async def retargets(request: Request, service: ServiceDep, caller: AnimatorDep) 
     "/conversions",
     response_class=Response,
     responses=body_docs.file_answers(CURVE_FORMATS),
-    openapi_extra=body_docs.body(ConversionOptions, ("curves",), raw=False),
+    openapi_extra=body_docs.body(ConversionOptions, ("curves",), CURVE_FORMATS, raw=False),
 )
-async def conversions(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+async def convert(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A file of curves in another format, on the control board."""
     await service.check_room(caller, is_job=False)
     async with service.stage.folder() as folder:
@@ -166,6 +169,10 @@ async def speech(
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
         given = given if at_once else given.model_copy(update={"wait": False})
+        if given.wait and given.webhook is not None:
+            raise Problem(
+                422, "a webhook is called for a job; add wait=false", "webhook_without_job"
+            )
         return await answer_order(request, service, caller, folder, kind, options, given, output)
 
 

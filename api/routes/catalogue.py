@@ -17,7 +17,7 @@ router = APIRouter(prefix="/v1", tags=["catalogue"], responses=problems())
 
 
 @router.get("/models")
-def models(service: ServiceDep, caller: AnimatorDep) -> list[ModelView]:
+def list_models(service: ServiceDep, caller: AnimatorDep) -> list[ModelView]:
     """Models that requests may name."""
     views = []
     for name, folder in service.settings.known_models.items():
@@ -32,7 +32,7 @@ def models(service: ServiceDep, caller: AnimatorDep) -> list[ModelView]:
 
 
 @router.get("/emotions")
-def emotions(caller: AnimatorDep) -> EmotionsView:
+def list_emotions(caller: AnimatorDep) -> EmotionsView:
     """Emotions, and the range of their intensity."""
     return EmotionsView(
         emotions=list(EMOTIONS), intensity_minimum=0.0, intensity_maximum=MAX_INTENSITY
@@ -40,20 +40,20 @@ def emotions(caller: AnimatorDep) -> EmotionsView:
 
 
 @router.get("/formats")
-def formats(caller: AnimatorDep) -> dict[str, list[FormatView]]:
+def list_formats(caller: AnimatorDep) -> dict[str, list[FormatView]]:
     """Kinds of results of animations and of meshes."""
     tables = {"animations": ANIMATION_FORMATS, "meshes": MESH_FORMATS}
     return {kind: [_view(known) for known in table.values()] for kind, table in tables.items()}
 
 
 @router.get("/control-sets")
-def control_sets(caller: AnimatorDep) -> list[ControlSetView]:
+def list_control_sets(caller: AnimatorDep) -> list[ControlSetView]:
     """Known control sets."""
     return [ControlSetView(id=name, controls=len(make())) for name, make in KNOWN.items()]
 
 
 @router.get("/control-sets/{control_set}", responses=problems(404))
-def control_set(
+def show_control_set(
     control_set: Annotated[str, Path(max_length=64, examples=["metahuman-185@mh4"])],
     caller: AnimatorDep,
 ) -> list[ControlView]:

@@ -1,6 +1,7 @@
 """Jobs: long recordings, their progress and results."""
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Literal
 
@@ -33,9 +34,9 @@ Status = Literal["queued", "running", "done", "failed", "cancelled"]
     status_code=202,
     response_class=Response,
     responses=body_docs.answers(ANIMATION_FORMATS, JobView, at_once=False) | problems(409, 415),
-    openapi_extra=body_docs.body(AnimationOptions, SPEECH, raw=True),
+    openapi_extra=body_docs.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
 )
-async def create(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
+async def create_job(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""
     return await speech(
         request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json",
@@ -59,7 +60,7 @@ def list_jobs(
 
 
 @router.get("/{job_id}")
-def show(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+def show_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
     """A job and its progress."""
     return view_of(service.queue.get(job_id, caller))
 
@@ -69,7 +70,7 @@ def show(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
     response_class=Response,
     responses={200: {"description": "Events", "content": {"text/event-stream": {}}}},
 )
-async def events(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
+async def follow_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Progress as server-sent events `job`, to the end of the job."""
     job = await anyio.to_thread.run_sync(service.queue.get, job_id, caller)
     headers = {"X-Accel-Buffering": "no"}
@@ -81,30 +82,76 @@ async def events(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Re
 @router.get(
     "/{job_id}/result",
     response_class=Response,
-    responses=problems(409)
-    | {200: {"description": "The result", "content": {"application/octet-stream": {}}}},
+    responses=problems(409, 416)
+    | {
+        200: {"description": "The result", "content": {"application/octet-stream": {}}},
+        206: {"description": "The part of a `Range`", "content": {"application/octet-stream": {}}},
+        304: {"description": "As the `If-None-Match` has it"},
+    },
 )
-def result(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
-    """The file of a job that is done; 409 before."""
+def job_result(
+    job_id: JobId, request: Request, service: ServiceDep, caller: JobCallerDep
+) -> Response:
+    """The file of a job that is done, or one part of it; 409 before."""
     job = service.queue.get(job_id, caller)
     if job.status != DONE or job.result is None:
         raise Problem(409, f"the job is {job.status}; it has no result", "job_without_result")
     name = job.result.rpartition("/")[2][len(job.id) + 1 :]  # ids and holders are as long
-    notes = (job.answer or {}).get("notes", [])
-    headers = result_headers(name, notes) | {"Content-Length": str(job.result_bytes)}
-    blocks = service.store.read(job.result)
-    return StreamingResponse(blocks, headers=headers, media_type=job.work["media_type"])
+    tag = f'"{job.result.rpartition("/")[2][:16]}"'
+    headers = result_headers(name, (job.answer or {}).get("notes", []))
+    headers |= {"ETag": tag, "Accept-Ranges": "bytes"}
+    if tag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    wanted = request.headers.get("range") if _is_of(request, tag) else None
+    begin, end = part_of(wanted, job.result_bytes)
+    headers["Content-Length"] = str(end - begin)
+    status = 200
+    if wanted is not None and (begin, end) != (0, job.result_bytes):
+        status = 206
+        headers["Content-Range"] = f"bytes {begin}-{end - 1}/{job.result_bytes}"
+    blocks = service.store.read(job.result, begin, end)
+    return StreamingResponse(blocks, status, headers, media_type=job.work["media_type"])
+
+
+def _is_of(request: Request, tag: str) -> bool:
+    return request.headers.get("if-range", tag) == tag
+
+
+def part_of(header: str | None, size: int) -> tuple[int, int]:
+    """Return begin and end of the part that a ``Range`` asks for; all for what is no single part.
+
+    Raises
+    ------
+    Problem
+        416 if it lies beyond the file.
+    """
+    found = re.fullmatch(r"bytes=(\d{0,18})-(\d{0,18})", (header or "").strip())
+    if found is None or not any(found.groups()):
+        return 0, size
+    first, last = found.groups()
+    if not first:
+        begin, end = max(size - int(last), 0), size
+    else:
+        begin, end = int(first), min(int(last) + 1, size) if last else size
+    if last and first and int(last) < int(first):
+        return 0, size
+    if begin >= size or begin >= end:
+        raise Problem(
+            416, f"the file has {size} bytes", "range_invalid",
+            headers={"Content-Range": f"bytes */{size}"},
+        )  # fmt: skip
+    return begin, end
 
 
 @router.post("/{job_id}/cancel")
-def cancel(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+def cancel_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
     """End a job; one that has ended stays as it is."""
     service.queue.cancel(service.queue.get(job_id, caller))
     return view_of(service.queue.get(job_id, caller))
 
 
 @router.delete("/{job_id}", status_code=204, responses=problems(409))
-def delete(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
+def delete_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
     """Delete a job that has ended, with its files; 409 while it is queued or runs."""
     job = service.queue.get(job_id, caller)
     if not service.queue.remove_ended([job.id]):

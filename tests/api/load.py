@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from rig.files import new_file
 from tests.api.conftest import wav
 from tests.api.kill import descendants
 from tests.api.server import Server, start, stop, wait_until
+from tests.api.test_worker import limits
 
 SPEECH = wav(10.0)
 AUDIO = {"Content-Type": "audio/wav"}
@@ -116,11 +118,38 @@ def compare(server: Server, count: int) -> dict[str, float]:
     }
 
 
+def format_costs() -> None:
+    """Print the work for a second of sound, seconds of one processor, in each format."""
+    import torch
+
+    from api.compute.tasks import perform
+    from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS
+
+    torch.set_num_threads(1)
+    seconds = 5.0
+    for kind, formats in (("animation", ANIMATION_FORMATS), ("mesh", MESH_FORMATS)):
+        for known in formats.values():
+            with tempfile.TemporaryDirectory() as folder, chdir(folder):
+                Path("recording").write_bytes(wav(seconds))
+                Path("acting.json").write_text("{}")
+                options = {"format": known.name, "suffix": known.suffix}
+                order = {"kind": kind, "folder": folder, "options": options}
+                order |= {"at_once_seconds": 60.0, "most_seconds": 60.0}
+                began = time.process_time()
+                perform(order, limits(memory_bytes=2**33), lambda share: None)
+                cost = (time.process_time() - began) / seconds
+            say(f"{kind} {known.name}: {cost:.2f}, allowed for {known.cost:g}")
+
+
 def main() -> None:
     """Run from a command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", type=new_file, help="also write the times to this file")
+    parser.add_argument("--formats", action="store_true", help="work by format instead")
     given = parser.parse_args()
+    if given.formats:
+        format_costs()
+        return
     report: dict[str, Any] = identified("default") | {"machine": machine(), "threads": 1}
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()

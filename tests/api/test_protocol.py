@@ -1,0 +1,123 @@
+"""What programs see of the service: its schema, headers of answers, parts of results."""
+
+import pytest
+
+from api.errors import Problem
+from api.routes.jobs import part_of
+from tests.api.conftest import wav
+from tests.api.test_jobs import submit, wait
+
+
+@pytest.fixture(scope="module")
+def schema(server):
+    with server.client() as client:
+        return client.get("/openapi.json").json()
+
+
+def operations(schema):
+    return [route for methods in schema["paths"].values() for route in methods.values()]
+
+
+def test_every_operation_has_a_name_of_its_own_and_every_answer_its_headers(schema):
+    names = [route["operationId"] for route in operations(schema)]
+    assert len(set(names)) == len(names) and {"animate", "create_job", "job_result"} <= set(names)
+    for route in operations(schema):
+        for status, answer in route["responses"].items():
+            assert "X-Request-ID" in answer["headers"], (route["operationId"], status)
+            assert ("Retry-After" in answer["headers"]) == (status in ("429", "503"))
+            assert ("Location" in answer["headers"]) == (status == "202")
+    result = schema["paths"]["/v1/jobs/{job_id}/result"]["get"]["responses"]
+    assert {"ETag", "Content-Range"} <= set(result["206"]["headers"])
+
+
+def test_formats_and_models_are_listed_where_they_are_chosen(schema, client):
+    formats = client.get("/v1/formats").json()
+    models = [model["name"] for model in client.get("/v1/models").json()]
+    for path, kind in (("/v1/animations", "animations"), ("/v1/meshes", "meshes")):
+        route = schema["paths"][path]["post"]
+        form = route["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
+        query = {option["name"]: option["schema"] for option in route["parameters"]}
+        for options in (form, query):
+            assert options["format"]["enum"] == [known["name"] for known in formats[kind]]
+            assert options["model"]["enum"] == models
+
+
+def test_messages_of_sockets_and_webhooks_are_described(schema):
+    live = schema["x-websockets"]["/v1/live"]
+    assert {"sample_rate", "emotion", "seed"} <= set(live["client"]["start"]["properties"])
+    assert "seed" not in live["client"]["set"]["properties"]
+    assert set(live["server"]) == {"header", "frames", "end", "problem"}
+    assert "job-ended" in schema["webhooks"]
+
+
+def test_other_methods_get_the_allowed_ones(client):
+    for path, allowed in (("/v1/jobs", "GET, POST"), ("/v1/animations", "POST")):
+        answer = client.put(path)
+        assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
+
+
+def test_no_answer_sends_a_client_elsewhere(client):
+    for path in ("/v1/models/", "/healthz/", "/v1//models"):
+        answer = client.get(path)
+        assert answer.status_code == 404 and "location" not in answer.headers
+
+
+def test_usd_is_offered_only_where_it_can_be_made(client, monkeypatch):
+    import importlib
+
+    from api.messages import formats
+
+    assert "usd" in formats.ANIMATION_FORMATS
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    try:
+        assert "usd" not in importlib.reload(formats).ANIMATION_FORMATS
+    finally:
+        monkeypatch.undo()
+        importlib.reload(formats)
+
+
+@pytest.mark.parametrize(
+    ("header", "part"),
+    [
+        ("bytes=0-9", (0, 10)), ("bytes=90-", (90, 100)), ("bytes=-5", (95, 100)),
+        ("bytes=-500", (0, 100)), ("bytes=99-200", (99, 100)), ("bytes=5-4", (0, 100)),
+        ("bytes=1-2,4-5", (0, 100)), ("items=0-9", (0, 100)), ("bytes=-", (0, 100)),
+        (None, (0, 100)),
+    ],
+)  # fmt: skip
+def test_part_of_a_file_is_that_of_rfc_9110(header, part):
+    assert part_of(header, 100) == part
+
+
+@pytest.mark.parametrize("header", ["bytes=100-", "bytes=-0", "bytes=500-600"])
+def test_part_beyond_a_file_is_refused_with_its_size(header):
+    with pytest.raises(Problem) as refused:
+        part_of(header, 100)
+    assert refused.value.status == 416
+    assert refused.value.headers["Content-Range"] == "bytes */100"
+
+
+def test_results_are_sent_in_parts_and_only_if_they_are_new(client):
+    job = wait(client, submit(client, recording=wav(2.0), format="csv").json()["id"])
+    whole = client.get(job["result"])
+    size, tag = job["result_bytes"], whole.headers["etag"]
+    part = client.get(job["result"], headers={"Range": f"bytes=100-{size + 7}", "If-Range": tag})
+    assert part.status_code == 206 and part.content == whole.content[100:]
+    assert part.headers["content-range"] == f"bytes 100-{size - 1}/{size}"
+    other = client.get(job["result"], headers={"Range": "bytes=100-", "If-Range": '"other"'})
+    assert other.status_code == 200 and other.content == whole.content
+    assert client.get(job["result"], headers={"If-None-Match": tag}).status_code == 304
+    assert client.get(job["result"], headers={"Range": f"bytes={size}-"}).status_code == 416
+
+
+def test_video_becomes_a_job_by_itself(client):
+    """A second of it is seconds of work: no client waits for that, and no worker is held."""
+    answer = client.post("/v1/animations?format=mp4", content=wav(3.5))
+    assert answer.status_code == 202 and answer.headers["location"].startswith("/v1/jobs/")
+    client.post(answer.headers["location"] + "/cancel")
+    assert client.post("/v1/animations?format=csv", content=wav(3.5)).status_code == 200
+
+
+def test_webhook_of_a_request_that_is_answered_at_once_is_refused(client):
+    answer = client.post("/v1/animations?webhook=http://example.com/", content=wav(0.5))
+    assert (answer.status_code, answer.json()["code"]) == (422, "webhook_without_job")
