@@ -44,7 +44,7 @@ demo: setup  ## Animate the sample, or AUDIO=speech.wav EMOTION=angry TAKE=folde
 	$(BIN)/deitalk animate "$(AUDIO)" --emotion "$(EMOTION)" -o "$(TAKE)" --force
 	@echo "Look into $(TAKE)/: curves.csv (185 controls), intensity.csv (edit it), take.json"
 	@test -f $(PAGE) || $(MAKE) page || echo "The preview page could not be built; \`make page\` tries again"
-	@echo "See it speak: $(BIN)/deitalk preview $(TAKE)/   or drop recordings on a page: $(BIN)/deitalk studio"
+	@echo "See it speak: $(BIN)/deitalk preview $(TAKE)/   or drop recordings on a page: $(BIN)/deitalk serve --open"
 
 page: $(PAGE)  ## Build the preview page again after a change
 
@@ -88,7 +88,7 @@ pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architect
 	PYTHONPATH=. $(BIN)/python docs/make_studio.py
 
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
-	$(BIN)/deitalk plot docs/samples/promise.flac --emotion happy -o docs/curves.png --force
+	$(BIN)/deitalk animate docs/samples/promise.flac --emotion happy -o docs/curves.png --force
 
 docs: setup  ## Write docs/api.md from the docstrings, tables from docs/results
 	$(BIN)/python docs/make_api.py

@@ -21,21 +21,32 @@ from rig.errors import quoted
 from rig.files import atomic_write
 
 LONGEST_START_SECONDS = 60
+ANY_ADDRESS = ("0.0.0.0", "::")
 
 
-def serve(file: Path | None, *, ray: bool = False, migrate: bool = False, **given: Any) -> None:
+def serve(
+    file: Path | None,
+    *,
+    ray: bool = False,
+    opens: bool = False,
+    migrate: bool = False,
+    **given: Any,
+) -> None:
     """Serve with the settings of a file, the environment and some given; by Ray if `ray`.
 
-    With `migrate` only the tables of jobs are brought to this program's schema.
+    If `opens`, the studio is opened in the user's browser once the service answers; with `migrate`
+    only the tables of jobs are brought to this program's schema.
 
     Raises
     ------
     ConfigError
         If a setting is wrong, the port is taken, or a place of jobs cannot be used.
     MissingError
-        If Ray is needed and not installed.
+        If Ray is needed and not installed, or the studio and this installation has no page.
     """
     settings = load_settings(file, **given)
+    if opens:
+        _open_studio(settings)
     settings.check()
     if migrate:
         from api.jobs.schema import open_database
@@ -54,33 +65,20 @@ def serve(file: Path | None, *, ray: bool = False, migrate: bool = False, **give
     run(settings)
 
 
-def studio(file: Path | None, *, port: int | None, opens: bool) -> None:
-    """Serve on loopback and open the studio in the user's browser once it answers.
-
-    Raises
-    ------
-    ConfigError
-        If a setting is wrong, the port is taken, or a place of jobs cannot be used.
-    MissingError
-        If this installation has no page.
-    """
+def _open_studio(settings: Settings) -> None:
+    """Open the page of a service that will start, unless something listens there already."""
     from deitalk.preview.page import check_player
 
     check_player()
-    settings = load_settings(file, host="127.0.0.1", port=port)
-    _check_free(settings.port)
-    address = f"http://127.0.0.1:{settings.port}/"
-    sys.stderr.write(f"studio at {address}\n")
-    if opens:
-        threading.Thread(target=_open, args=(address,), daemon=True).start()
-    serve(file, host=settings.host, port=settings.port)
-
-
-def _check_free(port: int) -> None:
-    """Refuse a port on which something listens: its page would be opened."""
+    host = "127.0.0.1" if settings.host in ANY_ADDRESS else settings.host
     with socket.socket() as probe:
-        if probe.connect_ex(("127.0.0.1", port)) == 0:
-            raise ConfigError(f"port {port} is taken; give another `port`", parameter="port")
+        if probe.connect_ex((host, settings.port)) == 0:
+            raise ConfigError(
+                f"port {settings.port} is taken; give another `port`", parameter="port"
+            )
+    address = f"http://{host}:{settings.port}/"
+    sys.stderr.write(f"studio at {address}\n")
+    threading.Thread(target=_open, args=(address,), daemon=True).start()
 
 
 def _open(address: str) -> None:

@@ -168,7 +168,7 @@ class Settings(BaseSettings):
         if not self.is_local and not self.keys:
             raise ConfigError(
                 f"host {self.host} can be reached from other machines, and there are no keys; make "
-                "one with `deitalk key NAME`, or serve on 127.0.0.1"
+                "one with `deitalk serve key NAME`, or serve on 127.0.0.1"
             )
         if self.backend == "onnx" and self.device != "cpu":
             raise ConfigError(

@@ -26,6 +26,7 @@ from pydantic import (
 
 from deitalk.errors import ConfigError, DataError, EmotionError
 from rig import limits
+from rig.emotions import COLORS, EMOTIONS
 from rig.errors import UserError, quoted
 
 if TYPE_CHECKING:
@@ -269,9 +270,9 @@ _STR = PlainSerializer(str, return_type=str, when_used="unless-none")
 _TEXT = _text(maxLength=LONGEST_TEXT)
 
 
-def _extra(live: str = "", **default: str) -> dict[str, Any]:
-    """More of a field's schema: when a voice takes it before it has ended, the default as text."""
-    return ({"x-live": live} if live else {}) | default
+def _extra(live: str = "", panel: str = "", **default: str) -> dict[str, Any]:
+    """More of a field's schema: when a voice takes it before it has ended, its group, default."""
+    return ({"x-live": live} if live else {}) | ({"x-panel": panel} if panel else {}) | default
 
 
 class Acting(BaseModel):
@@ -285,11 +286,11 @@ class Acting(BaseModel):
 
     emotion: Annotated[Track, PlainValidator(read_emotion), _STR, _TEXT] = Field(
         default_factory=neutral_track,
-        description="neutral, angry, happy, sad, surprised; weights such as "
+        description=f"{', '.join(EMOTIONS)}; weights such as "
         "happy=0.7,surprised=0.3; a track (.csv .json .yaml: time, emotion, strength); auto: "
         "suggested from the voice.",
         examples=["happy", "happy=0.7,surprised=0.3"],
-        json_schema_extra=_extra("change", default="neutral"),
+        json_schema_extra=_extra("change", default="neutral") | {"x-colors": COLORS},
     )
     intensity: Annotated[
         float,
@@ -305,6 +306,7 @@ class Acting(BaseModel):
             default=None,
             description="Intensity instead of the predicted one: time, intensity, such as a take's "
             "intensity.csv.",
+            json_schema_extra=_extra(panel="Editing"),
         )
     )
     voice: Annotated[
@@ -315,12 +317,13 @@ class Acting(BaseModel):
     ] = Field(
         default=None,
         description="Usual voice of the speaker, from which intensity counts: a file of `deitalk "
-        "actor build`.",
+        "data voice`.",
+        json_schema_extra=_extra(panel="Performance"),
     )
     style: Annotated[str | None, Field(max_length=100)] = Field(
         default=None,
         description="Whose style, of a model tuned on several actors; by default its first.",
-        json_schema_extra=_extra("start"),
+        json_schema_extra=_extra("start", panel="Performance"),
     )
     words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
         default=None,
@@ -331,12 +334,13 @@ class Acting(BaseModel):
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         default="en-us",
         description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
+        json_schema_extra=_extra(panel="Performance"),
     )
     life: Annotated[Life, PlainValidator(read_life), _STR, _text(maxLength=200)] = Field(
         default_factory=lambda: read_life("on"),
         description="Factors on blinks, gaze, brows and head, 0 to 2: brows=.8,head=1.2; or off.",
         examples=["brows=.8,head=1.2,blinks=1,gaze=.5", "off"],
-        json_schema_extra=_extra("start", default="on"),
+        json_schema_extra=_extra("start", panel="Performance", default="on"),
     )
     look_at: Annotated[
         tuple[float, float],
@@ -347,7 +351,7 @@ class Acting(BaseModel):
         default=(0.0, 0.0),
         description="Place of the listener: degrees to the character's left and up, -35 to 35.",
         examples=["10,-5"],
-        json_schema_extra=_extra("start", default="0,0"),
+        json_schema_extra=_extra("start", panel="Performance", default="0,0"),
     )
     gain: Annotated[
         dict[str, float],
@@ -358,24 +362,28 @@ class Acting(BaseModel):
         default={},
         description="Factors on how far regions or controls go from rest: jaw=1.2,brow=.8.",
         examples=["jaw=1.2,brow=.8"],
-        json_schema_extra=_extra("change", default=""),
+        json_schema_extra=_extra("change", panel="Editing", default=""),
     )
     listen: Annotated[
         float,
         PlainValidator(number_within(0.0, LONGEST_LISTENING)),
         _text("number", minimum=0, maximum=LONGEST_LISTENING),
-    ] = Field(default=0.0, description="Seconds of silence with motion after the speech, 0 to 600.")
+    ] = Field(
+        default=0.0,
+        description="Seconds of silence with motion after the speech, 0 to 600.",
+        json_schema_extra=_extra(panel="Performance"),
+    )
     rules: bool = Field(
         default=True,
         description="The model's rules after the network; without them the network alone.",
-        json_schema_extra=_extra("change"),
+        json_schema_extra=_extra("change", panel="Expert"),
     )
     seed: Annotated[
         int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
     ] = Field(
         default=0,
         description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
-        json_schema_extra=_extra("start"),
+        json_schema_extra=_extra("start", panel="Performance"),
     )
 
     @classmethod

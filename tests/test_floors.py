@@ -34,7 +34,7 @@ FLOORS = {
         mesh controls
         files
         errors
-        limits arrays
+        limits arrays emotions
     """,
     "api": """
         commands
@@ -151,7 +151,7 @@ def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
         yield from visit(module, ())
 
 
-@pytest.mark.parametrize(("package", "most"), [("deitalk", 24), ("rig", 16), ("api", 16)])
+@pytest.mark.parametrize(("package", "most"), [("deitalk", 24), ("rig", 17), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name

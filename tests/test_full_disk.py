@@ -65,8 +65,8 @@ def commands(sources, out):
         "animate-file": ["animate", speech, "--model", model, "-o", out / "a.json"],
         "face-export": ["face", "export", "-o", out / "head.glb"],
         "face-sheet": ["face", "sheet", "mouth", "--tile", "64", "-o", out / "s.png"],
-        "mesh-glb": ["mesh", speech, "--model", model, "-o", out / "m.glb"],
-        "mesh-ply": ["mesh", speech, "--model", model, "-o", out / "frames"],
+        "mesh-glb": ["animate", speech, "--vertices", "--model", model, "-o", out / "m.glb"],
+        "mesh-ply": ["animate", speech, "--vertices", "--model", model, "-o", out / "frames"],
         "model-export": ["model", "export", model, "-o", out / "exported"],
         "corpus-sheet": ["corpus", "sheet", "-o", out / "sheet"],
     }

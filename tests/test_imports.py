@@ -98,7 +98,7 @@ main()
         ("ablate", "--help"),
         ("attention", "DATA", "-o", "x.png"),
         ("study",),
-        ("benchmark", "--mesh", "--repeats", "1"),
+        ("evaluate", "--speed", "--mesh", "--repeats", "1"),
         ("data", "lips", "lips", "-o", "out", "--as-rig"),
     ],
 )

@@ -180,7 +180,8 @@ def http(fields, server):
 
 
 def mesh(fields, tmp_path, monkeypatch):
-    run("mesh", "line.wav", "-o", tmp_path / "m.npz", "--model", "tiny", *options(fields))
+    run("animate", "line.wav", "--vertices", "-o", tmp_path / "m.npz", "--model", "tiny",
+        *options(fields))  # fmt: skip
     return np.load(tmp_path / "m.npz")["vertices"]
 
 

@@ -11,6 +11,7 @@ from typer.main import get_command
 
 from deitalk.cli import app
 from deitalk.models.folder import embedded_models
+from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -40,7 +41,7 @@ def anchors(text):
     return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_linked_files_and_headings_of_the_pages_exist(page):
     for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#?([^)]*)\)", (ROOT / page).read_text()):
         linked = (ROOT / page).parent / target if target else ROOT / page
@@ -48,7 +49,7 @@ def test_linked_files_and_headings_of_the_pages_exist(page):
         assert not anchor or anchor in anchors(linked.read_text()), f"{target}#{anchor}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_paths_of_the_pages_exist(page):
     """A path in backticks, and the names that are listed beside a Python file."""
     text = (ROOT / page).read_text()
@@ -72,7 +73,7 @@ def defined(node):
     return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_emphasis_of_the_pages_is_closed(page):
     """No star is left as text by a reader of Markdown."""
     text = re.sub(r"\*\.\w+|(?<=\d)\*\*(?=\d)", "", (ROOT / page).read_text())
@@ -81,7 +82,7 @@ def test_emphasis_of_the_pages_is_closed(page):
             assert part.type != "text" or "*" not in part.content, part.content
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_extras_of_the_pages_exist(page):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for extras in re.findall(r"deitalk\[([\w,]+)\]", (ROOT / page).read_text()):
@@ -95,14 +96,14 @@ def test_pages_are_short():
     assert sum(len(text.split()) for text in texts.values()) <= MOST_WORDS
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_commands_of_the_pages_exist_with_their_options(page):
     commands = get_command(app).commands
     text = (ROOT / page).read_text()
     for line in re.findall(r"(?:^|`|time )deitalk ([a-z][^\n#`]*)", text, re.M):
         words = line.split()
         command = commands[words[0]]
-        if hasattr(command, "commands") and len(words) > 1:
+        if hasattr(command, "commands") and words[1:] and words[1][0] != "-":
             command = command.commands[words[1]]
         known = {option for parameter in command.params for option in parameter.opts}
         for word in words:
@@ -110,21 +111,21 @@ def test_commands_of_the_pages_exist_with_their_options(page):
                 assert word.split("=")[0] in known, f"{line}: {word}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_tests_of_the_pages_exist(page):
     text = (ROOT / page).read_text()
     for file, _, word in re.findall(r"pytest (tests/\w+\.py)( -k (\w+))?", text):
         assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_make_targets_of_the_pages_exist(page):
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / page).read_text(), re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@each("page", PAGES)
 def test_modules_and_files_of_the_code_that_pages_name_exist(page):
     text = (ROOT / page).read_text()
     for path in re.findall(r"`((?:rig|deitalk|api|tests)/[\w/.]*)`", text):

@@ -15,7 +15,7 @@ DESCRIPTIONS = {
     "mapping": "Meaning of your own shape names: .csv.",
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
-    "voice": "A file of `deitalk actor build`; or its text.",
+    "voice": "A file of `deitalk data voice`; or its text.",
     "format": "Kind of file; else that of `Accept`.",
     "words": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
 }

@@ -8,62 +8,45 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.animate import animate, plot, suggest
+from deitalk.cli.animate import animate, suggest
 from deitalk.cli.batch import batch
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
-from deitalk.cli.evaluate import benchmark, evaluate
+from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
-from deitalk.cli.face import controls
+from deitalk.cli.former import Commands
+from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
-from deitalk.cli.livelink import app as livelink_app
-from deitalk.cli.mesh import mesh, retarget
-from deitalk.cli.model import actor_app
+from deitalk.cli.mesh import retarget
 from deitalk.cli.model import app as model_app
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import hold_targets
 from deitalk.cli.preview import preview
-from deitalk.cli.serve import key, openapi, serve, studio
+from deitalk.cli.serve import app as serve_app
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.cli.train import finetune, train
-from deitalk.cli.unreal import blender, unreal
 from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 
 app = CheckedCommands(
     name="deitalk",
+    cls=Commands,
     help="MetaHuman facial animation from speech and an emotion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(animate)
-app.command()(batch)
-app.command()(live)
-app.command()(controls)
-app.command()(suggest)
-app.command()(plot)
-app.command()(preview)
-app.command()(convert)
-app.command()(validate)
-app.command()(retarget)
-app.command()(unreal)
-app.command()(blender)
-app.command()(mesh)
-app.command()(train)
-app.command()(finetune)
-app.command()(evaluate)
-app.command()(benchmark)
-app.command()(serve)
-app.command()(studio)
-app.command()(openapi)
-app.command()(key)
-app.add_typer(livelink_app, name="livelink")
+for _verb in (animate, batch, live, preview, convert, validate, retarget):
+    app.command()(_verb)
 app.add_typer(face_app, name="face")
+app.add_typer(install_app, name="install")
+app.add_typer(serve_app, name="serve")
 app.add_typer(data_app, name="data")
-app.add_typer(actor_app, name="actor")
+for _verb in (train, finetune, evaluate):
+    app.command()(_verb)
 app.add_typer(model_app, name="model")
+app.command(hidden=True)(suggest)
 
 
 def _add_research(app: CheckedCommands) -> None:

@@ -1,4 +1,4 @@
-"""Options of an acting: one for each field of `deitalk.acting.Acting`, in a panel of their own."""
+"""Options of an acting: one for each field of `deitalk.acting.Acting`, in its panel."""
 
 import inspect
 from collections.abc import Callable, Iterable
@@ -12,7 +12,6 @@ from deitalk.acting import OLD_NAMES, Acting, modern, renamed
 from deitalk.cli.console import console
 from rig import limits
 
-PANEL = "Acting"
 _TYPES = {"number": float, "integer": int, "boolean": bool}
 _SCHEMA = Acting.model_json_schema()["properties"]
 _OLD_FLAGS = {"idle": "--idle/--no-idle", "raw": "--raw"}
@@ -84,7 +83,7 @@ def _option(name: str) -> inspect.Parameter:
     option = typer.Option(
         *flags,
         help=schema["description"],
-        rich_help_panel=PANEL,
+        rich_help_panel=schema.get("x-panel"),
         show_default=bool(default),
         **more,
     )

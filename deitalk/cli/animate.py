@@ -1,4 +1,4 @@
-"""`deitalk animate`: a take from speech and an emotion."""
+"""`deitalk animate`: a take, curves, a mesh or a picture from speech and an emotion."""
 
 import os
 import sys
@@ -10,20 +10,20 @@ import typer
 
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
+    MESH,
     AnyModel,
     Backend,
     Device,
     Digits,
     Force,
     Json,
-    Model,
-    Picture,
     Threads,
     Timecode,
     WrittenIdentity,
 )
-from deitalk.cli.paths import reserve_file, reserve_folder, reserve_picture
+from deitalk.cli.paths import PICTURES, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -40,7 +40,10 @@ if TYPE_CHECKING:
 def animate(
     speech: Annotated[str, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …) or - .")],
     out: Annotated[
-        str, typer.Option("--out", "-o", help="Take folder/, or one file: .csv .json .npz …")
+        str,
+        typer.Option(
+            "--out", "-o", help="Take folder/, or one file: .csv .json .npz …, or a plot, .png."
+        ),
     ],
     given: Given,
     model: AnyModel = "default",
@@ -55,6 +58,28 @@ def animate(
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page, preview.html, to the take.")
     ] = False,
+    vertices: Annotated[
+        bool,
+        typer.Option(
+            "--vertices",
+            rich_help_panel=MESH,
+            help="A moving mesh instead of curves: .glb, .npz, or a folder/ of .ply files.",
+        ),
+    ] = False,
+    mesh: Annotated[
+        Path | None,
+        typer.Option(
+            rich_help_panel=MESH,
+            help="The same of your own face, any topology: as `deitalk retarget --mesh`.",
+        ),
+    ] = None,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            rich_help_panel=MESH,
+            help="JSON or CSV of points on that mesh (guessed if not given).",
+        ),
+    ] = None,
     identity: WrittenIdentity = None,
     force: Force = False,
     as_json: Json = False,
@@ -62,7 +87,7 @@ def animate(
     """Animate a face from a recording.
 
     With --json: mean_intensity is predicted from the voice, mean_applied_intensity is that of the
-    curves (0 if the emotion is neutral).
+    curves (0 if the emotion is neutral); suggestion has the probabilities of -e auto.
 
     Examples
     --------
@@ -71,12 +96,25 @@ def animate(
     deitalk animate speech.wav -e angry=0.6 --intensity 1.4 -o curves.csv
 
     deitalk animate speech.wav --words "My promise is big." -o take/
+
+    deitalk animate speech.wav -e happy --vertices -o face.glb
     """
     # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
-    target, is_folder = Path(out), _is_folder(out)
     form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
     inputs = (speech, *given.texts)
+    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model, backend):
+        _refuse_curve_options("a mesh", form | {"preview": preview, "backend": backend}, fps=True)
+        animate_vertices(
+            speech, out, given, model=model, speaker=identity or "0", mesh=mesh,
+            landmarks=landmarks, fps=fps, device=device, force=force, as_json=as_json,
+        )  # fmt: skip
+        return
+    if Path(out).suffix.lower() in PICTURES:
+        _refuse_curve_options("a plot", form | {"preview": preview, "identity": identity})
+        _plot(speech, Path(out), given, _loader(model, backend, device, threads), force=force)
+        return
+    target, is_folder = Path(out), _is_folder(out)
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
     extras = _extras(preview, identity)
     performance = _perform(speech, given.acting, _loader(model, backend, device, threads))
@@ -101,6 +139,37 @@ def animate(
         f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
         f"{_acted(performance)}"
     )
+
+
+def _makes_mesh(model: str, backend: str) -> bool:
+    from deitalk.models.folder import product_of
+    from deitalk.models.load import is_onnx
+
+    return not is_onnx(model, backend) and product_of(model) == "mesh"
+
+
+def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = False) -> None:
+    """Raise for options that are given and that only written curves have."""
+    usual = {"timecode": "zero", "backend": "torch", "preview": False}
+    for name, value in options.items():
+        if value != usual.get(name) and not (fps and name == "fps"):
+            raise DeitalkError(f"--{name} does not apply to {what}; leave it out")
+
+
+def _plot(
+    speech: str, out: Path, given: Given, load: "Callable[[], CurveNetwork]", *, force: bool
+) -> None:
+    """Draw curves and intensity against the waveform."""
+    from deitalk.figures.canvas import check_drawing
+
+    check_drawing()
+    reserve_picture(out, force=force, inputs=(speech, *given.texts))
+    performance = _perform(speech, given.acting, load)
+    from deitalk.figures.performance import plot
+
+    title = f"{Path(speech).name}, {performance.emotion}"
+    plot(performance.curves, performance.recording.waveform, out, title)
+    console().print(f"{out}")
 
 
 def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
@@ -242,12 +311,13 @@ def _summary(out: Path, performance: "Performance") -> dict[str, Any]:
         "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
         "words": performance.words and performance.words.line,
+        "suggestion": performance.suggestion,
         "settings": performance.acting.settings,
         "timings_seconds": performance.timings,
     }
 
 
-# `deitalk suggest`: an emotion that a voice suggests.
+# `deitalk suggest`, which is now a part of `animate -e auto`: to be removed with the next release.
 
 
 def suggest(
@@ -259,14 +329,11 @@ def suggest(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Suggest an emotion from the voice: neutral, angry, happy or sad, with its probability.
-
-    Examples
-    --------
-    deitalk suggest speech.wav
-
-    deitalk suggest speech.wav -o emotion.csv
-    """
+    """Suggest an emotion from the voice; now a part of `animate -e auto`."""
+    console().note(
+        f"this command is now: deitalk animate {speech} -e auto --json -o take/ (emotions over "
+        "time are in intensity.csv)"
+    )
     if out is not None:
         if out.suffix != ".csv":
             raise DeitalkError(f"{out}: a track of emotions is a .csv")
@@ -296,34 +363,3 @@ def _write(found: "Suggestion", out: Path) -> None:
         rows.append(",".join((f"{time:.3f}", *(f"{w:.4f}" for w in weights))))
     with atomic_write(out) as beside:
         beside.write_text("\n".join(rows) + "\n", encoding="utf-8")
-
-
-# `deitalk plot`: curves against the waveform.
-
-
-@acting_options
-def plot(
-    speech: Annotated[Path, typer.Argument(help="Recording.")],
-    out: Picture,
-    given: Given,
-    model: Model = "default",
-    force: Force = False,
-) -> None:
-    """Draw key curves and the intensity against the waveform.
-
-    Examples
-    --------
-    deitalk plot speech.wav --emotion happy -o curves.png
-    """
-    from deitalk.figures.canvas import check_drawing
-
-    check_drawing()
-    reserve_picture(out, force=force, inputs=(speech, *given.texts))
-    with bar("animating") as progress:
-        from deitalk.figures.performance import plot as draw
-        from deitalk.pipeline.curves import animate
-
-        performance = animate(speech, acting=given.acting, model=model, progress=progress)
-    title = f"{speech.name}, {performance.emotion}"
-    draw(performance.curves, performance.recording.waveform, out, title)
-    console().print(f"{out}")

@@ -1,4 +1,4 @@
-"""`deitalk data`: make a dataset folder of captured takes or of measured lips, and check it."""
+"""`deitalk data`: dataset folders of captured takes or measured lips, and an actor's voice."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json, Most
-from deitalk.cli.paths import reserve_folder
+from deitalk.cli.paths import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 from deitalk.installed import research
 from rig.errors import as_line
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig import ControlSet
 
 app = CheckedCommands(
-    help="Make a dataset folder of captured takes or measured lips, and check it.",
+    help="Make a dataset folder of captured takes or measured lips, check it; measure a voice.",
     no_args_is_help=True,
 )
 
@@ -38,7 +38,7 @@ def _controls(rig: str | None) -> "ControlSet | None":
 
 @app.callback()
 def _group() -> None:
-    """Make a dataset folder of captured takes or measured lips, and check it."""
+    """Make a dataset folder of captured takes or measured lips, check it; measure a voice."""
 
 
 @app.command("import")
@@ -299,3 +299,38 @@ def _write_measures(
             progress=progress,
         )
     emit(as_line(f"{out}: {count} clips; {out / 'rig.yaml'}: their controls"))
+
+
+@app.command()
+def voice(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings of one actor.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Reference file, .json.")],
+    force: Force = False,
+) -> None:
+    """Write the reference of an actor, for `deitalk animate --voice`.
+
+    Intensity then counts from this actor's usual voice instead of an average speaker's: a soft
+    voice is not always faint, a sharp one not always strong. A dozen lines are enough.
+
+    Examples
+    --------
+    deitalk data voice anna/*.wav -o anna.json
+    """
+    from deitalk.errors import AudioError
+
+    if out.suffix != ".json":
+        raise AudioError(f"{out}: an actor reference is a .json file")
+    reserve_file(out, force=force, inputs=recordings)
+    from deitalk.pipeline.speech import measure_actor
+    from rig.files import atomic_write
+
+    with bar("measuring") as progress:
+        actor = measure_actor(recordings, lambda done: progress(done / len(recordings)))
+    with atomic_write(out) as path:
+        path.write_text(actor.as_json(), encoding="utf-8")
+    emit(
+        as_line(
+            f"{out}: strength {actor.strength:.2f} in {actor.recordings} recordings "
+            f"({actor.seconds:.0f} s)"
+        )
+    )

@@ -7,13 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import MAX_COUNT, Force, Json, Model, Most, Threads
+from deitalk.cli.options import MAX_COUNT, Force, Json, Most, Threads
 from deitalk.cli.paths import reserve_report, write_report
 from deitalk.errors import DataError
 from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
+
+SPEED = "Speed"
+"""Panel of the help."""
+MAX_SECONDS = 3 * 3600.0
+"""Longest clip, seconds."""
 
 
 def evaluate(
@@ -59,10 +64,37 @@ def evaluate(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the report: .png, .svg or .pdf.")
     ] = None,
+    speed: Annotated[
+        bool,
+        typer.Option("--speed", rich_help_panel=SPEED, help="Instead: time of the stages here."),
+    ] = False,
+    seconds: Annotated[
+        float,
+        typer.Option(min=0.1, max=MAX_SECONDS, rich_help_panel=SPEED, help="Length of the clip."),
+    ] = 30.0,
+    threads: Threads = 1,
+    repeats: Annotated[
+        int,
+        typer.Option(min=1, max=1000, rich_help_panel=SPEED, help="Runs; the best is reported."),
+    ] = 3,
+    memory: Annotated[
+        bool,
+        typer.Option(
+            "--memory",
+            rich_help_panel=SPEED,
+            help="Also peak memory at 1, 10 and 60 minutes (slow).",
+        ),
+    ] = False,
+    mesh: Annotated[
+        bool,
+        typer.Option(
+            "--mesh", rich_help_panel=SPEED, help="SDFA's Table 4, three mesh models by stages."
+        ),
+    ] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Score lips, errors, emotions and silence, with the loudness baseline.
+    """Score lips, errors, emotions and silence, with the loudness baseline; or measure speed.
 
     Examples
     --------
@@ -75,7 +107,12 @@ def evaluate(
     deitalk evaluate default --lips grid_lips/
 
     deitalk evaluate default --acted crema/clips.csv --split test
+
+    deitalk evaluate default --speed --memory
     """
+    if speed:
+        measure_speed(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)
+        return
     reserve_report(out, picture, force=force)
     from deitalk.models.folder import describe_model, product_of
 
@@ -163,27 +200,15 @@ def _refuse(reason: str, **options: object) -> None:
             raise DataError(f"--{name}: {reason}; leave it out")
 
 
-# `deitalk benchmark`: stages, real-time factor, memory.
-
-
-MAX_SECONDS = 3 * 3600.0
-"""Longest clip, seconds."""
-
-
-def benchmark(
-    model: Model = "default",
-    seconds: Annotated[
-        float, typer.Option(min=0.1, max=MAX_SECONDS, help="Length of the clip.")
-    ] = 30.0,
-    threads: Threads = 1,
-    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Runs; the best is reported.")] = 3,
-    memory: Annotated[
-        bool, typer.Option("--memory", help="Also peak memory at 1, 10 and 60 minutes (slow).")
-    ] = False,
-    mesh: Annotated[
-        bool, typer.Option("--mesh", help="Instead: SDFA's Table 4, three mesh models by stages.")
-    ] = False,
-    as_json: Json = False,
+def measure_speed(
+    model: str,
+    seconds: float,
+    threads: int,
+    repeats: int,
+    *,
+    memory: bool,
+    mesh: bool,
+    as_json: bool,
 ) -> None:
     """Measure speed and memory on this machine."""
     threads = min(threads, os.cpu_count() or 1)
@@ -226,7 +251,7 @@ def _table_4(threads: int, repeats: int, *, as_json: bool) -> None:
     with console().status("measuring"):
         from deitalk.evaluation.benchmark_curves import machine
 
-        tables = research("evaluation.benchmark_mesh", "benchmark --mesh")
+        tables = research("evaluation.benchmark_mesh", "evaluate --speed --mesh")
         report = {"machine": machine(), **tables.table_4(threads, repeats)}
     if as_json:
         emit_json(report)

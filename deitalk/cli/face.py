@@ -1,4 +1,4 @@
-"""`deitalk face`: the embedded head in pictures."""
+"""`deitalk face`: the embedded head in pictures, and the controls of its rig."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,8 @@ from deitalk.cli.paths import reserve_file
 from deitalk.errors import DeitalkError
 
 app = CheckedCommands(
-    help="The embedded head: contact sheets, identities, export.", no_args_is_help=True
+    help="The embedded head: sheets, identities, export; its controls.",
+    no_args_is_help=True,
 )
 
 
@@ -113,9 +114,7 @@ def export(
     )
 
 
-# `deitalk controls`: the 185 controls, their ranges and sets.
-
-
+@app.command()
 def controls(
     match: Annotated[str, typer.Argument(help="Part of a name; all without it.")] = "",
     subset: Annotated[
@@ -128,9 +127,9 @@ def controls(
 
     Examples
     --------
-    deitalk controls jaw
+    deitalk face controls jaw
 
-    deitalk controls --set lip --json
+    deitalk face controls --set lip --json
     """
     from rig import default_controls
 
@@ -156,7 +155,7 @@ def controls(
             if match.lower() in table[i].name.lower()
         ]
     if not rows:
-        raise DeitalkError(f"no control matches {match!r}; `deitalk controls` lists all")
+        raise DeitalkError(f"no control matches {match!r}; `deitalk face controls` lists all")
     if as_json:
         emit_json(rows)
         return

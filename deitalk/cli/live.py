@@ -1,19 +1,24 @@
-"""`deitalk live`: the face of a voice that has not ended, over UDP."""
+"""`deitalk live`: the face of a voice that has not ended, or of a take, over UDP; and back."""
 
 import gc
 import os
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.acting import LIVE_FIELDS
 from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console
-from deitalk.cli.livelink import Host, Port, ProtocolName, Subject, checked_port, vmc_set
-from deitalk.cli.options import Backend, control_set_of
+from deitalk.cli.livelink import (
+    Link,
+    frame_of_day,
+    is_sound,
+    link_of,
+    record_face,
+    send_source,
+)
+from deitalk.cli.options import Backend, Force
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -26,34 +31,92 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 0.05
 """Longest wait for sound."""
+TAKES, RECORD = "Takes and curves", "Recording a face"
+"""Panels of the help."""
 
 
-@partial(acting_options, fields=LIVE_FIELDS)
+@acting_options
 def live(
     given: Given,
-    speech: Annotated[
-        Path | None, typer.Argument(help="Recording, played at its own pace.")
+    source: Annotated[
+        Path | None,
+        typer.Argument(help="Recording, played at its own pace; or a take or a file of curves."),
     ] = None,
     mic: Annotated[bool, typer.Option("--mic", help="The microphone instead.")] = False,
     source_name: Annotated[
         str | None, typer.Option("--input", help="Name, part of it, or number of another input.")
     ] = None,
     model: Annotated[
-        str, typer.Option(help="live, the folder of a causal model, or its .onnx file.")
+        str,
+        typer.Option(
+            help="live, the folder of a causal model, or its .onnx file; of a recording also "
+            "default or another, which reads all of it first."
+        ),
     ] = "live",
-    backend: Backend = "torch",
-    host: Host = "127.0.0.1",
-    port: Port = None,
-    protocol: ProtocolName = "livelink",
-    subject: Subject = "deitalk",
-    rig: Annotated[str, typer.Option(help="Of vmc: arkit, or an avatar: vrm1, vrchat …")] = "arkit",
-    seconds: Annotated[
-        float | None, typer.Option(min=0, help="Stop after so much sound, seconds.")
+    host: Annotated[
+        str, typer.Option(help="Address of the receiver; with --record, the one to listen on.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(help="UDP port; the protocol's own by default.")
     ] = None,
+    protocol: Annotated[str, typer.Option(help="livelink, json or vmc.")] = "livelink",
+    subject: Annotated[
+        str | None,
+        typer.Option(
+            help="Subject name in Unreal, deitalk by default; with --record, that of the first "
+            "packet."
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0, help="Stop after so much sound or recording, seconds.")
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(rich_help_panel=TAKES, help="Rate to send, Hz; the source's by default."),
+    ] = None,
+    loop: Annotated[
+        bool,
+        typer.Option("--loop", rich_help_panel=TAKES, help="Begin again at the end, until Ctrl-C."),
+    ] = False,
+    rig: Annotated[
+        str,
+        typer.Option(
+            rich_help_panel=TAKES,
+            help="Controls of json: board, raw, arkit; of json and vmc: an avatar (vrm1 …).",
+        ),
+    ] = "board",
+    play: Annotated[
+        bool, typer.Option("--play", rich_help_panel=TAKES, help="Play the audio too.")
+    ] = False,
+    start_signal: Annotated[
+        str | None,
+        typer.Option(
+            rich_help_panel=TAKES,
+            help="HOST:PORT for the OSC message /deitalk/start, sent with the first frame.",
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            rich_help_panel=RECORD,
+            help="Write the packets of a phone or of `deitalk live` instead of sending: .csv of "
+            "Live Link Face, or any format of `convert`.",
+        ),
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            min=0, rich_help_panel=RECORD, help="Stop after this time without a packet, seconds."
+        ),
+    ] = None,
+    backend: Backend = "torch",
+    force: Force = False,
 ) -> None:
     """Animate a voice while it is spoken, 0.2 s behind it, and send the face.
 
-    Ctrl-C ends it; the face rests at the end. A microphone needs the extra mic of the package.
+    Or send a take or curves at their own pace, or record a face that is sent: a .csv keeps the
+    packets' own times. Ctrl-C ends it: the face rests, received frames are written. A microphone
+    needs the extra mic of the package.
 
     Examples
     --------
@@ -61,12 +124,51 @@ def live(
 
     deitalk live speech.wav --emotion happy --host 192.168.0.12
 
-    deitalk live --mic --protocol vmc --emotion angry=0.5
+    deitalk live take/ --subject anna --play
+
+    deitalk live --record scene_take_1_anna.csv --host 0.0.0.0
     """
-    if mic == (speech is not None):
-        raise DeitalkError("give either a recording or --mic")
-    port = checked_port(host, port, protocol, subject, None)
-    control_set_of(rig)
+    if (source is not None) + mic + (record is not None) != 1:
+        raise DeitalkError("give one of a recording, a take or curves, --mic, and --record")
+    if record is not None:
+        record_face(
+            record, host, port, subject=subject, seconds=seconds, timeout=timeout, force=force
+        )
+        return
+    link = link_of(host, port, protocol, subject or "deitalk", rig, fps)
+    whole = source is not None and not (is_sound(source) and _is_live(model))
+    if source is not None and whole:
+        send_source(
+            source, given.acting, (model, backend), link, fps=fps, loop=loop, play=play,
+            start_signal=start_signal,
+        )  # fmt: skip
+        return
+    if fps is not None or loop or play or start_signal or (rig != "board" and not link.avatar):
+        raise DeitalkError(
+            "--fps, --loop, --play, --start-signal and --rig, but for an avatar, are for a take or "
+            "curves; leave them out"
+        )
+    _speak(source, source_name, given.acting, model, backend, link, seconds)
+
+
+def _is_live(model: str) -> bool:
+    """Whether a model needs no more than what was said."""
+    from deitalk.models.folder import is_causal
+    from deitalk.models.load import is_onnx
+
+    return is_onnx(model, "torch") or is_causal(model)
+
+
+def _speak(
+    speech: Path | None,
+    source_name: str | None,
+    acting: "Acting",
+    model: str,
+    backend: str,
+    link: Link,
+    seconds: float | None,
+) -> None:
+    """Animate a recording or a microphone while it sounds, and send it."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.load import load_causal
@@ -77,10 +179,10 @@ def live(
 
         waveform = load_audio(speech).waveform
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
-    animator = _warm_animator(network, source.sample_rate, given.acting)
-    sender = _sender(animator, protocol, (host, port), subject, rig)
+    animator = _warm_animator(network, source.sample_rate, acting)
+    sender = _sender(animator, link)
     console().print(
-        f"sending to {host}:{port} as {subject!r}, {1000 * animator.lookahead_seconds:.0f} ms and "
+        f"sending to {link}, {1000 * animator.lookahead_seconds:.0f} ms and "
         "the computing behind the sound, Ctrl-C stops"
     )
     try:
@@ -139,25 +241,20 @@ def transmit(
     sender.drain()
 
 
-def _sender(
-    animator: "LiveAnimator", protocol: str, address: tuple[str, int], subject: str, rig: str
-) -> "LiveSender":
-    from datetime import datetime
-
+def _sender(animator: "LiveAnimator", link: Link) -> "LiveSender":
     from rig.conversion.arkit import HEAD
     from rig.livelink import LiveSender, make_protocol
 
-    now = datetime.now().astimezone()
-    midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
-    names = (*animator.names, *HEAD) if protocol == "json" else animator.names
+    is_json = link.protocol == "json"
+    names = (*animator.names, *HEAD) if is_json else animator.names
     return LiveSender(
-        make_protocol(protocol, subject, names, vmc_set(rig, protocol)),
-        address,
+        make_protocol(link.protocol, link.subject, names, link.avatar),
+        (link.host, link.port),
         animator.names,
         animator.network.controls.id,
         animator.fps,
-        sends_head=protocol == "json",
-        first_frame=int((now - midnight).total_seconds() * animator.fps),
+        sends_head=is_json,
+        first_frame=frame_of_day(animator.fps),
         note=console().note,
     )
 

@@ -1,92 +1,69 @@
-"""`deitalk mesh`: a moving mesh from speech."""
+"""Meshes: `deitalk animate --vertices`, and `deitalk retarget` of a take to your own face."""
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import (
-    Device,
-    Force,
-    Json,
-    MeshOut,
-)
+from deitalk.cli.options import Force, Json, MeshOut
 from deitalk.cli.paths import curves_of, reserve_file, reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
+    from deitalk.cli.acting import Given
     from deitalk.pipeline.performance import MeshPerformance
     from rig.retarget.retarget_files import RetargetReport
 
 
-@acting_options
-def mesh(
-    speech: Annotated[Path, typer.Argument(help="Recording (wav flac ogg opus mp3 m4a …).")],
-    out: MeshOut,
-    given: Given,
-    model: Annotated[
-        str, typer.Option(help="default, mesh_head, sdfa, or a model folder.")
-    ] = "default",
-    speaker: Annotated[
-        str,
-        typer.Option(help="Name or number: speaker of an SDFA model, else an embedded head."),
-    ] = "0",
-    mesh: Annotated[
-        Path | None,
-        typer.Option(help="Your own face, any topology: as `deitalk retarget --mesh`."),
-    ] = None,
-    landmarks: Annotated[
-        Path | None, typer.Option(help="JSON or CSV of points on that mesh (guessed if not given).")
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option(help="Frames per second; an SDFA model has its own.")
-    ] = None,
-    device: Device = "cpu",
-    force: Force = False,
-    as_json: Json = False,
+def animate_vertices(
+    speech: str,
+    out: str,
+    given: "Given",
+    *,
+    mesh: Path | None,
+    landmarks: Path | None,
+    speaker: str,
+    fps: float | None,
+    force: bool,
+    as_json: bool,
+    **model: str,
 ) -> None:
-    """Animate a mesh from a recording, vertex by vertex.
+    """Animate a mesh from a recording, vertex by vertex, for `deitalk animate --vertices`.
 
-    A DEITalk model moves, with emotion, an embedded head or your own mesh. An SDFA model moves its
-    speakers' templates by deformation gradients, or your own mesh along with them; it has no
-    emotion, unless it is a mesh head (configs/mesh_head.yaml), which decodes a DEITalk model. A GLB
-    is in metres, unless the mesh is yours; the others keep the mesh's unit.
-
-    Examples
-    --------
-    deitalk mesh speech.wav --emotion happy -o face.glb
-
-    deitalk mesh speech.wav --model runs/sdfa/best --speaker Ada -o frames/
-
-    deitalk mesh speech.wav -e happy --model runs/mesh_head/best -o face.glb
-
-    deitalk mesh speech.wav -e angry --mesh scan.obj -o scan.npz
+    Parameters
+    ----------
+    speech, out, given, mesh, landmarks, fps, force, as_json
+        As for the command.
+    speaker : str
+        Name or number: of an embedded head, or of a speaker of an SDFA model.
+    **model
+        ``model`` and ``device``.
     """
     reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, *given.texts))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     _check(fps, mesh, landmarks)
+    sound = sys.stdin.buffer.read() if speech == "-" else speech
     who = int(speaker) if speaker.isdigit() else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
         options: dict[str, Any] = {
-            "acting": given.acting, "model": model, "speaker": who, "fps": fps, "device": device,
-            "progress": progress,
+            "acting": given.acting, "speaker": who, "fps": fps, "progress": progress, **model,
         }  # fmt: skip
         if mesh is None:
-            performance = animate_mesh(speech, **options)
+            performance = animate_mesh(sound, **options)
             performance.save(out, force=force)
             summary = _described(performance)
         else:
-            report, rate, notes = retarget_speech(speech, mesh, out, landmarks=landmarks, **options)
+            report, rate, notes = retarget_speech(sound, mesh, out, landmarks=landmarks, **options)
             summary = {
                 "frames": report.frames, "fps": rate, "shapes": report.shapes, "notes": list(notes)
             }  # fmt: skip
-    summary |= {"model": model, "settings": given.acting.settings}
+    summary |= {"model": model["model"], "settings": given.acting.settings}
     _report(out, summary, as_json)
 
 

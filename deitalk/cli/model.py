@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import CheckedCommands, Force
+from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import reserve_file, reserve_folder
-from rig.errors import as_line
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
 
@@ -131,49 +130,3 @@ def info(
     for key, value in about.items():
         emit(f"{key}\t{json.dumps(value) if isinstance(value, dict) else value}")
     console().print(f"embedded models: {', '.join(embedded_models()) or 'none'}")
-
-
-# `deitalk actor`: the usual voice of an actor.
-
-
-actor_app = CheckedCommands(help="Measure the usual voice of an actor.", no_args_is_help=True)
-
-
-@actor_app.callback()
-def _actors() -> None:
-    """Measure the usual voice of an actor."""
-
-
-@actor_app.command()
-def build(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings of one actor.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Reference file, .json.")],
-    force: Force = False,
-) -> None:
-    """Write the reference of an actor, for `deitalk animate --voice`.
-
-    Intensity then counts from this actor's usual voice instead of an average speaker's: a soft
-    voice is not always faint, a sharp one not always strong. A dozen lines are enough.
-
-    Examples
-    --------
-    deitalk actor build anna/*.wav -o anna.json
-    """
-    from deitalk.errors import AudioError
-
-    if out.suffix != ".json":
-        raise AudioError(f"{out}: an actor reference is a .json file")
-    reserve_file(out, force=force, inputs=recordings)
-    from deitalk.pipeline.speech import measure_actor
-    from rig.files import atomic_write
-
-    with bar("measuring") as progress:
-        actor = measure_actor(recordings, lambda done: progress(done / len(recordings)))
-    with atomic_write(out) as path:
-        path.write_text(actor.as_json(), encoding="utf-8")
-    emit(
-        as_line(
-            f"{out}: strength {actor.strength:.2f} in {actor.recordings} recordings "
-            f"({actor.seconds:.0f} s)"
-        )
-    )

@@ -21,6 +21,9 @@ MAX_PROCESSES = 256
 MAX_COUNT = 10**9
 """Largest number of steps, clips or recordings."""
 
+EDITING, PERFORMANCE, MESH, EXPERT = "Editing", "Performance", "Mesh", "Expert"
+"""Panels of options in the help; those of every day have none and come first."""
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -29,15 +32,23 @@ class CheckedCommands(typer.Typer):
 
     def command(self, *arguments: Any, **options: Any) -> Callable[[Command], Command]:
         """As `typer.Typer.command`."""
-        register = super().command(*arguments, **options)
+        return _checking(super().command(*arguments, **options))
 
-        def checked(function: Command) -> Command:
-            for parameter in inspect.signature(function).parameters.values():
-                if get_origin(parameter.annotation) is Annotated:
-                    _check(*get_args(parameter.annotation)[:2])
-            return register(function)
+    def callback(self, *arguments: Any, **options: Any) -> Callable[[Command], Command]:
+        """As `typer.Typer.callback`."""
+        return _checking(super().callback(*arguments, **options))
 
-        return checked
+
+def _checking(register: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """As `register`, with checks added to the arguments of a command."""
+
+    def checked(function: Command) -> Command:
+        for parameter in inspect.signature(function).parameters.values():
+            if get_origin(parameter.annotation) is Annotated:
+                _check(*get_args(parameter.annotation)[:2])
+        return register(function)
+
+    return checked
 
 
 def _check(kind: Any, option: Any) -> None:
@@ -90,24 +101,44 @@ def control_set_of(rig: str) -> str:
 
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
-    str, typer.Option("--model", help="default, live, a model folder, or an .onnx file.")
+    str,
+    typer.Option(
+        "--model", help="default, live, a mesh model (mesh_head, sdfa), a folder, or an .onnx file."
+    ),
 ]
 Backend = Annotated[
-    str, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.")
+    str,
+    typer.Option(
+        rich_help_panel=EXPERT,
+        help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.",
+    ),
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:N or mps.", callback=usable_device)]
+Device = Annotated[
+    str,
+    typer.Option(rich_help_panel=EXPERT, help="cpu, cuda, cuda:N or mps.", callback=usable_device),
+]
 Digits = Annotated[
     int | None,
-    typer.Option(min=2, max=6, help="Digits after the point of csv, json and unreal.json; else 6."),
+    typer.Option(
+        min=2,
+        max=6,
+        rich_help_panel=EDITING,
+        help="Digits after the point of csv, json and unreal.json; else 6.",
+    ),
 ]
 Timecode = Annotated[
-    str, typer.Option(help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF.")
+    str,
+    typer.Option(
+        rich_help_panel=EDITING,
+        help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF.",
+    ),
 ]
 Threads = Annotated[
     int,
     typer.Option(
         min=1,
         max=MAX_THREADS,
+        rich_help_panel=EXPERT,
         help="CPU threads, at most one per processor; more than one seldom helps so small a "
         "network.",
     ),
@@ -126,11 +157,11 @@ WrittenIdentity = Annotated[
     str | None,
     typer.Option(
         "--identity",
-        help="Head of a GLB, a USD or --preview: female, male, child, or one of `deitalk face "
-        "identities`.",
+        rich_help_panel=MESH,
+        help="Head of a GLB, a USD, --preview or --vertices: female, male, child, or one of "
+        "`deitalk face identities`; a speaker of an SDFA model.",
     ),
 ]
-Picture = Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")]
 MeshOut = Annotated[
     str,
     typer.Option("--out", "-o", help=".glb, .npz (vertices) or a folder/ for .ply files."),

@@ -1,4 +1,4 @@
-"""`deitalk serve`, `studio`, `openapi` and `key`: the commands of the service in `api/`.
+"""`deitalk serve`, its schema and keys: the commands of the service in `api/`.
 
 The service is built on this package, so nothing here imports it: its module is found by name when
 one of its commands runs.
@@ -10,11 +10,16 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.options import CheckedCommands
 from deitalk.cli.paths import reserve_file
 from deitalk.errors import MissingError
 
+app = CheckedCommands()
 
+
+@app.callback(invoke_without_command=True)
 def serve(
+    context: typer.Context,
     host: Annotated[
         str | None, typer.Option(help="Address to listen on (127.0.0.1); others need keys.")
     ] = None,
@@ -25,6 +30,10 @@ def serve(
     backend: Annotated[
         str | None, typer.Option(help="torch, or onnx: ONNX Runtime (extra onnx); no meshes.")
     ] = None,
+    opens: Annotated[
+        bool,
+        typer.Option("--open/--no-open", help="Open the studio, a page for recordings, here."),
+    ] = False,
     ray: Annotated[
         bool, typer.Option("--ray", help="Serve on the machines of a Ray cluster (extra ray).")
     ] = False,
@@ -32,43 +41,25 @@ def serve(
         bool, typer.Option("--migrate", help="Only bring the tables of jobs to this version.")
     ] = False,
 ) -> None:
-    """Serve animations over HTTP and WebSocket.
+    """Serve animations over HTTP and WebSocket, and the studio: drop a recording on a page.
 
     Settings come from a YAML file, then from variables DEITALK_<NAME>, then from these options.
 
     Examples
     --------
-    deitalk serve
+    deitalk serve --open
 
     deitalk serve --port 9000 --settings service.yaml
 
     deitalk serve --ray --settings cluster.yaml
     """
-    _commands().serve(settings, ray=ray, migrate=migrate, host=host, port=port, backend=backend)
+    if context.invoked_subcommand is None:
+        _commands().serve(
+            settings, ray=ray, opens=opens, migrate=migrate, host=host, port=port, backend=backend
+        )
 
 
-def studio(
-    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port (8000).")] = None,
-    settings: Annotated[
-        Path | None, typer.Option(help="YAML file of settings; see docs/service.md.")
-    ] = None,
-    opens: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
-    ] = True,
-) -> None:
-    """Open the studio: drop a recording on a page and see the face speak.
-
-    The same service as `deitalk serve`, on this machine only; the page is at its address.
-
-    Examples
-    --------
-    deitalk studio
-
-    deitalk studio --port 9000 --no-open
-    """
-    _commands().studio(settings, port=port, opens=opens)
-
-
+@app.command()
 def openapi(
     out: Annotated[Path, typer.Option("--out", "-o", help="JSON file to write.")] = Path(
         "openapi.json"
@@ -79,12 +70,13 @@ def openapi(
 
     Examples
     --------
-    deitalk openapi -o openapi.json
+    deitalk serve openapi -o openapi.json
     """
     reserve_file(out, force=force)
     _commands().write_openapi(out)
 
 
+@app.command()
 def key(
     name: Annotated[str, typer.Argument(help="Name of the key's owner, for the log.")],
     scopes: Annotated[
@@ -96,7 +88,7 @@ def key(
 
     Examples
     --------
-    deitalk key farm --scopes animate,jobs
+    deitalk serve key farm --scopes animate,jobs
     """
     _commands().print_new_key(name, scopes, per_minute)
 

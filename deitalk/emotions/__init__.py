@@ -1,10 +1,10 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
 from deitalk.emotions.tracks import (
-    EMOTIONS,
     ActorReference,
     EmotionTrack,
     IntensityCurve,
+    by_emotion,
     check_intensity,
     parse_actor,
     parse_emotion,
@@ -14,12 +14,14 @@ from deitalk.emotions.tracks import (
     read_intensity_curve,
     write_intensity_csv,
 )
+from rig.emotions import EMOTIONS
 
 __all__ = [
     "EMOTIONS",
     "ActorReference",
     "EmotionTrack",
     "IntensityCurve",
+    "by_emotion",
     "check_intensity",
     "parse_actor",
     "parse_emotion",

@@ -31,14 +31,20 @@ from deitalk.emotions.track_files import (
 from deitalk.errors import EmotionError
 from rig import limits
 from rig.arrays import Float32, Float64, Int64
+from rig.emotions import EMOTIONS
 from rig.errors import quoted
 from rig.files import atomic_write
 from rig.files.reading import load_json, read_bytes
 from rig.limits import SECONDS
 
-EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
 MAX_INTENSITY = 4.0  # 1: as predicted from the voice; above 4 controls reach their limits
 ROUNDING = 1e-4  # files round their weights
+
+
+def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
+    """Rows of a table in the order of `EMOTIONS`; zeros for an emotion that it lacks."""
+    none = [0.0] * len(table["neutral"])
+    return np.array([table.get(name, none) for name in EMOTIONS])
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,7 +398,7 @@ def _pairs(text: str) -> dict[str, float]:
 
 # An actor: the usual voice, from which a recording's strength counts, and the way of moving.
 #
-# Written by `deitalk actor build`::
+# Written by `deitalk data voice`::
 #
 #     {"format": "deitalk-actor", "version": 1, "strength": 0.41, "recordings": 12, "seconds": 63.5,
 #      "traits": {"blink_interval": 1.1, "side": -0.09, "brow_range": 1, "head_range": 1.05,
@@ -472,7 +478,7 @@ def read_actor(path: Path) -> ActorReference:
 def parse_actor(data: bytes, path: object) -> ActorReference:
     """As `read_actor`, of the content of a file; `path` is for messages."""
     content = load_json(data, path, error=EmotionError)
-    rule = "is no actor reference; `deitalk actor build` writes one"
+    rule = "is no actor reference; `deitalk data voice` writes one"
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise EmotionError(f"{path}: {rule}")
     if content.get("version") != VERSION:

@@ -1,4 +1,4 @@
-"""Figure of curves against the waveform: ``deitalk plot``."""
+"""Figure of curves against the waveform: ``deitalk animate -o curves.png``."""
 
 from pathlib import Path
 from typing import Any

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import EMOTIONS, by_emotion
 from deitalk.live.tracks import RunningNoise, RunningSwells, begun
 from deitalk.live.voice import VoiceRow
 from deitalk.postprocess.life.head import (
@@ -63,8 +63,8 @@ READY_SECONDS = 0.35
 YAW, PITCH, UP, BREATH, SWALLOWS = 0, 1, 4, 6, 7
 CHANNELS = 8
 """The columns of `rig.curves.HEAD`, breath and swallowing of the neck."""
-_LIVELY = np.array([LIVELINESS[name] for name in EMOTIONS])
-_POSTURE = np.array([POSTURE[name] for name in EMOTIONS])
+_LIVELY = np.array([LIVELINESS.get(name, 1.0) for name in EMOTIONS])
+_POSTURE = by_emotion(POSTURE)
 _SLOW = np.array(
     [SWAY_SECONDS] * 3 + [STIR_SECONDS] * 3 + [SHIFT_SECONDS] * 3 + [1.5, VIGOUR_SECONDS]
 )

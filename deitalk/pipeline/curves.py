@@ -114,6 +114,7 @@ class Prepared:
     """Factor of each control [shape=(C,)]."""
     words: Transcript | None
     clock: "_Clock"
+    suggestion: Mapping[str, float] | None = None
 
     def read(self, progress: Callable[[float], None] = lambda share: None) -> Reading:
         """What the network reads."""
@@ -138,8 +139,9 @@ def prepare(
         raise DeitalkError("words belong to the rules, which are off; give one of the two")
     recording = recording_of(audio, sample_rate)
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
+    suggestion = None
     if acting.emotion == AUTO:
-        acting, recording = _suggested(acting, recording)
+        acting, recording, suggestion = _suggested(acting, recording)
     recording = _with_note_on("emotion", acting.track, recording)
     recording = _extended(recording, acting.listen)
     clock.lap("audio")
@@ -151,12 +153,14 @@ def prepare(
     weights = acting.track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
     return Prepared(
-        network, recording, acting, speech, weights, style, rules, factors, words, clock
+        network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )
 
 
-def _suggested(acting: Acting, recording: Recording) -> tuple[Acting, Recording]:
-    """The acting with the emotion that the voice suggests, and the recording with a note on it."""
+def _suggested(
+    acting: Acting, recording: Recording
+) -> tuple[Acting, Recording, Mapping[str, float]]:
+    """The acting with the suggested emotion, the recording with a note on it, probabilities."""
     from deitalk.pipeline.suggest import suggest_emotion  # needs torch
 
     found = suggest_emotion(recording)
@@ -165,7 +169,7 @@ def _suggested(acting: Acting, recording: Recording) -> tuple[Acting, Recording]
     )
     note = f"suggested from the voice: {found.line}; {others}"
     recording = replace(recording, warnings=(*recording.warnings, note))
-    return Acting.of(acting, emotion=found.label), recording
+    return Acting.of(acting, emotion=found.label), recording, found.probabilities
 
 
 def finish(
@@ -215,6 +219,7 @@ def finish(
         acting,
         model,
         words,
+        prepared.suggestion,
     )
 
 

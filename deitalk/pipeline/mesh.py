@@ -1,4 +1,4 @@
-"""Speech to a moving mesh, by any kind of model: ``deitalk mesh``.
+"""Speech to a moving mesh, by any kind of model: ``deitalk animate --vertices``.
 
 ::
 

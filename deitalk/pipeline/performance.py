@@ -88,6 +88,8 @@ class Performance:
         Name or folder of the model; empty for a loaded model.
     words : WordFit or None
         Times of the words and phones that were given, and how well the sound fits them.
+    suggestion : mapping of str to float, or None
+        Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
     """
 
     curves: RigCurves
@@ -100,6 +102,7 @@ class Performance:
     acting: Acting = field(default_factory=Acting)
     model: str = ""
     words: "WordFit | None" = None
+    suggestion: Mapping[str, float] | None = None
 
     @property
     def emotion(self) -> str:

@@ -183,7 +183,7 @@ def measure_intensities(
     return Intensities(saliency, network, voice, predicted, applied, scale, take)
 
 
-# Measure the usual voice of an actor from recordings: ``deitalk actor build``.
+# Measure the usual voice of an actor from recordings: ``deitalk data voice``.
 
 
 def measure_actor(

@@ -10,7 +10,7 @@ from deitalk.preview.encoding import find_encoder, write_mp4
 from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError, PreviewSource, check_board, load_source
 from rig.arrays import AnyFloat, Float32
-from rig.curves import EMOTIONS
+from rig.emotions import COLORS, EMOTIONS
 from rig.face import build_head
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
@@ -164,13 +164,6 @@ KEY_CURVES: tuple[tuple[str, tuple[str, ...]], ...] = (
 )  # fmt: skip
 """Six lanes; each shows the maximum of its controls."""
 
-EMOTION_COLORS = {
-    "neutral": (150, 158, 170),
-    "angry": (226, 86, 74),
-    "happy": (245, 190, 66),
-    "sad": (84, 142, 220),
-    "surprised": (176, 116, 220),
-}
 CURVE_COLORS = (
     (240, 170, 90),
     (120, 200, 160),
@@ -279,7 +272,9 @@ def _draw_emotion(lane: Picture, emotion: Float32 | None) -> None:
         return
     frames = np.linspace(0, len(emotion) - 1, lane.shape[1]).round().astype(int)
     weight = emotion[frames] / np.maximum(emotion[frames].sum(1, keepdims=True), 1e-6)
-    lane[:] = (weight @ np.array([EMOTION_COLORS[e] for e in EMOTIONS])).astype(np.uint8)[None]
+    lane[:] = (
+        weight @ np.array([[*bytes.fromhex(color[1:])] for color in COLORS.values()])
+    ).astype(np.uint8)[None]
 
 
 def _draw_curve(lane: Picture, values: Float32, color: tuple[int, int, int]) -> None:

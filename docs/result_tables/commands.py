@@ -27,9 +27,9 @@ WEIGHTS = {
 }
 """Of the weights of `default`: with new ones they have to run again (and its times, below)."""
 TIMING = {
-    "default-speed": "deitalk benchmark --threads 1 --json",
-    "mesh-speed-1": "deitalk benchmark --mesh --threads 1 --json",
-    "mesh-speed-2": "deitalk benchmark --mesh --threads 2 --json",
+    "default-speed": "deitalk evaluate --speed --threads 1 --json",
+    "mesh-speed-1": "deitalk evaluate --speed --mesh --threads 1 --json",
+    "mesh-speed-2": "deitalk evaluate --speed --mesh --threads 2 --json",
     "live-speed": "python -m tests.live_speed",
     "live-run": "python -m tests.live_run --minutes 2 --period 0.5",
     "batch-rate": "python -m tests.batch_rate LINES",

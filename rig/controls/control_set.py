@@ -271,9 +271,7 @@ class ControlSet:
         known = [*self.names, *self._older_aliases]
         is_short = len(name) <= _LONGEST_NAME  # comparing takes the product of the lengths
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.6) if is_short else []
-        hint = (
-            f"did you mean {', '.join(near)}?" if near else "see `deitalk controls` for the names"
-        )
+        hint = f"did you mean {', '.join(near)}?" if near else "see `deitalk face controls`"
         return f"unknown control {quoted(name)} in {self.id}; {hint}"
 
 

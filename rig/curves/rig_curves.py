@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
+from rig.emotions import EMOTIONS as EMOTIONS
 from rig.errors import ControlError, CurveError
 from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
 
-EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised")
-"""Column order of the emotion track."""
 HEAD = ("yaw", "pitch", "roll", "x", "y", "z")
 """Column order of the head track: turn to the character's right, up, and to the right shoulder in
 degrees, the signs of Unreal's rotators; shift to the character's left, up and forward in cm."""

@@ -2,7 +2,7 @@
 
 Run in Blender 3.4.1, 4.2.23, 4.3.0, 4.4.0, 4.5.15, 5.0.1, 5.1.2 and 5.2.3.
 
-``deitalk blender deitalk_blender.py`` writes it as one file that needs nothing else. In Blender:
+``deitalk install blender`` writes it as one file that needs nothing else. In Blender:
 Edit > Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and
 choose File > Import > deitalk curves: a take folder, any file of it, or
 

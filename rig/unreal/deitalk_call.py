@@ -1,7 +1,7 @@
 """Animate a recording with the deitalk of this computer; used by ``deitalk_menu.py`` beside it.
 
 The command line runs as a process of its own, as Unreal's Python has no packages; or a service of
-deitalk is called over HTTP. Which of them is in `SETTINGS`, written by ``deitalk unreal PROJECT``.
+deitalk is called over HTTP. Which of them is in `SETTINGS`, of ``deitalk install unreal PROJECT``.
 """
 
 from __future__ import annotations
@@ -49,9 +49,11 @@ def read_settings(path: str = "") -> dict[str, Any]:
             with open(path, encoding="utf-8") as stream:
                 given = json.load(stream)
         except (OSError, ValueError) as error:
-            raise DeitalkError(f"cannot read {path}: {error}; run: deitalk unreal") from error
+            raise DeitalkError(
+                f"cannot read {path}: {error}; run: deitalk install unreal"
+            ) from error
     if not isinstance(given, dict):
-        raise DeitalkError(f"{path} is no object of settings; run: deitalk unreal")
+        raise DeitalkError(f"{path} is no object of settings; run: deitalk install unreal")
     settings = {"command": ["deitalk"], "service": "", "key": "", **given}
     command = settings["command"]
     if not (isinstance(command, list) and command and all(isinstance(c, str) for c in command)):
@@ -124,7 +126,7 @@ def _by_command(command: list[str], folder: str, tick: Tick) -> str:
         except OSError as error:
             raise DeitalkError(
                 f"cannot start {command[0]}: {error.strerror or error}; run where deitalk is "
-                "installed: deitalk unreal PROJECT --force"
+                "installed: deitalk install unreal PROJECT --force"
             ) from error
         try:
             _wait(lambda: process.poll() is not None, tick)

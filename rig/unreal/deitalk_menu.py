@@ -1,7 +1,7 @@
 """Menu *deitalk* of the Unreal editor (5.3 to 5.7): a recording on a MetaHuman in one step.
 
-``deitalk unreal C:/Projects/MyGame`` lays this file and the others into the project, once; the
-editor then has a menu *deitalk* with *Animate audio…*, and the same in the context menu of sounds.
+``deitalk install unreal C:/Projects/MyGame`` lays this file and the others into the project, once;
+the editor then has a menu *deitalk* with *Animate audio…*, also in the context menu of sounds.
 From the editor's Python console::
 
     import deitalk_menu as m

@@ -268,7 +268,7 @@ def test_studio_refuses_a_port_on_which_something_listens(listening, monkeypatch
     opened = []
     monkeypatch.setattr(commands.webbrowser, "open", opened.append)
     with pytest.raises(ConfigError, match=f"port {listening} is taken"):
-        commands.studio(None, port=listening, opens=True)
+        commands.serve(None, port=listening, opens=True)
     assert not opened
 
 

@@ -77,7 +77,7 @@ def all_commands() -> dict[str, Command]:
             partial(_old_take, seconds=0.2), "take", (*speech, "take/mine.txt", "take/sub/mine.txt"),
         ),
         "receive": Command(
-            ("livelink", "receive", "-o", "rec.csv", "--port", "0", "--idle", "0.2", "--force"),
+            ("live", "--record", "rec.csv", "--port", "0", "--timeout", "0.2", "--force"),
             _notes, "rec.csv", ("notes.txt",), feed=_packets,
             refusals=("no packet was received",),
         ),

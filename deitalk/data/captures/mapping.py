@@ -150,5 +150,5 @@ def _set_of(path: Path, targets: Sequence[str]) -> str:
     best = min(unknown, key=lambda name: len(unknown[name]))
     raise DataError(
         f"{path}: target {quoted(unknown[best][0])} is no control of {best}; all targets are of "
-        "one set: board, raw curves or ARKit (`deitalk controls` lists the board)"
+        "one set: board, raw curves or ARKit (`deitalk face controls` lists the board)"
     )

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import by_emotion
 from deitalk.postprocess.life.tracks import presence, slow_noise, swell
 from deitalk.postprocess.life.traits import Traits
 from deitalk.postprocess.life.voice import Voice
@@ -81,8 +81,8 @@ HELD_SIDE = 0.25
 """Share of a character's difference of the sides in an expression that is held."""
 SWELL = 0.4
 """Part of an expression that comes and goes with the accents."""
-_STYLES = np.array([ACCENTS[name] for name in EMOTIONS])
-_HELD = np.array([HELD[name] for name in EMOTIONS])
+_STYLES = by_emotion(ACCENTS)
+_HELD = by_emotion(HELD)
 _LEAST = np.array([-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
 """Lower end of a control's range; lids widen to -1."""
 

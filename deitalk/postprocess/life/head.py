@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import EMOTIONS, by_emotion
 from deitalk.postprocess.life.tracks import presence, slow_noise, swell
 from deitalk.postprocess.life.traits import Traits
 from deitalk.postprocess.life.voice import Voice
@@ -136,10 +136,10 @@ def head_motion(
     motion[:, 4] += lift[:, 0]
     motion[:, 1] += lift[:, 1]
     calm = np.maximum(1 - mixture[:, 1:].sum(axis=1), 0)
-    lively = np.array([LIVELINESS[name] for name in EMOTIONS])
+    lively = np.array([LIVELINESS.get(name, 1.0) for name in EMOTIONS])
     motion *= (calm + mixture[:, 1:] @ lively[1:])[:, None] * traits.head_range
     side = np.array([1, 1, 1 if traits.side >= 0 else -1, 1, 1, 1])
-    held = mixture @ np.array([POSTURE[name] for name in EMOTIONS]) * side
+    held = mixture @ by_emotion(POSTURE) * side
     shown = presence(n_frames, voice.silence)[:, None]
     posture = _smooth(held) * shown
     return (motion * shown).astype(np.float32), posture.astype(np.float32)

@@ -6,10 +6,13 @@ from deitalk.research.cli.attention import attention
 from deitalk.research.cli.corpus import app as corpus_app
 from deitalk.research.cli.study import app as study_app
 
+PANEL = "Research, in a checkout"
+"""Panel of the help."""
+
 
 def register(app: CheckedCommands) -> None:
     """Add the verbs of `deitalk.installed.VERBS` to the command line."""
-    app.command()(ablate)
-    app.command()(attention)
-    app.add_typer(corpus_app, name="corpus")
-    app.add_typer(study_app, name="study")
+    app.command(rich_help_panel=PANEL)(ablate)
+    app.command(rich_help_panel=PANEL)(attention)
+    app.add_typer(corpus_app, name="corpus", rich_help_panel=PANEL)
+    app.add_typer(study_app, name="study", rich_help_panel=PANEL)

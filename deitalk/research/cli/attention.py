@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.console import console, emit_json
-from deitalk.cli.options import MAX_COUNT, Device, Force, Json, Picture
+from deitalk.cli.options import MAX_COUNT, Device, Force, Json
 from deitalk.cli.paths import reserve_picture
 from deitalk.errors import DataError
 
@@ -18,7 +18,7 @@ def attention(
     source: Annotated[
         Path, typer.Argument(help="Recording, or a dataset folder whose clips have phones.")
     ],
-    out: Picture,
+    out: Annotated[Path, typer.Option("--out", "-o", help=".png, .svg or .pdf.")],
     phones: Annotated[
         Path | None, typer.Option(help="CSV start,end,phone of the recording: adds the means.")
     ] = None,

@@ -143,7 +143,7 @@ def act(
 
 def _gained(channels: Float64, weights: Float64, intensity: Float64) -> Float64:
     """Channels scaled by emotion and intensity; contacts are kept."""
-    gains = weights @ np.array([GAINS[name] for name in EMOTIONS])  # (N, 3)
+    gains = weights @ np.array([GAINS.get(name, GAINS["neutral"]) for name in EMOTIONS])  # (N, 3)
     gains = 1 + (gains - 1) * intensity[:, None]
     present = np.clip(intensity / FAINT_INTENSITY, 0, 1)  # at 0 articulation is plain
     opening_gain = 1 + LOUDNESS_GAIN * present * (intensity - USUAL_INTENSITY)

@@ -131,7 +131,7 @@ def _espeak_batch(rng: np.random.Generator) -> list[Utterance | None]:
         language = _choice(rng, languages)
     sentence = english_sentence(rng) if language == "en" else foreign_sentence(language, rng)
     style = _style(rng)
-    prosody = STYLE[style]
+    prosody = STYLE.get(style, STYLE["neutral"])
     try:
         utterance = espeak.synthesise(
             held_ssml(sentence) if sentence.held else sentence.text,
@@ -190,7 +190,7 @@ def _variant(rng: np.random.Generator) -> str | None:
 def _flite_batch(rng: np.random.Generator) -> list[Utterance | None]:
     """One utterance of a random flite voice."""
     style = _style(rng)
-    prosody = STYLE[style]
+    prosody = STYLE.get(style, STYLE["neutral"])
     voice = _choice(rng, ("slt", "slt", "rms", "rms", "awb", "awb", "kal16"))
     try:
         utterance = flite.synthesise(
@@ -214,7 +214,7 @@ def _festival_batch(rng: np.random.Generator) -> list[Utterance | None]:
 def _festival_job(rng: np.random.Generator) -> festival.Job:
     installed = festival.voices()
     style = _style(rng)
-    prosody = STYLE[style]
+    prosody = STYLE.get(style, STYLE["neutral"])
     return festival.Job(
         text=english_sentence(rng).text.replace("!", "."),  # festival gives both the same prosody
         voice=_choice(rng, installed + tuple(v for v in installed if v == "slt")),

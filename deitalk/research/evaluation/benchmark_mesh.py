@@ -1,4 +1,4 @@
-"""SDFA's Table 4 on this machine, three mesh models by stage: ``deitalk benchmark --mesh``.
+"""SDFA's Table 4 on this machine, three mesh models by stage: ``deitalk evaluate --speed --mesh``.
 
 The models have the papers' sizes and random weights, which determine the time. The mesh is
 the embedded head's skin (8,434 triangles; VOCASET's has 9,976), the clip 5.1 s of noise with the

@@ -192,7 +192,7 @@ def test_silence_gives_a_face_at_rest(tmp_path, model):
         (["anmate"], "anmate"),
         (["animate", "a.wav", "--emotoin", "happy"], "--emotoin"),
         (["animate", "a.wav", "--fps", "many"], "--fps"),
-        (["livelink"], "see `deitalk livelink --help`"),
+        (["install"], "see `deitalk install --help`"),
         (["convert", "a.csv"], "a target"),
     ],
 )
@@ -202,13 +202,13 @@ def test_wrong_command_line_is_one_line_with_exit_code_2(arguments, expected):
 
 def test_controls_lists_and_filters():
     run = CliRunner().invoke
-    assert len(json.loads(run(app, ["controls", "--json"]).stdout)) == 185
-    assert len(json.loads(run(app, ["controls", "--set", "lip", "--json"]).stdout)) == 86
-    jaws = json.loads(run(app, ["controls", "jaw.ty", "--json"]).stdout)
+    assert len(json.loads(run(app, ["face", "controls", "--json"]).stdout)) == 185
+    assert len(json.loads(run(app, ["face", "controls", "--set", "lip", "--json"]).stdout)) == 86
+    jaws = json.loads(run(app, ["face", "controls", "jaw.ty", "--json"]).stdout)
     assert [row["control"] for row in jaws] == ["CTRL_C_jaw.ty"]
     sizes = {
         r["set"]: r["controls"]
-        for r in json.loads(run(app, ["controls", "--sets", "--json"]).stdout)
+        for r in json.loads(run(app, ["face", "controls", "--sets", "--json"]).stdout)
     }
     assert sizes["upper_face"] == 18
 
@@ -221,7 +221,7 @@ def test_model_info_names_hash_and_control_set(model):
 
 def test_benchmark_prints_stages_and_the_numbers_of_the_paper(model):
     done = CliRunner().invoke(
-        app, ["benchmark", "--model", model, "--seconds", "1", "--repeats", "1", "--json"]
+        app, ["evaluate", model, "--speed", "--seconds", "1", "--repeats", "1", "--json"]
     )
     result = json.loads(done.stdout)
     assert {"audio", "model", "network", "expression"} == set(result["clip"]["stages"])
@@ -278,5 +278,12 @@ def test_samples_beyond_any_recording_are_named(tmp_path):
 
 
 def test_raw_controls_are_sent_by_json_alone(speech):
-    sent = ["livelink", "send", speech, "--protocol", "vmc", "--rig", "raw"]
+    sent = ["live", speech, "--model", "default", "--protocol", "vmc", "--rig", "raw"]
     assert "--rig raw does not apply to --protocol vmc" in refused(*sent)
+
+
+def test_a_recording_is_sent_by_a_model_that_reads_all_of_it_first(model, speech):
+    words = ["live", speech, "--model", model, "--words", "a", "--port", "9"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert re.search(r"animating speech.wav\nsending 1.5 s .*\n\d+ frames in", done.stderr)

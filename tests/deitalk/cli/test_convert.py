@@ -2,16 +2,14 @@ import json
 import re
 import subprocess
 import sys
-from importlib import import_module
 
 import numpy as np
 import pytest
 import soundfile
-import typer
 from typer.testing import CliRunner
 
 from deitalk import animate
-from deitalk.cli import livelink as livelink_module
+from deitalk.cli import app
 from deitalk.errors import DeitalkError, MissingError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
@@ -21,14 +19,6 @@ from rig.livelink import Receiver, make_protocol, osc, send
 from rig.livelink.sender import REST_REPEATS
 
 BOARD = default_controls()
-app = typer.Typer()
-animate_module, convert_module = (
-    import_module(f"deitalk.cli.{name}") for name in ("animate", "convert")
-)
-app.command("animate")(animate_module.animate)
-app.command("convert")(convert_module.convert)
-app.command("validate")(convert_module.validate)
-app.add_typer(livelink_module.app, name="livelink")
 
 
 def run(*arguments):
@@ -151,14 +141,14 @@ def skipped(words):
 
 
 def test_sent_frames_are_received(curves_file, tmp_path):
-    """`send` to `receive` over the loopback interface."""
+    """`live` to `live --record` over the loopback interface."""
     out = tmp_path / "T_1_anna.csv"
-    command = [sys.executable, "-c", "from deitalk.cli.livelink import app; app()", "receive"]
-    options = ["-o", str(out), "--port", "0", "--seconds", "15", "--idle", "0.5"]
+    command = [sys.executable, "-m", "deitalk", "live"]
+    options = ["--record", str(out), "--port", "0", "--seconds", "15", "--timeout", "0.5"]
     with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as receiver:
         port = re.search(r"listening on 127.0.0.1:(\d+)", receiver.stderr.readline())[1]
         arguments = ("--port", port, "--subject", "anna", "--fps", 60)
-        sender = run("livelink", "send", curves_file, *arguments)
+        sender = run("live", curves_file, *arguments)
         words = receiver.stderr.read().replace("\n", " ")
     assert sender.exit_code == 0 and receiver.returncode == 0
     lost = int(re.search(r"frames of 'anna', (\d+) lost", words)[1])
@@ -169,11 +159,11 @@ def test_sent_frames_are_received(curves_file, tmp_path):
 
 
 def received_file(out, *options):
-    """Run `receive` into a file while two subjects are sent; return its output."""
+    """Run `live --record` into a file while two subjects are sent; return its output."""
     names = arkit_controls().names
     curves = RigCurves([[0.5] * len(names)] * 20, names, 120.0, control_set=ARKIT_ID)
-    command = [sys.executable, "-c", "from deitalk.cli.livelink import app; app()", "receive"]
-    options = ["-o", str(out), "--port", "0", "--seconds", "15", "--idle", "0.5", *options]
+    command = [sys.executable, "-m", "deitalk", "live"]
+    options = ["--record", str(out), "--port", "0", "--seconds", "15", "--timeout", "0.5", *options]
     with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as receiver:
         port = int(re.search(r"listening on 127.0.0.1:(\d+)", receiver.stderr.readline())[1])
         for subject in ("anna", "ben"):
@@ -240,7 +230,7 @@ def test_recording_of_an_absent_subject_names_those_that_came(tmp_path):
 
 @pytest.mark.parametrize("protocol", ["json", "vmc"])
 def test_other_protocols_send_every_frame(curves_file, protocol):
-    result = run("livelink", "replay", curves_file, "--protocol", protocol, "--port", 9)
+    result = run("live", curves_file, "--protocol", protocol, "--port", 9)
     assert result.exit_code == 0
     sent = int(re.search(r"(\d+) frames in", result.stderr)[1])
     assert 30 <= sent + skipped(result.stderr) <= 31  # the rest frame may be counted
@@ -250,7 +240,7 @@ def test_json_sends_the_given_rig(curves_file):
     with Receiver(port=0) as probe:
         for rig, name in (("board", "CTRL_C_jaw.translateY"), ("raw", "CTRL_expressions_jawOpen")):
             arguments = ["--protocol", "json", "--port", probe.port, "--rig", rig, "--fps", 60]
-            assert run("livelink", "send", curves_file, *arguments).exit_code == 0
+            assert run("live", curves_file, *arguments).exit_code == 0
             properties = json.loads(probe._socket.recv(65535))["deitalk"]["Properties"]
             assert name in {p["Name"] for p in properties}
             probe._socket.setblocking(False)
@@ -269,7 +259,7 @@ def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
     write_curves(tmp_path / "curves.json", RigCurves(values, BOARD.names, head=head))
     with Receiver(port=0) as probe:
         arguments = ["--protocol", "json", "--rig", "raw", "--port", probe.port]
-        assert run("livelink", "send", tmp_path, *arguments).exit_code == 0
+        assert run("live", tmp_path, *arguments).exit_code == 0
         packets = [json.loads(probe._socket.recv(65535)) for _ in range(2 + REST_REPEATS)]
     first, rest = (
         {p["Name"]: p["Value"] for p in packet["deitalk"]["Properties"]}
@@ -288,29 +278,29 @@ def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
 def test_start_signal_arrives_as_osc(curves_file):
     with Receiver(port=0) as probe:
         signal = f"127.0.0.1:{probe.port}"
-        result = run("livelink", "send", curves_file, "--port", 9, "--start-signal", signal)
+        result = run("live", curves_file, "--port", 9, "--start-signal", signal)
         assert result.exit_code == 0, result.output
         assert probe._socket.recv(100) == osc.message("/deitalk/start")
 
 
-def test_livelink_errors_are_one_line(curves_file, tmp_path, monkeypatch):
+def test_live_errors_are_one_line(curves_file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     (tmp_path / "audio.wav").write_bytes(b"")
     cases = [
-        (["send", tmp_path / "absent.wav"], "does not exist"),
-        (["send", curves_file, "--play"], "no audio to play"),
-        (["send", curves_file, "--protocol", "tcp"], "unknown protocol 'tcp'"),
-        (["send", tmp_path / "absent.wav", "--port", "99999"], "port 99999 must be 1 to 65535"),
-        (["replay", tmp_path / "absent.csv", "--port", "0"], "port 0 must be 1 to 65535"),
-        (["send", curves_file, "--start-signal", "here"], "must be HOST:PORT"),
-        (["receive", "-o", curves_file], "exists; name another"),
-        (["receive", "-o", tmp_path / "x.csv", "--port", 0, "--seconds", 0.1], "no packet"),
+        ([tmp_path / "absent.wav"], "does not exist"),
+        ([curves_file, "--play"], "no audio to play"),
+        ([curves_file, "--protocol", "tcp"], "unknown protocol 'tcp'"),
+        ([tmp_path / "absent.wav", "--port", "99999"], "port 99999 must be 1 to 65535"),
+        ([tmp_path / "absent.csv", "--port", "0"], "port 0 must be 1 to 65535"),
+        ([curves_file, "--start-signal", "here"], "must be HOST:PORT"),
+        (["--record", curves_file], "exists; name another"),
+        (["--record", tmp_path / "x.csv", "--port", 0, "--seconds", 0.1], "no packet"),
     ]
     for arguments, message in cases:
-        result = run("livelink", *arguments)
+        result = run("live", *arguments)
         assert isinstance(result.exception, (DeitalkError, RigError)), result.output
         assert message in str(result.exception)
-    result = run("livelink", "send", tmp_path, "--play")
+    result = run("live", tmp_path, "--play")
     assert isinstance(result.exception, MissingError) and "pip install" in str(result.exception)
 
 

@@ -89,7 +89,7 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
     out = tmp_path / "Take_1_anna.csv"
     names = arkit_controls().names
     curves = RigCurves([[0.5] * len(names)] * 20, names, 120.0, control_set=ARKIT_ID)
-    command = ("-m", "deitalk", "livelink", "receive", "-o", str(out), "--port", "0")
+    command = ("-m", "deitalk", "live", "--record", str(out), "--port", "0")
     with start(*command) as process:
         port = int(re.search(r":(\d+)", process.stderr.readline())[1])
         sent = send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))

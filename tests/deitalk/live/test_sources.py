@@ -19,6 +19,8 @@ from rig.errors import UserError
 from rig.livelink import LiveSender, decode, make_protocol
 from rig.livelink.sender import Clock
 
+SAMPLE = str(Path(__file__).parents[3] / "docs/samples/promise.flac")
+
 
 class Time:
     """A clock that moves when somebody waits."""
@@ -138,15 +140,17 @@ def test_microphone_that_is_gone_at_the_start_is_one_line(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--model", "none"], "none: no model there"),
-        (["--model", "none", "--backend", "onnx"], "none: no model there"),
-        (["--model", "default"], "needs the whole clip; use the model live"),
-        (["--backend", "gpu"], "backend 'gpu' is unknown; use torch or onnx"),
+        ([SAMPLE, "--model", "none"], "none: no model there"),
+        ([SAMPLE, "--model", "none", "--backend", "onnx"], "none: no model there"),
+        (["--mic", "--model", "default"], "needs the whole clip; use the model live"),
+        ([SAMPLE, "--backend", "gpu"], "backend 'gpu' is unknown; use torch or onnx"),
+        ([SAMPLE, "--loop"], "for a take or curves; leave them out"),
+        ([SAMPLE, "--words", "a"], "words needs the whole recording; leave it out"),
+        (["--mic", SAMPLE], "give one of a recording, a take or curves, --mic, and --record"),
     ],
 )
-def test_wrong_model_of_the_command_is_one_line(arguments, words):
-    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
-    done = CliRunner().invoke(app, ["live", str(sample), *arguments])
+def test_wrong_command_is_one_line(arguments, words):
+    done = CliRunner().invoke(app, ["live", *arguments])
     assert done.exit_code and isinstance(done.exception, UserError)
     assert words in str(done.exception) and "\n" not in str(done.exception)
 

@@ -98,9 +98,9 @@ def test_intensity_counts_from_the_actor_s_usual_voice():
 def test_commands_build_and_use_a_reference(recordings):
     out = recordings / "anna.json"
     run = CliRunner().invoke
-    built = run(app, ["actor", "build", str(recordings / "strong.wav"), "-o", str(out)])
+    built = run(app, ["data", "voice", str(recordings / "strong.wav"), "-o", str(out)])
     assert built.exit_code == 0 and "1 recordings" in built.output
-    again = run(app, ["actor", "build", str(recordings / "strong.wav"), "-o", str(out)])
+    again = run(app, ["data", "voice", str(recordings / "strong.wav"), "-o", str(out)])
     assert again.exit_code == 1
     take = recordings / "take"
     sound = str(recordings / "strong.wav")
@@ -109,4 +109,4 @@ def test_commands_build_and_use_a_reference(recordings):
     assert (
         json.loads((take / "take.json").read_text())["settings"]["voice"] == read_actor(out).content
     )
-    assert run(app, ["actor", "build", sound, "-o", "x.wav"]).exit_code == 1
+    assert run(app, ["data", "voice", sound, "-o", "x.wav"]).exit_code == 1

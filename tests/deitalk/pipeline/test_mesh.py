@@ -216,11 +216,11 @@ def test_retarget_speech_follows_the_product_of_the_model(
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, ["mesh", *map(str, arguments)])
+    return CliRunner().invoke(app, ["animate", "--vertices", *map(str, arguments)])
 
 
 def test_command_writes_the_same_motion_three_ways(sdfa_folder, speech, tmp_path):
-    model = ("--model", sdfa_folder, "--speaker", 1)
+    model = ("--model", sdfa_folder, "--identity", 1)
     for name in ("a.npz", "a.glb", "frames"):
         result = run(speech, "-o", tmp_path / name, *model)
         assert result.exit_code == 0, result.output

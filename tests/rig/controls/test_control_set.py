@@ -111,7 +111,7 @@ def test_missing_leaves_out_controls_that_the_older_board_never_had():
 def test_unknown_control_lists_near_matches():
     with pytest.raises(ControlError, match=r"'CTRL_C_jw.ty'.*did you mean CTRL_C_jaw.ty"):
         CONTROLS.index("CTRL_C_jw.ty")
-    with pytest.raises(ControlError, match="see `deitalk controls`"):
+    with pytest.raises(ControlError, match="see `deitalk face controls`"):
         CONTROLS.index("€")
 
 

@@ -237,7 +237,9 @@ def test_mistakes_of_the_menu_are_one_line_in_a_message(tmp_path, monkeypatch, s
     with pytest.raises(menu.DeitalkError, match="intensity 9 is outside 0 to 4"):
         menu.animate_audio(sound, intensity=9)
     stand_in["command"] = ["/nowhere/deitalk"]
-    with pytest.raises(menu.DeitalkError, match=r"cannot start /nowhere/deitalk: .*deitalk unreal"):
+    with pytest.raises(
+        menu.DeitalkError, match=r"cannot start /nowhere/deitalk: .*deitalk install unreal"
+    ):
         menu.animate_audio(sound)
     assert set(module.assets) == {SKELETON} and module.opened is None
 

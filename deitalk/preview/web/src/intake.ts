@@ -51,7 +51,7 @@ async function open(file: File, intake: Intake): Promise<void> {
 
 async function openRecording(file: File, intake: Intake): Promise<void> {
   if (intake.recording) await intake.recording(file);
-  else notice(`${file.name}: this page is a file; recordings are animated by deitalk studio`);
+  else notice(`${file.name}: this page is a file; recordings are animated by deitalk serve --open`);
 }
 
 async function openFolder(folder: FileSystemDirectoryEntry, intake: Intake): Promise<void> {

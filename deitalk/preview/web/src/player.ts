@@ -197,7 +197,7 @@ export class Player {
 
   private makeIntake(): Intake {
     const needHead = () => {
-      if (!this.head) throw new Error("this page has no head; use deitalk studio, or deitalk preview");
+      if (!this.head) throw new Error("this page has no head; use deitalk serve --open, or deitalk preview");
     };
     const take = async (files: Map<string, Uint8Array>, name: string) => {
       needHead();

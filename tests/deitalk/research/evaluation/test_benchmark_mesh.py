@@ -45,10 +45,10 @@ def test_command_prints_the_table(monkeypatch):
     }  # fmt: skip
     calls = []
     monkeypatch.setattr(mesh_timing, "table_4", lambda *given: calls.append(given) or report)
-    result = CliRunner().invoke(app, ["benchmark", "--mesh", "--threads", "2"])
+    result = CliRunner().invoke(app, ["evaluate", "--speed", "--mesh", "--threads", "2"])
     assert result.exit_code == 0, result.output
     assert calls == [(2, 3)]
     assert "| audio feature | 1.5 | 376 | 1.5 | 9253 | 1.5 | 4201 |" in result.output
     assert "5.0 times 10" in result.output
-    result = CliRunner().invoke(app, ["benchmark", "--mesh", "--json"])
+    result = CliRunner().invoke(app, ["evaluate", "--speed", "--mesh", "--json"])
     assert json.loads(result.output.splitlines()[-1])["frames"] == 306

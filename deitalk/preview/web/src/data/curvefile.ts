@@ -1,10 +1,11 @@
 /** Curves from the files that `deitalk` writes: CSV, JSON, and take folders or their archives. */
 
 import type { Packed } from "./packed";
+import schema from "./acting.json";
 import type { Board } from "./take";
 import { readNpy, unzip } from "./zip";
 
-const EMOTIONS = ["neutral", "angry", "happy", "sad", "surprised"];
+const EMOTIONS = Object.keys(schema.properties.emotion["x-colors"]);
 
 interface Columns {
   names: string[];

@@ -15,7 +15,7 @@ import { convert, emotionCsv, optionOf, optionsOf, order, type Order, type Sourc
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
-const EMOTIONS = ["neutral", "angry", "happy", "sad", "surprised"];
+const EMOTIONS = Object.keys(COLORS);
 /** Emotion of a first recording. */
 const FIRST = "happy";
 /** Kinds of files: label, format of the service, whether it takes long enough for a job. */

@@ -1,13 +1,12 @@
 /** The emotion lane: a band of the emotions' colours, and keys over it where they can be edited. */
 
+import schema from "../data/acting.json";
 import type { EmotionKey, History } from "../data/edit";
 import type { Take } from "../data/take";
 import { PointLane, type PointOwner } from "./points";
 import type { Span } from "./span";
 
-export const COLORS: Record<string, string> = {
-  neutral: "#969eaa", angry: "#e2564a", happy: "#f5be42", sad: "#548edc", surprised: "#b074dc",
-};
+export const COLORS: Record<string, string> = schema.properties.emotion["x-colors"];
 const LEVEL_STEP = 0.05;
 
 export class EmotionLane implements PointOwner {

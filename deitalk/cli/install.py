@@ -1,4 +1,4 @@
-"""`deitalk unreal`: the menu *deitalk* in an Unreal project."""
+"""`deitalk install`: the menu in an Unreal project, the add-on of Blender."""
 
 import json
 import sys
@@ -9,15 +9,18 @@ from urllib.parse import urlsplit
 import typer
 
 from deitalk.cli.console import console
-from deitalk.cli.options import Force
+from deitalk.cli.options import CheckedCommands, Force
 from deitalk.cli.paths import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError, MissingError
+
+app = CheckedCommands(help="Install deitalk in another program.")
 
 KIND = "unreal-plugin"
 PLUGINS = ("PythonScriptPlugin", "EditorScriptingUtilities", "SequencerScripting", "ControlRig")
 """Plugins of the engine that the scripts need; Unreal enables them with ours."""
 
 
+@app.command()
 def unreal(
     project: Annotated[
         Path, typer.Argument(help="Folder of an Unreal project, or its .uproject file.")
@@ -34,9 +37,9 @@ def unreal(
 
     Examples
     --------
-    deitalk unreal C:/Projects/MyGame
+    deitalk install unreal C:/Projects/MyGame
 
-    deitalk unreal MyGame.uproject --service http://192.168.0.20:8000 --force
+    deitalk install unreal MyGame.uproject --service http://192.168.0.20:8000 --force
     """
     from rig.files import output_folder
 
@@ -91,9 +94,7 @@ def _write_json(path: Path, data: dict[str, Any]) -> None:
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-# `deitalk blender`: the Blender add-on.
-
-
+@app.command()
 def blender(
     out: Annotated[Path, typer.Argument(help="File to write, .py.")] = Path("deitalk_blender.py"),
     force: Force = False,
@@ -104,7 +105,7 @@ def blender(
 
     Examples
     --------
-    deitalk blender deitalk_blender.py
+    deitalk install blender deitalk_blender.py
     """
     from rig.files import atomic_write
     from rig.formats.blender import addon_text

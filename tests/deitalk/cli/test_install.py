@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from deitalk.cli.unreal import PLUGINS, unreal
+from deitalk.cli.install import PLUGINS, unreal
 from deitalk.errors import DeitalkError, MissingError
 from rig.errors import ExistsError
 
