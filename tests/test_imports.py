@@ -161,9 +161,15 @@ print("HEAVY", heavy, "CPU", times.user + times.system)
 """
 
 
+BARE = "import os, pydantic, rich.console, typer; print(os.times().user + os.times().system)"
+"""What the help cannot do without; it takes .25 s where the help takes .4."""
+
+
 def test_help_loads_nothing_heavy_and_takes_under_half_a_second_of_cpu():
+    """On a machine that is busy with other work, as much longer as `BARE` takes there."""
     seconds = []
-    for _ in range(3):  # the first may compile; a busy machine may disturb one
+    for _ in range(3):  # the first may compile
+        most = max(0.5, 3 * float(run(BARE).stdout))
         done = run(HELP)
         assert done.returncode == 0, done.stderr
         assert "animate" in done.stdout and "train" in done.stdout
@@ -171,9 +177,9 @@ def test_help_loads_nothing_heavy_and_takes_under_half_a_second_of_cpu():
         loaded = set(ast.literal_eval(heavy))
         assert not loaded & {"torch", "librosa", "transformers", "matplotlib"}, loaded
         seconds.append(float(cpu))
-        if seconds[-1] < 0.5:
+        if seconds[-1] < most:
             break
-    assert min(seconds) < 0.5, seconds
+    assert seconds[-1] < most, (seconds, most)
 
 
 @pytest.mark.parametrize("package", ["rig", "deitalk"])
