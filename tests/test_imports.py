@@ -162,7 +162,7 @@ print("HEAVY", heavy, "CPU", times.user + times.system)
 
 
 BARE = "import os, pydantic, rich.console, typer; print(os.times().user + os.times().system)"
-"""What the help cannot do without; it takes .25 s where the help takes .4."""
+"""What the help cannot do without."""
 
 
 def test_help_loads_nothing_heavy_and_takes_under_half_a_second_of_cpu():
