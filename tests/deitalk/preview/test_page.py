@@ -266,9 +266,11 @@ def applied_after(tmp_path, page) -> np.ndarray:
 
 
 def lane_place(page, seconds: float, factor: float) -> tuple[float, float]:
-    """Where the lane of intensity has a time and a factor: 0, 1 and 4 are bottom, middle, top."""
+    """Where the lane of intensity, whose axis is linear, has a time and a factor of the take's."""
     box = page.locator("#intensity").bounding_box()
-    height = (1 - (factor / 4) ** 0.5) * (box["height"] - 20) + 10
+    top = float(page.locator("#intensity .axis text").last.text_content())
+    predicted = make_source("first").curves.intensity[round(30 * seconds)]
+    height = (1 - float(factor * predicted) / top) * (box["height"] - 20) + 10
     return box["x"] + seconds / 3 * box["width"], box["y"] + height
 
 
@@ -287,11 +289,12 @@ def test_intensity_without_points_is_that_of_the_take(page, tmp_path):
 
 def test_points_are_a_factor_on_the_intensity(page, tmp_path):
     intensity = make_source("first").curves.intensity
-    page.mouse.dblclick(*lane_place(page, 1.0, 1.0))
-    page.mouse.dblclick(*lane_place(page, 2.0, 1.0))
+    for seconds in (1, 2):
+        page.evaluate("s => deitalk.page.seek(s)", seconds)
+        page.keyboard.press("p")
     assert page.locator("#intensity circle").count() == 2
-    drag(page, lane_place(page, 2.0, 1.0), lane_place(page, 2.5, 2.0))  # both ways
-    factor = np.interp(np.arange(90) / 30, [1.0, 2.5], [1.0, 2.0])
+    drag(page, lane_place(page, 2.0, 1.0), lane_place(page, 2.5, 1.5))  # both ways
+    factor = np.interp(np.arange(90) / 30, [1.0, 2.5], [1.0, 1.5])
     assert applied_after(tmp_path, page) == pytest.approx(factor * intensity, abs=0.04)
     page.keyboard.press("Control+z")
     page.keyboard.press("Control+z")
@@ -302,6 +305,17 @@ def test_points_are_a_factor_on_the_intensity(page, tmp_path):
     page.keyboard.press("Delete")
     page.locator("#intensity circle").nth(0).dblclick()
     assert np.abs(applied_after(tmp_path, page) - intensity).max() < 1e-5
+
+
+def test_the_line_itself_is_dragged_and_bends_nearby(page, tmp_path):
+    intensity = make_source("first").curves.intensity
+    drag(page, lane_place(page, 1.5, 1.0), lane_place(page, 1.5, 0.5))
+    applied = applied_after(tmp_path, page)
+    assert applied[45] == pytest.approx(0.5 * intensity[45], abs=0.03)
+    far = np.abs(np.arange(90) - 45) > 13  # 0.43 s
+    assert np.abs(applied - intensity)[far].max() < 1e-5
+    page.keyboard.press("Control+z")
+    assert page.locator("#intensity circle").count() == 0
 
 
 def test_factor_zero_is_the_neutral_reading(page):

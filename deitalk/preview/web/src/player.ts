@@ -34,6 +34,8 @@ export class Player {
   convert?: (file: File) => Promise<File>;
   /** Called with a take that was dropped. */
   onTake: (take: TakeFiles) => void = () => {};
+  /** Controls that are shown before any take. */
+  first?: Float32Array;
   private readonly faces?: Faces;
   private readonly sound: SoundView;
   private live?: Float32Array;
@@ -189,7 +191,7 @@ export class Player {
     const takes = this.faceTakes;
     if (this.live) this.faces?.show([this.live]);
     else if (this.take) this.faces?.show(takes.map((t) => t.at(seconds + late)), takes.map((t) => t.headAt(seconds + late)));
-    else if (this.head) this.faces?.show([Float32Array.from(this.board.rest)]);
+    else if (this.head) this.faces?.show([this.first ?? Float32Array.from(this.board.rest)]);
     this.opener.model?.show(seconds + late);
     this.sound.at(seconds);
     this.workbench?.at(seconds);

@@ -11,13 +11,16 @@ import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, optionsOf, order, type Order, type Source } from "./service";
+import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
 const EMOTIONS = Object.keys(COLORS);
-/** Emotion of a first recording. */
+/** Emotion of a first recording, and the face before it. */
 const FIRST = "happy";
+const SMILE = { "mouth_cornerPull.ty": 0.55, "mouth_dimple.ty": 0.2, "eye_cheekRaise.ty": 0.5, "eye_squintInner.ty": 0.2, "brow_raiseOut.ty": 0.12 };
+/** Begin of the note on a suggested emotion. */
+const SUGGESTED = "suggested from the voice: ";
 /** Kinds of files: label, format of the service, whether it takes long enough for a job. */
 const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
@@ -53,6 +56,10 @@ export class Studio {
     player.workbench!.emotion.onSelect = () => this.showEmotion();
     player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: FIRST, strength: 1 }] });
     player.onEdit = () => this.edited();
+    player.first = Float32Array.from(player.board.rest);
+    for (const [name, value] of Object.entries(SMILE)) {
+      for (const side of "LR") player.first[player.board.controls.indexOf(`CTRL_${side}_${name}`)] = value;
+    }
     player.convert = convert;
     addEventListener("pagehide", () => this.save());
     player.intake.recording = (file) => this.open(file);
@@ -116,6 +123,7 @@ export class Studio {
     this.session = { ...source, edit, packed, time: 0 };
     const { take, wav } = await this.unpacked(packed);
     this.leaveGallery();
+    $("suggested").textContent = "";
     this.animated = edit;
     this.player.load(take, wav, [], edit);
     this.enable();
@@ -134,12 +142,15 @@ export class Studio {
 
   /** The emotion that the voice suggests, whose probabilities the service tells in its notes. */
   private async suggest(session: Session): Promise<void> {
-    const packed = await this.animate({ ...session, emotion: "auto" }, session.edit);
-    if (packed) this.choose((await this.unpacked(packed)).take.emotionAt(0)!);
+    const found = await this.animating.run("Hearing the emotion", (progress, signal) =>
+      order({ ...session, emotion: "auto", format: "packed" }, progress, signal));
+    if (!found) return;
+    this.choose((await this.unpacked(found.content)).take.emotionAt(0)!);
+    $("suggested").textContent = found.notes.find((note) => note.startsWith(SUGGESTED))?.slice(SUGGESTED.length) ?? "";
   }
 
   /** The take as the page shows it, by the service. */
-  private animate(source: Source & Pick<Order, "emotion">, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
+  private animate(source: Source, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
     return this.animating.run("Animating", async (progress, signal) => {
       const { content, notes } = await order({ ...source, edit, intensityCsv, format: "packed" }, progress, signal);
       if (notes.length) notice(notes.join("; "));

@@ -65,7 +65,7 @@ export class IntensityLane implements PointOwner {
     if (pixels > NEAR) return undefined;
     const isFree = (t: number) => t >= 0 && t <= this.take!.seconds && !this.factors.some((p) => Math.abs(p.time - t) < REACH);
     const times = [time, ...[time - REACH, time + REACH].filter(isFree)];
-    return this.insert(times.map((t) => ({ time: t, factor: factorAt(this.factors, t) })), time);
+    return this.insert(times.map((t) => ({ time: t, factor: factorAt(this.factors, t) })), time, true);
   }
 
   /** Add a point on the line and give it the focus. */
@@ -145,12 +145,12 @@ export class IntensityLane implements PointOwner {
     return Math.round(Math.min((level * this.top) / predicted, MAX_FACTOR) * 100) / 100;
   }
 
-  /** Add points; return the place of the one at a time. */
-  private insert(added: FactorPoint[], time: number): number {
+  /** Add points, at once or as the start of a drag; return the place of the one at a time. */
+  private insert(added: FactorPoint[], time: number, isDrag = false): number {
     const others = this.factors.filter((p) => !added.some((q) => Math.abs(p.time - q.time) <= 1e-3));
     const points = [...others, ...added].sort((a, b) => a.time - b.time);
     const index = points.findIndex((p) => p.time === time);
-    this.history.change({ points }, `point ${index}`);
+    this.history.change({ points }, isDrag ? `point ${index}` : "");
     return index;
   }
 
