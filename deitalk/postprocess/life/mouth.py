@@ -15,10 +15,10 @@ from rig import ControlSet
 from rig.arrays import Float32, Float64
 
 LEANS = {
-    "mouth_cornerPull": 1.0,
-    "mouth_sharpCornerPull": 1.0,
-    "mouth_dimple": 0.8,
-    "mouth_cornerDepress": 1.4,
+    "mouth_cornerPull": 0.7,
+    "mouth_sharpCornerPull": 0.7,
+    "mouth_dimple": 0.7,
+    "mouth_cornerDepress": 1.0,
     "mouth_stretch": 0.6,
     "mouth_upperLipRaise": 0.3,
     "mouth_lowerLipDepress": 0.3,

@@ -359,7 +359,7 @@ def test_emotions_of_a_recording_have_their_own_times_and_one_character():
 
 
 def test_one_side_of_the_mouth_does_more_and_silence_none():
-    """A smile of .4 over speech of .2 on a side .1 stronger: .2 (1 + .025) + .2 (1 + .05)."""
+    """A smile of .4 over speech of .2 on a side .1 stronger: .2 (1 + .0175) + .2 (1 + .035)."""
     neutral = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
     smile = [CONTROLS.index(f"CTRL_{side}_mouth_cornerPull.ty") for side in "LR"]
     neutral[0, smile] = 0.2
@@ -367,7 +367,7 @@ def test_one_side_of_the_mouth_does_more_and_silence_none():
     curves[0, smile] = 0.4
     accents = np.zeros((2, 2))
     lean_mouth(curves, neutral[:, mouth_columns(CONTROLS)], CONTROLS, accents, 0.1, 1.0)
-    np.testing.assert_allclose(curves[0, smile], [0.415, 0.385], atol=1e-6)
+    np.testing.assert_allclose(curves[0, smile], [0.4105, 0.3895], atol=1e-6)
     np.testing.assert_array_equal(curves[1], neutral[1])
 
 
