@@ -1,7 +1,7 @@
 """Write docs/pictures/talking.webp, the README's moving picture: ``make pictures``.
 
-The recording docs/samples/amiable.flac in three emotions on the embedded head, at 1.5 times the
-intensity predicted from the voice, above its waveform and that intensity.
+The recording docs/samples/amiable.flac in four emotions on four embedded heads, at 1.5 times the
+intensity predicted from the voice, which a bar beside each face shows and a line under all.
 """
 
 from itertools import pairwise
@@ -12,15 +12,20 @@ from PIL import Image
 
 from deitalk import animate
 from deitalk.preview.video import label
+from rig import RigCurves
+from rig.emotions import COLORS
 from rig.face import build_head
 from rig.face.render import View, make_renderer
 from rig.face.render.picture import Picture, text_width, write_text
 
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"
-EMOTIONS, INTENSITY = ("neutral", "happy", "angry"), 1.5
+PEOPLE = {"happy": "female", "angry": "male", "sad": 4, "surprised": "child"}
+"""Head of each emotion."""
+INTENSITY, TOP = 1.5, 1.4
+"""Factor, and the intensity at the upper end of the bars."""
 VIEW = View((0, -3.5, 4), (8, -2.6, 60), 22)
-FACE, STRIP_HEIGHT = (280, 320), 96
+FACE, STRIP_HEIGHT = (215, 256), 80
 """Width and height of a face, and height of the strip, pixels."""
 STEP = 2
 """Rig frames (30 Hz) to a picture: 15 pictures a second."""
@@ -29,11 +34,9 @@ BACK, SOUND, CURVE, TEXT = (30, 33, 39), (96, 125, 150), (245, 190, 66), (225, 2
 
 def main() -> None:
     """Animate the recording, draw every second frame and write the animation."""
-    takes = [animate(RECORDING, emotion, intensity=INTENSITY) for emotion in EMOTIONS]
+    takes = [animate(RECORDING, emotion, intensity=INTENSITY) for emotion in PEOPLE]
     frames = range(0, len(takes[0].curves), STEP)
-    faces = [
-        _faces(take.curves.values[::STEP], name) for take, name in zip(takes, EMOTIONS, strict=True)
-    ]
+    faces = [_faces(take.curves, name) for take, name in zip(takes, PEOPLE, strict=True)]
     strip = _strip(takes[0].recording.waveform, takes[0].predicted)
     pictures = []
     for rows, frame in zip(zip(*faces, strict=True), frames, strict=True):
@@ -47,20 +50,23 @@ def main() -> None:
     )  # fmt: skip
 
 
-def _faces(values: np.ndarray, title: str) -> list[Picture]:
-    """A picture (height, width, 3) of the head for every row of control values (T, 185)."""
-    head = build_head(0)
+def _faces(curves: RigCurves, emotion: str) -> list[Picture]:
+    """A picture (height, width, 3) of a take's head for every second frame, with its intensity."""
+    head = build_head(PEOPLE[emotion])
     renderer = make_renderer(head.mesh, size=FACE, view=VIEW, backend="software")
-    pictures = [renderer.render(pose) for pose in head.pose(values)]
+    pictures = [renderer.render(pose) for pose in head.pose(curves.values[::STEP])]
     renderer.close()
-    for picture in pictures:
-        label(picture, title, ((FACE[0] - text_width(title)) // 2, FACE[1] - 22))
+    color, low = bytes.fromhex(COLORS[emotion][1:]), FACE[1] - 8
+    for picture, intensity in zip(pictures, curves.intensity[::STEP], strict=True):
+        label(picture, emotion, ((FACE[0] - text_width(emotion)) // 2, FACE[1] - 22))
+        picture[8:low, 8:14] = BACK
+        picture[round(low - (low - 8) * min(intensity / TOP, 1)) : low, 8:14] = list(color)
     return pictures
 
 
 def _strip(waveform: np.ndarray, intensity: np.ndarray) -> Picture:
     """The waveform in grey with the intensity (0 to 1, from the lower to the upper edge)."""
-    width, height = FACE[0] * len(EMOTIONS), STRIP_HEIGHT
+    width, height = FACE[0] * len(PEOPLE), STRIP_HEIGHT
     strip = np.empty((height, width, 3), np.uint8)
     strip[:] = BACK
     rows = np.arange(height)[:, None]
