@@ -96,7 +96,7 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         app,
         host=settings.host,
         port=settings.port,
-        http=GuardedProtocol.limited(settings.header_seconds, settings.connections),
+        http=GuardedProtocol.limited(settings),
         ws=GuardedSocket,
         ws_max_size=LIVE_MESSAGE_BYTES,
         ws_per_message_deflate=False,  # a kilobyte could stand for a megabyte

@@ -9,10 +9,10 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from api.settings import Settings
+
 SEND_SECONDS = 10.0
 """Time in which the client of a WebSocket must take a message."""
-READ_SECONDS = 60.0
-"""Time in which a client must take some of an answer."""
 
 
 class _Reader:
@@ -51,13 +51,13 @@ class GuardedProtocol(_Reader, H11Protocol):
     a body by `api.guard.middleware`.
     """
 
-    header_seconds, most = 10.0, 256
-    read_seconds = READ_SECONDS
+    header_seconds, read_seconds, most = 10.0, 60.0, 256
 
     @classmethod
-    def limited(cls, seconds: float, most: int) -> type["GuardedProtocol"]:
-        """Return the protocol with other limits: seconds for headers, open connections."""
-        return type(cls.__name__, (cls,), {"header_seconds": seconds, "most": most})
+    def limited(cls, settings: Settings) -> type["GuardedProtocol"]:
+        """Return the protocol with the limits of the settings."""
+        limits = {"read_seconds": settings.body_seconds, "most": settings.connections}
+        return type(cls.__name__, (cls,), limits | {"header_seconds": settings.header_seconds})
 
     def connection_made(self, transport: Any) -> None:
         """Start the clock; beyond the most connections close the one that is idle longest."""

@@ -48,8 +48,12 @@ class OutputFormat:
         return MEDIA_TYPES["." + self.suffix.rpartition(".")[2]]
 
 
+COSTS = {"glb": 1.0, "usd": 0.2}
+"""Of formats of curves that draw a head; others have the default."""
 CURVE_FORMATS = {
-    known.name: OutputFormat(known.name, known.suffixes[0], known.description)
+    known.name: OutputFormat(
+        known.name, known.suffixes[0], known.description, COSTS.get(known.name, 0.1)
+    )
     for known in FORMATS
     if known.write and (known.name != "usd" or find_spec("pxr"))
 }

@@ -3,7 +3,11 @@
 import io
 import json
 import os
+import threading
+import time
 import wave
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -96,3 +100,31 @@ def bucket(tmp_path_factory):
         s3fs = pytest.importorskip("s3fs")
         s3fs.S3FileSystem().mkdir("deitalk")
         yield "s3://deitalk"
+
+
+class Receiver(BaseHTTPRequestHandler):
+    """Notes what it is sent; ``/slow`` answers a byte a second, for ever."""
+
+    def do_POST(self):
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self.server.calls.append((dict(self.headers), body))
+        if self.path == "/slow":
+            with suppress(OSError):
+                while True:
+                    self.wfile.write(b"H")
+                    time.sleep(1)
+            return
+        self.send_response(204)
+        self.end_headers()
+
+    def log_message(self, *given):
+        pass
+
+
+@pytest.fixture
+def receiver():
+    with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as made:
+        made.calls = []
+        threading.Thread(target=made.serve_forever, daemon=True).start()
+        yield made
+        made.shutdown()

@@ -37,13 +37,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def start(data: Path, port: int | None = None, *, ready: bool = True, **settings) -> Server:
-    """Start a server whose settings are variables of its environment."""
+def start(
+    data: Path, port: int | None = None, *, ready: bool = True, root: Path = ROOT, **settings
+) -> Server:
+    """Start a server of a checkout whose settings are variables of its environment."""
     port = port or free_port()
     given = {"workers": 1, "job_workers": 1, "data": data, "port": port} | settings
     environment = {k: v for k, v in os.environ.items() if not k.startswith("DEITALK_")}
     environment |= {f"DEITALK_{name.upper()}": str(value) for name, value in given.items()}
-    environment |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    environment |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(root), "PYTHONWARNINGS": "ignore"}
     data.mkdir(exist_ok=True)
     log = data / "server.log"
     with log.open("ab") as out:

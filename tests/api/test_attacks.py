@@ -9,12 +9,19 @@ import socket
 import struct
 import time
 import zipfile
+from contextlib import suppress
 
 import av
+import httpx
 import numpy as np
 import pytest
 from websockets.sync.client import connect
 
+from api.guard.keys import Caller
+from api.jobs.queue import Queue, new_id
+from api.jobs.schema import open_database
+from api.jobs.webhooks import Webhooks
+from api.settings import SCOPES
 from tests.api.conftest import KEYS, bearer, wav
 from tests.browser import needs_player
 
@@ -113,6 +120,64 @@ def test_slow_bodies_and_slow_headers_are_cut_off(server):
     assert b"body_slow" in raw(server, head)
     assert raw(server, b"GET /healthz HTTP/1.1\r\nHost: 127.0") == b""
     assert time.monotonic() - begun < 9  # limits of 3 s and 2 s
+
+
+def test_clients_that_do_not_read_their_answer_are_cut_off(server, client):
+    """Thirty megabytes to a client that reads a kilobyte of them."""
+    with socket.socket() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.settimeout(60)
+        connection.connect(server.address)
+        head = f"POST /v1/meshes?format=ply HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(SPEECH)}"
+        connection.sendall(head.encode() + b"\r\nContent-Type: audio/wav\r\n\r\n" + SPEECH)
+        n_bytes = len(connection.recv(1024))
+        assert client.get("/v1/emotions").status_code == 200
+        time.sleep(6)  # the limit is 3 s
+        with suppress(ConnectionError):
+            while block := connection.recv(1 << 16):
+                n_bytes += len(block)
+    assert n_bytes < 10_000_000
+
+
+def test_idle_connections_keep_nobody_out(server, client):
+    """300 where 256 may be open: the idle ones make room, for probes and for requests."""
+    idle = [socket.create_connection(server.address, timeout=5) for _ in range(300)]
+    try:
+        for path in ("/healthz", "/readyz", "/v1/emotions"):
+            assert httpx.get(server.url + path, trust_env=False).status_code == 200
+    finally:
+        for connection in idle:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["nobody", "../../etc/passwd", "0' OR 1=1", "\x00", "9" * 40, "a" * 41, "-1", "1e400", "٣"],
+)
+def test_heads_that_are_not_there_are_refused_and_not_drawn(server, client, head):
+    began = time.monotonic()
+    answer = client.get("/", params={"head": head})
+    assert answer.status_code == 422, answer.text
+    assert "/tmp" not in answer.text and time.monotonic() - began < 5
+
+
+def test_delivery_of_a_webhook_ends_in_its_time_whatever_the_receiver_does(
+    receiver, tmp_path, monkeypatch
+):
+    """Two receivers send a byte a second; the third one's is delivered beside them."""
+    monkeypatch.setattr("api.jobs.webhooks.SECONDS", 1.5)
+    queue = Queue(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 60.0, 3, 5)
+    host = f"127.0.0.1:{receiver.server_port}"
+    work = {"order": {"kind": "animation"}, "format": "json"}
+    caller = Caller("farm", SCOPES, 10, 600)
+    for path in ("slow", "slow", "done"):
+        job = queue.add(new_id(), caller, work, "0" * 64, None, f"http://{host}/{path}")
+        queue.cancel(job)
+    began = time.monotonic()
+    assert Webhooks(queue, (host,), {}).deliver() == 1
+    assert time.monotonic() - began < 4
+    assert len(receiver.calls) == 3
+    queue.engine.dispose()
 
 
 def test_huge_headers_are_refused(server):

@@ -1,21 +1,14 @@
 """Jobs: results, progress, cancelling, idempotency, restarts."""
 
 import json
-import threading
 import time
 from base64 import b64encode
-from contextlib import suppress
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 from standardwebhooks.webhooks import Webhook
 
-from api.guard.keys import Caller, digest_of
-from api.jobs.queue import Queue, new_id
-from api.jobs.schema import open_database
-from api.jobs.webhooks import Webhooks
-from api.settings import SCOPES
+from api.guard.keys import digest_of
 from tests.api.conftest import bearer, wav
 from tests.api.kill import descendants, kill, run
 from tests.api.server import start, stop, wait_until
@@ -151,33 +144,6 @@ def test_server_answers_after_its_worker_was_killed(server, client):
     wait_until(server, "/readyz")
 
 
-class Receiver(BaseHTTPRequestHandler):
-    """Notes what it is sent; ``/slow`` answers a byte a second, for ever."""
-
-    def do_POST(self):
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        self.server.calls.append((dict(self.headers), body))
-        if self.path == "/slow":
-            with suppress(OSError):
-                while True:
-                    self.wfile.write(b"H")
-                    time.sleep(1)
-        self.send_response(204)
-        self.end_headers()
-
-    def log_message(self, *given):
-        pass
-
-
-@pytest.fixture
-def receiver():
-    with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as made:
-        made.calls = []
-        threading.Thread(target=made.serve_forever, daemon=True).start()
-        yield made
-        made.shutdown()
-
-
 def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(restartable, receiver):
     """standardwebhooks is the standard's own reader."""
     host = f"127.0.0.1:{receiver.server_port}"
@@ -202,19 +168,3 @@ def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(rest
         "Z", "+00:00"
     )
     assert headers["webhook-id"] == f"msg_{job['id']}"
-
-
-def test_delivery_ends_in_its_time_whatever_the_receiver_does(receiver, tmp_path, monkeypatch):
-    monkeypatch.setattr("api.jobs.webhooks.SECONDS", 1.5)
-    queue = Queue(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 60.0, 3, 5)
-    host = f"127.0.0.1:{receiver.server_port}"
-    work = {"order": {"kind": "animation"}, "format": "json"}
-    caller = Caller("farm", SCOPES, 10, 600)
-    for path in ("slow", "slow", "done"):
-        job = queue.add(new_id(), caller, work, "0" * 64, None, f"http://{host}/{path}")
-        queue.cancel(job)
-    began = time.monotonic()
-    assert Webhooks(queue, (host,), {}).deliver() == 1
-    assert time.monotonic() - began < 4
-    assert len(receiver.calls) == 3
-    queue.engine.dispose()

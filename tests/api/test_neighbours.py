@@ -136,18 +136,6 @@ def test_sound_beyond_a_key_s_quota_is_refused(crowded):
     assert 1 <= int(answer.headers["retry-after"]) <= 3600
 
 
-def test_probes_are_answered_beside_idle_connections(crowded):
-    """A flood of 300 where 20 are allowed; requests are answered too."""
-    idle = [socket.create_connection(crowded.address, timeout=5) for _ in range(300)]
-    try:
-        for path in ("/healthz", "/readyz"):
-            assert httpx.get(crowded.url + path, trust_env=False).status_code == 200
-        assert send(crowded, "anna", wav(1.0)).status_code == 200
-    finally:
-        for connection in idle:
-            connection.close()
-
-
 def test_log_names_request_key_and_status_as_json(crowded):
     given = {"X-Request-ID": "shot-7.take_2"}
     with crowded.client(headers=headers("bert") | given) as client:

@@ -1,14 +1,8 @@
 """The table of jobs in SQLite and in PostgreSQL, on a real server that the test starts."""
 
-import os
-import pwd
-import shutil
-import subprocess
-import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import sqlalchemy as sql
@@ -28,48 +22,20 @@ from api.settings import SCOPES
 from deitalk.cli import app as cli
 from deitalk.errors import ConfigError
 from tests.api.conftest import wav
-from tests.api.server import free_port, serving
+from tests.api.database import programs, serving_postgres
+from tests.api.server import serving
 from tests.api.test_jobs import submit, wait
 
 CALLER = Caller("farm", SCOPES, 10, 600)
 
 
-def programs() -> Path | None:
-    found = shutil.which("initdb")
-    places = [Path(found).resolve().parent] if found else []  # not a link into a private folder
-    places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
-    return next((place for place in places if (place / "initdb").exists()), None)
-
-
 @pytest.fixture(scope="module")
 def postgres():
-    """URL of an empty database; PostgreSQL refuses to run as root."""
-    place = programs()
-    if place is None:
+    """URL of an empty database."""
+    if programs() is None:
         pytest.skip("needs PostgreSQL (Debian's package postgresql)")
-    user = None
-    if os.geteuid() == 0:
-        user = next((name for name in ("postgres", "nobody") if _exists(name)), None)
-    folder = Path(tempfile.mkdtemp(prefix="deitalk-pg-", dir="/tmp"))
-    if user:
-        shutil.chown(folder, user)
-    given = {"user": user} if user else {}
-    data, port = folder / "data", free_port()
-
-    def run(*command: str) -> None:
-        subprocess.run(
-            command, check=True, cwd=folder, stdout=subprocess.DEVNULL, timeout=120, **given
-        )
-
-    run(str(place / "initdb"), "-D", str(data), "-U", "deitalk", "-A", "trust", "--no-sync")
-    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off"
-    run(str(place / "pg_ctl"), "-D", str(data), "-w", "-l", str(folder / "log"), "-o", options,
-        "start")  # fmt: skip
-    try:
-        yield f"postgresql+psycopg://deitalk@127.0.0.1:{port}/postgres"
-    finally:
-        run(str(place / "pg_ctl"), "-D", str(data), "-m", "immediate", "stop")
-        shutil.rmtree(folder)
+    with serving_postgres() as url:
+        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -77,14 +43,6 @@ def database(request, tmp_path):
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'jobs.sqlite'}"
     return request.getfixturevalue("postgres")
-
-
-def _exists(name: str) -> bool:
-    try:
-        pwd.getpwnam(name)
-    except KeyError:
-        return False
-    return True
 
 
 @pytest.fixture
