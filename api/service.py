@@ -45,6 +45,7 @@ class Service:
             "threads": 1,
         }
         self._starting: asyncio.Task[None] | None = None
+        self._warming: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Open the database and the store; start the workers in the background."""
@@ -72,6 +73,8 @@ class Service:
             await asyncio.to_thread(export_all, self.limits)
         await self.pool.start()
         self.runner.start()
+        if self.settings.live_sessions:
+            self._warming = asyncio.create_task(self.voices.warm())
 
     def drain(self) -> None:
         """Be not ready any more, and begin no other job."""
@@ -113,6 +116,8 @@ class Service:
         """Stop the workers; jobs that run are put back."""
         if self._starting is not None:
             self._starting.cancel()
+        if self._warming is not None:
+            self._warming.cancel()
         self.pool.stop()
         self.voices.stop()
         self.pages.stop()

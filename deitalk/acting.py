@@ -351,7 +351,7 @@ class Acting(BaseModel):
         default=(0.0, 0.0),
         description="Place of the listener: degrees to the character's left and up, -35 to 35.",
         examples=["10,-5"],
-        json_schema_extra=_extra("start", panel="Performance", default="0,0"),
+        json_schema_extra=_extra("change", panel="Performance", default="0,0"),
     )
     gain: Annotated[
         dict[str, float],

@@ -18,6 +18,7 @@ from api.errors import Problem, describe, internal_problem
 from deitalk.acting import Acting
 from rig.arrays import Float32
 
+MODEL = "live"
 ORDER_SECONDS = 20.0
 """Time after which the worker is stopped."""
 OPEN_SECONDS = 30.0
@@ -128,6 +129,17 @@ class Voices:
         except BaseException:
             voice.close()
             raise
+
+    async def warm(self) -> None:
+        """Start the worker and have it read the model `MODEL`, so that the first voice need not."""
+        try:
+            voice, _ = await self.open(MODEL, Acting())
+            voice.feed(np.zeros(16_000, np.float32))
+            await voice.next_frames()
+            voice.close()
+            log.info("live voices are ready")
+        except Problem as problem:
+            log.warning("live voices are not ready: %s", problem.message)
 
     def add(self, action: dict[str, Any], samples: Float32 | None = None) -> None:
         """Add an action to the next order."""

@@ -15,7 +15,7 @@ from fastapi import WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from api.compute.live import Voice
+from api.compute.live import MODEL, Voice
 from api.compute.order import ACTING, RECORDING, Order
 from api.compute.pool import result_path
 from api.errors import Problem
@@ -59,7 +59,7 @@ class Start(BaseModel):
     sample_rate: int = Field(default=16_000, ge=8_000, le=192_000)
     encoding: Literal["pcm16", "float32"] = "pcm16"
     frames: Literal["binary", "json"] = "binary"
-    model: str = Field(default="live", max_length=64)
+    model: str = Field(default=MODEL, max_length=64)
     head: bool = False
 
 

@@ -170,14 +170,14 @@ class LiveAnimator:
         return [frames for frames, _ in given]
 
     def set(self, *, stream: int | None = None, **fields: Any) -> None:
-        """Act otherwise from the sound on that comes next; emotion and intensity over 0.2 s.
+        """Act otherwise from the sound on that comes next; but for gain and rules over 0.2 s.
 
         Parameters
         ----------
         stream : int, optional
             Which stream; all by default.
         **fields
-            emotion, intensity, gain and rules; those that are not given stay as they are.
+            emotion, intensity, look_at, gain and rules; those that are not given stay as they are.
 
         Raises
         ------

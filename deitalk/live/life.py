@@ -35,6 +35,8 @@ from rig.curves import HEAD
 
 PART = 3
 """Of the stream's seed: the random numbers of this motion."""
+TURN_FRAMES = 6
+"""Frames in which the eyes turn to another place, as long as an emotion takes to change."""
 _EYES, _BROWS, _HEAD = 4, CHANNELS, 8
 
 
@@ -65,6 +67,13 @@ class RunningLife:
         self.head = RunningHead(self.traits, parts[2])
         self.voice, self.n_frames = RunningVoice(), -ahead
         self.rows: list[Float64] = []
+        self.looks, self.place = np.array(life.look_at), np.array(life.look_at)
+        self.turns: list[tuple[int, tuple[float, float]]] = []
+        self.turning, self.n_given = 0, 0
+
+    def look_at(self, place: tuple[float, float], frame: int) -> None:
+        """Turn to another place of the listener, degrees, within `TURN_FRAMES` from a frame on."""
+        self.turns.append((frame, place))
 
     def feed(self, measures: Measures, speaking: Bool) -> None:
         """Take the voice of the next frames [shape=(n,)]."""
@@ -109,10 +118,23 @@ class RunningLife:
             held = (head - motion)[:, :2] * AGAINST
             gaze = attend(shown * eyes[:, 2:], held, mixture) + motion[:, :2] * AGAINST
             gaze *= life.gaze
-            gaze += shown * np.array(life.look_at)
+            gaze += shown * self._looks(count)
             move_eyes(curves, self.controls, gaze, eyes[:, :2] * bool(life.blinks))
             neck = neck_tracks(
                 life.head * moves[:, BREATH], life.head * moves[:, SWALLOWS], head[:, 0]
             )
             move_neck(curves, self.controls, neck)
         return head.astype(np.float32)
+
+    def _looks(self, count: int) -> Float64:
+        """Where the listener is in the next frames, degrees [shape=(n, 2)]."""
+        looks = np.empty((count, 2))
+        for k in range(count):
+            while self.turns and self.turns[0][0] <= self.n_given:
+                self.place, self.turning = np.array(self.turns.pop(0)[1]), TURN_FRAMES
+            self.n_given += 1
+            if self.turning:
+                self.looks = self.looks + (self.place - self.looks) / self.turning
+                self.turning -= 1
+            looks[k] = self.looks
+        return looks

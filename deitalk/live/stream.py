@@ -121,6 +121,8 @@ class Stream:
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
         self.gain = gain_factors(self.controls, acting.gain)
+        if self.life is not None and acting.look_at != before.look_at:
+            self.life.look_at(acting.look_at, frame_count(self.sound.end))
         if rules != self.settings:
             self._follow(rules)
 

@@ -190,7 +190,7 @@ def _memory(server: Server) -> float:
 def _check(load: Load, url: str) -> dict[str, Any]:
     """Wait for every job; return the counts of jobs, and the shares of the keys while all waited."""
     engine = sql.create_engine(url)
-    columns = (JOBS.c.id, JOBS.c.owner, JOBS.c.status, JOBS.c.ends, JOBS.c.answer)
+    columns = (JOBS.c.id, JOBS.c.owner, JOBS.c.status, JOBS.c.ends, JOBS.c.answer, JOBS.c.error)
     now = time.time()
     end = time.monotonic() + 900
     while True:
@@ -201,8 +201,9 @@ def _check(load: Load, url: str) -> dict[str, Any]:
         assert time.monotonic() < end, [row for row in rows if not row.ends]
         time.sleep(1)
     engine.dispose()
-    wrong = [r.id for r in rows if r.ends != 1 or r.status != "done"]
-    frames = {row.id: json.loads(row.answer or "{}")["facts"]["frames"] for row in rows}
+    wrong = [(r.status, r.ends, r.error) for r in rows if r.ends != 1 or r.status != "done"]
+    answers = {row.id: json.loads(row.answer or "{}") for row in rows}
+    frames = {job: answer.get("facts", {}).get("frames", 0) for job, answer in answers.items()}
     others = [job for job, count in load.frames.items() if frames.get(job) != count]
     seconds: Counter[str] = Counter()
     for row in rows:

@@ -2,9 +2,12 @@
 
 import asyncio
 import json
+import re
+import shutil
 import threading
 import time
 from contextlib import ExitStack, suppress
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -399,3 +402,76 @@ def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fa
     service = SimpleNamespace(stage=stage)
     asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), service), 5))
     stage.close()
+
+
+def client_of_the_page(language):
+    page = (Path(__file__).resolve().parents[2] / "docs/service.md").read_text()
+    return re.search(rf"```{language}\n(.*?)```", page, re.S)[1]
+
+
+def test_client_of_the_page_in_python_prints_every_frame(server, tmp_path, monkeypatch, capsys):
+    (tmp_path / "speech.raw").write_bytes(wav(2.0)[44:])
+    monkeypatch.chdir(tmp_path)
+    block = client_of_the_page("python").replace(
+        "ws://127.0.0.1:8000", server.url.replace("http", "ws")
+    )
+    exec(
+        compile(block.replace("connect(", "connect(proxy=None, uri=", 1), "service.md", "exec"), {}
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert [float(line.split()[0]) for line in lines] == pytest.approx(np.arange(60) / 30)
+    assert "CTRL_C_jaw.ty" in lines[0]
+
+
+def test_client_of_the_page_for_browsers_gets_every_frame(server):
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("needs Debian's chromium")
+    block = client_of_the_page("javascript")
+    block = block.replace("ws://127.0.0.1:8000", server.url.replace("http", "ws"))
+    script = f"""async () => {{
+        const frames = [], samples = new ArrayBuffer(64000);
+        {block}
+        await new Promise((closed) => {{ live.onclose = closed; }});
+        return [frames.length, frames.at(-1).time, frames.at(-1).values.length];
+    }}"""
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        tab = browser.new_context(bypass_csp=True).new_page()
+        tab.goto(f"{server.url}/healthz")
+        count, last, controls = tab.evaluate(script)
+        browser.close()
+    assert (count, controls) == (60, 185) and last == pytest.approx(59 / 30)
+
+
+def test_first_session_gets_its_header_at_once(tmp_path):
+    """The model was read when the server started: reading it takes seconds."""
+    with serving(tmp_path, log="json") as running:
+        end = time.monotonic() + 120
+        while "live voices are ready" not in running.log.read_text():
+            assert time.monotonic() < end
+            time.sleep(0.2)
+        with connect(f"{running.url.replace('http', 'ws')}/v1/live", proxy=None) as live:
+            began = time.perf_counter()
+            live.send(json.dumps({"type": "start"}))
+            assert json.loads(live.recv())["type"] == "header"
+            assert time.perf_counter() - began < 0.5
+
+
+def test_eyes_turn_when_the_listener_moves(server):
+    with connect(f"{server.url.replace('http', 'ws')}/v1/live", proxy=None) as live:
+        live.send(json.dumps({"type": "start", "frames": "json", "life": "blinks=0,gaze=0"}))
+        names = json.loads(live.recv())["names"]
+        live.send(wav(1.5)[44:])
+        live.send(json.dumps({"type": "set", "look_at": "25,0"}))
+        live.send(wav(1.5)[44:])
+        live.send(json.dumps({"type": "stop"}))
+        frames = []
+        while (message := json.loads(live.recv()))["type"] == "frames":
+            frames += message["frames"]
+    eyes = [name for name in names if "eye.tx" in name.lower()]
+    side = np.abs([[frame["values"][names.index(name)] for name in eyes] for frame in frames]).max(
+        1
+    )
+    assert side[-10:].min() > 0.2 + side[:30].max()

@@ -84,7 +84,7 @@ async def fail(voices, failure, wait=lambda: None):
 def test_any_failure_ends_the_voices_is_logged_and_told_and_new_voices_go_on(
     voices, caplog, failure, status
 ):
-    service = SimpleNamespace(pool=SimpleNamespace(is_ready=True), voices=voices)
+    service = SimpleNamespace(pool=SimpleNamespace(is_ready=True), voices=voices, is_draining=False)
 
     async def run():
         caplog.set_level(logging.INFO, "deitalk.service")

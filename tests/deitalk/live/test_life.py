@@ -202,3 +202,20 @@ def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases()
         begins[1 : len(closed)] += closed[1:] & ~closed[:-1]
     assert 10 <= begins.sum() / 16 <= 26, "a minute"
     assert begins[904:914].mean() > 2 * begins[60:900].mean()
+
+
+@pytest.mark.parametrize("piece", [1, 7])
+def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
+    """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
+    running = RunningLife(CONTROLS, Idle(), Life(blinks=0, gaze=0, head=0, brows=0), 0, AHEAD)
+    running.feed(*voice())
+    given = []
+    running.look_at((20.0, 0.0), 140)
+    for _ in range(0, 210, piece):
+        face = np.zeros((piece, len(CONTROLS)), np.float32)
+        running.add_to(face, face.copy(), np.zeros((piece, len(EMOTIONS)), np.float32))
+        given.append(face)
+    faces = np.concatenate(given)
+    eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])
+    assert not faces[:140].any()
+    assert (np.diff(eyes[139:146]) > 0).all() and eyes[145] == eyes[-1] > 0.1
