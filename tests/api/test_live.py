@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-import re
+import runpy
 import shutil
 import threading
 import time
@@ -404,37 +404,26 @@ def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fa
     stage.close()
 
 
-def client_of_the_page(language):
-    page = (Path(__file__).resolve().parents[2] / "docs/service.md").read_text()
-    return re.search(rf"```{language}\n(.*?)```", page, re.S)[1]
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_client_of_the_page_in_python_prints_every_frame(server, tmp_path, monkeypatch, capsys):
-    (tmp_path / "speech.raw").write_bytes(wav(2.0)[44:])
-    monkeypatch.chdir(tmp_path)
-    block = client_of_the_page("python").replace(
-        "ws://127.0.0.1:8000", server.url.replace("http", "ws")
-    )
-    exec(
-        compile(block.replace("connect(", "connect(proxy=None, uri=", 1), "service.md", "exec"), {}
-    )
-    lines = capsys.readouterr().out.splitlines()
-    assert [float(line.split()[0]) for line in lines] == pytest.approx(np.arange(60) / 30)
-    assert "CTRL_C_jaw.ty" in lines[0]
+def test_documented_client_in_python_gets_every_frame(server):
+    client = runpy.run_path(str(DOCS / "live_client.py"))
+    given = client["frames"](f"{server.url.replace('http', 'ws')}/v1/live", wav(2.0)[44:])
+    assert [time for time, _ in given] == pytest.approx(np.arange(60) / 30)
+    assert all(len(curves) == 185 for _, curves in given)
 
 
-def test_client_of_the_page_for_browsers_gets_every_frame(server):
+def test_documented_client_of_a_browser_gets_every_frame(server):
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     program = shutil.which("chromium")
     if program is None:
         pytest.skip("needs Debian's chromium")
-    block = client_of_the_page("javascript")
-    block = block.replace("ws://127.0.0.1:8000", server.url.replace("http", "ws"))
+    url = f"{server.url.replace('http', 'ws')}/v1/live"
     script = f"""async () => {{
-        const frames = [], samples = new ArrayBuffer(64000);
-        {block}
-        await new Promise((closed) => {{ live.onclose = closed; }});
-        return [frames.length, frames.at(-1).time, frames.at(-1).values.length];
+        {(DOCS / "live_client.js").read_text()}
+        const given = (await frames("{url}", new ArrayBuffer(64000))).frames;
+        return [given.length, given.at(-1).time, given.at(-1).values.length];
     }}"""
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
