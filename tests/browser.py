@@ -30,13 +30,14 @@ def needs_player() -> None:
 
 
 @contextmanager
-def chromium(*flags: str) -> Iterator[Any]:
-    """A running browser with more flags; the test is skipped where there is none, or no built player."""
+def chromium(*flags: str, player: bool = True) -> Iterator[Any]:
+    """A running browser with more flags; the test is skipped where there is none, or no built player, unless not needed."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     if program is None:
         pytest.skip("needs Debian's chromium")
-    needs_player()
+    if player:
+        needs_player()
     with sync_api.sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=program, args=[*_FLAGS, *flags])
         yield launched

@@ -132,6 +132,9 @@ def retarget(
         str,
         typer.Option(help="Shapes for a neutral mesh by displacements or gradients (slower)."),
     ] = "displacements",
+    keys: Annotated[
+        float, typer.Option(min=0, max=0.1, help="Few cubic keys in a GLB, this near: .01.")
+    ] = 0.0,
     as_neutral: Annotated[
         bool, typer.Option("--as-neutral", help="Ignore the mesh's own shapes and make new ones.")
     ] = False,
@@ -170,6 +173,7 @@ def retarget(
             mapping=mapping,
             method="gradients" if method == "gradients" else "displacements",
             as_neutral=as_neutral,
+            keys=keys,
         )
     if write_mapping is not None:
         save(write_mapping, report.mapping)
@@ -182,6 +186,7 @@ def _retarget_report(report: "RetargetReport", as_json: bool) -> None:
         emit_json(asdict(report) | {"path": str(report.path)})
         return
     kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
+    bones = f", {report.bones} bones" if report.bones else ""
     for note in report.notes:
         console().note(note)
-    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}")
+    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{bones}")

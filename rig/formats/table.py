@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
@@ -75,6 +76,15 @@ def _write_glb(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     from rig.formats import glb  # the head is built for files that show it
 
     glb.write(path, curves, identity)
+
+
+def _vrma(name: str) -> Callable[..., Any]:
+    def call(*arguments: Any) -> Any:
+        from rig.formats import vrma  # scipy's rotations are loaded for files that need them
+
+        return getattr(vrma, name)(*arguments)
+
+    return call
 
 
 def _write_usd(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
@@ -234,6 +244,16 @@ FORMATS: tuple[Format, ...] = (
         control_set=DEFAULT_ID,
         also=(ARKIT_ID,),
         tracks=("head",),
+    ),
+    Format(
+        "vrma",
+        (".vrma",),
+        "animation of any VRM avatar: vowels and blinks, ARKit's shapes, head, gaze (lossy)",
+        _vrma("read"),
+        _vrma("write"),
+        DEFAULT_ID,
+        tracks=("head",),
+        note=_vrma("note"),
     ),
     Format(
         "usd",

@@ -5,7 +5,7 @@ Section numbers are those of the Khronos glTF 2.0 specification.
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,12 +61,19 @@ class WeightAnimation:
     name : str
     motion : RigidMotion, optional
         Of the node of the mesh, in as many frames.
+    turns : mapping of int to array [shape=(T, 4)]
+        Rotations of nodes, such as bones, as quaternions x, y, z, w.
+    tolerance : float
+        Above 0: few keys with cubic curves (CUBICSPLINE) that stay this near to all weights, and to
+        a tenth of it to all quaternions. The shapes of a mesh share their keys.
     """
 
     weights: NDArray[Any]
     fps: float = 30.0
     name: str = "take"
     motion: RigidMotion | None = None
+    turns: Mapping[int, NDArray[Any]] = field(default_factory=dict)
+    tolerance: float = 0.0
 
 
 @dataclass
@@ -232,23 +239,58 @@ def add_animation(
 ) -> None:
     """Append one animation that drives the morph weights of nodes (§3.11)."""
     frames = len(next(iter(weights.values())))
-    times = builder.dense(np.arange(frames, dtype=np.float64) / animation.fps, "SCALAR")
-    samplers: list[dict[str, Any]] = []
-    channels: list[dict[str, Any]] = []
-    for node, columns in weights.items():
-        output = builder.dense(columns.ravel(), "SCALAR")
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": "weights"}})
-        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+    moved: list[tuple[int, str, NDArray[Any], str, float]] = [
+        (node, "weights", columns, "SCALAR", 1.0) for node, columns in weights.items()
+    ]
     if animation.motion is not None:
-        parts = (("rotation", animation.motion.rotation, "VEC4"),
-                 ("translation", animation.motion.translation, "VEC3"))  # fmt: skip
-        for path, rows, kind in parts:
-            channels.append({"sampler": len(samplers), "target": {"node": 0, "path": path}})
-            output = builder.dense(rows, kind)
-            samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+        moved.append((0, "rotation", animation.motion.rotation, "VEC4", 0.1))
+        moved.append((0, "translation", animation.motion.translation, "VEC3", 0.1))
+    moved += [(node, "rotation", turn, "VEC4", 0.1) for node, turn in animation.turns.items()]
+    samplers: list[dict[str, Any]] = []
+    times = None
+    for _, _, rows, kind, share in moved:
+        if animation.tolerance:
+            keyed, splines = _few_keys(rows, share * animation.tolerance)
+            times, rows = (
+                builder.dense(keyed / animation.fps, "SCALAR"),
+                splines * (np.array([animation.fps, 1.0, animation.fps])[:, None]),
+            )
+        elif times is None:
+            times = builder.dense(np.arange(frames, dtype=np.float64) / animation.fps, "SCALAR")
+        width = 1 if kind == "SCALAR" else rows.shape[-1]
+        output = builder.dense(rows.reshape(-1) if width == 1 else rows.reshape(-1, width), kind)
+        way = "CUBICSPLINE" if animation.tolerance else "LINEAR"
+        samplers.append({"input": times, "output": output, "interpolation": way})
+    channels = [
+        {"sampler": i, "target": {"node": node, "path": path}}
+        for i, (node, path, *_) in enumerate(moved)
+    ]
     builder.json.setdefault("animations", []).append(
         {"name": animation.name, "samplers": samplers, "channels": channels}
     )
+
+
+def _few_keys(rows: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return frames of keys (K,), and slope a frame, value, slope a frame (K, 3, columns)."""
+    from rig.unreal.deitalk_clip import split_curve
+
+    rows = np.asarray(rows, np.float64)
+
+    def fit(first: int, last: int) -> tuple[float, NDArray[Any], NDArray[Any]]:
+        n = last - first
+        t = np.arange(1, n)[:, None] / n
+        line = (rows[last] - rows[first]) / n
+        off = rows[first + 1 : last] - rows[first] - line * np.arange(1, n)[:, None]
+        basis = np.hstack([n * t * (1 - t) ** 2, -n * t * t * (1 - t)])
+        slopes = np.linalg.solve(basis.T @ basis + 1e-6 * np.eye(2), basis.T @ off)
+        error = np.abs(off - basis @ slopes).max(initial=0.0)
+        return float(error), line + slopes[0], line + slopes[1]
+
+    keys = split_curve([len(rows) - 1], tolerance, fit)
+    frames = np.array([key[0] for key in keys])
+    zeros = np.zeros(rows.shape[1])
+    splines = [[zeros + key[1], rows[key[0]], zeros + key[2]] for key in keys]
+    return frames, np.array(splines)
 
 
 def write_container(path: Path | str, document: dict[str, Any], binary: bytes) -> None:

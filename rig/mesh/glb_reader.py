@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from rig.arrays import Float32, Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
@@ -266,6 +267,32 @@ def _join(pieces: list[_Piece]) -> ShapeSet:
     return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
 
 
+def _separate(node: dict[str, Any]) -> None:
+    """Give a node three parts for its matrix, as animated nodes need (§3.11)."""
+    if "matrix" in node:
+        local = _local_transform(node)
+        scale = np.linalg.norm(local[:3, :3], axis=0)
+        turn = Rotation.from_matrix(local[:3, :3] / scale).as_quat()
+        parts = {"translation": local[:3, 3], "rotation": turn, "scale": scale}
+        del node["matrix"]
+        node |= {name: part.tolist() for name, part in parts.items()}
+
+
+def world_rotations(document: dict[str, Any]) -> dict[int, tuple[Rotation, Rotation]]:
+    """Return, by node of the scene, the rotations of its parent in the scene and of itself."""
+    found: dict[int, tuple[Rotation, Rotation]] = {}
+    for index, world in _walk(document):
+        local = _local_transform(document["nodes"][index])
+        turns = [_rotation(matrix) for matrix in (world, local)]
+        found[index] = turns[0] * turns[1].inv(), turns[1]
+    return found
+
+
+def _rotation(matrix: Float64) -> Rotation:
+    turned = matrix[:3, :3]
+    return Rotation.from_matrix(turned / np.linalg.norm(turned, axis=0))
+
+
 def morph_names(path: Path | str) -> tuple[str, ...]:
     """Names of all morph targets in a GLB file, compressed or not, in file order."""
     path = Path(path)
@@ -325,6 +352,8 @@ def animate_glb(
             picked[:, k] = weights[:, i]
         if known:
             driven[node] = picked
+    for node in animation.turns:
+        _separate(document["nodes"][node])
     if not driven:
         raise MeshError(f"{Path(source).name} has none of the morph targets {', '.join(names[:6])}")
     builder = GlbBuilder(document, bytearray(binary))

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rig.conversion.avatars import ShapeFit
+from rig.conversion.avatars import ShapeFit, bare_names
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
@@ -23,6 +23,7 @@ from rig.mesh.sequence import check_out, principal_shapes, write_sequence
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, check_length
 from rig.retarget.blendshapes import FacePoses, match_shapes
+from rig.retarget.bones import turns_of
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import read_landmarks
 from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
@@ -53,6 +54,8 @@ class RetargetReport:
         Warnings, one line each.
     mapping : mapping
         Raw curves that each shape of the mesh was taken for; none for an unknown name.
+    bones : int
+        Bones that follow the head and the gaze.
     """
 
     path: Path
@@ -62,6 +65,7 @@ class RetargetReport:
     lost: float | None
     notes: tuple[str, ...]
     mapping: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    bones: int = 0
 
 
 def retarget_curves(
@@ -73,6 +77,7 @@ def retarget_curves(
     mapping: Path | str | None = None,
     method: Method = "displacements",
     as_neutral: bool = False,
+    keys: float = 0.0,
 ) -> RetargetReport:
     """Put a take on a user's face and write it.
 
@@ -95,6 +100,8 @@ def retarget_curves(
         Method of making shapes for a neutral mesh: "displacements" or "gradients".
     as_neutral : bool
         Ignore the mesh's own shapes.
+    keys : float
+        Tolerance of few keys in a GLB whose own shapes are driven; see `WeightAnimation`.
 
     Raises
     ------
@@ -106,7 +113,7 @@ def retarget_curves(
     if known_controls(curves.control_set) is None:
         return _drive_by_name(curves, mesh, out)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
-        return _drive_glb(curves, mesh, out, mapping)
+        return _drive_glb(curves, mesh, out, mapping, keys)
     shapes = read_shapes(mesh)
     if shapes.names and not as_neutral:
         fit, poses = _fit(curves, shapes, mapping)
@@ -229,9 +236,9 @@ def read_shapes(path: Path | str) -> ShapeSet:
 
 
 def _drive_glb(
-    curves: RigCurves, mesh: Path, out: Path | str, mapping: Path | str | None
+    curves: RigCurves, mesh: Path, out: Path | str, mapping: Path | str | None, keys: float
 ) -> RetargetReport:
-    """Drive a GLB's own morph targets; its file is kept as it is where the output is a GLB."""
+    """Drive a GLB's own shapes, head, neck and eyes; a GLB that is written keeps the rest."""
     if check_out(out) != "glb":
         shapes = read_glb(mesh)
         fit, poses = _fit(curves, shapes, mapping)
@@ -244,8 +251,24 @@ def _drive_glb(
         own = None if mapping is None else read_mapping(mapping)
         poses = match_shapes(morph_names(mesh), mapping=own)
         fit = poses.weights(curves)
-    animate_glb(mesh, Path(out), fit.names, WeightAnimation(fit.weights, curves.fps))
-    return _driven(out, fit, poses, len(curves))
+    gaze = [i for i, name in enumerate(bare_names()) if name.startswith("eyeLook")]
+    turns = turns_of(mesh, curves, has_gaze=bool(poses.poses[:, gaze].any()))
+    animation = WeightAnimation(fit.weights, curves.fps, turns=turns, tolerance=keys)
+    animate_glb(mesh, Path(out), fit.names, animation)
+    report = _driven(out, fit, poses, len(curves))
+    return replace(report, bones=len(turns), notes=(*report.notes, *_unturned(curves, turns)))
+
+
+def _unturned(curves: RigCurves, turns: Mapping[int, Any]) -> tuple[str, ...]:
+    """What of the head track the file does not show."""
+    if curves.head is None:
+        return ()
+    notes = []
+    if not turns and np.any(curves.head[:, :3]):
+        notes.append("the file has no bone of a head: its turn is not shown")
+    if np.any(curves.head[:, 3:]):
+        notes.append("the shift of the head is not shown")
+    return tuple(notes)
 
 
 def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str) -> RetargetReport:

@@ -7,16 +7,27 @@ Blender are in test_scene.py, python-osc in tests/rig/livelink.
 import json
 import shutil
 import subprocess
+import threading
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, write_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
+from rig.conversion.convert import convert
+from rig.face.turn import quaternions
+from rig.formats.vrma import APPLE, PRESETS
 from rig.livelink import make_protocol
+from rig.mesh.glb import write_container
+from tests.browser import chromium
 
 pytestmark = pytest.mark.slow
-PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "three@0.187.0")
+VRM = ("@pixiv/three-vrm@3.5.5", "@pixiv/three-vrm-animation@3.5.5")
+PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "three@0.180.0", *VRM)
 VALIDATOR = """
 const fs = require('fs'), validator = require('gltf-validator');
 (async () => {
@@ -48,6 +59,43 @@ new GLTFLoader().parse(buffer, '', gltf => {
 """
 
 
+PAGE = """<!doctype html><script type="importmap">{"imports": {
+  "three": "/node_modules/three/build/three.module.js",
+  "three/addons/": "/node_modules/three/examples/jsm/",
+  "three/examples/": "/node_modules/three/examples/",
+  "@pixiv/three-vrm": "/node_modules/@pixiv/three-vrm/lib/three-vrm.module.js",
+  "@pixiv/three-vrm-animation":
+    "/node_modules/@pixiv/three-vrm-animation/lib/three-vrm-animation.module.js"}}</script>
+<script type="module">
+import * as THREE from 'three';
+import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { VRMLoaderPlugin } from '@pixiv/three-vrm';
+import { VRMAnimationLoaderPlugin, VRMLookAtQuaternionProxy, createVRMAnimationClip }
+  from '@pixiv/three-vrm-animation';
+window.play = async times => {
+  const loader = new GLTFLoader();
+  loader.register(parser => new VRMLoaderPlugin(parser));
+  loader.register(parser => new VRMAnimationLoaderPlugin(parser));
+  const vrm = (await loader.loadAsync('/avatar.vrm')).userData.vrm;
+  const animation = (await loader.loadAsync('/take.vrma')).userData.vrmAnimations[0];
+  const proxy = new VRMLookAtQuaternionProxy(vrm.lookAt);
+  proxy.name = 'proxy';
+  vrm.scene.add(proxy);
+  const mixer = new THREE.AnimationMixer(vrm.scene);
+  mixer.clipAction(createVRMAnimationClip(animation, vrm)).play();
+  return times.map(time => {
+    mixer.setTime(time);
+    vrm.update(0);
+    const names = Object.keys(vrm.expressionManager.expressionMap);
+    const head = vrm.humanoid.getRawBoneNode('head').getWorldQuaternion(new THREE.Quaternion());
+    return { head: head.toArray(), gaze: [vrm.lookAt.yaw, vrm.lookAt.pitch],
+      shapes: Object.fromEntries(names.map(n => [n, vrm.expressionManager.getValue(n)])) };
+  });
+};
+window.ready = true;
+</script>"""
+
+
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     """Run a script of Node with the packages; returns its lines as JSON."""
@@ -59,6 +107,8 @@ def node(tmp_path_factory):
         pytest.skip("needs the npm registry")
 
     def run(script, *arguments):
+        if script is None:
+            return folder
         is_module = script.startswith("\nimport")
         path = folder / f"script.{'mjs' if is_module else 'cjs'}"
         path.write_text(script)
@@ -99,6 +149,72 @@ def test_three_js_plays_the_weights_between_frames(node, files, shapes):
         for name in shapes.names[:52]:
             expected = np.interp(time, shapes.times, shapes[name])
             assert weights[name[0].lower() + name[1:]] == pytest.approx(expected, abs=1e-5)
+
+
+def avatar(path):
+    """A VRM 1 without a mesh: the bones it must have, at rest, vowels, blinks and Apple's shapes."""
+    limbs = [f"{side}{bone}" for side in ("left", "right") for bone in
+             ("UpperLeg", "LowerLeg", "Foot", "UpperArm", "LowerArm", "Hand")]  # fmt: skip
+    bones = ["hips", "spine", "head", *limbs]
+    nodes = [{"name": bone, "translation": [0, 0.3, 0], "children": []} for bone in bones]
+    nodes[0]["children"] = [1, *range(3, len(bones))]
+    nodes[1]["children"] = [2]
+    shapes = {name: {} for name in APPLE}
+    meta = {"name": "a", "authors": ["a"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
+    look_at = {"type": "bone", "offsetFromHeadBone": [0, 0.06, 0]}
+    for way in ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp"):
+        look_at[f"rangeMap{way}"] = {"inputMaxValue": 90, "outputScale": 10}
+    vrm = {
+        "specVersion": "1.0", "meta": meta, "lookAt": look_at,
+        "humanoid": {"humanBones": {bone: {"node": i} for i, bone in enumerate(bones)}},
+        "expressions": {"preset": {name: {} for name in PRESETS}, "custom": shapes},
+    }  # fmt: skip
+    document = {
+        "asset": {"version": "2.0"}, "nodes": nodes, "scenes": [{"nodes": [0]}], "scene": 0,
+        "extensionsUsed": ["VRMC_vrm"], "extensions": {"VRMC_vrm": vrm},
+    }  # fmt: skip
+    write_container(path, document, b"\0\0\0\0")
+
+
+def test_three_vrm_plays_a_take_in_chromium(node, tmp_path):
+    """Expressions and head as the take has them."""
+    folder = node(None)
+    board = default_controls()
+    rng = np.random.default_rng(3)
+    values = rng.uniform(board.rest, board.maximum, (9, 185)).astype(np.float32)
+    head = np.zeros((9, 6), np.float32)
+    head[:, :3] = np.linspace(0, 1, 9)[:, None] * [20, -10, 8]
+    take = RigCurves(values, board.names, 30, head=head)
+    write_curves(folder / "take.vrma", take)
+    avatar(folder / "avatar.vrm")
+    (folder / "index.html").write_text(PAGE)
+    with served(folder) as address, chromium(player=False) as browser:
+        tab = browser.new_page()
+        complaints = []
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(address)
+        tab.wait_for_function("window.ready", timeout=60_000)
+        frames = tab.evaluate("times => window.play(times)", [i / 30 for i in range(8)])
+    assert not complaints
+    apple, vowels = convert(take, ARKIT_ID), convert(take, "vrm1")
+    for i, frame in enumerate(frames):
+        shapes = frame["shapes"]
+        for name in APPLE:
+            assert shapes[name] == pytest.approx(apple[name[0].upper() + name[1:]][i], abs=1e-3)
+        for name in PRESETS:
+            assert shapes[name] == pytest.approx(vowels[name][i], abs=1e-3)
+        turn = Rotation.from_quat(quaternions(head[i : i + 1])[0])
+        assert (Rotation.from_quat(frame["head"]) * turn.inv()).magnitude() < 1e-3
+
+
+@contextmanager
+def served(folder):
+    """A folder over HTTP on this machine."""
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/index.html"
+        server.shutdown()
 
 
 def test_py_live_link_face_reads_our_packets(shapes):

@@ -1,0 +1,129 @@
+"""VRMA (VRMC_vrm_animation 1.0): expressions, head and gaze of a take for any VRM avatar.
+
+A GLB without a mesh. Expressions are the x of nodes: the presets of VRM 1 (vowels, blinks) for
+every avatar, and Apple's 52 names as custom ones, which avatars of "perfect sync" have. The head
+turns as the head track; the gaze is the rotation of the look-at node. Axes are x
+to the avatar's left, y up, z forward.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rig.arrays import Float64
+from rig.controls import ControlSet
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.convert import convert, convert_and_note
+from rig.curves import RigCurves
+from rig.errors import FormatError
+from rig.face.turn import quaternions
+from rig.mesh.glb import GlbBuilder, read_container, write_container
+from rig.mesh.glb_reader import read_accessor
+from rig.retarget.bones import gaze_turn
+
+EXTENSION = "VRMC_vrm_animation"
+BONES = {"hips": 1.0, "spine": 0.1, "chest": 0.15, "neck": 0.25, "head": 0.1}
+"""Bones from the hips up, and the height of each above the one before, metres."""
+PRESETS = ("aa", "ih", "ou", "ee", "oh", "blink", "blinkLeft", "blinkRight")
+APPLE = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+
+
+def note(path: Path, curves: RigCurves) -> str:
+    """What the two sets of expressions do not show."""
+    return "; ".join(convert_and_note(curves, to)[1] for to in (ARKIT_ID, "vrm1"))
+
+
+def write(path: Path, curves: RigCurves) -> None:
+    """Write board curves and their head track."""
+    avatar, arkit = convert(curves, "vrm1"), convert(curves, ARKIT_ID)
+    weights = {name: avatar[name] for name in PRESETS}
+    weights |= dict(zip(APPLE, arkit.values[:, :52].T, strict=True))
+    builder = GlbBuilder({"asset": {"version": "2.0", "generator": "deitalk"}})
+    nodes: list[dict[str, Any]] = [
+        {"name": bone, "translation": [0, height, 0], "children": [i + 1]}
+        for i, (bone, height) in enumerate(BONES.items())
+    ]
+    nodes[-1]["children"] = []
+    first, look = len(nodes), len(nodes) + len(weights)
+    nodes += [{"name": name} for name in (*weights, "lookAt")]
+    moves = [(look, "rotation", gaze_turn(curves).as_quat(), "VEC4")]
+    for i, weight in enumerate(weights.values()):
+        moves.append((first + i, "translation", weight[:, None] * [1.0, 0, 0], "VEC3"))
+    if curves.head is not None:
+        # The head alone: an avatar may have no neck, and would lose its share.
+        moves.append((list(BONES).index("head"), "rotation", quaternions(curves.head), "VEC4"))
+    _animate(builder, moves, np.arange(len(curves)) / curves.fps)
+    named = {name: {"node": first + i} for i, name in enumerate(weights)}
+    builder.json |= {
+        "nodes": nodes,
+        "scenes": [{"nodes": [0, *range(first, len(nodes))]}],
+        "scene": 0,
+        "extensionsUsed": [EXTENSION],
+        "extensions": {
+            EXTENSION: {
+                "specVersion": "1.0",
+                "humanoid": {"humanBones": {bone: {"node": i} for i, bone in enumerate(BONES)}},
+                "expressions": {
+                    "preset": {name: named[name] for name in PRESETS},
+                    "custom": {name: named[name] for name in APPLE},
+                },
+                "lookAt": {"node": look, "offsetFromHeadBone": [0, 0.06, 0]},
+            }
+        },
+    }
+    write_container(path, builder.json, bytes(builder.binary))
+
+
+def _animate(builder: GlbBuilder, moves: list[Any], times: Float64) -> None:
+    start = builder.dense(times, "SCALAR")
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    for node, path, rows, kind in moves:
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+        output = builder.dense(np.asarray(rows, np.float64), kind)
+        samplers.append({"input": start, "output": output, "interpolation": "LINEAR"})
+    builder.json["animations"] = [{"name": "take", "samplers": samplers, "channels": channels}]
+
+
+def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
+    """Read a VRMA with Apple's expressions, as we write it, as ARKit curves with their head.
+
+    Raises
+    ------
+    FormatError
+        If it has no such animation, or keys at uneven times.
+    """
+    document, binary = read_container(path)
+    try:
+        own = document["extensions"][EXTENSION]
+        custom = own.get("expressions", {}).get("custom", {})
+        animation = document["animations"][0]
+        rows = {}
+        for channel in animation["channels"]:
+            sampler = animation["samplers"][channel["sampler"]]
+            rows[channel["target"]["node"]] = [
+                read_accessor(document, binary, sampler[part]) for part in ("input", "output")
+            ]
+        columns = {name: rows[custom[name]["node"]] for name in APPLE if name in custom}
+        times = next(iter(columns.values()))[0]
+        bones = {b: rows.get(d["node"]) for b, d in own["humanoid"]["humanBones"].items()}
+    except (LookupError, TypeError, AttributeError, StopIteration) as error:
+        raise FormatError(f"{path.name} has no {EXTENSION} with Apple's expressions") from error
+    steps = np.diff(times)
+    if len(steps) and np.ptp(steps) > 1e-3 * steps.mean():
+        raise FormatError(f"{path.name} has keys at uneven times; bake it to frames")
+    values = np.zeros((len(times), len(arkit_controls())), np.float32)
+    for name, (_, output) in columns.items():
+        values[:, APPLE.index(name)] = output[:, 0]
+    turn = Rotation.identity(len(times))
+    for bone in ("neck", "head"):
+        if (motion := bones.get(bone)) is not None:
+            turn = turn * Rotation.from_quat(motion[1])
+    head = None
+    if turn.magnitude().any():
+        yaw, pitch, roll = (turn.as_euler("YXZ", degrees=True) * [-1, -1, 1]).T
+        head = np.stack([yaw, pitch, roll, *np.zeros((3, len(times)))], axis=1).astype(np.float32)
+    rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
+    return RigCurves(values, arkit_controls().names, rate, control_set=ARKIT_ID, head=head)
