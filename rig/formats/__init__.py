@@ -230,7 +230,9 @@ def _recognised(path: Path, chosen: Format) -> Format:
         name = format_of_header(read_header(path))
     elif chosen.name == "json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            name = "rhubarb-json" if b'"mouthCues"' in stream.read(4096) else None
+            beginning = stream.read(4096)
+        marks = {b'"mouthCues"': "rhubarb-json", b'"facsNames"': "a2f-json"}
+        name = next((found for mark, found in marks.items() if mark in beginning), None)
     return find_format(path, name or chosen.name)
 
 

@@ -1,4 +1,4 @@
-"""Rhubarb Lip Sync cues as tsv, json and xml, both ways: for Blender, Spine and After Effects.
+"""Rhubarb Lip Sync cues as tsv, json, xml and Moho's dat, both ways: for Blender, Spine, Moho.
 
 Times are seconds with two decimals, as Rhubarb writes them.
 """
@@ -115,6 +115,31 @@ def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None =
         start, end = (_seconds(cue.get(key), f"{where}, {key}") for key in ("start", "end"))
         given.append(Cue(start, end, (cue.text or "").strip()))
     return _posed(path, given, fps)
+
+
+def write_dat(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
+    """Write ``MohoSwitch1``, then ``frame shape``, as Rhubarb counts: from 1, at the curves' rate."""
+    heard, end = _heard(curves, seconds)
+    lines = {1 + int(cue.start * curves.fps + 1e-6): cue.shape for cue in heard}
+    lines[max(1 + int(end * curves.fps + 1e-6), max(lines, default=0) + 1)] = "X"
+    text = "".join(f"{frame} {shape}\n" for frame, shape in lines.items())
+    path.write_text("MohoSwitch1\n" + text, encoding="utf-8", newline="\n")
+
+
+def read_dat(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read cues and pose the mouth; frames are at `fps`, 24 by default as Rhubarb's."""
+    rate = fps or 24.0
+    first, *lines = read_text(path, CUES_BYTES).split("\n")
+    if first.strip() != "MohoSwitch1":
+        raise FormatError(f"{path} does not begin with MohoSwitch1")
+    marks = []
+    for number, line in enumerate(filter(None, map(str.strip, lines)), start=2):
+        frame, _, shape = line.partition(" ")
+        if not frame.isdecimal() or not 1 <= int(frame) <= 1 + SECONDS * rate:
+            raise FormatError(f"{path}: line {number} must be a frame from 1 and a shape")
+        marks.append(((int(frame) - 1) / rate, shape))
+    pairs = itertools.pairwise([*marks, marks[-1]] if marks else [])
+    return _posed(path, [Cue(a, b, shape) for (a, shape), (b, _) in pairs], rate)
 
 
 def _posed(path: Path, given: Sequence[Cue], fps: float | None) -> RigCurves:

@@ -7,11 +7,13 @@ from typing import Any
 
 from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
+from rig.conversion.avatars import AVATARS
 from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats import (
     a2f_csv,
+    a2f_json,
     curves_csv,
     curves_json,
     curves_npz,
@@ -20,6 +22,7 @@ from rig.formats import (
     maya_script,
     rhubarb,
     rigmapper_csv,
+    unity_anim,
     unreal_json,
     viseme_json,
 )
@@ -176,6 +179,24 @@ FORMATS: tuple[Format, ...] = (
         begins=("", "timecode"),
     ),
     Format(
+        "a2f-json",
+        (".a2f.json",),
+        "facsNames and weightMat of the Audio2Face application: ARKit or an avatar (lossy)",
+        a2f_json.read,
+        a2f_json.write,
+        ARKIT_ID,
+        also=AVATARS,
+        options=("sound",),
+    ),
+    Format(
+        "unity",
+        (".anim",),
+        "Unity animation clip of blend shapes: ARKit's or an avatar's names (lossy)",
+        write=unity_anim.write,
+        control_set=ARKIT_ID,
+        also=AVATARS,
+    ),
+    Format(
         "emoface",
         (".txt",),
         "EmoFace and MEDTalk, 174 board values per line; reading needs fps",
@@ -223,6 +244,15 @@ FORMATS: tuple[Format, ...] = (
         "Rhubarb mouth cues, tab separated",
         rhubarb.read_tsv,
         rhubarb.write_tsv,
+        DEFAULT_ID,
+        options=("seconds",),
+    ),
+    Format(
+        "rhubarb-dat",
+        (".dat",),
+        "Rhubarb mouth cues for Moho and OpenToonz; reading takes fps, 24",
+        rhubarb.read_dat,
+        rhubarb.write_dat,
         DEFAULT_ID,
         options=("seconds",),
     ),

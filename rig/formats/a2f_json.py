@@ -1,0 +1,89 @@
+"""Blendshape weights as NVIDIA's Audio2Face application exports them: ``facsNames``, ``weightMat``.
+
+``exportFps``, ``trackPath``, ``numPoses``, ``numFrames``, ``facsNames`` and one row of weights a
+frame. Names are ARKit's in any spelling, or those of an avatar of `rig.conversion.avatars`.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from rig.controls import ControlSet
+from rig.conversion.arkit import ARKIT_ID, udp_order
+from rig.conversion.avatars import AVATARS
+from rig.conversion.convert import known_controls
+from rig.conversion.shape_fit import shape_key
+from rig.curves import RigCurves, check_clip
+from rig.errors import FormatError
+from rig.formats.curves_json import read_object
+from rig.formats.decimal_text import Block, rows
+
+DECIMALS = 6
+N_SHAPES = 52
+
+
+def write(path: Path, curves: RigCurves, sound: str = "") -> None:
+    """Write the shapes; ARKit's 52 in NVIDIA's order, without rotations."""
+    order = (
+        udp_order()[:N_SHAPES] if curves.control_set == ARKIT_ID else np.arange(len(curves.names))
+    )
+    names = [curves.names[i] for i in order]
+    if curves.control_set == ARKIT_ID:
+        names = [name[0].lower() + name[1:] for name in names]
+    head = {
+        "exportFps": curves.fps, "trackPath": sound, "numPoses": len(names),
+        "numFrames": len(curves), "facsNames": names,
+    }  # fmt: skip
+    with path.open("wb") as stream:
+        stream.write(json.dumps(head, indent=1)[:-2].encode() + b',\n "weightMat": [\n')
+        last = b""
+        for text in rows([Block(curves.values[:, order], DECIMALS)], before=b"  [", after=b"],\n"):
+            stream.write(last + text[:-2])
+            last = text[-2:]
+        stream.write(b"\n ]\n}\n")
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read weights of ARKit's or an avatar's shapes; shapes that are not named rest.
+
+    Raises
+    ------
+    FormatError
+        If a part is missing or damaged, there is no rate, or the names are of no known set.
+    """
+    data = read_object(path)
+    names, rate = data.get("facsNames"), fps or data.get("exportFps")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise FormatError(f"{path} needs a list of texts 'facsNames'")
+    if type(rate) not in (int, float) or not 0 < rate <= 1000:  # type: ignore[operator]
+        raise FormatError(f"{path} has no rate 'exportFps'; give --source-fps")
+    try:
+        values = np.array(data.get("weightMat"), np.float32)
+    except (TypeError, ValueError, OverflowError):
+        values = np.empty(0, np.float32)
+    if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
+        raise FormatError(f"{path}: 'weightMat' must be rows of {len(names)} finite numbers")
+    chosen, places = _set_of(names, path)
+    check_clip(len(values), len(chosen))
+    shown = np.zeros((len(values), len(chosen)), np.float32)
+    for column, place in enumerate(places):
+        if place is not None:
+            shown[:, place] = np.clip(values[:, column], 0, 1)
+    return RigCurves(shown, chosen.names, float(rate), control_set=chosen.id)  # type: ignore[arg-type]
+
+
+def _set_of(names: list[str], path: Path) -> tuple[ControlSet, list[int | None]]:
+    """Return the set with most of some names, and the place of each name in it."""
+    best: tuple[int, ControlSet, list[int | None]] | None = None
+    for known in (ARKIT_ID, *AVATARS):
+        controls = known_controls(known)
+        assert controls is not None
+        by_key = {shape_key(name): i for i, name in enumerate(controls.names)}
+        places = [by_key.get(shape_key(name)) for name in names]
+        count = sum(place is not None for place in places)
+        if best is None or count > best[0]:
+            best = count, controls, places
+    if best is None or not best[0]:
+        raise FormatError(f"{path}: {', '.join(names[:4])} … are no shapes of ARKit or an avatar")
+    return best[1], best[2]
