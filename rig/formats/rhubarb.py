@@ -118,7 +118,7 @@ def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None =
 
 
 def write_dat(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
-    """Write ``MohoSwitch1``, then ``frame shape``, as Rhubarb counts: from 1, at the curves' rate."""
+    """Write ``MohoSwitch1``, then ``frame shape``, frames from 1 at the curves' rate."""
     heard, end = _heard(curves, seconds)
     lines = {1 + int(cue.start * curves.fps + 1e-6): cue.shape for cue in heard}
     lines[max(1 + int(end * curves.fps + 1e-6), max(lines, default=0) + 1)] = "X"

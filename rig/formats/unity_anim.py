@@ -15,12 +15,13 @@ from rig.unreal.deitalk_clip import curve_keys
 
 TOLERANCE = 5e-4
 PERCENT = 100.0
+N_SHAPES = 52
 _HEAD = """%YAML 1.1
 %TAG !u! tag:unity3d.com,2011:
 --- !u!74 &7400000
 AnimationClip:
   m_ObjectHideFlags: 0
-  m_Name: {name}
+  m_Name: take
   serializedVersion: 6
   m_Legacy: 0
   m_Compressed: 0
@@ -67,11 +68,10 @@ _TAIL = """  m_PPtrCurves: []
 
 def write(path: Path, curves: RigCurves) -> None:
     """Write one curve a shape; ARKit's rotations are left out."""
-    shapes = [
-        (i, n) for i, n in enumerate(curves.names) if not n.endswith(("Yaw", "Pitch", "Roll"))
-    ]
+    is_arkit = curves.control_set == ARKIT_ID
+    shapes = list(enumerate(curves.names))[: N_SHAPES if is_arkit else None]
     with path.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.write(_HEAD.format(name=path.name.removesuffix(".anim").split(".")[0] or "take"))
+        stream.write(_HEAD)
         for column, name in shapes:
             values = curves.values[:, column].astype(np.float64)
             keys = "".join(
@@ -83,7 +83,7 @@ def write(path: Path, curves: RigCurves) -> None:
                 )
                 for frame, arrive, leave in curve_keys(values.tolist(), TOLERANCE)
             )
-            shape = name[0].lower() + name[1:] if curves.control_set == ARKIT_ID else name
+            shape = name[0].lower() + name[1:] if is_arkit else name
             stream.write(_CURVE.format(keys=keys, name=shape))
         stop = (len(curves) - 1) / curves.fps
         stream.write(_TAIL.format(rate=curves.fps, stop=stop))
