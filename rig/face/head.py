@@ -37,17 +37,19 @@ Arrays = dict[str, NDArray[Any]]
 
 @lru_cache(maxsize=1)
 def _source_key() -> str:
-    """Digest of the code that builds heads: heads of older code are not used."""
+    """Digest of the code and tables that heads and their shapes are built by."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(source.read_bytes())
+    for folder in ("controls", "face", "retarget"):
+        for source in sorted((Path(__file__).parents[1] / folder).rglob("*.*")):
+            if source.suffix in (".py", ".csv", ".json"):
+                digest.update(source.read_bytes())
     return digest.hexdigest()
 
 
-def load_or_build(identity: Identity, build: Callable[[Identity], Arrays]) -> Arrays:
+def load_or_build(kind: str, identity: Identity, build: Callable[[Identity], Arrays]) -> Arrays:
     """Arrays of a head from the cache, or built and then kept where the folder can be written."""
     key = hashlib.sha256(f"{_source_key()} {astuple(identity)}".encode()).hexdigest()[:20]
-    path = cache_folder() / f"head-{key}.npz"
+    path = cache_folder() / f"{kind}-{key}.npz"
     try:
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
@@ -334,7 +336,7 @@ def build_head(identity: int | str | Identity = 0) -> Head:
 def _head(identity: Identity) -> Head:
     from rig.face.geometry.loops import anatomy
 
-    arrays = load_or_build(identity, _build)
+    arrays = load_or_build("head", identity, _build)
     skin = Skin(
         arrays["vertices"], arrays["faces"].astype(np.int64), arrays["kind"], arrays["ring"],
         arrays["slot"], arrays["mirror"], anatomy(identity),

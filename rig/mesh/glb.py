@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32
+from rig.arrays import Float32, Int64
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
 from rig.limits import MESH_BYTES
 from rig.mesh.shapes import ShapeSet
-from rig.mesh.trimesh import TriMesh, vertex_normals
+from rig.mesh.trimesh import MovedNormals
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
 _FLOAT, _UINT = 5126, 5125
@@ -117,22 +117,20 @@ class GlbBuilder:
             fields |= _bounds(array)
         return self.accessor(**fields)
 
-    def sparse(self, delta: NDArray[Any], still: float) -> int:
-        """Accessor of displacements that stores only the vertices that move (§3.6.2.3)."""
-        delta = delta.astype("<f4")
-        moving = np.flatnonzero(np.linalg.norm(delta, axis=1) > still)
-        fields: dict[str, Any] = {"componentType": _FLOAT, "count": len(delta), "type": "VEC3"}
-        kept = np.zeros_like(delta)
-        kept[moving] = delta[moving]
+    def sparse(self, count: int, moving: Int64, delta: NDArray[Any]) -> int:
+        """Accessor of `count` displacements that stores those of `moving` vertices (§3.6.2.3)."""
+        delta = np.asarray(delta, "<f4")
+        fields: dict[str, Any] = {"componentType": _FLOAT, "count": count, "type": "VEC3"}
         if len(moving):
             fields["sparse"] = {
                 "count": len(moving),
                 "indices": {
                     "bufferView": self.view(moving.astype("<u4")), "componentType": _UINT
                 },
-                "values": {"bufferView": self.view(delta[moving])},
+                "values": {"bufferView": self.view(delta)},
             }  # fmt: skip
-        return self.accessor(**fields, **_bounds(kept))
+        still = np.zeros((int(len(moving) < count), 3), "<f4")
+        return self.accessor(**fields, **_bounds(np.concatenate([delta, still])))
 
 
 def _bounds(array: NDArray[Any]) -> dict[str, list[float]]:
@@ -189,20 +187,23 @@ def _add_mesh(
     colours: NDArray[Any] | None,
 ) -> None:
     mesh, used = shapes.neutral.compact()
-    normals = vertex_normals(mesh)
+    normals = MovedNormals(mesh)
     targets = []
-    for delta in shapes.deltas[:, used].astype(np.float64):
-        moved = vertex_normals(TriMesh(mesh.vertices + delta, mesh.faces))
+    for shape in shapes.deltas:
+        delta = shape[used]
+        moving = np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > (_STILL * mesh.size) ** 2)
+        turned, turn = normals.turn(moving, delta[moving])
+        is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(
             {
-                "POSITION": builder.sparse(delta, _STILL * mesh.size),
-                "NORMAL": builder.sparse(moved - normals, _NORMAL_STILL),
+                "POSITION": builder.sparse(len(delta), moving, delta[moving]),
+                "NORMAL": builder.sparse(len(delta), turned[is_seen], turn[is_seen]),
             }
         )
     primitive: dict[str, Any] = {
         "attributes": {
             "POSITION": builder.dense(mesh.vertices, "VEC3", _ARRAY_BUFFER),
-            "NORMAL": builder.dense(normals, "VEC3", _ARRAY_BUFFER),
+            "NORMAL": builder.dense(normals.rest, "VEC3", _ARRAY_BUFFER),
         },
         "indices": builder.dense(mesh.faces.ravel(), "SCALAR", _INDEX_BUFFER),
         "material": 0,

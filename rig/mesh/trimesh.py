@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float64, Int64
+from rig.arrays import AnyFloat, Float64, Int64
 from rig.errors import MeshError, TopologyError
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
 
@@ -146,7 +146,11 @@ def listed(indices: NDArray[Any], most: int = 8) -> str:
 
 def cross_products(mesh: TriMesh) -> Float64:
     """Give each triangle's (v2 - v1) x (v3 - v1) [shape=(N, 3)], twice its area long."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return _cross_products(mesh.vertices, mesh.faces)
+
+
+def _cross_products(vertices: Float64, faces: Int64) -> Float64:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
     product: Float64 = np.cross(b - a, c - a)
     return product
 
@@ -164,11 +168,44 @@ def triangle_normals(mesh: TriMesh) -> Float64:
 
 def vertex_normals(mesh: TriMesh) -> Float64:
     """Area-weighted unit normal at each vertex [shape=(V, 3)]; zero at unused vertices."""
-    normals = np.zeros_like(mesh.vertices)
-    products = cross_products(mesh)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], products)
-    return _unit(normals)
+    return _unit(_corner_sums(mesh.faces, cross_products(mesh), len(mesh.vertices)))
+
+
+def _corner_sums(faces: Int64, products: Float64, count: int) -> Float64:
+    """Sum [shape=(count, 3)] of the faces' products at each of their corners."""
+    corners = faces.T.ravel()
+    sums = [np.bincount(corners, np.tile(axis, 3), count) for axis in products.T]
+    return np.stack(sums, axis=1)
+
+
+class MovedNormals:
+    """Normals of one mesh in many poses that each move a part of it.
+
+    Attributes
+    ----------
+    rest : array [shape=(V, 3)]
+        `vertex_normals` of the mesh.
+    """
+
+    def __init__(self, mesh: TriMesh) -> None:
+        self._mesh = mesh
+        self._products = cross_products(mesh)
+        self._sums = _corner_sums(mesh.faces, self._products, len(mesh.vertices))
+        self.rest = _unit(self._sums)
+
+    def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
+        """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there."""
+        vertices = self._mesh.vertices.copy()
+        vertices[moving] += delta
+        is_moving = np.zeros(len(vertices), bool)
+        is_moving[moving] = True
+        a, b, c = self._mesh.faces.T
+        touched = np.flatnonzero(is_moving[a] | is_moving[b] | is_moving[c])
+        turned, faces = np.unique(self._mesh.faces[touched], return_inverse=True)
+        faces = faces.reshape(-1, 3)
+        change = _cross_products(vertices[turned], faces) - self._products[touched]
+        sums = _corner_sums(faces, change, len(turned))
+        return turned, _unit(self._sums[turned] + sums) - self.rest[turned]
 
 
 def _unit(vectors: Float64) -> Float64:

@@ -1,14 +1,19 @@
 """The embedded head as one mesh with morph targets, for formats that carry a mesh."""
 
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rig.arrays import Float32, Float64
+from rig.arrays import Float64
 from rig.controls import default_controls
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import BakedRig, bake, face_correctives
+from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
+
+if TYPE_CHECKING:
+    from rig.face.identity import Identity
 
 METRES_PER_CM = 0.01
 
@@ -30,15 +35,41 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
         Linear, as glTF and USD take them.
     """
     from rig.face import build_head
+    from rig.face.head import load_or_build
+    from rig.face.identity import resolve_identity
 
     head = build_head(identity)
-    mesh = TriMesh(head.mesh.vertices, head.mesh.faces)
-
-    def evaluate(values: Float32) -> Float32:
-        return np.asarray(head.pose(values))
-
-    rig = bake(mesh, evaluate, default_controls(), correctives=face_correctives())
+    stored = load_or_build("morphs", resolve_identity(identity), _baked)
+    controls = default_controls()
+    drivers = dict(control_halves(controls) + face_correctives())
+    names = tuple(str(name) for name in stored["names"])
+    deltas = np.zeros((len(names), len(head.mesh.vertices), 3), np.float32)
+    deltas[stored["shape"], stored["vertex"]] = stored["delta"]
+    deltas.setflags(write=False)
+    shapes = ShapeSet(TriMesh(stored["rest"], head.mesh.faces), names, deltas)
+    rig = BakedRig(shapes, tuple(drivers[name] for name in names), controls)
     return rig, srgb_to_linear(head.mesh.colors)
+
+
+def _baked(identity: "Identity") -> dict[str, NDArray[Any]]:
+    """Shapes of a head as plain arrays, without the vertices that do not move."""
+    from rig.face import build_head
+
+    head = build_head(identity)
+    rig = bake(
+        TriMesh(head.mesh.vertices, head.mesh.faces),
+        lambda values: np.asarray(head.pose(values)),
+        default_controls(),
+        correctives=face_correctives(),
+    )
+    shape, vertex = np.nonzero(rig.shapes.deltas.any(axis=2))
+    return {
+        "rest": rig.shapes.neutral.vertices,
+        "names": np.array(rig.shapes.names),
+        "shape": shape.astype(np.int32),
+        "vertex": vertex.astype(np.int32),
+        "delta": rig.shapes.deltas[shape, vertex],
+    }
 
 
 def srgb_to_linear(colours: Float64) -> Float64:
