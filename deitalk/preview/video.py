@@ -12,6 +12,7 @@ from deitalk.preview.source import PreviewError, PreviewSource, check_board, loa
 from rig.arrays import AnyFloat, Float32
 from rig.emotions import COLORS, EMOTIONS
 from rig.face import build_head
+from rig.face.accents import accents
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, Renderer, make_renderer
@@ -112,13 +113,14 @@ def draw_frames(
     try:
         for start in range(0, len(values), BATCH):
             poses: AnyFloat = head.pose(values[start : start + BATCH])
+            accent = accents(head, values[start : start + BATCH], poses)
             if source.curves.head is not None:
                 poses = turned(poses, source.curves.head[start : start + BATCH], share)
             for k, pose in enumerate(poses):
                 normals = vertex_normals(pose, head.mesh.faces)
                 picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
-                picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals)
-                picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals)
+                picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
+                picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])
                 picture[FACE_HEIGHT:] = panel.at(start + k)
                 _caption(picture, source, panel.time_code(start + k), start + k)
                 yield picture

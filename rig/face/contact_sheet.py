@@ -8,6 +8,7 @@ import numpy as np
 from rig.arrays import Float64
 from rig.controls import default_controls
 from rig.errors import RigError
+from rig.face.accents import accents
 from rig.face.head import Head
 from rig.face.render import VIEWS, Renderer, make_renderer
 from rig.face.render.picture import text_width, write_text
@@ -119,7 +120,11 @@ def draw_sheet(
             renderers[tile.view] = make_renderer(
                 head.mesh, size=size, view=VIEWS[tile.view], backend=backend
             )
-        drawn = renderers[tile.view].render(head.pose(tile.values).astype(np.float64))
+        values = tile.values[None]
+        pose = head.pose(values)
+        drawn = renderers[tile.view].render(
+            pose[0].astype(np.float64), accents=accents(head, values, pose)[0]
+        )
         fitting = (h for h in (11, 10, 9, 8, 7) if text_width(tile.title, h) <= width - 12)
         drawn = write_text(drawn, tile.title, (8, 8), height=next(fitting, 6))
         y, x = k // columns * height, k % columns * width

@@ -3,7 +3,7 @@
 import hashlib
 import zipfile
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.geometry import ears, eyes, hair, teeth
-from rig.face.geometry.mesh import Mesh, join, mirrored
-from rig.face.geometry.skin import Skin, build_skin, paint_skin
+from rig.face.geometry import bust, ears, eyes, hair, teeth
+from rig.face.geometry.mesh import MESH_ARRAYS, NO_MAPS, SKIN, Maps, Mesh, join, mirrored
+from rig.face.geometry.skin import Skin, build_skin, paint_skin, skin_uv
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
 from rig.face.motion.bindings import bindings
@@ -72,7 +72,7 @@ GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
 CONVERGENCE_DEGREES = 2.0
 PART_NAMES = (
     "skin", "eye_L", "eye_R", "lash_L", "lash_R", "teeth_upper", "teeth_lower", "tongue",
-    "brow_L", "brow_R", "ear_L", "ear_R", "hair",
+    "brow_L", "brow_R", "ear_L", "ear_R", "hair", "bust",
 )  # fmt: skip
 BATCH = 64
 
@@ -83,6 +83,16 @@ class _Follow:
 
     near: Int64
     weight: Float64
+
+
+@dataclass(frozen=True)
+class Look:
+    """What takes long to make of a head's look: hair, places in the maps, maps, baked light."""
+
+    hair: Mesh
+    uv: Float64
+    maps: Maps = NO_MAPS
+    light: Float64 = field(default_factory=lambda: np.ones(2))
 
 
 class Head:
@@ -103,12 +113,14 @@ class Head:
         The skin's loops and anatomy, for landmarks and checks.
     """
 
-    def __init__(self, identity: Identity, features: Skin, shapes: dict[str, Float64]) -> None:
-        self.identity, self.features = identity, features
+    def __init__(
+        self, identity: Identity, features: Skin, shapes: dict[str, Float64], look: Look
+    ) -> None:
+        self.identity, self.features, self._look = identity, features, look
         place = features.anatomy
         self._lip_z = float(features.vertices[features.loop(MOUTH, 0)[13], 2])
         self.parts = self._make_parts()
-        self.mesh = join(list(self.parts.values()))
+        self.mesh = replace(join(list(self.parts.values())), maps=look.maps, light=look.light)
         counts = np.cumsum([0] + [len(p.vertices) for p in self.parts.values()])
         self.slices = {
             name: slice(int(a), int(b))
@@ -135,13 +147,14 @@ class Head:
         place = skin.anatomy
         eye, self._pupil = eyes.eyeball(i, place.eye_radius)
         self._eye_rest = eye.vertices
-        parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss)}
+        uv = self._look.uv
+        parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss, uv, kind=np.array(SKIN))}
         for name, side in (("eye_L", 1), ("eye_R", -1)):
             turned = (
                 eye.vertices
                 @ _gaze_matrix(np.array([0.0]), np.array([-side * CONVERGENCE_DEGREES]))[0].T
             )
-            parts[name] = Mesh(turned + place.eye * [side, 1, 1], eye.faces, eye.colors, eye.gloss)
+            parts[name] = replace(eye, vertices=turned + place.eye * [side, 1, 1])
         self._lash_root, self._lash_along = {}, {}
         for s, kind in (("L", EYE_L), ("R", EYE_R)):
             mesh, root, along = eyes.lashes(skin, kind, i)
@@ -154,7 +167,8 @@ class Head:
         parts["brow_R"] = mirrored(parts["brow_L"])
         parts["ear_L"] = ears.ear(i)
         parts["ear_R"] = mirrored(parts["ear_L"])
-        parts["hair"] = hair.hair(i)
+        parts["hair"] = self._look.hair
+        parts["bust"] = bust.bust(i)
         return parts
 
     def _make_arches(self) -> dict[str, Arch]:
@@ -313,6 +327,28 @@ def _build(identity: Identity) -> Arrays:
         "slot": skin.slot, "mirror": skin.mirror,
         **{f"shape.{name}": shape.astype(np.float32) for name, shape in shapes.items()},
         "shape.jawWeights": weights[:, None],
+        **_build_look(identity, skin, shapes | {"jawWeights": weights[:, None]}),
+    }  # fmt: skip
+
+
+def _build_look(identity: Identity, skin: Skin, shapes: dict[str, Float64]) -> Arrays:
+    """Hair, maps and baked light of a head, as plain arrays."""
+    from rig.face.maps import build_maps
+    from rig.face.occlusion import occlusion
+
+    locks, uv = hair.hair(identity), skin_uv(skin)
+    maps = build_maps(skin, uv, identity)
+    bare = Head(identity, skin, shapes, Look(locks, uv))
+    solid = [bare.parts[name] for name in ("skin", "ear_L", "ear_R", "hair", "bust")]
+    baked = np.split(occlusion(join(solid)), np.cumsum([len(p.vertices) for p in solid])[:-1])
+    light = np.ones((len(bare.mesh.vertices), 2))
+    for name, part in zip(("skin", "ear_L", "ear_R", "hair", "bust"), baked, strict=True):
+        light[bare.slices[name]] = part
+    light[bare.slices["skin"]][skin.ring < 0] = 1  # the mouth is painted dark, and opens
+    return {
+        **{f"hair.{name}": getattr(locks, name) for name in MESH_ARRAYS},
+        **{f"maps.{name}": value for name, value in vars(maps).items()},
+        "uv": uv, "light": light.astype(np.float32),
     }  # fmt: skip
 
 
@@ -342,4 +378,6 @@ def _head(identity: Identity) -> Head:
         arrays["slot"], arrays["mirror"], anatomy(identity),
     )  # fmt: skip
     shapes = {k.removeprefix("shape."): v for k, v in arrays.items() if k.startswith("shape.")}
-    return Head(identity, skin, shapes)
+    kept: dict[str, Any] = {name: arrays[f"hair.{name}"] for name in MESH_ARRAYS}
+    maps = Maps(**{name: arrays[f"maps.{name}"] for name in ("atlas", "creases", "pores")})
+    return Head(identity, skin, shapes, Look(Mesh(**kept), arrays["uv"], maps, arrays["light"]))

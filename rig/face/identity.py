@@ -46,12 +46,20 @@ class Identity:
     lips: RGB = (0.72, 0.42, 0.40)
     hair: RGB = (0.23, 0.15, 0.11)
     iris: RGB = (0.33, 0.47, 0.55)
+    shirt: RGB = (0.36, 0.42, 0.47)
+    beard: float = 0.0
+    freckles: float = 0.3
+    creases: float = 0.6
 
 
 IDENTITIES: tuple[Identity, ...] = (
-    Identity(),
     Identity(
-        name="Bruno", skull_width=1.03, face_width=1.05, jaw_width=1.16, jaw_drop_cm=0.45,
+        neck_width=0.86, brow_thickness=0.8, hair_volume_cm=0.75, hair_length_cm=9.0,
+        hair_parting=0.35, lips=(0.70, 0.38, 0.38), hair=(0.20, 0.125, 0.09),
+    ),
+    Identity(
+        name="Bruno", creases=1, shirt=(0.20, 0.24, 0.30), beard=0.8, freckles=0.1,
+        skull_width=1.03, face_width=1.05, jaw_width=1.16, jaw_drop_cm=0.45,
         chin_forward_cm=0.25, chin_width=1.25, brow_ridge=1.5, eye_size=0.93, eye_height=0.86,
         eye_tilt_degrees=1.0, nose_length=1.06, nose_width=1.12, nose_height=1.12,
         lip_fullness=0.82, neck_width=1.16, ear_size=1.1, brow_thickness=1.35,
@@ -59,14 +67,16 @@ IDENTITIES: tuple[Identity, ...] = (
         hair=(0.12, 0.09, 0.08), iris=(0.36, 0.26, 0.17),
     ),
     Identity(
-        name="Chidi", skull_width=0.98, jaw_width=1.05, jaw_drop_cm=0.15, cheek=1.08,
+        name="Chidi", creases=0.8, shirt=(0.45, 0.36, 0.24), beard=0.45, freckles=0.0,
+        skull_width=0.98, jaw_width=1.05, jaw_drop_cm=0.15, cheek=1.08,
         nose_width=1.32, nose_height=0.9, nose_length=0.96, mouth_width=1.06, lip_fullness=1.32,
         eye_height=0.97, eye_tilt_degrees=2.0, neck_width=1.08, brow_thickness=1.1,
         hair_volume_cm=0.3, hair_parting=0.0, skin=(0.43, 0.28, 0.21), lips=(0.47, 0.26, 0.24),
         hair=(0.06, 0.05, 0.05), iris=(0.24, 0.15, 0.10),
     ),
     Identity(
-        name="Dana", skull_width=0.97, face_width=0.95, jaw_width=0.88, jaw_drop_cm=-0.3,
+        name="Dana", creases=0.55, shirt=(0.52, 0.27, 0.26), beard=0, freckles=0.5,
+        skull_width=0.97, face_width=0.95, jaw_width=0.88, jaw_drop_cm=-0.3,
         chin_width=0.82, cheek=1.05, brow_ridge=0.5, eye_size=1.08, eye_height=1.12,
         eye_tilt_degrees=5.0, nose_length=0.93, nose_width=0.88, nose_tip_up_cm=0.2,
         lip_fullness=1.18, neck_width=0.84, ear_size=0.92, brow_thickness=0.75, brow_lift_cm=0.15,
@@ -74,7 +84,8 @@ IDENTITIES: tuple[Identity, ...] = (
         hair=(0.36, 0.19, 0.10), iris=(0.30, 0.45, 0.33),
     ),
     Identity(
-        name="Emi", face_width=1.04, jaw_width=0.94, jaw_drop_cm=-0.35, cheek=1.14,
+        name="Emi", creases=0.5, shirt=(0.42, 0.45, 0.42), beard=0, freckles=0.1,
+        face_width=1.04, jaw_width=0.94, jaw_drop_cm=-0.35, cheek=1.14,
         brow_ridge=0.35, eye_height=0.84, eye_tilt_degrees=6.0, eye_spacing=1.02,
         nose_length=0.92, nose_height=0.78, nose_width=1.02, mouth_width=0.94, lip_fullness=1.06,
         neck_width=0.86, ear_size=0.95, brow_thickness=0.85, brow_lift_cm=0.1,
@@ -82,14 +93,16 @@ IDENTITIES: tuple[Identity, ...] = (
         hair=(0.07, 0.06, 0.07), iris=(0.22, 0.14, 0.09),
     ),
     Identity(
-        name="Farid", face_width=0.96, jaw_width=1.02, jaw_drop_cm=0.5, chin_forward_cm=0.15,
+        name="Farid", creases=1, shirt=(0.27, 0.31, 0.27), beard=1.0, freckles=0.0,
+        face_width=0.96, jaw_width=1.02, jaw_drop_cm=0.5, chin_forward_cm=0.15,
         brow_ridge=1.25, nose_length=1.12, nose_height=1.22, nose_width=1.02,
         nose_tip_up_cm=-0.15, lip_fullness=0.92, eye_height=0.98, brow_thickness=1.5,
         brow_lift_cm=-0.1, neck_width=1.05, skin=(0.70, 0.50, 0.39), lips=(0.62, 0.38, 0.34),
         hair=(0.08, 0.07, 0.07), iris=(0.28, 0.18, 0.11), hair_volume_cm=0.75,
     ),
     Identity(
-        name="Greta", face_width=1.1, jaw_width=1.06, jaw_drop_cm=-0.15, cheek=1.28,
+        name="Greta", creases=1, shirt=(0.30, 0.36, 0.48), beard=0, freckles=0.4,
+        face_width=1.1, jaw_width=1.06, jaw_drop_cm=-0.15, cheek=1.28,
         chin_width=1.1, brow_ridge=0.7, eye_size=0.97, nose_width=1.08, nose_tip_up_cm=0.15,
         nose_length=0.94, mouth_width=1.04, lip_fullness=0.95, neck_width=1.05,
         brow_thickness=0.8, hair_volume_cm=1.0, hair_length_cm=3.0, hair_parting=-0.35,
@@ -97,7 +110,8 @@ IDENTITIES: tuple[Identity, ...] = (
         iris=(0.36, 0.50, 0.60),
     ),
     Identity(
-        name="Hugo", skull_width=0.95, face_width=0.9, jaw_width=0.9, jaw_drop_cm=0.65,
+        name="Hugo", creases=0.9, shirt=(0.36, 0.33, 0.30), beard=0.3, freckles=0.6,
+        skull_width=0.95, face_width=0.9, jaw_width=0.9, jaw_drop_cm=0.65,
         chin_width=0.9, chin_forward_cm=-0.2, cheek=0.86, brow_ridge=1.1, eye_size=1.02,
         eye_spacing=0.96, nose_length=1.1, nose_width=0.9, nose_height=1.1, mouth_width=0.96,
         lip_fullness=0.8, neck_width=0.88, ear_size=1.15, hair_volume_cm=1.2,
@@ -105,7 +119,8 @@ IDENTITIES: tuple[Identity, ...] = (
         hair=(0.52, 0.30, 0.14), iris=(0.32, 0.46, 0.42),
     ),
     Identity(
-        name="Imani", skull_width=0.97, face_width=0.98, jaw_width=0.92, jaw_drop_cm=-0.1,
+        name="Imani", creases=0.5, shirt=(0.58, 0.46, 0.26), beard=0, freckles=0.0,
+        skull_width=0.97, face_width=0.98, jaw_width=0.92, jaw_drop_cm=-0.1,
         chin_width=0.9, cheek=1.12, brow_ridge=0.45, eye_size=1.05, eye_height=1.08,
         eye_tilt_degrees=5.0, nose_width=1.18, nose_height=0.88, nose_length=0.94,
         lip_fullness=1.36, mouth_width=1.02, neck_width=0.82, ear_size=0.9, brow_thickness=0.8,
@@ -113,14 +128,16 @@ IDENTITIES: tuple[Identity, ...] = (
         lips=(0.52, 0.25, 0.26), hair=(0.07, 0.05, 0.05), iris=(0.20, 0.13, 0.09),
     ),
     Identity(
-        name="Jun", skull_width=1.02, face_width=1.03, jaw_width=1.04, jaw_drop_cm=0.1,
+        name="Jun", shirt=(0.24, 0.26, 0.29), beard=0.3, freckles=0.0, skull_width=1.02,
+        face_width=1.03, jaw_width=1.04, jaw_drop_cm=0.1,
         cheek=1.05, brow_ridge=0.7, eye_height=0.8, eye_tilt_degrees=5.0, nose_height=0.86,
         nose_width=1.08, lip_fullness=0.94, neck_width=1.04, brow_thickness=1.05,
         hair_volume_cm=1.1, hair_parting=0.4, skin=(0.83, 0.66, 0.53), lips=(0.68, 0.43, 0.38),
         hair=(0.06, 0.06, 0.07), iris=(0.20, 0.13, 0.08),
     ),
     Identity(
-        name="Kaya", skull_width=1.05, jaw_width=0.84, jaw_drop_cm=-1.9, chin_forward_cm=-0.55,
+        name="Kaya", creases=0.25, shirt=(0.62, 0.50, 0.28), beard=0, freckles=0.7,
+        skull_width=1.05, jaw_width=0.84, jaw_drop_cm=-1.9, chin_forward_cm=-0.55,
         chin_width=0.72, cheek=1.3, brow_ridge=0.0, eye_size=1.2, eye_height=1.06,
         eye_tilt_degrees=2.0, nose_length=0.74, nose_width=0.84, nose_height=0.5,
         nose_tip_up_cm=0.25, mouth_width=0.8, mouth_lift_cm=0.45, lip_fullness=1.05,
@@ -129,7 +146,8 @@ IDENTITIES: tuple[Identity, ...] = (
         hair=(0.34, 0.20, 0.11), iris=(0.36, 0.28, 0.17),
     ),
     Identity(
-        name="Leo", skull_width=1.05, jaw_width=0.9, jaw_drop_cm=-1.5, chin_forward_cm=-0.55,
+        name="Leo", creases=0.25, shirt=(0.28, 0.42, 0.44), beard=0, freckles=0.2,
+        skull_width=1.05, jaw_width=0.9, jaw_drop_cm=-1.5, chin_forward_cm=-0.55,
         chin_width=0.76, cheek=1.3, brow_ridge=0.1, eye_size=1.14, eye_height=1.04,
         eye_tilt_degrees=2.0, nose_length=0.8, nose_width=0.86, nose_height=0.62,
         nose_tip_up_cm=0.22, mouth_width=0.86, mouth_lift_cm=0.35, lip_fullness=0.95,

@@ -15,7 +15,7 @@ from rig.face.geometry.mesh import smoothstep
 
 JOINT = np.array([0.0, -4.0, -1.5])
 """The joint of skull and spine, cm: between the ears and below them."""
-NECK_LOW, NECK_HIGH, FORWARD = -15.0, -8.0, 0.45
+NECK_LOW, NECK_HIGH, FORWARD = -13.9, -8.0, 0.45
 """The neck bends between these heights, cm, the rear ones higher by this share of their depth."""
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Float32
 from rig.controls import default_controls
+from rig.face import accents
 from rig.face.geometry import teeth
 from rig.face.geometry.topology import EYE_L, EYE_R
 from rig.face.head import CONVERGENCE_DEGREES, GAZE_DEGREES, Head
@@ -20,6 +21,7 @@ from rig.face.motion.bindings import bindings
 Arrays = dict[str, NDArray[Any]]
 SMALLEST_CM = 5e-4
 """Displacements below this are left out of the shapes."""
+MAP_QUALITY = 82
 
 
 def head_arrays(head: Head) -> tuple[Arrays, dict[str, Any]]:
@@ -33,7 +35,10 @@ def head_arrays(head: Head) -> tuple[Arrays, dict[str, Any]]:
         JSON-ready: slices, input names, anatomy, constants of jaw, lids and teeth.
     """
     arrays = _mesh_arrays(head) | _shape_arrays(head) | _binding_arrays()
-    for part in (_lid_arrays, _seal_arrays, _arch_arrays, _tongue_arrays, _follow_arrays):
+    parts = (
+        _lid_arrays, _seal_arrays, _arch_arrays, _tongue_arrays, _follow_arrays, _accent_arrays,
+    )  # fmt: skip
+    for part in parts:
         arrays |= part(head)
     arrays["jaw.weight"] = _real(head.jaw.skin_weights)
     arrays["eye.rest"], arrays["eye.pupil"] = _real(head._eye_rest), _real(head._pupil)
@@ -51,12 +56,32 @@ def _index(values: NDArray[Any]) -> NDArray[np.uint16]:
 
 def _mesh_arrays(head: Head) -> Arrays:
     mesh = head.mesh
-    paint = np.c_[mesh.colors, mesh.gloss]
+    light = np.c_[mesh.light, mesh.kind / 4]
     return {
         "vertices": _real(mesh.vertices),
         "faces": _index(mesh.faces),
-        "paint": np.ascontiguousarray(np.round(np.clip(paint, 0, 1) * 255), np.uint8),
+        "paint": _byte(np.c_[mesh.colors, mesh.gloss]),
+        "light": _byte(light),
+        "place": _index(np.round(np.clip(mesh.uv, 0, 1) * 65535)),
+        **{f"maps.{name}": _webp(picture) for name, picture in vars(mesh.maps).items()},
     }
+
+
+def _byte(values: NDArray[Any]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(np.round(np.clip(values, 0, 1) * 255), np.uint8)
+
+
+def _webp(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bytes of a WebP file of a picture (h, w, 2 to 4)."""
+    from io import BytesIO
+
+    from PIL import Image
+
+    if picture.shape[2] == 2:
+        picture = np.concatenate([picture, picture[..., :1]], 2)
+    file = BytesIO()
+    Image.fromarray(picture).save(file, "WEBP", quality=MAP_QUALITY, method=4)
+    return np.frombuffer(file.getvalue(), np.uint8)
 
 
 def _shape_arrays(head: Head) -> Arrays:
@@ -150,9 +175,16 @@ def _follow_arrays(head: Head) -> Arrays:
     return arrays
 
 
+def _accent_arrays(head: Head) -> Arrays:
+    arrays: Arrays = {"accent.mask": _byte(accents.masks(head))}
+    for side, kind in (("L", EYE_L), ("R", EYE_R)):
+        arrays[f"accent.rim.{side}"] = _index(accents.upper_rim(head, kind))
+    return arrays
+
+
 def _facts(head: Head) -> dict[str, Any]:
     place = head.features.anatomy
-    controls = default_controls()
+    controls, gains = default_controls(), accents.gains()
     return {
         "identity": head.identity.name,
         "slices": {name: [s.start, s.stop] for name, s in head.slices.items()},
@@ -176,6 +208,12 @@ def _facts(head: Head) -> dict[str, Any]:
         "lidMeet": lids._MEET,
         "tongueSink": tongue.SINK_CM,
         "gaze": [GAZE_DEGREES["side"], GAZE_DEGREES["up"], GAZE_DEGREES["down"]],
+        "accents": {
+            "least": accents.least().tolist(),
+            "gains": [[int(c), int(r), float(gains[c, r])] for c, r in np.argwhere(gains)],
+            "shadow": accents.SHADOW,
+            "shadowRadians": accents.SHADOW_RADIANS,
+        },
         "convergence": CONVERGENCE_DEGREES,
         "teeth": {
             "upperEdge": teeth.UPPER_EDGE,

@@ -11,7 +11,7 @@ from rig.conversion.arkit import ARKIT_ID
 from rig.curves import RigCurves
 from rig.face.turn import matrices, quaternions
 from rig.mesh.glb import RigidMotion, WeightAnimation, write_glb
-from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head
+from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head, textured
 
 
 def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
@@ -27,9 +27,12 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
 
         write_animation(path, curves, identity, motion=_motion(curves))
         return
-    rig, colours = morph_head(identity)
+    from rig.face import build_head
+
+    rig, _ = morph_head(identity)
+    colours, surface = textured(build_head(identity))
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
-    write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours)
+    write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours, surface=surface)
 
 
 def _motion(curves: RigCurves) -> RigidMotion | None:

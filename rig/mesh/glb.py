@@ -76,6 +76,23 @@ class WeightAnimation:
     tolerance: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Pictures of a mesh's surface.
+
+    Parameters
+    ----------
+    uv : array [shape=(V, 2), range 0 to 1]
+        From the left and from the top of the pictures.
+    base_color, roughness : bytes
+        Files, PNG or JPEG; roughness is the green channel, base colour multiplies the vertices'.
+    """
+
+    uv: NDArray[Any]
+    base_color: bytes
+    roughness: bytes
+
+
 @dataclass
 class GlbBuilder:
     """Builder of a GLB: its JSON and its binary chunk."""
@@ -145,6 +162,7 @@ def write_glb(
     animation: WeightAnimation | None = None,
     colour: Sequence[float] = (0.80, 0.62, 0.53),
     colours: NDArray[Any] | None = None,
+    surface: Surface | None = None,
 ) -> None:
     """Write a neutral mesh, its shapes as sparse morph targets, and their animation.
 
@@ -163,6 +181,8 @@ def write_glb(
         Linear base colour of the one material.
     colours : array [shape=(V, 3), range 0 to 1], optional
         Linear colours of the vertices, instead.
+    surface : Surface, optional
+        Textures, which multiply the colours.
 
     Raises
     ------
@@ -171,7 +191,9 @@ def write_glb(
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
-    _add_mesh(builder, shapes, colour, colours)
+    used = _add_mesh(builder, shapes, colour, colours)
+    if surface is not None:
+        _add_surface(builder, surface, used)
     builder.json["nodes"] = [{"mesh": 0, "name": "face"}]
     builder.json["scenes"] = [{"nodes": [0]}]
     builder.json["scene"] = 0
@@ -185,7 +207,8 @@ def _add_mesh(
     shapes: ShapeSet,
     colour: Sequence[float],
     colours: NDArray[Any] | None,
-) -> None:
+) -> Int64:
+    """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
     normals = MovedNormals(mesh)
     targets = []
@@ -218,10 +241,30 @@ def _add_mesh(
         described["weights"] = [0.0] * len(targets)
         described["extras"] = {"targetNames": list(shapes.names)}
     builder.json["meshes"] = [described]
-    surface = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    plain = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
     builder.json["materials"] = [
-        {"name": "skin", "pbrMetallicRoughness": surface, "doubleSided": True}
+        {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]
+    return used
+
+
+def _add_surface(builder: GlbBuilder, surface: Surface, used: Int64) -> None:
+    """Append texture coordinates and textures (§3.8) to the one mesh and material."""
+    uv = builder.dense(np.asarray(surface.uv, np.float64)[used], "VEC2", _ARRAY_BUFFER)
+    builder.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv
+    textures = {
+        "baseColorTexture": surface.base_color,
+        "metallicRoughnessTexture": surface.roughness,
+    }
+    material = builder.json["materials"][0]["pbrMetallicRoughness"]
+    material["roughnessFactor"] = 1.0
+    builder.json["samplers"] = [{"magFilter": 9729, "minFilter": 9987}]  # linear, with mip maps
+    for index, (name, data) in enumerate(textures.items()):
+        kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
+        picture = {"bufferView": builder.view(np.frombuffer(data, np.uint8)), "mimeType": kind}
+        builder.json.setdefault("images", []).append(picture)
+        builder.json.setdefault("textures", []).append({"source": index, "sampler": 0})
+        material[name] = {"index": index}
 
 
 def _checked_weights(animation: WeightAnimation, count: int) -> Float32:

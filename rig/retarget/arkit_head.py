@@ -162,12 +162,12 @@ def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | Non
     morphs : Morphs
         What was written.
     """
-    from rig.retarget.morph_head import in_metres, srgb_to_linear
+    from rig.retarget.morph_head import in_metres, textured
 
     morphs = arkit_morphs(head)
     shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
-    colours = srgb_to_linear(head.mesh.colors)
-    write_glb(path, in_metres(shapes), animation=animation, colours=colours)
+    colours, surface = textured(head)
+    write_glb(path, in_metres(shapes), animation=animation, colours=colours, surface=surface)
     # Extras of the file: whose head it is, and the pose in which each corrective is fully on.
     document, binary = read_container(path)
     (mesh,) = document["meshes"]

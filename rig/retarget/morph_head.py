@@ -1,6 +1,7 @@
 """The embedded head as one mesh with morph targets, for formats that carry a mesh."""
 
 from functools import lru_cache
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,11 +9,13 @@ from numpy.typing import NDArray
 
 from rig.arrays import Float64
 from rig.controls import default_controls
+from rig.mesh.glb import Surface
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
 
 if TYPE_CHECKING:
+    from rig.face.head import Head
     from rig.face.identity import Identity
 
 METRES_PER_CM = 0.01
@@ -48,7 +51,45 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
     deltas.setflags(write=False)
     shapes = ShapeSet(TriMesh(stored["rest"], head.mesh.faces), names, deltas)
     rig = BakedRig(shapes, tuple(drivers[name] for name in names), controls)
-    return rig, srgb_to_linear(head.mesh.colors)
+    return rig, painted_colours(head)
+
+
+BRIGHTEST = 1.2
+"""Largest factor of a texture: vertex colours carry it, textures are divided by it."""
+SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.45, 0.08
+
+
+def painted_colours(head: "Head") -> Float64:
+    """Linear colours (V, 3) of a head without a texture, its hollows darkened."""
+    hollow = 0.5 + 0.5 * head.mesh.light[:, :1]
+    return srgb_to_linear(head.mesh.colors) * hollow
+
+
+def textured(head: "Head") -> tuple[Float64, Surface]:
+    """Linear colours (V, 3) of a head under its textures, and the textures."""
+    from PIL import Image
+
+    from rig.face.geometry.mesh import IRIS_UV, STRANDS_UV
+
+    def file(picture: NDArray[np.uint8], kind: str) -> bytes:
+        stream = BytesIO()
+        Image.fromarray(picture).save(stream, kind, quality=86)
+        return stream.getvalue()
+
+    share = (head.mesh.maps.atlas / 127.5) ** 2 / BRIGHTEST
+    base = np.round(255 * linear_to_srgb(share.clip(0, 1))).astype(np.uint8)
+    rough = np.full((64, 64, 3), 255 * SKIN_ROUGHNESS, np.uint8)
+    for (u, v, side), value in ((STRANDS_UV, HAIR_ROUGHNESS), (IRIS_UV, EYE_ROUGHNESS)):
+        rough[int(64 * v) : int(64 * (v + side)) + 2, int(64 * u) : int(64 * (u + side)) + 2] = (
+            255 * value
+        )
+    colours = np.minimum(BRIGHTEST * painted_colours(head), 1)
+    return colours, Surface(head.mesh.uv, file(base, "JPEG"), file(rough, "PNG"))
+
+
+def linear_to_srgb(light: Float64) -> Float64:
+    """Return sRGB values of linear light (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def _baked(identity: "Identity") -> dict[str, NDArray[Any]]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import Mesh, grid_faces, painted
+from rig.face.geometry.mesh import SKIN, WHITE_UV, Mesh, grid_faces, painted
 from rig.face.geometry.sdf import project
 from rig.face.identity import Identity
 
@@ -51,4 +51,6 @@ def ear(identity: Identity) -> Mesh:
     radius = np.repeat(_RADIUS, _COLUMNS)
     back = np.repeat(np.arange(len(_RADIUS)) > 13, _COLUMNS)
     shade = np.where(back, 0.9, np.interp(radius, [0, 0.3, 0.5, 1.0], [0.6, 0.72, 0.97, 1.0]))
-    return Mesh(vertices, mesh.faces, mesh.colors * shade[:, None] * [1.0, 0.95, 0.94], mesh.gloss)
+    colors = mesh.colors * shade[:, None] * [1.0, 0.95, 0.94]
+    uv = np.add(WHITE_UV, 0.03 * np.stack([front, up], -1).reshape(-1, 2) / 3)
+    return Mesh(vertices, mesh.faces, colors, mesh.gloss, uv, kind=np.array(SKIN))

@@ -1,9 +1,11 @@
 """Eyeballs and lashes."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rig.arrays import Float64, Int64
-from rig.face.geometry.mesh import Mesh, grid_faces, painted
+from rig.face.geometry.mesh import EYE, HAIR, IRIS_UV, Mesh, grid_faces, join, painted, unit
 from rig.face.geometry.skin import Skin
 from rig.face.identity import Identity
 
@@ -30,7 +32,11 @@ def eyeball(identity: Identity, radius: float) -> tuple[Mesh, Float64]:
     degrees = np.repeat(np.degrees(polar), _COLUMNS)
     faces = grid_faces(len(polar), _COLUMNS)[:, ::-1]
     colors, gloss = _eye_colors(identity, degrees, np.tile(np.arange(_COLUMNS), len(polar)))
-    return Mesh(vertices, faces, colors, gloss), widened - vertices
+    turn = np.tile(np.arange(_COLUMNS) / _COLUMNS, len(polar))
+    outward = np.clip((degrees - PUPIL_DEGREES) / (IRIS_DEGREES - PUPIL_DEGREES), 0, 1)
+    u0, v0, side = IRIS_UV
+    uv = np.stack([u0 + side * np.abs(1 - 2 * turn), v0 + side * outward], -1)
+    return Mesh(vertices, faces, colors, gloss, uv, kind=np.array(EYE)), widened - vertices
 
 
 def _polar_grid(polar: Float64, radius: float) -> Float64:
@@ -41,7 +47,7 @@ def _polar_grid(polar: Float64, radius: float) -> Float64:
 
 
 def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Float64, Float64]:
-    iris = np.array(identity.iris)
+    iris = 0.85 * np.array(identity.iris) + 0.02
     fleck = 1 + 0.16 * np.sin(column * 2.9) * np.sin(column * 1.3)
     stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 17, 22.5, IRIS_DEGREES, 25.6, 45, 180]
     shades = np.array(
@@ -52,9 +58,9 @@ def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Fl
             iris * 1.15,
             iris * 0.8,
             iris * 0.28,
-            [0.86, 0.83, 0.81],
-            [0.90, 0.87, 0.85],
-            [0.84, 0.66, 0.62],
+            [0.80, 0.77, 0.76],
+            [0.83, 0.79, 0.77],
+            [0.76, 0.55, 0.51],
         ]
     )
     colors = np.stack([np.interp(degrees, stops, shades[:, k]) for k in range(3)], -1)
@@ -63,28 +69,48 @@ def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Fl
     return np.clip(colors, 0, 1), np.full(len(degrees), 1.0)
 
 
-def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Int64, Float64]:
-    """A dark fringe along the upper lid: mesh, the rim vertex each column hangs on, place 0..1.
+LASHES_UPPER, LASHES_LOWER = 58, 26
 
-    Columns run from the inner corner (0) to the outer (1) of the eye.
+
+def lashes(skin: Skin, kind: int, identity: Identity) -> tuple[Mesh, Int64, Float64]:
+    """Single lashes along both lids: mesh, the rim vertex each hangs on, place 0..1.
+
+    Places run from the inner corner (0) to the outer (1) of the eye; those of the lower lid are .5.
     """
     rim = skin.loop(kind, 0)
-    upper = rim[np.r_[0 : len(rim) // 2 + 1]][::-1]
-    side = 1 if skin.vertices[upper[0], 0] > 0 else -1
-    along = np.linspace(0, 1, len(upper))
-    length = 0.16 + 0.24 * np.sin(np.pi * np.clip(along * 0.95, 0, 1)) ** 0.6 * (0.4 + 0.6 * along)
-    length *= np.clip(np.minimum(along, 1 - along) * 8, 0.12, 1)
-    out = np.stack([0.45 * side * (along - 0.4), 0.18 + 0 * along, np.full(len(upper), 0.9)], -1)
-    root = skin.vertices[upper]
-    mid = root + length[:, None] * (0.55 * out)
-    tip = root + length[:, None] * (out + np.array([0, 0.34, -0.10]))
-    top = root + np.array([0, 0.045, 0.010])
-    rows = np.stack([root - [0, 0.01, 0], mid, tip, top], 1)
-    faces = grid_faces(len(upper), 4)
-    mesh = painted(
-        rows.reshape(-1, 3),
-        faces[:, ::-1] if side > 0 else faces,
-        np.array(identity.hair) * 0.5,
-        0.1,
+    side = 1 if skin.vertices[rim[0], 0] > 0 else -1
+    half = len(rim) // 2
+    meshes, roots, places = [], [], []
+    for count, row, is_upper in (
+        (LASHES_UPPER, rim[: half + 1][::-1], True),
+        (LASHES_LOWER, np.r_[rim[half:], rim[0]], False),
+    ):
+        along = np.linspace(0.10 if is_upper else 0.25, 0.985, count)
+        mesh = _fringe(skin.vertices[row], along, side, is_upper)
+        meshes.append(painted(*mesh, np.array(identity.hair) * 0.35, 0.1))
+        nearest = row[np.round(along * (len(row) - 1)).astype(int)]
+        each = len(meshes[-1].vertices) // count
+        roots.append(np.repeat(nearest, each))
+        places.append(np.repeat(along if is_upper else np.full(count, 0.5), each))
+    return replace(join(meshes), kind=np.array(HAIR)), np.concatenate(roots), np.concatenate(places)
+
+
+def _fringe(row: Float64, along: Float64, side: int, is_upper: bool) -> tuple[Float64, Int64]:
+    """Vertices and faces of lashes at places along a row of the lid's rim, both of their sides."""
+    at = along * (len(row) - 1)
+    root = np.stack([np.interp(at, np.arange(len(row)), row[:, k]) for k in range(3)], -1)
+    jitter = np.random.default_rng(3 + is_upper).uniform(-1, 1, (2, len(along)))
+    grow = np.sin(np.pi * np.clip(along * 0.92, 0, 1)) ** 0.5 * (0.55 + 0.45 * along)
+    length = (0.50 if is_upper else 0.20) * grow * (1 + 0.18 * jitter[0])
+    lean = side * (0.9 * (along - 0.42) + 0.12 * jitter[1])
+    up = 0.20 if is_upper else -0.62
+    way = unit(np.stack([lean, np.full(len(along), up), np.full(len(along), 0.85)], -1))
+    curl = np.array([0, 0.42 if is_upper else -0.1, -0.12])
+    t = np.array([0.0, 0.45, 1.0])
+    line = root[:, None] + length[:, None, None] * (
+        t[:, None] * way[:, None] + t[:, None] ** 2 * curl
     )
-    return mesh, np.repeat(upper, 4), np.repeat(along, 4)
+    thick = np.array([0.020, 0.012, 0.002])[:, None] * [1, 0, 0]
+    strip = np.stack([line - thick, line + thick], 2).reshape(-1, 3)
+    faces = np.concatenate([grid_faces(3, 2, closed=False, start=6 * k) for k in range(len(along))])
+    return np.concatenate([strip, strip]), np.concatenate([faces, faces[:, ::-1] + len(strip)])

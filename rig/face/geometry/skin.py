@@ -12,6 +12,7 @@ from rig.face.geometry.sdf import CENTER, project
 from rig.face.geometry.topology import (
     EYE_L,
     EYE_R,
+    FACE_AXIS,
     FILLER,
     MOUTH,
     NECK_Y,
@@ -46,6 +47,7 @@ LID_SHARE = np.array([1.0, 0.98, 0.86, 0.60, 0.32, 0.12, 0.0])
 LID_MIDDLE_DEGREES, LID_UPPER_DEGREES = -2.5, 20.0
 """Middle of the open lids seen from the eyeball's centre, and the most of the upper rim: lids at
 rest cover 1 to 2 mm of the iris above and touch its rim below (Farkas 1994)."""
+UV_POWER = 0.62
 CHIN_FOLD_CM = 0.26
 """Depth of the fold between lower lip and chin."""
 
@@ -304,7 +306,7 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
 
     x, y, z = np.abs(v[:, 0]), v[:, 1], v[:, 2]
     flush = base * [1.0, 0.78, 0.76]
-    mix(0.45 * np.exp(-((x - 4.0) ** 2 + (y + 3.3) ** 2) / 3.2) * (z > 2), flush)
+    mix(0.26 * np.exp(-((x - 3.9) ** 2 + (y + 3.2) ** 2) / 4.5) * (z > 2), flush)
     mix(0.35 * np.exp(-(x**2 + (y + 4.1) ** 2) / 1.4) * (z > 8), flush)
     mix(0.25 * np.exp(-(x**2 + (y + 10.0) ** 2) / 1.6) * (z > 6), flush)
     is_mouth, is_eye = kind == MOUTH, (kind == EYE_L) | (kind == EYE_R)
@@ -312,7 +314,9 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     mix(is_mouth * np.interp(ring, [-2, 0, 2, 3, 4], [0.9, 0.9, 0.85, 0.55, 0.0]), lips)
     mix(is_mouth * (ring < 0) * np.interp(-ring, [0, 1, 3, 5, 9], [0, 0.25, 0.85, 1, 1]),
         np.array([0.16, 0.035, 0.04]))  # fmt: skip
-    mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.75, 0.45, 0.12, 0]), base * [0.75, 0.5, 0.5])
+    mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.85, 0.6, 0.10, 0]), base * [0.55, 0.36, 0.34])
+    is_upper = is_eye & (np.sin(loops.angles(loops.EYE_COUNT))[skin.slot % loops.EYE_COUNT] > 0.1)
+    mix(is_upper * np.interp(ring, [-1, 0, 1], [0.8, 0.7, 0.0]), np.array(identity.hair) * 0.6)
     is_nostril = (kind == NOSTRIL_L) | (kind == NOSTRIL_R)
     mix(is_nostril * np.interp(ring, [-3, -1, 0, 1, 2], [1, 1, 0.55, 0.15, 0]), base * 0.09)
     gloss = np.full(len(v), 0.25)
@@ -321,6 +325,25 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     )
     gloss[is_nostril & (ring < 1)] = 0.0
     return colors, gloss
+
+
+def skin_uv(skin: Skin) -> Float64:
+    """Places (V, 2) in the atlas: around the face's axis, the face wider than the back of the head.
+
+    The same for all identities. Inner surfaces have the places of their rims.
+    """
+    directions = build_topology().directions
+    across = unit(np.cross([0, 1.0, 0], FACE_AXIS))
+    upward = np.cross(FACE_AXIS, across)
+    polar = np.arccos(np.clip(directions @ FACE_AXIS, -1, 1))
+    turn = np.arctan2(directions @ upward, directions @ across)
+    reach = 0.5 * (polar / np.pi) ** UV_POWER
+    uv = np.empty((len(skin.vertices), 2))
+    uv[: len(directions)] = 0.5 + reach[:, None] * np.stack([np.cos(turn), -np.sin(turn)], -1)
+    inner = np.flatnonzero(skin.ring < 0)
+    rims = {kind: skin.loop(kind, 0) for kind in np.unique(skin.kind[inner])}
+    uv[inner] = [uv[rims[skin.kind[k]][skin.slot[k]]] for k in inner]
+    return uv
 
 
 def direction_points(points: Float64, identity: Identity) -> Float64:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.arrays import Float64
+from rig.arrays import Float32, Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh
 from rig.face.render.camera import View
@@ -45,14 +45,28 @@ class OpenGLRenderer:
         self.size, self.view = size, view
         self._context = open_context()
         self._things: list[Any] = []
+        self._textures: list[Any] = []
         context, n, own = self._context, len(mesh.vertices), self._own
         vertex, fragment = glsl()
         self._program = own(context.program(vertex_shader=vertex, fragment_shader=fragment))
-        self._points = own(context.buffer(reserve=n * 24))
-        paint = own(context.buffer(np.c_[mesh.colors, mesh.gloss].astype("f4").tobytes()))
+        self._points = own(context.buffer(reserve=n * 28))
+        still = [mesh.colors, mesh.gloss, mesh.light, mesh.kind / 4, mesh.uv]
+        paint = own(context.buffer(np.column_stack(still).astype("f4").tobytes()))
         index = own(context.buffer(mesh.faces.astype("i4").tobytes()))
-        parts = [(self._points, "3f 3f", "position", "normal"), (paint, "4f", "paint")]
+        parts = [
+            (self._points, "3f 3f 1f", "position", "normal", "accent"),
+            (paint, "4f 3f 2f", "paint", "light", "place"),
+        ]
         self._array = own(context.vertex_array(self._program, parts, index))
+        for slot, name in enumerate(("atlas", "creases", "pores"), start=1):
+            self._program[name].value = slot
+            map_ = getattr(mesh.maps, name)
+            texture = own(
+                context.texture(map_.shape[1::-1], map_.shape[2], map_.tobytes(), alignment=1)
+            )
+            texture.build_mipmaps()
+            texture.filter = context.LINEAR_MIPMAP_LINEAR, context.LINEAR
+            self._textures.append(texture)
         large = (round(SUPERSAMPLE * size[0]), round(SUPERSAMPLE * size[1]))
         self._large = own(context.texture(large, 4))  # read with linear filtering, the default
         self._large.repeat_x = self._large.repeat_y = False
@@ -72,10 +86,10 @@ class OpenGLRenderer:
         program = self._own(self._context.program(vertex_shader=vertex, fragment_shader=fragment))
         return self._own(self._context.vertex_array(program, []))
 
-    def draw(self, vertices: Float64, normals: Float64) -> Picture:
+    def draw(self, vertices: Float64, normals: Float64, accents: Float32) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
         width, height = self.size
-        self._points.write(np.hstack([vertices, normals]).astype("f4").tobytes())
+        self._points.write(np.column_stack([vertices, normals, accents]).astype("f4").tobytes())
         matrix = self.view.matrix(width / height)
         self._program["view"].write(matrix.T.astype("f4").tobytes())
         self._program["eye"].value = tuple(float(x) for x in self.view.position)
@@ -85,6 +99,8 @@ class OpenGLRenderer:
         self._many.clear(0.0, 0.0, 0.0, 1.0)
         self._sky.render(vertices=3)
         context.enable(context.CULL_FACE)
+        for slot, texture in enumerate(self._textures, start=1):
+            texture.use(slot)
         self._array.render()
         context.disable(context.CULL_FACE | context.DEPTH_TEST)
         self._one.use()

@@ -2,20 +2,21 @@
 
 from typing import Literal, Protocol
 
-from rig.arrays import Float64
+import numpy as np
+
+from rig.arrays import Float32, Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh, vertex_normals
 from rig.face.render.camera import View
 from rig.face.render.opengl import OpenGLRenderer, open_context
 from rig.face.render.picture import Picture
-from rig.face.render.software import SoftwareRenderer
 
 Backend = Literal["auto", "opengl", "software"]
 __all__ = ["Backend", "Picture", "Renderer", "check_backend", "make_renderer"]
 
 
 class _Drawer(Protocol):
-    def draw(self, vertices: Float64, normals: Float64) -> Picture: ...
+    def draw(self, vertices: Float64, normals: Float64, accents: Float32) -> Picture: ...
 
     def close(self) -> None: ...
 
@@ -32,14 +33,22 @@ class Renderer:
     def __init__(self, mesh: Mesh, drawer: _Drawer, backend: str) -> None:
         self._mesh, self._drawer, self.backend = mesh, drawer, backend
 
-    def render(self, vertices: Float64, normals: Float64 | None = None) -> Picture:
+    def render(
+        self,
+        vertices: Float64,
+        normals: Float64 | None = None,
+        accents: Float32 | None = None,
+    ) -> Picture:
         """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3).
 
-        `normals` (V, 3) may be given where several views share them.
+        `normals` (V, 3) may be given where several views share them; `accents` (V,) are those of
+        `rig.face.accents` (none: 0).
         """
         if normals is None:
             normals = vertex_normals(vertices, self._mesh.faces)
-        return self._drawer.draw(vertices, normals)
+        if accents is None:
+            accents = np.zeros(len(vertices), np.float32)
+        return self._drawer.draw(vertices, normals, accents)
 
     def close(self) -> None:
         """Free the memory of the backend."""
@@ -77,4 +86,6 @@ def make_renderer(
         except RigError:
             if backend == "opengl":
                 raise
+    from rig.face.render.software import SoftwareRenderer  # compiles; half a second to import
+
     return Renderer(mesh, SoftwareRenderer(mesh, size, view), "software")

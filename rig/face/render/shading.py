@@ -1,70 +1,31 @@
-"""Light and material, equal in numpy and GLSL.
+"""Light and material, equal in GLSL and in the compiled loops of `kernels`.
 
-Linear light, wrapped diffuse (red wraps further, as in skin), Blinn-Phong highlights, a sky and
-ground ambient, and a gentle shoulder. sRGB is approximated by a gamma of 2.
+Linear light, wrapped diffuse (red wraps further, as light that passes through skin does),
+Blinn-Phong highlights (Schlick's form without a power, 1994), a sky and ground ambient, baked
+occlusion whose edge is red on skin, and a gentle shoulder. sRGB is approximated by a gamma of 2.
 """
+
+from collections.abc import Iterable
 
 import numpy as np
 
-from rig.arrays import Float32, Float64
-from rig.face.geometry.mesh import unit
+from rig.arrays import Float64
+from rig.face.geometry.mesh import EYE, HAIR, PORES, SKIN, unit
 
 LIGHTS = (
     # direction to the light, colour times strength
-    ((0.62, 0.62, 0.70), (1.02, 0.96, 0.89)),
-    ((-0.85, 0.15, 0.55), (0.24, 0.28, 0.35)),
+    ((0.55, 0.62, 0.72), (1.06, 0.99, 0.91)),
+    ((-0.85, 0.15, 0.45), (0.30, 0.33, 0.40)),
     ((-0.55, 0.45, -0.75), (0.70, 0.80, 0.95)),
-    ((0.85, 0.10, -0.50), (0.40, 0.34, 0.30)),
 )
-WRAP = (0.38, 0.22, 0.16)
-SKY, GROUND = (0.22, 0.24, 0.27), (0.10, 0.085, 0.08)
+TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
+LIGHT_COLORS = np.array([color for _, color in LIGHTS])
+WRAPS = np.array(
+    # PLAIN, SKIN, HAIR, EYE, CLOTH
+    [[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.35, 0.32, 0.3], [0.25, 0.22, 0.2], [0.1, 0.1, 0.1]]
+)
+SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
-
-
-def _column(values: tuple[float, ...]) -> Float32:
-    return np.array(values, np.float32)[:, None]
-
-
-_WRAP, _SKY, _GROUND = _column(WRAP), _column(SKY), _column(GROUND)
-_TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS])).astype(np.float32)
-_LIGHT = [_column(color) for _, color in LIGHTS]
-
-
-def shade(albedo: Float32, normals: Float32, to_eye: Float32, gloss: Float32) -> Float32:
-    """Colour of surface points, as the shader of `glsl` gives it.
-
-    Parameters
-    ----------
-    albedo : ndarray [shape=(3, n)]
-        sRGB in 0..1.
-    normals, to_eye : ndarray [shape=(3, n)]
-        Normals of any length, and unit vectors towards the camera.
-    gloss : ndarray [shape=(n,)]
-        0..1.
-
-    Returns
-    -------
-    color : ndarray [shape=(3, n)], float32, sRGB in 0..1
-    """
-    n = normals / np.sqrt(np.einsum("cn,cn->n", normals, normals) + np.float32(1e-12))
-    up = 0.5 + 0.5 * n[1]
-    diffuse = _GROUND + (_SKY - _GROUND) * up
-    highlight = np.zeros_like(albedo)
-    power, strength = 10 + 240 * gloss**2, 0.16 * np.minimum(gloss, 0.28)
-    strength += 0.50 * gloss**2 * np.sqrt(np.maximum(gloss, 0))
-    along_eye, cosines, eyes = np.einsum("cn,cn->n", n, to_eye), _TO_LIGHT @ n, _TO_LIGHT @ to_eye
-    for cosine, eye, color in zip(cosines, eyes, _LIGHT, strict=True):
-        lit = np.clip((cosine + _WRAP) / (1 + _WRAP), 0, 1)
-        diffuse += color * lit * (0.72 + 0.28 * lit)
-        shine = np.exp(power * _log_half_cosine(cosine + along_eye, eye)) * strength * (cosine > 0)
-        highlight += shine * color
-    linear = albedo * albedo * diffuse + highlight
-    return np.asarray(np.sqrt((linear * 1.12 / (1 + 0.12 * linear)).clip(0, 1)))
-
-
-def _log_half_cosine(total: Float32, eye: Float32) -> Float32:
-    """Logarithm of n.(d + v) / |d + v|, of normal and half vector (exp and log beat a power)."""
-    return np.asarray(np.log(np.clip(total / np.sqrt(np.maximum(2 + 2 * eye, 1e-6)), 1e-3, 1)))
 
 
 def background(height: int) -> Float64:
@@ -73,38 +34,63 @@ def background(height: int) -> Float64:
     return np.array(BACKGROUND_TOP) * (1 - t) + np.array(BACKGROUND_BOTTOM) * t
 
 
-def _vec(values: tuple[float, ...]) -> str:
+def _vec(values: Iterable[float]) -> str:
     return f"vec3({', '.join(f'{v:.6f}' for v in values)})"
 
 
 def glsl() -> tuple[str, str]:
-    """Vertex and fragment shader of the same light."""
+    """Vertex and fragment shader: attributes are those of a mesh, and normals and accents."""
     lamps = "".join(
-        f"  lamp({_vec(tuple(unit(np.array(d))))}, {_vec(c)}, n, v, paint_.a, diffuse, shine);\n"
-        for d, c in LIGHTS
+        f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else '0.35 + 0.65 * light_.x'});\n"
+        for k, (d, c) in enumerate(zip(TO_LIGHT, LIGHT_COLORS, strict=True))
     )
+    wraps = ", ".join(_vec(wrap) for wrap in WRAPS)
     vertex = """#version 330
-in vec3 position; in vec3 normal; in vec4 paint;
+in vec3 position; in vec3 normal; in vec4 paint; in vec3 light; in float accent; in vec2 place;
 uniform mat4 view;
-centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_;
+centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_; centroid out vec3 light_;
+centroid out float accent_; centroid out vec2 uv_;
 void main() {
-  n_ = normal; p_ = position; paint_ = paint; gl_Position = view * vec4(position, 1.0);
+  n_ = normal; p_ = position; paint_ = paint; light_ = light; accent_ = accent; uv_ = place;
+  gl_Position = view * vec4(position, 1.0);
 }
 """
     fragment = f"""#version 330
-centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_;
-uniform vec3 eye; out vec4 color_;
-void lamp(vec3 d, vec3 c, vec3 n, vec3 v, float g, inout vec3 diffuse, inout vec3 shine) {{
-  float k = dot(n, d); vec3 w = {_vec(WRAP)};
-  vec3 lit = clamp((k + w) / (1.0 + w), 0.0, 1.0);
-  diffuse += c * lit * (0.72 + 0.28 * lit);
-  if (k > 0.0) shine += c * pow(clamp(dot(n, normalize(d + v)), 0.0, 1.0), 10.0 + 240.0 * g * g)
-    * (0.16 * min(g, 0.28) + 0.50 * pow(g, 2.5));
+centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; centroid in vec3 light_;
+centroid in float accent_; centroid in vec2 uv_;
+uniform vec3 eye; uniform sampler2D atlas, creases, pores; out vec4 color_;
+const vec3 WRAPS[{len(WRAPS)}] = vec3[{len(WRAPS)}]({wraps});
+vec3 n, v, wrap, diffuse, shine; float power, strength, facing; int kind;
+void lamp(vec3 d, vec3 c, float seen) {{
+  float k = dot(n, d), bleed = kind == {SKIN} ? seen * (1.0 - seen) : 0.0;
+  vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
+  diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.55, 0.12, 0.0));
+  float near = clamp((k + facing) / sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), 0.0, 1.0);
+  if (k > 0.0) shine += c * near / (power - power * near + near) * strength * seen;
 }}
 void main() {{
-  vec3 v = normalize(eye - p_), n = normalize(n_);
-  vec3 diffuse = mix({_vec(GROUND)}, {_vec(SKY)}, 0.5 + 0.5 * n.y), shine = vec3(0.0);
-{lamps}  vec3 linear = paint_.rgb * paint_.rgb * diffuse + shine;
+  v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 4.0 + 0.5);
+  vec3 tint = texture(atlas, uv_).rgb * 2.0;
+  vec3 creased = texture(creases, uv_).rgb * 2.0 - 1.0;
+  float shade = 1.0, strand = 1.0, gloss = paint_.a, fold = texture(creases, uv_).a;
+  vec2 pore = texture(pores, uv_ * {PORES:.1f}).rg * 2.0 - 1.0;
+  if (kind == {SKIN}) {{
+    shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.g;
+    n = normalize(n + accent_ * creased); shade *= 1.0 - accent_ * (1.0 - fold);
+  }} else if (kind == {HAIR}) strand = tint.r * tint.r;
+  else shade *= 1.0 - 0.85 * accent_;
+  facing = dot(n, v); wrap = WRAPS[kind];
+  float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * 0.35;
+  vec3 sky = {_vec(SKY)};
+  diffuse = (mix({_vec(GROUND)}, sky, 0.5 + 0.5 * n.y) + rim * sky) * light_.x; shine = vec3(0.0);
+  power = 14.0 + 340.0 * gloss * gloss;
+  strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
+{lamps}  if (kind == {EYE}) {{
+    vec3 mirror = 2.0 * facing * n - v;
+    float glow = 0.8 * smoothstep(0.955, 0.975, dot(mirror, {_vec(TO_LIGHT[0])}));
+    shine += (glow + 0.10 * clamp(mirror.y, 0.0, 1.0)) * (1.0 - accent_);
+  }}
+  vec3 albedo = paint_.rgb * tint, linear = albedo * albedo * shade * diffuse + shine;
   color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), 1.0);
 }}
 """

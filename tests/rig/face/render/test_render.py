@@ -92,7 +92,9 @@ def test_both_backends_draw_the_same_face(head, opengl):
         draw(head.mesh, backend, size, VIEWS["face"]).astype(int)
         for backend in ("software", "opengl")
     ]
-    difference = np.abs(pictures[0] - pictures[1]).mean(2)
+    # Means of 3 x 3 pixels: edges of single hairs are sampled differently.
+    blocks = [p.reshape(110, 3, 100, 3, 3).mean((1, 3)) for p in pictures]
+    difference = np.abs(blocks[0] - blocks[1]).mean(2)
     assert difference.mean() < 1.2
     assert np.percentile(difference, 97) < 10
 
@@ -192,7 +194,7 @@ def test_closed_renderer_leaves_nothing_in_the_context(head, opengl, monkeypatch
     monkeypatch.setattr(opengl_module, "open_context", lambda: context)
     renderer = make_renderer(head.mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
     renderer.render(head.mesh.vertices)
-    assert len(context.made) >= 12
+    assert len(context.made) >= 15
     renderer.close()
     assert {type(thing.mglo).__name__ for thing in context.made} == {"InvalidObject"}
 

@@ -3,14 +3,18 @@
 import * as THREE from "three";
 
 import type { Packed } from "../data/packed";
+import { Accents } from "./accents";
 import { Rig } from "./rig";
 import { turnHead } from "./turn";
 import { Viewport } from "./viewport";
 
 const es = (source: string) => source.replace("#version 330\n", "precision highp float;\n");
 
+const MAPS = ["atlas", "creases", "pores"];
+
 export class Face extends Viewport {
   readonly rig: Rig;
+  private readonly accents: Accents;
   private readonly geometry = new THREE.BufferGeometry();
   private readonly material: THREE.RawShaderMaterial;
   private readonly faces: Uint16Array;
@@ -21,6 +25,7 @@ export class Face extends Viewport {
   constructor(head: Packed) {
     super();
     this.rig = new Rig(head);
+    this.accents = new Accents(head, this.rig);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
     this.joint = head.facts.joint;
@@ -31,20 +36,45 @@ export class Face extends Viewport {
       glslVersion: THREE.GLSL3,
       vertexShader: es(shaders.vertex),
       fragmentShader: es(shaders.fragment),
-      uniforms: { view: { value: new THREE.Matrix4() }, eye: { value: new THREE.Vector3() } },
+      uniforms: {
+        view: { value: new THREE.Matrix4() },
+        eye: { value: new THREE.Vector3() },
+        ...Object.fromEntries(MAPS.map((name) => [name, { value: this.map(name, head) }])),
+      },
     });
-    const position = new THREE.BufferAttribute(this.rig.vertices, 3);
-    position.setUsage(THREE.DynamicDrawUsage);
-    const normal = new THREE.BufferAttribute(new Float32Array(this.rig.vertices.length), 3);
-    normal.setUsage(THREE.DynamicDrawUsage);
-    this.geometry.setAttribute("position", position);
-    this.geometry.setAttribute("normal", normal);
-    this.geometry.setAttribute("paint", new THREE.BufferAttribute(head.arrays.paint as Uint8Array, 4, true));
+    const normals = new Float32Array(this.rig.vertices.length);
+    for (const [name, array, size] of [
+      ["position", this.rig.vertices, 3], ["normal", normals, 3], ["accent", this.accents.values, 1],
+    ] as const) {
+      this.geometry.setAttribute(name, new THREE.BufferAttribute(array, size).setUsage(THREE.DynamicDrawUsage));
+    }
+    for (const [name, size] of [["paint", 4], ["light", 3], ["place", 2]] as const) {
+      this.geometry.setAttribute(name, new THREE.BufferAttribute(head.arrays[name], size, true));
+    }
     this.geometry.setIndex(new THREE.BufferAttribute(this.faces, 1));
     const mesh = new THREE.Mesh(this.geometry, this.material);
     mesh.frustumCulled = false;
     this.scene.add(this.sky(shaders), mesh);
     this.look("face");
+  }
+
+  /** A picture of the surface; flat until it is decoded. */
+  private map(name: string, head: Packed): THREE.Texture {
+    const texture: THREE.Texture = new THREE.DataTexture(new Uint8Array([128, 128, 128, 255]), 1, 1);
+    texture.needsUpdate = true;
+    const file = new Blob([head.arrays[`maps.${name}`] as Uint8Array<ArrayBuffer>], { type: "image/webp" });
+    createImageBitmap(file, { premultiplyAlpha: "none", colorSpaceConversion: "none" }).then((picture) => {
+      const { value } = this.material.uniforms[name];
+      const decoded = new THREE.Texture(picture);
+      decoded.flipY = false;
+      decoded.wrapS = decoded.wrapT = THREE.RepeatWrapping;
+      decoded.minFilter = THREE.LinearMipmapLinearFilter;
+      decoded.needsUpdate = true;
+      this.material.uniforms[name].value = decoded;
+      value.dispose();
+      this.redraw();
+    });
+    return texture;
   }
 
   private sky(shaders: Record<string, string>): THREE.Mesh {
@@ -70,10 +100,12 @@ export class Face extends Viewport {
   /** Show 185 control values, and the head's turn and shift where they are known. */
   show(values: ArrayLike<number>, head?: ArrayLike<number>): void {
     this.rig.pose(values);
+    this.accents.update(values);
     if (head) turnHead(this.rig.vertices, head, this.joint, this.neck);
     this.normals();
     this.geometry.attributes.position.needsUpdate = true;
     this.geometry.attributes.normal.needsUpdate = true;
+    this.geometry.attributes.accent.needsUpdate = true;
     this.redraw();
   }
 
