@@ -15,16 +15,17 @@ from deitalk.preview.video import label
 from rig import RigCurves
 from rig.emotions import COLORS
 from rig.face import build_head
+from rig.face.accents import accents
 from rig.face.render import View, make_renderer
 from rig.face.render.picture import Picture, text_width, write_text
 
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"
-PEOPLE = {"happy": "female", "angry": "male", "sad": 4, "surprised": "child"}
+PEOPLE = {"happy": "female", "angry": "male", "sad": 0, "surprised": "child"}
 """Head of each emotion."""
 INTENSITY, TOP = 1.5, 1.4
 """Factor, and the intensity at the upper end of the bars."""
-VIEW = View((0, -3.5, 4), (8, -2.6, 60), 22)
+VIEW = View((0, -2.6, 3), (9, -1.9, 61), 25.5)
 FACE, STRIP_HEIGHT = (215, 256), 80
 """Width and height of a face, and height of the strip, pixels."""
 STEP = 2
@@ -45,7 +46,7 @@ def main() -> None:
         lower[:, column : column + 2] = 255
         pictures.append(Image.fromarray(np.vstack([np.hstack(rows), lower])))
     pictures[0].save(
-        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=68, method=4,
+        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=55, method=4,
         duration=[round((k + STEP) / 0.03) - round(k / 0.03) for k in frames],
     )  # fmt: skip
 
@@ -54,7 +55,10 @@ def _faces(curves: RigCurves, emotion: str) -> list[Picture]:
     """A picture (height, width, 3) of a take's head for every second frame, with its intensity."""
     head = build_head(PEOPLE[emotion])
     renderer = make_renderer(head.mesh, size=FACE, view=VIEW, backend="software")
-    pictures = [renderer.render(pose) for pose in head.pose(curves.values[::STEP])]
+    values = curves.values[::STEP]
+    poses = head.pose(values)
+    shown = zip(poses, accents(head, values, poses), strict=True)
+    pictures = [renderer.render(pose, accents=accent) for pose, accent in shown]
     renderer.close()
     color, low = bytes.fromhex(COLORS[emotion][1:]), FACE[1] - 8
     for picture, intensity in zip(pictures, curves.intensity[::STEP], strict=True):

@@ -17,6 +17,7 @@ from deitalk.preview.source import PreviewSource, load_source
 from rig import RigCurves
 from rig.arrays import Float32
 from rig.face import build_head
+from rig.face.accents import accents
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, make_renderer
@@ -175,7 +176,9 @@ def _pictures(values: Float32, identity: int | str | Identity) -> Iterator[Pictu
     renderer = make_renderer(head.mesh, size=SIZE, view=VIEWS["face"], backend="auto")
     try:
         for start in range(0, len(values), BATCH):
-            for pose in head.pose(values[start : start + BATCH]):
-                yield renderer.render(pose, vertex_normals(pose, head.mesh.faces))
+            shown = values[start : start + BATCH]
+            poses = head.pose(shown)
+            for pose, accent in zip(poses, accents(head, shown, poses), strict=True):
+                yield renderer.render(pose, vertex_normals(pose, head.mesh.faces), accent)
     finally:
         renderer.close()
