@@ -213,7 +213,7 @@ def _add_mesh(
     normals = MovedNormals(mesh)
     targets = []
     for shape in shapes.deltas:
-        delta = shape[used]
+        delta = shape if len(used) == len(shape) else shape[used]
         moving = np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > (_STILL * mesh.size) ** 2)
         turned, turn = normals.turn(moving, delta[moving])
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2

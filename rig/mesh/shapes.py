@@ -58,7 +58,7 @@ class ShapeSet:
                 f"need {expected}"
             )
         for name, delta in zip(names, deltas, strict=True):
-            if not (np.abs(delta) <= COORDINATE).all():
+            if delta.size and not -COORDINATE <= delta.min() <= delta.max() <= COORDINATE:
                 raise MeshError(
                     f"shape {quoted(name)} holds numbers that are not finite or beyond "
                     f"±{COORDINATE:g}"

@@ -146,7 +146,7 @@ def test_shape_of_several_meshes_is_one_slider(page, tmp_path):
     primitive = {
         "attributes": {"POSITION": position},
         "indices": builder.dense(FACES.astype(np.uint32).ravel(), "SCALAR", 34963),
-        "targets": [{"POSITION": builder.sparse(OPEN, 1e-5)}],
+        "targets": [{"POSITION": builder.sparse(len(OPEN), np.arange(len(OPEN)), OPEN)}],
     }
     named = {"primitives": [primitive], "extras": {"targetNames": ["jawOpen"]}}
     builder.json |= {
