@@ -1,6 +1,6 @@
 """Blender add-on: curves of deitalk on the shape keys of a face.
 
-Run in Blender 3.4.1, 4.2.23, 4.3.0, 4.4.0, 4.5.15, 5.0.1, 5.1.2 and 5.2.3.
+Run in Blender 4.2.23, 4.5.15 and 5.0.1.
 
 ``deitalk install blender`` writes it as one file that needs nothing else. In Blender:
 Edit > Preferences > Add-ons > Install from Disk, choose it, tick it. Then select the face and
@@ -14,14 +14,16 @@ choose File > Import > deitalk curves: a take folder, any file of it, or
   ``deitalk retarget`` (``blendShape1.jawOpen``);
 - ``.glb`` of deitalk: its animation, by the names of its shapes.
 
-In a take folder the file whose names fit the face best is taken. All selected meshes with such
-shape keys are keyed: face, teeth, lashes.
+A selected armature with the bones of the MetaHuman face board (``CTRL_C_jaw`` ...) gets the
+take's controls. In a take folder the file whose names fit the face best is taken. All selected
+meshes with such shape keys are keyed: face, teeth, lashes.
 """
 
 import csv
 import json
 import math
 import os
+import re
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
@@ -252,6 +254,76 @@ def apply(
     return count, float(frames[-1]), driven
 
 
+def apply_board(
+    path: str,
+    board: Any,
+    scene: Any,
+    start: float = 1.0,
+    tolerance: float = 0.0,
+    still: bool = True,
+) -> tuple[int, float]:
+    """Key the pose bones of a MetaHuman face board with the controls of a take's curves.
+
+    A control ``CTRL_C_jaw.ty`` is the y of the location of the bone ``CTRL_C_jaw``, in its own
+    axes. Returned are the number of channels and the last frame.
+
+    Raises
+    ------
+    ValueError
+        If the take has no curves of the board.
+    """
+    rate, bones = scene.render.fps / scene.render.fps_base, board.pose.bones
+    for candidate in files_of_take(path):
+        try:
+            curves = read(candidate)
+        except ValueError:
+            continue
+        channels = [(name, re.fullmatch(r"(CTRL_\w+)\.t([xy])", name)) for name in curves.values]
+        keyed = [(name, *found.groups()) for name, found in channels if found and found[1] in bones]
+        if not keyed:
+            continue
+        lists = _new_action(board, os.path.basename(candidate), "OBJECT")
+        frames, count = start + curves.times * rate, 0
+        for name, bone, axis in keyed:
+            values = curves.values[name]
+            if still or np.ptp(values) > tolerance:
+                curve = lists.new(f'pose.bones["{bone}"].location', index="xy".index(axis))
+                key_curve(curve, frames, values, tolerance)
+                count += 1
+        return count, float(frames[-1])
+    raise ValueError(f"{os.path.basename(path)} has no curves of the board; open curves.json")
+
+
+def takes_of(path: str) -> list[str]:
+    """Return the take folders within a folder, or within that of a file.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    folder = path if os.path.isdir(path) else os.path.dirname(path)
+    inside = [os.path.join(folder, name) for name in sorted(os.listdir(folder))]
+    found = [take for take in inside if os.path.isfile(os.path.join(take, "take.json"))]
+    if not found:
+        raise ValueError(f"{folder} has no take folders")
+    return found
+
+
+def push_down(owners: list[Any], name: str, start: float) -> None:
+    """Put the actions of shape keys and boards on strips of the NLA, so that the next take fits."""
+    for owner in owners:
+        data = owner.animation_data
+        if data is None or data.action is None or MARK not in data.action:
+            continue
+        action, data.action = data.action, None
+        action.name, action.use_fake_user = name, True
+        strip = data.nla_tracks.new().strips.new(name, int(start), action)
+        strip.extrapolation = "NOTHING"  # a strip would hide those below it
+        if hasattr(strip, "action_slot"):
+            strip.action_slot = action.slots[0]
+
+
 def key_curve(curve: Any, frames: Any, values: Any, tolerance: float) -> None:
     """Give a curve its keys: all of them, linear, or few with handles within a tolerance."""
     keys = np.array(curve_keys(values.tolist(), tolerance) if tolerance else [])
@@ -288,7 +360,7 @@ def _path(block: Any) -> str:
     return f'key_blocks["{name}"].value'
 
 
-def _new_action(shape_keys: Any, name: str) -> Any:
+def _new_action(shape_keys: Any, name: str, kind: str = "KEY") -> Any:
     """Return the list of curves of a new action of shape keys; 4.4 and later have it in a slot.
 
     The action of an earlier import is removed if nothing else uses it.
@@ -300,7 +372,7 @@ def _new_action(shape_keys: Any, name: str) -> Any:
         bpy.data.actions.remove(before)
     if not hasattr(action, "slots"):
         return action.fcurves
-    slot = data.action_slot = action.slots.new(id_type="KEY", name=shape_keys.name)
+    slot = data.action_slot = action.slots.new(id_type=kind, name=shape_keys.name)
     strip = action.layers.new(name="curves").strips.new(type="KEYFRAME")
     return strip.channelbag(slot, ensure=True).fcurves
 
@@ -380,38 +452,59 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
     start: bpy.props.FloatProperty(name="First frame", default=1.0)  # type: ignore[valid-type]
     tolerance: bpy.props.FloatProperty(name="Tolerance of keys", default=0.0, min=0.0, max=0.1)  # type: ignore[valid-type]
     still: bpy.props.BoolProperty(name="Key what is still", default=True)  # type: ignore[valid-type]
+    batch: bpy.props.BoolProperty(name="Every take of the folder", default=False)  # type: ignore[valid-type]
     with_sound: bpy.props.BoolProperty(name="Add the sound", default=True)  # type: ignore[valid-type]
 
     def execute(self, context: Any) -> set[str]:
         """Run the import; a mistake is one line."""
-        meshes = [found for found in context.selected_objects if found.type == "MESH"]
+        selected = context.selected_objects
+        meshes = [found for found in selected if found.type == "MESH"]
+        boards = [found for found in selected if found.type == "ARMATURE"]
+        start = self.start
         try:
-            if self.filepath.lower().endswith(".glb"):
-                curves = take_from_glb(self.filepath, meshes)
-            else:
-                curves = best_fit(self.filepath, meshes)
-            count, last, driven = apply(
-                curves, meshes, context.scene, self.start, self.tolerance, self.still
-            )
-            if driven:
-                self.report({"WARNING"}, f"a driver moves {_listed(driven)}: no keys there")
-            if not count:
-                raise ValueError(
-                    f"no shape key without a driver has a name of {os.path.basename(curves.path)}"
-                )
+            for path in takes_of(self.filepath) if self.batch else [self.filepath]:
+                last = self._key(path, meshes, boards, context.scene, start)
+                if self.batch:
+                    owners = [mesh.data.shape_keys for mesh in meshes if mesh.data.shape_keys]
+                    push_down([*owners, *boards], os.path.basename(path), start)
+                start = math.ceil(last) + 1
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        context.scene.frame_end = max(context.scene.frame_end, math.ceil(last))
-        sound = sound_of(self.filepath) if self.with_sound else ""
+        return {"FINISHED"}
+
+    def _key(
+        self, path: str, meshes: list[Any], boards: list[Any], scene: Any, start: float
+    ) -> float:
+        """Key meshes and boards with one take and add its sound; return its last frame."""
+        how, last = (scene, start, self.tolerance, self.still), start
+        for board in boards:
+            count, last = apply_board(path, board, *how)
+            self.report({"INFO"}, f"{count} channels of {board.name} from {os.path.basename(path)}")
+        if meshes or not boards:
+            last = max(last, self._key_shapes(path, meshes, how))
+        scene.frame_end = max(scene.frame_end, math.ceil(last))
+        sound = sound_of(path) if self.with_sound else ""
         try:
             if sound:
-                add_sound(sound, context.scene, self.start)
+                add_sound(sound, scene, start)
         except RuntimeError as error:
             self.report({"WARNING"}, f"keys without the sound: {error}")
+        return last
+
+    def _key_shapes(self, path: str, meshes: list[Any], how: Any) -> float:
+        is_glb = path.lower().endswith(".glb")
+        curves = take_from_glb(path, meshes) if is_glb else best_fit(path, meshes)
+        count, last, driven = apply(curves, meshes, *how)
+        if driven:
+            self.report({"WARNING"}, f"a driver moves {_listed(driven)}: no keys there")
+        if not count:
+            raise ValueError(
+                f"no shape key without a driver has a name of {os.path.basename(curves.path)}"
+            )
         lost = f", {curves.lost:.0%} of the movement has no shape" if curves.lost > 0.001 else ""
         self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}{lost}")
-        return {"FINISHED"}
+        return last
 
 
 def _listed(names: list[str]) -> str:

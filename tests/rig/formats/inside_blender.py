@@ -102,6 +102,29 @@ driver = rigged.data.shape_keys.key_blocks["jawOpen"].driver_add("value")
 driver.driver.expression = "0.25"
 out["driven"] = load(take + "/")
 out["driven_values"] = values(rigged, 1 + 10)
+scene.render.fps = 30
+rig = bpy.data.objects.new("board", bpy.data.armatures.new("board"))
+scene.collection.objects.link(rig)
+shapes = face("jawOpen")
+shapes.select_set(False)
+rig.select_set(True)
+bpy.context.view_layer.objects.active = rig
+bpy.ops.object.mode_set(mode="EDIT")
+for name in ("CTRL_C_jaw", "CTRL_L_eye", "other"):
+    bone = rig.data.edit_bones.new(name)
+    bone.tail = (0, 0, 1)
+bpy.ops.object.mode_set(mode="OBJECT")
+out["board"] = load(take + "/", start=0.0, with_sound=False)
+out["board_values"] = []
+for frame in (0, 7, 20):
+    scene.frame_set(frame)
+    bones = rig.pose.bones
+    out["board_values"].append([*bones["CTRL_C_jaw"].location, *bones["CTRL_L_eye"].location])
+shapes.select_set(True)
+out["batch"] = load(take + "/..", batch=True, start=1.0, with_sound=False)
+tracks = shapes.data.shape_keys.animation_data.nla_tracks
+out["strips"] = [[s.name, s.frame_start, s.frame_end] for t in tracks for s in t.strips]
+out["batch_values"] = [values(shapes, frame)["jawOpen"] for frame in (1 + 7, 41 + 7)]
 face("smile")
 out["errors"] = []
 for wrong in (take + "/curves.json", take + "/.."):

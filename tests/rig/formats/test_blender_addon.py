@@ -181,6 +181,7 @@ def test_blender_moves_the_face(take, tmp_path, program):
     glb = tmp_path / "a.glb"
     write_curves(glb, RigCurves(arkit, names, 25, control_set="arkit-61"))
     (tmp_path / "deitalk_blender.py").write_text(addon_text())
+    shutil.copytree(take, tmp_path / "take2")
     out, printed = run_inside(program, tmp_path / "deitalk_blender.py", take, glb)
     assert {tuple(out[name]) for name in ("folder", "again", "raw", "glb", "driven")} == {
         ("FINISHED",)
@@ -214,6 +215,14 @@ def test_blender_moves_the_face(take, tmp_path, program):
         found = np.array([row[name] for row in out["few_values"]])
         assert np.abs(found - shapes[arkit_name]).max() <= 0.0101, name
     assert out["driven_values"]["jawOpen"] == near(0.25)
+    assert out["board"] == ["FINISHED"] == out["batch"]
+    board = read_curves(take / "curves.json")
+    for found, frame in zip(out["board_values"], (0, 7, 20), strict=True):
+        names = ("CTRL_C_jaw.tx", "CTRL_C_jaw.ty", "CTRL_L_eye.tx", "CTRL_L_eye.ty")
+        jaw_x, jaw_y, eye_x, eye_y = (board[name][frame] for name in names)
+        assert found == near([jaw_x, jaw_y, 0, eye_x, eye_y, 0])
+    assert out["strips"] == [["take", 1, 40], ["take2", 41, 80]]
+    assert out["batch_values"] == near([shapes["JawOpen"][7]] * 2)
     assert "a driver moves jawOpen: no keys there" in printed
     assert "none of 1 shape keys has a name" in out["errors"][0]
     assert "is no take folder" in out["errors"][1]
