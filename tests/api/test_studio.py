@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from deitalk import animate
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.cli import app
 from rig import default_controls, read_curves
@@ -240,6 +241,20 @@ def test_every_export_is_a_file_of_its_kind(browser, server, speech, tmp_path):
 
 
 @pytest.mark.slow
+def test_sample_is_spoken_gladly_and_its_emotion_suggested(browser, server):
+    """The status has the mean that the command prints; a neutral take has none."""
+    with studio(browser, server) as tab:
+        tab.click("#sample")
+        until(tab, "deitalk.page.take?.seconds > 1")
+        mean = animate(ROOT / "docs/samples/amiable.flac", "happy").mean_applied_intensity
+        until(tab, f"document.getElementById('status').textContent.includes('{mean:.2f})')")
+        assert tab.inner_text("#status").startswith("happy, intensity")
+        tab.get_by_role("button", name="auto", exact=True).click()
+        until(tab, "document.getElementById('suggested').textContent.startsWith('neutral (0.')")
+        assert all(f"{name} 0." in tab.inner_text("#suggested") for name in ("angry", "happy"))
+        until(tab, "document.getElementById('status').textContent === 'neutral'")
+
+
 def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, speech, tmp_path):
     with studio(browser, server) as tab:
         drop(tab, speech)
