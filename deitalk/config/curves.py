@@ -48,9 +48,9 @@ class ModelConfig(Section):
         max_length=limits.WIDTH,
         description="actors whose styles are added to the emotional one; not in the paper",
     )
-    actor_ranges: bool = Field(
+    actor_layers: bool = Field(
         default=False,
-        description="a gain and an offset of every control for each actor; not in the paper",
+        description="a last layer of each actor, as a change of that of all; not in the paper",
     )
     kept_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(),
@@ -86,6 +86,10 @@ class ModelConfig(Section):
     decoder_residual: bool = Field(
         default=False, description="carry every layer's input past it; not in the paper"
     )
+    decoder_direct: bool = Field(
+        default=False,
+        description="the last layer has the speech features too; not in the paper",
+    )
     kernel_size: Odd = 3
     dropout: float = Field(default=0.0, ge=0, lt=1)
 
@@ -111,9 +115,11 @@ class ModelConfig(Section):
             return self
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        if self.frontend.kind == "causal_whisper" or self.kept_controls or self.actor_ranges:
+        is_causal = self.frontend.kind == "causal_whisper"
+        if is_causal or self.kept_controls or self.actor_layers or self.decoder_direct:
             raise ValueError(
-                f"decoder: {self.decoder} takes no causal frontend, kept_controls or actor_ranges"
+                f"decoder: {self.decoder} takes no causal frontend, kept_controls, actor_layers or "
+                "decoder_direct"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
@@ -125,8 +131,6 @@ class ModelConfig(Section):
         if self.frontend.kind == "causal_whisper":
             if self.positions:
                 raise ValueError("causal_whisper takes no positions; set positions: false")
-            if self.actor_ranges:
-                raise ValueError("causal_whisper takes no actor_ranges; set actor_ranges: false")
             if self.intensity and self.saliency_frames is None:
                 raise ValueError("causal_whisper needs saliency_frames; 121 is 4 s")
         return self
@@ -277,10 +281,6 @@ class TuneConfig(Section):
         default=True,
         description="controls that no capture knows stay those of the base, by its own decoder; "
         "not where the frontend learns",
-    )
-    ranges: bool = Field(
-        default=True,
-        description="of another rig: a gain and an offset of every control for each actor",
     )
     rehearsal: float = Field(
         default=0.25,

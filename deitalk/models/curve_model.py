@@ -340,9 +340,9 @@ class DEITalk(nn.Module):
 
         Returns
         -------
-        Tensor [shape=(T, decoder_channels) or (R, T, decoder_channels)]
+        Tensor [shape=(T, H) or (R, T, H)]
         """
-        width = self.config.decoder_channels
+        width = self.decoder.output.in_features
         return self._by_pieces(self.decoder.hidden_readings, analysis, emotion, width)
 
     def _by_pieces(

@@ -67,7 +67,7 @@ class DEITalkFeatures(nn.Module):
         super().__init__()
         self._frozen = (network.requires_grad_(False),)  # a tuple: no module of this one
         self.fingerprint = fingerprint
-        self.output_size = network.config.decoder_channels
+        self.output_size = network.decoder.output.in_features
         self.register_buffer("mean", torch.zeros(self.output_size))
         self.register_buffer("deviation", torch.ones(self.output_size))
 

@@ -81,29 +81,31 @@ class Decoder(nn.Module):
         return style
 
 
-class ActorRanges(nn.Module):
-    """How far each actor moves every control, and about what pose (not in the paper).
+class ActorLayers(nn.Module):
+    """A last layer of each actor, as a change of that of all (not in the paper).
 
-    An actor of no capture has a gain of 1 and no offset.
+    A stranger, an actor of no capture, has no change: the last layer itself is the mean actor.
 
     Parameters
     ----------
-    n_actors, n_controls : int
+    n_actors, n_controls, channels : int
     """
 
-    def __init__(self, n_actors: int, n_controls: int) -> None:
+    def __init__(self, n_actors: int, n_controls: int, channels: int) -> None:
         super().__init__()
-        self.gains = nn.Parameter(torch.zeros(n_actors, n_controls))
-        self.offsets = nn.Parameter(torch.zeros(n_actors, n_controls))
+        self.weight = nn.Parameter(torch.zeros(n_actors, n_controls, channels))
+        self.bias = nn.Parameter(torch.zeros(n_actors, n_controls))
 
-    def forward(self, curves: Tensor, emotion: Tensor) -> Tensor:
-        """Scale and shift curves (B, T, C) by their actors; `emotion` as `RigDecoder.forward`."""
+    def forward(self, hidden: Tensor, emotion: Tensor) -> Tensor | float:
+        """Change (B, T, C) of the curves by their actors; `emotion` as `RigDecoder.forward`."""
         if emotion.dim() == 2:
             emotion = emotion.unsqueeze(1)
         actors = emotion[..., len(EMOTIONS) :]
         if not actors.shape[-1]:
-            return curves
-        return curves * (1 + actors @ self.gains) + actors @ self.offsets
+            return 0.0
+        each = (hidden @ self.weight.flatten(0, 1).T).view(*hidden.shape[:2], *self.bias.shape)
+        change: Tensor = (actors.unsqueeze(-2) @ (each + self.bias)).squeeze(-2)
+        return change
 
 
 class RigDecoder(Decoder):
@@ -132,8 +134,11 @@ class RigDecoder(Decoder):
     kept : Tensor [shape=(C,)] or None
         True where another decoder of the same shape gives the curves, that of the model before its
         fine-tuning: what captures do not show stays exactly as it was (not in the paper).
-    ranges : bool
-        Add `ActorRanges`.
+    direct : bool
+        The last layer has the speech features of its frame too, and so can be any linear map of
+        them (not in the paper).
+    actor_layers : bool
+        Add `ActorLayers`.
     """
 
     is_kept: Tensor | None
@@ -155,10 +160,11 @@ class RigDecoder(Decoder):
         n_actors: int = 0,
         causal: bool = False,
         kept: Tensor | None = None,
-        ranges: bool = False,
+        direct: bool = False,
+        actor_layers: bool = False,
     ) -> None:
         super().__init__()
-        self.residual, self.guidance_size = residual, guidance_size
+        self.residual, self.guidance_size, self.direct = residual, guidance_size, direct
         self.register_buffer("is_kept", kept, persistent=False)
         self.kept: RigDecoder | None = None
         if kept is not None:
@@ -172,6 +178,7 @@ class RigDecoder(Decoder):
                 n_emotions=n_emotions,
                 rest=rest,
                 residual=residual,
+                direct=direct,
             )
         self.margin = receptive_margin(dilations, kernel_size, causal=causal)
         self.style = nn.Linear(n_emotions, style_size, bias=False)
@@ -182,8 +189,9 @@ class RigDecoder(Decoder):
             TemporalConv(width + extra, channels, kernel_size, dilation, dropout, causal=causal)
             for width, dilation in zip(widths, dilations, strict=False)
         )
-        self.ranges = ActorRanges(n_actors, len(rest)) if ranges else None
-        self.output = nn.Linear(channels, len(rest))
+        size = channels + (in_size if direct else 0)
+        self.actor_layers = ActorLayers(n_actors, len(rest), size) if actor_layers else None
+        self.output = nn.Linear(size, len(rest))
         nn.init.normal_(self.output.weight, std=0.01)
         with torch.no_grad():
             self.output.bias.copy_(rest)
@@ -208,9 +216,7 @@ class RigDecoder(Decoder):
         -------
         Tensor [shape=(B, T, C)]
         """
-        curves = super().forward(speech, emotion, guidance)
-        if self.ranges is not None:
-            curves = self.ranges(curves, emotion)
+        curves = self.curves(self.hidden(speech, emotion, guidance), emotion)
         if self.kept is None or self.is_kept is None:
             return curves
         theirs = self._of_kept(guidance)
@@ -219,13 +225,16 @@ class RigDecoder(Decoder):
     @torch.no_grad()
     def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
         """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
-        curves = super().readings(speech, emotions, guidance)
-        if self.ranges is not None:
-            curves = self.ranges(curves, emotions)
+        curves = self.curves(self.hidden_readings(speech, emotions, guidance), emotions)
         if self.kept is None or self.is_kept is None:
             return curves
         theirs = self._of_kept(guidance)
         return torch.where(self.is_kept, self.kept.readings(speech, emotions, theirs), curves)
+
+    def curves(self, hidden: Tensor, emotion: Tensor) -> Tensor:
+        """The last layer, and those of the actors."""
+        curves: Tensor = self.output(hidden)
+        return curves if self.actor_layers is None else curves + self.actor_layers(hidden, emotion)
 
     def _of_kept(self, guidance: Tensor | None) -> Tensor | None:
         """Guidance of the kept decoder."""
@@ -236,7 +245,12 @@ class RigDecoder(Decoder):
         x, extra = self._inputs(speech, emotion, guidance)
         for i, layer in enumerate(self.layers):
             x = self._joined(i, x, layer(torch.cat((x, extra), dim=1)))
-        return x.transpose(1, 2)
+        return self._with_speech(x.transpose(1, 2), speech)
+
+    def _with_speech(self, hidden: Tensor, speech: Tensor) -> Tensor:
+        if not self.direct:
+            return hidden
+        return torch.cat((hidden, speech.expand(len(hidden), -1, -1)), dim=-1)
 
     @torch.no_grad()
     def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
@@ -246,7 +260,7 @@ class RigDecoder(Decoder):
         `Decoder.hidden_readings`.
         """
         layers = cast("list[TemporalConv]", list(self.layers))
-        (_, length, width), channels = speech.shape, self.output.in_features
+        (_, length, width), channels = speech.shape, layers[0].conv.out_channels
         gap, size = max(layer.reach for layer in layers), channels + self.style.out_features
         given = JoinedRows(1, length, width + self.guidance_size, gap, speech)
         given.rows[..., :width] = speech
@@ -273,7 +287,7 @@ class RigDecoder(Decoder):
             rows.copy_(self._joined(i, x.inner()[:, :channels], rows))
             out.gaps[..., :channels] = 0
             x, out = out, x
-        return x.rows[..., :channels]
+        return self._with_speech(x.rows[..., :channels], speech)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span)."""
@@ -307,7 +321,8 @@ class RigDecoder(Decoder):
             given = torch.cat((x, extra), dim=1)
             kept.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
             x = self._joined(i, x, layer(given, past[i]))
-        return self.output(x.transpose(1, 2)), tuple(kept)
+        hidden = self._with_speech(x.transpose(1, 2), speech)
+        return self.curves(hidden, emotion), tuple(kept)
 
     def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
         return (x + out) / 2**0.5 if self.residual and i else out
@@ -357,7 +372,8 @@ def build_decoder(
         residual=config.decoder_residual,
         causal=causal,
         kept=_mask(config.kept_controls, controls),
-        ranges=config.actor_ranges,
+        direct=config.decoder_direct,
+        actor_layers=config.actor_layers,
     )
 
 

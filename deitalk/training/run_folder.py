@@ -192,12 +192,13 @@ def resume_run(out: Path, parts: dict[str, Any], *, truncate_logs: bool) -> tupl
         If ``state.pt`` is damaged or of another model, or a log is not one of a run.
     """
     numbers: dict[str, float] = {"step": 0, "best_score": -math.inf}
-    if (out / "state.pt").is_file():
+    is_begun = (out / "state.pt").is_file()
+    if is_begun:
         numbers = restore_state(out, parts)
     step = int(numbers["step"])
     if truncate_logs:
         for name in ("metrics.csv", "development.csv"):
-            truncate_log(out / name, step)
+            truncate_log(out / name, step if is_begun else -1)
         for picture in (out / "curves").glob("*.png"):
             if picture.stem.isdecimal() and int(picture.stem) > step:
                 picture.unlink()

@@ -65,6 +65,8 @@ class Task(ABC, Generic[Item]):
         Names in the model's state dict that never change.
     state : mapping of str to Module
         What ``state.pt`` keeps beside the model.
+    scores_start : bool
+        Whether the weights before the first step are scored, and kept if none are better.
     """
 
     config: AnyConfig
@@ -72,6 +74,7 @@ class Task(ABC, Generic[Item]):
     item_size: int = 1
     frozen: Set[str] = frozenset()
     state: Mapping[str, nn.Module] = MappingProxyType({})
+    scores_start: bool = False
 
     def read(self, out: Path) -> None:
         """Read the data, or build it in the run folder; the first process does so before others."""
@@ -242,6 +245,8 @@ class Trainer(Generic[Item]):
         if self._is_stale(journal.out):
             return
         network = self.prepare()
+        if self.task.scores_start and not self.step and not (journal.out / "state.pt").is_file():
+            self._evaluate(journal)
         batches = self._batches()
         while self.step < self.total:
             parts = self.update(network, next(batches))
@@ -249,11 +254,15 @@ class Trainer(Generic[Item]):
             if self.step % LOG_EVERY == 0 or is_last:
                 self._log(parts, journal)
             if self.step % self.settings.evaluate_every == 0 or is_last:
-                if self.accelerator.is_main_process:
-                    self.progress(self.step, self.total, self.evaluate(journal))
-                self.accelerator.wait_for_everyone()
+                self._evaluate(journal)
                 if self._is_stale(journal.out):
                     return
+
+    def _evaluate(self, journal: Journal) -> None:
+        """Evaluate in the first process; the others wait."""
+        if self.accelerator.is_main_process:
+            self.progress(self.step, self.total, self.evaluate(journal))
+        self.accelerator.wait_for_everyone()
 
     def _is_stale(self, out: Path) -> bool:
         """Whether the last evaluations, as many as ``train.patience``, brought nothing better."""

@@ -80,6 +80,8 @@ def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
 
 Predict = Callable[[Example], Float32]
 """A system: an example to its curves [shape=(T, C)]."""
+MODELS = ("before", "ridge", "after")
+"""The base, if it has the controls; the start, a ridge regression on its features; the result."""
 COMPARED = "compare"
 """Folder of the clip whose captured curves are played beside those before and after."""
 N_SHOWN = 2
@@ -88,8 +90,7 @@ N_SHOWN = 2
 
 def write_comparison(
     folder: Path,
-    tuned: DEITalk,
-    base: DEITalk | None,
+    models: Mapping[str, DEITalk | None],
     captures: CaptureSet,
     train: Sequence[Clip],
     *,
@@ -105,10 +106,8 @@ def write_comparison(
     ----------
     folder : Path
         Exists.
-    tuned : DEITalk
-        In evaluation mode.
-    base : DEITalk or None
-        What it was; None if it has other controls.
+    models : mapping of str to DEITalk or None
+        Of `MODELS`, in evaluation mode; None where there is none.
     captures : CaptureSet
         Held-out clips.
     train : sequence of Clip
@@ -123,14 +122,14 @@ def write_comparison(
     dict
         The scores of each system.
     """
-    systems = _systems(tuned, base, captures, train)
+    given = {name: model for name, model in models.items() if model is not None}
+    systems = _systems(given, captures, train)
     curves = {
         name: [run(example) for example in captures.examples] for name, run in systems.items()
     }
     scores = {name: _scores(rows, captures) for name, rows in curves.items()}
-    for name, model in (("before", base), ("after", tuned)):
-        if model is not None:
-            scores[name] |= _intensity(model, captures)
+    for name, model in given.items():
+        scores[name] |= _intensity(model, captures)
     scores["capture"] = _own(captures)
     report = {
         **(about or {}),
@@ -164,7 +163,7 @@ def _write_clip(folder: Path, captures: CaptureSet, curves: dict[str, Float32]) 
 
 
 def _systems(
-    tuned: DEITalk, base: DEITalk | None, captures: CaptureSet, train: Sequence[Clip]
+    models: Mapping[str, DEITalk], captures: CaptureSet, train: Sequence[Clip]
 ) -> dict[str, Predict]:
     slope, offset = _loudness_line(captures, train)
     low, high = captures.controls.minimum, captures.controls.maximum
@@ -179,8 +178,8 @@ def _systems(
         level = loudness(example.waveform, len(example.curves))
         return np.asarray(level[:, None] * slope + offset, np.float32)
 
-    before = {} if base is None else {"before": network(base)}
-    return {**before, "after": network(tuned), "mean pose": still, "loudness": loud}
+    tuned = {name: network(model) for name, model in models.items()}
+    return {**tuned, "mean pose": still, "loudness": loud}
 
 
 def _loudness_line(captures: CaptureSet, clips: Sequence[Clip]) -> tuple[Float32, Float32]:
@@ -261,7 +260,7 @@ def _controls(curves: dict[str, list[Float32]], captures: CaptureSet) -> dict[st
         target = np.concatenate([captures.examples[i].curves[:, place] for i in places])
         still = np.square(target - captures.pose.values[place]).mean()
         row = {"captured_sd": float(target.std())}
-        for name in ("before", "after"):
+        for name in MODELS:
             if name in curves:
                 given = np.concatenate([curves[name][i][:, place] for i in places])
                 row[f"{name}_r"] = correlation(target, given)

@@ -79,17 +79,15 @@ def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig
     return config.model_copy(update={"model": model})
 
 
-def with_ranges(config: FinetuneConfig) -> FinetuneConfig:
-    """The configuration with ranges of its actors, for another rig than the base's.
+def with_direct_layers(config: FinetuneConfig) -> FinetuneConfig:
+    """The configuration whose last layers have the speech features, and one of each actor.
 
-    Not for voices that have not ended, nor from random weights, which are for comparison.
+    Not from random weights, which are for comparison.
     """
-    is_causal = config.model.frontend.kind == "causal_whisper"
-    wanted = config.tune.ranges and config.tune.start == "base" and bool(config.model.actors)
-    if not wanted or is_causal or is_same_rig(config):
+    if config.tune.start != "base":
         return config
-    model = config.model.model_copy(update={"actor_ranges": True})
-    return config.model_copy(update={"model": model})
+    layers = {"decoder_direct": True, "actor_layers": bool(config.model.actors)}
+    return config.model_copy(update={"model": config.model.model_copy(update=layers)})
 
 
 def _base_config(config: FinetuneConfig) -> Config:

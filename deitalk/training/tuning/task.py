@@ -6,10 +6,11 @@
 with the mean pose of the captures and so serves any rig.
 """
 
-from collections.abc import Iterable, Sequence
+import copy
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from torch.nn.utils import parametrize
 
 from deitalk.config import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
-from deitalk.data.clips import REHEARSED, Clip, read_clips
+from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import Window, WindowBatches
@@ -31,7 +32,6 @@ from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import model_folder, weights_hash
-from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.trainer import Progress, new_optimizer, run_training, silent
@@ -42,96 +42,22 @@ from deitalk.training.tuning.recipe import (
     with_actors,
     with_base_parts,
     with_captured_intensity,
-    with_ranges,
+    with_direct_layers,
 )
+from deitalk.training.tuning.ridge import Capture, Rows, fit_ridge
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
-from rig.arrays import Float32, Float64
 from rig.errors import ControlError
-
-# First weights of a decoder for a new rig: regressions of the captured curves.
-#
-# Letters: T frames, H inputs of the last layer, C controls.
-
-RIDGE = 1000.0
-"""Of the last layer, squared units of its input."""
-RANGE_ROWS = 0.02
-"""Share of an actor's frames, as if the gain of every control were 1 in them."""
-
-
-class CapturedRows(NamedTuple):
-    """A clip as the last layer is given it.
-
-    Attributes
-    ----------
-    actor : str
-    hidden : ndarray [shape=(T, H)]
-    curves : ndarray [shape=(T, C)]
-    """
-
-    actor: str
-    hidden: Float32
-    curves: Float32
-
-
-@torch.no_grad()
-def fit_decoder(decoder: RigDecoder, rows: Sequence[CapturedRows], actors: Sequence[str]) -> None:
-    """Fit the last layer by ridge regression, and the ranges of the actors to what it predicts.
-
-    Parameters
-    ----------
-    decoder : RigDecoder
-        Changed in place.
-    rows : sequence of CapturedRows
-        All clips to train on.
-    actors : sequence of str
-        Those of the model, in its order.
-    """
-    x = np.concatenate([row.hidden for row in rows]).astype(np.float64)
-    y = np.concatenate([row.curves for row in rows]).astype(np.float64)
-    mean, centre = x.mean(axis=0), y.mean(axis=0)
-    x -= mean
-    weight = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ (y - centre))
-    bias = centre - mean @ weight
-    decoder.output.weight.copy_(torch.from_numpy(weight.T))
-    decoder.output.bias.copy_(torch.from_numpy(bias))
-    if decoder.ranges is None:
-        return
-    for place, actor in enumerate(actors):
-        own = [row for row in rows if row.actor == actor]
-        if own:
-            given = np.concatenate([row.hidden @ weight + bias for row in own])
-            wanted = np.concatenate([row.curves for row in own]).astype(np.float64)
-            gain, offset = actor_range(given, wanted)
-            decoder.ranges.gains[place].copy_(torch.from_numpy(gain - 1))
-            decoder.ranges.offsets[place].copy_(torch.from_numpy(offset))
-
-
-def actor_range(given: Float64, wanted: Float64) -> tuple[Float64, Float64]:
-    """Gain and offset that bring predictions for all actors to one actor's curves.
-
-    Least squares of every control, held at a gain of 1 by `RANGE_ROWS`.
-
-    Parameters
-    ----------
-    given, wanted : ndarray [shape=(T, C)]
-        Predicted and captured.
-
-    Returns
-    -------
-    gain, offset : ndarray [shape=(C,)]
-    """
-    centre, aim = given.mean(axis=0), wanted.mean(axis=0)
-    moved = given - centre
-    held = RANGE_ROWS * len(given) * given.var(axis=0).mean()
-    square = (moved**2).sum(axis=0) + held
-    gain = ((moved * (wanted - aim)).sum(axis=0) + held) / np.maximum(square, 1e-12)
-    return gain, aim - gain * centre
-
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
 ABOUT = ("base", "start", "part")
 """Settings that a report states; the run's config.yaml has all."""
+
+
+@torch.no_grad()
+def _widen(new: Tensor, old: Tensor) -> None:
+    """Copy a matrix into the first columns of a wider one; its other columns are 0."""
+    new.zero_()[..., : old.shape[-1]] = old
 
 
 def finetune(
@@ -171,8 +97,11 @@ def finetune(
     run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
     return write_comparison(
         out,
-        require_model(out / "best", DEITalk),
-        task.base.cpu() if task.is_same_rig else None,
+        {
+            "before": task.base.cpu() if task.is_same_rig else None,
+            "ridge": task.ridge,
+            "after": require_model(out / "best", DEITalk),
+        },
         CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
         task.clips,
         are_unseen=task.has_test,
@@ -207,12 +136,15 @@ class FinetuneTask(CurveTask):
     """
 
     config: FinetuneConfig
+    scores_start = True
+    ridge: DEITalk | None = None
+    """The model before the first step, where a regression is its start."""
 
     def __init__(
         self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
     ) -> None:
         division = divide_clips(read_clips(data), config.tune.leave_out)
-        complete = with_ranges(with_actors(config, division.train))
+        complete = with_direct_layers(with_actors(config, division.train))
         super().__init__(complete, data, frozen_features=frozen_features)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
@@ -281,13 +213,11 @@ class FinetuneTask(CurveTask):
                 "no curves of it to rehearse; set it to null"
             )
         self.model = self._network()
-        if tune.start == "base":
-            self._start_as(base)
         if tune.part != "all":
             self.frozen_features = self.frozen_features or FrozenFeatures(tune.base)
-        if not self.is_same_rig:
-            rows = [self._captured_rows(clip) for clip in self.clips]
-            fit_decoder(self.model.rig_decoder, rows, self.config.model.actors)
+        if tune.start == "base":
+            self._start_as(base)
+            self._fit_last_layers()
         self._choose(tune.part)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
@@ -297,28 +227,43 @@ class FinetuneTask(CurveTask):
         )
         self.shown = shown_examples(self.validation_clips, self.controls)
 
+    @torch.no_grad()
     def _start_as(self, base: DEITalk) -> None:
         """Begin with the base's weights, also of what it goes on to move."""
         start_as(self.model, base)
         decoder, given = self.model.rig_decoder, base.rig_decoder
+        if self.is_same_rig:
+            _widen(decoder.output.weight, given.output.weight)
+        else:
+            decoder.output.weight.zero_()
         if decoder.kept is not None and given.kept is None:
-            own = decoder.kept.state_dict().keys()
-            weights = {k: v for k, v in given.state_dict().items() if k in own}
-            decoder.kept.load_state_dict(weights)
+            own = decoder.kept.state_dict()
+            for name, weight in given.state_dict().items():
+                if name in own:
+                    _widen(own[name], weight)
         kept = self.model.intensity.kept if self.config.model.intensity else None
         if kept is not None:
             before = base.intensity.kept or base.intensity.project
             kept.load_state_dict(before.state_dict())
         if given.actors is not None and decoder.actors is not None:
-            known = given.actors.weight
-            with torch.no_grad():
-                decoder.actors.weight[:, : known.shape[1]] = known
-        if given.ranges is not None and decoder.ranges is not None and self.is_same_rig:
-            with torch.no_grad():
-                for new, old in zip(
-                    decoder.ranges.parameters(), given.ranges.parameters(), strict=True
-                ):
-                    new[: len(old)] = old
+            _widen(decoder.actors.weight, given.actors.weight)
+        if given.actor_layers is not None and decoder.actor_layers is not None and self.is_same_rig:
+            pairs = zip(
+                decoder.actor_layers.parameters(), given.actor_layers.parameters(), strict=True
+            )
+            for new, old in pairs:
+                new[: len(old)] = old
+
+    def _fit_last_layers(self) -> None:
+        """Add what a ridge regression finds to the last layers: the start of the tuning."""
+        clips = [
+            Capture(clip.take or clip.name, clip.speaker, read_known(clip.known, self.controls))
+            for clip in self.clips
+        ]
+        actors = self.config.model.actors
+        maps = fit_ridge(clips, lambda place: self._rows(self.clips[place]), actors, self.learnt)
+        maps.add_to(self.model.rig_decoder)
+        self.ridge = copy.deepcopy(self.model).eval()
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""
@@ -334,8 +279,8 @@ class FinetuneTask(CurveTask):
                 decoder.kept.requires_grad_(False)
         if decoder.actors is not None:
             decoder.actors.requires_grad_(True)
-        if decoder.ranges is not None:
-            decoder.ranges.requires_grad_(True)
+        if decoder.actor_layers is not None:
+            decoder.actor_layers.requires_grad_(True)
         if part == "head" or not self.is_same_rig:
             decoder.output.requires_grad_(True)
         if self.axes:
@@ -344,17 +289,20 @@ class FinetuneTask(CurveTask):
             if self.model.intensity.kept is not None:
                 self.model.intensity.kept.requires_grad_(False)
 
-    def _captured_rows(self, clip: Clip) -> CapturedRows:
-        """A clip as the decoder is given it."""
+    @torch.no_grad()
+    def _rows(self, clip: Clip) -> Rows:
+        """A clip as the last layer is given it, and what is missing in the curves."""
         model, example = self.model.eval(), load_example(clip, self.controls)
         n_frames, sound = len(example.curves), example.waveform
         if self.frozen_features is not None:
             features = self.frozen_features.features(clip, sound, n_frames)
             sound = features[:n_frames].astype(np.float32)
         analysis = model.analyse(torch.from_numpy(sound), n_frames)
-        style = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
+        emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
+        style = model.styles(emotion, clip.speaker)
         hidden = model.describe(analysis, style)
-        return CapturedRows(clip.speaker, hidden.numpy(), example.curves)
+        given = model.rig_decoder.curves(hidden[None], style[None])[0]
+        return hidden.numpy(), example.curves - given.numpy()
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""

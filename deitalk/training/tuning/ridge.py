@@ -1,0 +1,247 @@
+"""The straight line that a tuning begins with: last layers by ridge regression, in closed form.
+
+Captures are few and features many, so that a penalty holds the weights; which, is chosen for every
+control by cross-validation over takes. Actors are pooled in part: all share a map, and each has a
+change of it with a penalty of its own and an offset without one (a ridge with one block of features
+for all and one for each actor; Daumé, "Frustratingly Easy Domain Adaptation", 2007). What is
+returned is the mean of the actors' maps, which a stranger gets, and how each differs from it.
+
+Everything is computed from sums of products, so that hours of captures need no more memory than
+minutes. Letters: T frames, F features, C controls, A actors, K folds.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+import torch
+
+from deitalk.models.rig_decoder import RigDecoder
+from rig.arrays import Bool, Float32, Float64
+
+SHARED = (1.0, 3.0, 10.0, 100.0)
+"""Penalties of the shared map to choose from, as shares of the squares of its features; the last
+leaves hardly more than the mean."""
+OWN = (1.0, 10.0)
+"""Penalty of an actor's change over that of the shared map: as free, or nearly none."""
+FOLDS = 4
+"""Most parts of the captures of which each is predicted from the others."""
+
+
+class Capture(NamedTuple):
+    """What is known of a clip before it is read.
+
+    Attributes
+    ----------
+    take, actor : str
+    known : ndarray [shape=(C,)]
+        Controls that the clip shows; the others are left out.
+    """
+
+    take: str
+    actor: str
+    known: Bool
+
+
+Rows = tuple[Float32, Float32]
+"""Features [shape=(T, F)] of a clip, and what is to be added to its curves [shape=(T, C)]."""
+
+
+class Maps(NamedTuple):
+    """Linear maps of the features.
+
+    Attributes
+    ----------
+    weight : ndarray [shape=(A + 1, C, F)]
+        The mean actor's map, then how each actor differs from it.
+    bias : ndarray [shape=(A + 1, C)]
+    penalty : ndarray [shape=(C, 2)]
+        The chosen shared and own one.
+    """
+
+    weight: Float64
+    bias: Float64
+    penalty: Float64
+
+    def add_to(self, decoder: RigDecoder) -> None:
+        """Add the maps to the last layer of a decoder and to those of its actors."""
+        with torch.no_grad():
+            decoder.output.weight.add_(_tensor(self.weight[0], decoder))
+            decoder.output.bias.add_(_tensor(self.bias[0], decoder))
+            if decoder.actor_layers is not None:
+                decoder.actor_layers.weight.add_(_tensor(self.weight[1:], decoder))
+                decoder.actor_layers.bias.add_(_tensor(self.bias[1:], decoder))
+
+
+def _tensor(values: Float64, decoder: RigDecoder) -> torch.Tensor:
+    return torch.from_numpy(values).to(decoder.output.weight)
+
+
+def fit_ridge(
+    clips: Sequence[Capture], read: Callable[[int], Rows], actors: Sequence[str], learnt: Bool
+) -> Maps:
+    """Fit the maps of all learnt controls.
+
+    Parameters
+    ----------
+    clips : sequence of Capture
+        All to train on.
+    read : callable
+        Gives the rows of the clip of a place.
+    actors : sequence of str
+        Those that have a change of their own, in the model's order; one without clips has none.
+    learnt : array [shape=(C,)]
+        Controls to fit; the maps of the others are 0.
+    """
+    names = [name for name in actors if any(clip.actor == name for clip in clips)]
+    folds = take_folds([(clip.take, clip.actor) for clip in clips])
+    shows = np.stack([clip.known & learnt for clip in clips])  # clips by controls
+    places = np.array([0, *(list(actors).index(name) + 1 for name in names)])
+    maps: Maps | None = None
+    for pattern in np.unique(shows[:, shows.any(axis=0)], axis=1).T:
+        columns = np.flatnonzero((shows == pattern[:, None]).all(axis=0))
+        shown = np.flatnonzero(pattern).tolist()
+        grams = _grams(clips, read, shown, folds, names, columns.tolist())
+        weight, bias, penalty = _chosen(grams, len(columns))
+        if maps is None:
+            shape = len(actors) + 1, len(learnt), weight.shape[-1]
+            maps = Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros((len(learnt), 2)))
+        maps.weight[np.ix_(places, columns)] = weight[: len(places)]
+        maps.bias[np.ix_(places, columns)] = bias[: len(places)]
+        maps.penalty[columns] = penalty
+    assert maps is not None
+    return maps
+
+
+def take_folds(clips: Sequence[tuple[str, str]]) -> list[int]:
+    """Fold of every clip (take, actor): whole takes where every actor has two, else parts of takes.
+
+    A fold is so always predicted from other clips of its actors.
+    """
+    takes: dict[str, dict[str, int]] = {}
+    for take, actor in clips:
+        of_actor = takes.setdefault(actor, {})
+        of_actor.setdefault(take, len(of_actor))
+    if min(len(of_actor) for of_actor in takes.values()) >= 2:
+        return [takes[actor][take] % FOLDS for take, actor in clips]
+    sizes = {pair: clips.count(pair) for pair in set(clips)}
+    seen = dict.fromkeys(sizes, 0)
+    folds = []
+    for pair in clips:
+        folds.append(seen[pair] * min(FOLDS, sizes[pair]) // sizes[pair])
+        seen[pair] += 1
+    return folds
+
+
+def _grams(
+    clips: Sequence[Capture],
+    read: Callable[[int], Rows],
+    shown: Sequence[int],
+    folds: Sequence[int],
+    names: Sequence[str],
+    columns: Sequence[int],
+) -> Float64:
+    """Products of rows (1, features, targets) [shape=(K, A, 1 + F + C, 1 + F + C)]."""
+    grams = np.zeros(0)
+    for place in shown:
+        features, targets = read(place)
+        ones = np.ones((len(features), 1), np.float32)
+        rows = np.concatenate((ones, features, targets[:, columns]), axis=1)
+        if not grams.size:
+            shape = max(folds) + 1, max(len(names), 1), rows.shape[1], rows.shape[1]
+            grams = np.zeros(shape)
+        actor = names.index(clips[place].actor) if names else 0
+        grams[folds[place], actor] += rows.T @ rows
+    return grams
+
+
+def _chosen(grams: Float64, n_controls: int) -> tuple[Float64, Float64, Float64]:
+    """Weights, biases and penalties, each control's of the penalties with the least error."""
+    pairs = [(shared, shared * own) for shared in SHARED for own in OWN]
+    if grams.shape[1] == 1:
+        pairs = [(shared, shared) for shared in SHARED]
+    total = grams.sum(axis=0)
+    folds = [fold for fold in grams if fold[:, 0, 0].any()]
+    if len(folds) == 1:  # nothing to predict it from
+        best = np.full(n_controls, len(pairs) - 1)
+    else:
+        errors = np.zeros((len(pairs), n_controls))
+        for place, pair in enumerate(pairs):
+            for fold in folds:
+                errors[place] += _error(fold, *_solve(total - fold, n_controls, *pair))
+        best = errors.argmin(axis=0)
+    weight, bias = _solve(total, n_controls, *pairs[best[0]])
+    for place in set(best.tolist()) - {best[0]}:
+        weights, biases = _solve(total, n_controls, *pairs[place])
+        weight[:, best == place], bias[:, best == place] = (
+            weights[:, best == place],
+            biases[:, best == place],
+        )
+    return _about_mean(weight), _about_mean(bias), np.array(pairs)[best]
+
+
+def _about_mean(maps: Float64) -> Float64:
+    """The mean actor and how each differs [shape=(A + 1, …)], of a shared map and its changes."""
+    mean = maps[1:].mean(axis=0)
+    return np.concatenate((maps[:1] + mean, maps[1:] - mean))
+
+
+def _solve(grams: Float64, n_controls: int, shared: float, own: float) -> tuple[Float64, Float64]:
+    """Weights (A + 1, C, F) and biases (A + 1, C) from the products of each actor (A, …).
+
+    Each actor's change is eliminated: with S its centred products, D the penalty and b the centred
+    products with the targets, it is (S + own D)^-1 (b - S W) for the shared map W.
+    """
+    counts = np.maximum(grams[:, 0, 0], 1)[:, None, None]
+    centred = grams - grams[:, :, :1] * grams[:, :1] / counts
+    size = grams.shape[1] - n_controls
+    squares, products = centred[:, 1:size, 1:size], centred[:, 1:size, size:]
+    scale = np.maximum(np.einsum("aii->i", squares), 1e-6 * grams[:, 0, 0].sum())
+    left, right = np.diag(shared * scale), np.zeros((size - 1, n_controls))
+    if len(grams) == 1:
+        weight = [_positive(left + squares[0], products[0])]
+    else:
+        parts = []
+        for square, product in zip(squares, products, strict=True):
+            both = np.concatenate((square, product), axis=1)
+            part = _positive(square + np.diag(own * scale), both)
+            left += square - square @ part[:, : size - 1]
+            right += product - square @ part[:, size - 1 :]
+            parts.append(part)
+        common = _positive(left, right)
+        weight = [common]
+        weight += [part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
+    means = grams[:, 0] / counts[:, 0]
+    return _with_biases(np.stack(weight).transpose(0, 2, 1), means, size)
+
+
+def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, Float64]:
+    """Weights, and the biases with which each actor's mean is met; the shared one is their mean."""
+    shared, change = weight[0], weight[1:]
+    bias = [mean[size:] - shared @ mean[1:size] for mean in means if mean[0]]
+    centre = np.mean(bias, axis=0)
+    if not len(change):
+        return np.concatenate((weight, 0 * weight)), np.stack((centre, 0 * centre))
+    own = [
+        (mean[size:] - (shared + each) @ mean[1:size] - centre) * mean[0]
+        for mean, each in zip(means, change, strict=True)
+    ]
+    return weight, np.stack([centre, *own])
+
+
+def _positive(matrix: Float64, right: Float64) -> Float64:
+    """Solution in single precision, which the penalty makes exact enough, in half the time."""
+    factors = scipy.linalg.cho_factor(matrix.astype(np.float32), check_finite=False)
+    found = scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
+    return np.asarray(found, np.float64)
+
+
+def _error(grams: Float64, weight: Float64, bias: Float64) -> Float64:
+    """Squared error of every control on the products of a fold [shape=(C,)]."""
+    n_controls = weight.shape[1]
+    error = np.zeros(n_controls)
+    for gram, change, offset in zip(grams, weight[1:], bias[1:], strict=True):
+        both = np.column_stack((bias[0] + offset, weight[0] + change, -np.eye(n_controls)))
+        error += (both @ gram * both).sum(axis=1)
+    return error
