@@ -322,7 +322,7 @@ class Acting(BaseModel):
     )
     style: Annotated[str | None, Field(max_length=100)] = Field(
         default=None,
-        description="Whose style, of a model tuned on several actors; by default its first.",
+        description="Whose style, of a model tuned on several actors; by default their mean.",
         json_schema_extra=_extra("start", panel="Performance"),
     )
     words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(

@@ -76,6 +76,15 @@ def as_markdown(report: dict[str, Any]) -> str:
     return "\n".join(parts) + "\n"
 
 
+def turned(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Columns from rows, for `table`."""
+    names = dict.fromkeys(name for row in rows.values() for name in row)
+    return {
+        name: {row: values[name] for row, values in rows.items() if name in values}
+        for name in names
+    }
+
+
 def table(corner: str, columns: dict[str, dict[str, Any]]) -> list[str]:
     """Table with a column per key and a row per name of any column."""
     names = list(dict.fromkeys(name for column in columns.values() for name in column))

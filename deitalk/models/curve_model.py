@@ -198,7 +198,9 @@ class DEITalk(nn.Module):
     def about(self) -> dict[str, Any]:
         """Its entries of ``model.json``."""
         about = {"control_set": self.controls.id, "controls": list(self.controls.names)}
-        return about | ({"actors": list(self.actors)} if self.actors else {})
+        if not self.actors:
+            return about
+        return about | {"actors": list(self.actors), "actor_by_default": "the mean of all"}
 
     def is_fixed(self, name: str) -> bool:
         """Whether a weight is that of a published encoder, which did not learn."""

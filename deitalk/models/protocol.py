@@ -209,7 +209,7 @@ def check_product(model: Any, wanted: Product) -> None:
 
 
 def chosen_actor(actors: Sequence[str], name: str | None) -> str:
-    """The actor whose style is wanted, or the model's first, or nobody.
+    """The actor whose style is wanted; empty without a name: the mean of the model's actors.
 
     Raises
     ------
@@ -219,7 +219,14 @@ def chosen_actor(actors: Sequence[str], name: str | None) -> str:
     if name is not None and name not in actors:
         known = ", ".join(actors) or "none: it is of one actor, or of nobody"
         raise CheckpointError(f"actor {quoted(name)} is unknown; the model's are {known}")
-    return name or next(iter(actors), "")
+    return name or ""
+
+
+def mean_actor_note(actors: Sequence[str], name: str) -> tuple[str, ...]:
+    """What a take states where several actors are known and none is named."""
+    if name or not actors:
+        return ()
+    return (f"no actor is named: the mean of {', '.join(actors)}; `style` names one",)
 
 
 def neutral_weights(n_frames: int) -> Float32:

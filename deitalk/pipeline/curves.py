@@ -17,7 +17,7 @@ from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import DeitalkError
 from deitalk.models.load import load_network
-from deitalk.models.protocol import CurveNetwork, Reading, chosen_actor
+from deitalk.models.protocol import CurveNetwork, Reading, chosen_actor, mean_actor_note
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
@@ -152,6 +152,8 @@ def prepare(
     speech = Speech.of_recording(recording, rules.gates)
     weights = acting.track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
+    notes = (*recording.warnings, *mean_actor_note(network.actors, style))
+    recording = replace(recording, warnings=notes)
     return Prepared(
         network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )

@@ -54,8 +54,8 @@ STILL = 1e-3
 LEAST_SECONDS = 2.0
 LEAST_CORRELATION = 0.3
 """Root mean square over the groups; the takes above have .38 and more."""
-SHIFTED_SECONDS = 0.02
-"""Lag from which on a take is shifted: more than people's and the model's own."""
+SHIFTED_SECONDS = 0.015
+"""Lag from which on a take is shifted, half a frame: more than people's and the model's own."""
 CLIP_ERROR_SECONDS = 0.015
 """Standard deviation of the lag of a clip of 5 s."""
 DRIFTS = np.arange(-1500, 1501, 50) * 1e-6

@@ -17,7 +17,7 @@ from deitalk.data.clips import Clip
 from deitalk.evaluation.captures.scores import CaptureSet
 from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.lip_closures import JAW, closure_scores, smoothness, summarise_closures
-from deitalk.evaluation.report import as_json, table
+from deitalk.evaluation.report import as_json, table, turned
 from deitalk.evaluation.validation import (
     Example,
     knows_contact,
@@ -314,6 +314,7 @@ def _markdown(report: dict[str, Any]) -> str:
         f"{report['clips']} held-out clips, {unseen}; {report['moving_controls']} "
         "controls move in the captures and are scored. Curves of the network alone, without rules.",
         "",
+        *_course(report),
         *table("", report["scores"]),
         "",
         "`error_of_mean_pose`: squared error over that of the mean pose of the training captures "
@@ -323,8 +324,39 @@ def _markdown(report: dict[str, Any]) -> str:
         "`range`: standard deviation over the captured one, median. `lpe`, `epe`: squared control "
         "units, lips and upper face. `jerk_per_speed`: 1/s².",
         "",
+        *_learning(report.get("learning", {})),
+        "Controls, those that move most first:",
+        "",
+        *table("", turned(report["controls"])),
+        "",
     ]
     return "\n".join(lines)
+
+
+def _course(report: dict[str, Any]) -> list[str]:
+    """Which weights are the result, and whose face a stranger gets."""
+    lines = []
+    step = report.get("best_step")
+    if step == 0:
+        lines += ["No step improved on the start on validation clips: the result is the start.", ""]
+    elif step is not None:
+        lines += [f"The result is step {step}, the best on validation clips.", ""]
+    if report.get("actors"):
+        actors = ", ".join(report["actors"])
+        lines += [f"Actors: {actors}. Where none is named the face is their mean.", ""]
+    return lines
+
+
+def _learning(course: Mapping[str, Sequence[float]]) -> list[str]:
+    """Scores on the validation clips by step."""
+    if not course:
+        return []
+    steps = [f"step {step:g}" for step in course["step"]]
+    columns = {
+        name: dict(zip(steps, course[name], strict=True))
+        for name in ("error_of_mean_pose", "mean_r")
+    }
+    return ["Validation clips:", "", *table("", columns), ""]
 
 
 def _shown(captures: CaptureSet, curves: dict[str, list[Float32]]) -> list[Shown]:

@@ -21,7 +21,7 @@ from deitalk.data.captures.splits import names_of
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import DataError
-from deitalk.evaluation.report import as_json, table
+from deitalk.evaluation.report import as_json, table, turned
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.task import ABOUT, finetune
 from rig.errors import quoted
@@ -172,16 +172,7 @@ def _markdown(result: dict[str, Any], kind: str) -> str:
         "",
         "Controls that move, means over the folds:",
         "",
-        *table("", _turned(result["controls"])),
+        *table("", turned(result["controls"])),
         "",
     ]
     return "\n".join(lines)
-
-
-def _turned(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Columns from rows."""
-    names = dict.fromkeys(name for row in rows.values() for name in row)
-    return {
-        name: {row: values[name] for row, values in rows.items() if name in values}
-        for name in names
-    }

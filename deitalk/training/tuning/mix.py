@@ -13,6 +13,8 @@ from deitalk.errors import CheckpointError
 from deitalk.models.curve_model import DEITalk
 from rig.errors import quoted
 
+LAST, ACTORS = "decoder.output.weight", "decoder.actor_layers."
+
 
 def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
     """Return a model whose weights are ``(1 - share) * before + share * after``.
@@ -38,7 +40,8 @@ def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
         raise CheckpointError(f"share {quoted(share)} is beyond 0 to 1")
     if before.controls.names != after.controls.names:
         raise CheckpointError("the models have different controls; mix models of one rig")
-    old, new = before.state_dict(), after.state_dict()
+    new = after.state_dict()
+    old = _widened(before.state_dict(), new)
     _check_shapes(old, new)
     model = deepcopy(after).eval()
     model.load_state_dict({
@@ -46,6 +49,20 @@ def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
         for name, value in new.items()
     })  # fmt: skip
     return model
+
+
+def _widened(
+    old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    """The weights before, with zeros where a tuning gave last layers more inputs or actors."""
+    wide = dict(old)
+    for name, value in new.items():
+        if name.startswith(ACTORS):
+            wide.setdefault(name, torch.zeros_like(value))
+        elif name == LAST and name in old and old[name].shape[1] < value.shape[1]:
+            wide[name] = torch.zeros_like(value)
+            wide[name][:, : old[name].shape[1]] = old[name]
+    return wide
 
 
 def _check_shapes(old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]) -> None:

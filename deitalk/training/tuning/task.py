@@ -7,12 +7,13 @@ with the mean pose of the captures and so serves any rig.
 """
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
@@ -31,7 +32,7 @@ from deitalk.evaluation.validation import load_example
 from deitalk.figures.validation import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.folder import describe_model, model_folder, weights_hash
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.trainer import Progress, new_optimizer, run_training, silent
@@ -50,6 +51,8 @@ from rig.errors import ControlError
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
+LAST_SLOWER = 30
+"""Last layers begin as a regression, from which steps of the decoder's size lead away at once."""
 ABOUT = ("base", "start", "part")
 """Settings that a report states; the run's config.yaml has all."""
 
@@ -105,15 +108,22 @@ def finetune(
         CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
         task.clips,
         are_unseen=task.has_test,
-        about=_about(config),
+        about=_about(config, out, task.model.actors),
     )
 
 
-def _about(config: FinetuneConfig) -> dict[str, Any]:
-    """The base and the start of a run, for its report."""
+def _about(config: FinetuneConfig, out: Path, actors: Sequence[str]) -> dict[str, Any]:
+    """The base, the start and the course of a run, for its report."""
     tune = config.tune
     facts = {name: getattr(tune, name) for name in ABOUT}
-    return facts | {"base_sha256": weights_hash(model_folder(tune.base))}
+    rows = pd.read_csv(out / "development.csv").to_dict("list")
+    course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+    return facts | {
+        "base_sha256": weights_hash(model_folder(tune.base)),
+        "actors": list(actors),
+        "best_step": describe_model(out / "best")["training"]["step"],
+        "learning": course,
+    }
 
 
 class FinetuneTask(CurveTask):
@@ -305,10 +315,13 @@ class FinetuneTask(CurveTask):
         return hidden.numpy(), example.curves - given.numpy()
 
     def optimizer(self) -> torch.optim.Optimizer:
-        """AdamW or Adam; styles of actors learn `ACTORS_FASTER`."""
+        """AdamW or Adam; styles of actors learn `ACTORS_FASTER`, last layers `LAST_SLOWER`."""
+        last = ("decoder.output.", "decoder.actor_layers.") if self.ridge is not None else ()
 
         def factor(name: str) -> float:
-            return ACTORS_FASTER if name.startswith("decoder.actors.") else 1
+            if name.startswith("decoder.actors."):
+                return ACTORS_FASTER
+            return 1 / LAST_SLOWER if name.startswith(last) else 1
 
         return new_optimizer(self.model, self.config.train, factor)
 

@@ -219,13 +219,13 @@ def test_actors_differ_as_they_do_in_torch(model, exported):
     model.decoder.actors.weight.data.zero_()
 
 
-def test_ranges_of_actors_are_exported(tmp_path):
-    model = tiny(actors=("ann", "bob"), actor_ranges=True)
+def test_last_layers_of_actors_are_exported(tmp_path):
+    model = tiny(actors=("ann", "bob"), actor_layers=True, decoder_direct=True)
     with torch.no_grad():
-        for weight in model.decoder.ranges.parameters():
+        for weight in model.decoder.actor_layers.parameters():
             weight.normal_(std=0.1)
-    export_onnx(model, tmp_path / "ranges.onnx", name="ranges")
-    found, sound, rows = load_onnx(tmp_path / "ranges.onnx"), speechlike(1.0), weights(30, sad=1)
+    export_onnx(model, tmp_path / "layers.onnx", name="layers")
+    found, sound, rows = load_onnx(tmp_path / "layers.onnx"), speechlike(1.0), weights(30, sad=1)
     for actor in ("ann", "bob", ""):
         assert_equal(found.read(sound, rows, actor), model.read(sound, rows, actor))
     assert (

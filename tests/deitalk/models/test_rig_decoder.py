@@ -110,7 +110,8 @@ def test_dropout_is_off_in_evaluation_mode():
         {},
         {"causal": True},
         {"residual": True, "n_actors": 2},
-        {"ranges": True, "n_actors": 2},
+        {"actor_layers": True, "n_actors": 2},
+        {"direct": True, "actor_layers": True, "n_actors": 2},
     ],
 )
 @pytest.mark.parametrize("guidance_size", [0, 4])
@@ -119,7 +120,7 @@ def test_readings_equal_the_forward_pass_of_each(options, guidance_size):
     net = decoder(guidance_size=guidance_size, **options).eval()
     with torch.no_grad():
         net.output.weight.normal_()
-        for weight in () if net.ranges is None else net.ranges.parameters():
+        for weight in () if net.actor_layers is None else net.actor_layers.parameters():
             weight.normal_()
     for frames in (1, 5, 40):
         speech = torch.randn(1, frames, 10)
@@ -153,17 +154,43 @@ def test_readings_follow_changed_weights():
     torch.testing.assert_close(net.readings(*given), net(*given), atol=1e-5, rtol=1e-5)
 
 
-def test_an_actor_has_a_range_of_every_control_and_a_stranger_none():
-    """The second actor moves the second control three times as far, less 0.1."""
-    net, plain = decoder(ranges=True, n_actors=2).eval(), decoder(n_actors=2).eval()
+def test_an_actor_has_a_last_layer_and_a_stranger_that_of_all():
+    """The second actor's second control has the first column of the input, less 0.1, in addition."""
+    net, plain = decoder(actor_layers=True, n_actors=2).eval(), decoder(n_actors=2).eval()
     plain.load_state_dict(net.state_dict(), strict=False)
     speech, _, guidance = inputs(30)
     stranger, second = torch.eye(7)[2][None], torch.eye(7)[2][None] + torch.eye(7)[6]
     with torch.no_grad():
-        net.ranges.gains[1, 1], net.ranges.offsets[1, 1] = 2.0, -0.1
+        net.actor_layers.weight[1, 1, 0], net.actor_layers.bias[1, 1] = 1.0, -0.1
     before = plain(speech, stranger, guidance)
     torch.testing.assert_close(net(speech, stranger, guidance), before)
     torch.testing.assert_close(net(speech, stranger[:, :5], guidance), before)
     changed = plain(speech, second, guidance)
-    changed[..., 1] = 3 * changed[..., 1] - 0.1
+    changed[..., 1] += plain.hidden(speech, second, guidance)[..., 0] - 0.1
     torch.testing.assert_close(net(speech, second, guidance), changed)
+
+
+def test_a_direct_last_layer_has_the_speech_of_its_frame():
+    net, plain = decoder(direct=True).eval(), decoder().eval()
+    with torch.no_grad():
+        plain.load_state_dict(
+            {k: v[:, :12] if k == "output.weight" else v for k, v in net.state_dict().items()}
+        )
+    speech, emotion, guidance = inputs(30)
+    expected = plain(speech, emotion, guidance) + speech @ net.output.weight[:, 12:].T
+    torch.testing.assert_close(net(speech, emotion, guidance), expected)
+
+
+def test_frames_of_a_stream_with_last_layers_of_actors_equal_the_whole():
+    net = decoder(causal=True, direct=True, actor_layers=True, n_actors=2).eval()
+    with torch.no_grad():
+        net.actor_layers.weight.normal_()
+    speech, _, guidance = inputs(20)
+    second = (torch.eye(7)[2] + torch.eye(7)[6]).expand(1, 20, -1)
+    past, parts = net.first_past(1), []
+    for piece in (slice(0, 7), slice(7, 20)):
+        given = speech[:, piece], second[:, piece], guidance[:, piece]
+        rows, past = net.advance(*given, past)
+        parts.append(rows)
+    whole = net(speech, second, guidance)
+    torch.testing.assert_close(torch.cat(parts, dim=1), whole, atol=1e-5, rtol=1e-5)

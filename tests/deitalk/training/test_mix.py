@@ -49,6 +49,15 @@ def test_models_that_do_not_fit_are_refused():
         mix_models(model(0), model(1, actors=("anna", "ben")), 0.5)
 
 
+def test_last_layers_that_a_tuning_widened_begin_at_zero():
+    before, after = model(0), model(1, decoder_direct=True)
+    wide = mix_models(before, after, 0.25).state_dict()["decoder.output.weight"]
+    old, new = (m.decoder.output.weight.detach() for m in (before, after))
+    size = old.shape[1]
+    torch.testing.assert_close(wide[:, :size], 0.75 * old + 0.25 * new[:, :size])
+    torch.testing.assert_close(wide[:, size:], 0.25 * new[:, size:])
+
+
 def test_command_writes_a_model_that_names_both(tmp_path):
     config = load_config(TINY)
     other = parse_config({**config.model_dump(), "rules": {"dead_zone": None}})

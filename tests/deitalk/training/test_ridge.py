@@ -1,0 +1,128 @@
+"""The straight line that a tuning begins with, against least squares of one large matrix."""
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.models.rig_decoder import RigDecoder
+from deitalk.training.tuning import ridge
+from deitalk.training.tuning.ridge import Capture, fit_ridge, take_folds
+
+EVERY = np.ones(2, bool)
+
+
+def captures(rng, maps, *, noise=0.0, clips=4, frames=200):
+    """Clips of two takes of each actor, whose curves are a map of the features, and noise."""
+    labels, rows = [], []
+    for actor, (weight, bias) in maps.items():
+        for k in range(clips):
+            x = rng.normal(2.0, 1.0, size=(frames, weight.shape[0])).astype(np.float32)
+            y = x @ weight + bias + noise * rng.normal(size=(frames, weight.shape[1]))
+            labels.append(Capture(f"{actor}{k % 2}", actor, EVERY))
+            rows.append((x, y.astype(np.float32)))
+    return labels, rows
+
+
+def least_squares(labels, rows, shared, own):
+    """Maps of two actors by one least-squares problem: the penalties are rows of it."""
+    x = np.concatenate([x for x, _ in rows]).astype(float)
+    y = np.concatenate([y for _, y in rows]).astype(float)
+    of = np.repeat([label.actor for label in labels], [len(x) for x, _ in rows])
+    size = x.shape[1]
+    is_of = [(of == name).astype(float)[:, None] for name in ("ann", "bob")]
+    inner = [mask * (x - x[mask[:, 0] > 0].mean(axis=0)) for mask in is_of]
+    scale = np.sqrt(sum((part**2).sum(axis=0) for part in inner))
+    design = np.concatenate((x, *(mask * x for mask in is_of), *is_of), axis=1)
+    held = np.zeros((3 * size, design.shape[1]))
+    held[:, : 3 * size] = np.diag(
+        np.concatenate([shared**0.5 * scale, own**0.5 * scale, own**0.5 * scale])
+    )
+    target = np.concatenate((y, np.zeros((3 * size, y.shape[1]))))
+    found = np.linalg.lstsq(np.concatenate((design, held)), target, rcond=None)[0]
+    common, ann, bob = (found[i * size : (i + 1) * size] for i in range(3))
+    return [common + ann, common + bob], found[3 * size :]
+
+
+def test_partly_pooled_actors_are_the_solution_of_one_least_squares_problem(rng, monkeypatch):
+    monkeypatch.setattr(ridge, "SHARED", (0.5,))
+    monkeypatch.setattr(ridge, "OWN", (3.0,))
+    maps = {name: (rng.normal(size=(5, 2)), rng.normal(size=2)) for name in ("ann", "bob")}
+    labels, rows = captures(rng, maps, noise=0.3)
+    found = fit_ridge(labels, rows.__getitem__, ("ann", "bob"), EVERY)
+    weights, biases = least_squares(labels, rows, 0.5, 1.5)
+    for place in range(2):
+        np.testing.assert_allclose(
+            found.weight[0] + found.weight[place + 1], weights[place].T, atol=1e-4
+        )
+        np.testing.assert_allclose(found.bias[0] + found.bias[place + 1], biases[place], atol=1e-3)
+
+
+def test_a_stranger_gets_the_mean_of_the_actors(rng):
+    maps = {name: (rng.normal(size=(5, 2)), rng.normal(size=2)) for name in ("ann", "bob")}
+    labels, rows = captures(rng, maps)
+    found = fit_ridge(labels, rows.__getitem__, ("ann", "absent", "bob"), EVERY)
+    np.testing.assert_allclose(found.weight[1] + found.weight[3], 0, atol=1e-9)
+    np.testing.assert_allclose(found.bias[1] + found.bias[3], 0, atol=1e-9)
+    assert not found.weight[2].any() and not found.bias[2].any()
+
+
+def test_penalty_is_that_which_predicts_takes_best(rng, monkeypatch):
+    """The first control follows the features, the second is noise: held, but for its mean."""
+    monkeypatch.setattr(ridge, "SHARED", (0.001, 100.0))
+    weight = np.column_stack((np.ones(5), np.zeros(5)))
+    labels, rows = captures(rng, {"ann": (weight, np.array([0.0, 4.0]))}, frames=30)
+    rows = [(x, y + np.float32([0, 1]) * rng.normal(size=y.shape).astype("f4")) for x, y in rows]
+    found = fit_ridge(labels, rows.__getitem__, (), EVERY)
+    assert found.penalty[0, 0] == 0.001 and found.penalty[1, 0] == 100
+    np.testing.assert_allclose(found.weight[0, 0], 1, atol=0.01)
+    mean = np.concatenate([x for x, _ in rows]).mean(axis=0) @ found.weight[0, 1] + found.bias[0, 1]
+    assert mean == pytest.approx(np.concatenate([y for _, y in rows])[:, 1].mean(), abs=1e-3)
+
+
+def test_clips_teach_only_what_they_show(rng):
+    weight, bias = rng.normal(size=(5, 2)), np.array([0.5, -0.5])
+    labels, rows = captures(rng, {"ann": (weight, bias)})
+    expected = fit_ridge(labels, rows.__getitem__, (), EVERY)
+    hidden = Capture("c", "ann", np.array([True, False]))
+    wrong = (rows[0][0], rows[0][1] * np.float32([1, -50]))
+    found = fit_ridge([*labels, hidden], [*rows, wrong].__getitem__, (), EVERY)
+    np.testing.assert_allclose(found.weight[:, 1], expected.weight[:, 1])
+    none = fit_ridge(labels, rows.__getitem__, (), np.array([False, True]))
+    assert not none.weight[:, 0].any() and not none.bias[:, 0].any()
+
+
+def test_folds_are_takes_or_parts_of_them():
+    assert take_folds([("a", "x"), ("b", "x"), ("a", "x"), ("c", "y"), ("d", "y")]) == [
+        0, 1, 0, 0, 1,
+    ]  # fmt: skip
+    assert take_folds([("a", "x")] * 8) == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert take_folds([("a", "x"), ("a", "x"), ("b", "y"), ("c", "y")]) == [0, 1, 0, 0]
+
+
+def test_maps_are_added_to_the_last_layers(rng):
+    net = RigDecoder(
+        in_size=3,
+        style_size=2,
+        guidance_size=0,
+        channels=4,
+        dilations=(1,),
+        kernel_size=3,
+        n_emotions=5,
+        rest=torch.zeros(2),
+        n_actors=2,
+        direct=True,
+        actor_layers=True,
+    )
+    maps = {name: (rng.normal(size=(7, 2)), rng.normal(size=2)) for name in ("ann", "bob")}
+    labels, rows = captures(rng, maps)
+    found = fit_ridge(labels, rows.__getitem__, ("ann", "bob"), EVERY)
+    before = net.output.weight.detach().clone()
+    found.add_to(net)
+    np.testing.assert_allclose(
+        (net.output.weight - before).detach(), found.weight[0], rtol=1e-5, atol=1e-6
+    )
+    x = rng.normal(size=(1, 6, 7)).astype(np.float32)
+    plain = net.output(torch.from_numpy(x)).detach()
+    second = torch.eye(7)[0] + torch.eye(7)[6]
+    change = (net.curves(torch.from_numpy(x), second[None]) - plain).detach()
+    np.testing.assert_allclose(change, x @ found.weight[2].T + found.bias[2], atol=1e-5)
