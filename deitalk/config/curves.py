@@ -324,16 +324,17 @@ class FinetuneConfig(Config):
     loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
     data: DataConfig = DataConfig(real_fraction=0.7)
     train: TrainConfig = TrainConfig(
-        learning_rate=3e-4,
+        learning_rate=1e-4,
         optimizer="adamw",
         weight_decay=0.05,
         schedule="one_cycle",
         batch_size=8,
-        steps=200,
+        steps=160,
         gradient_clip=5.0,
         ema=0.98,
-        evaluate_every=25,
+        evaluate_every=20,
         patience=3,
+        workers=1,
     )
     tune: TuneConfig = TuneConfig()
 

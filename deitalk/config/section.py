@@ -144,6 +144,9 @@ class Optimisation(Section):
     gradient_clip: float | None = Field(
         default=None, gt=0, description="largest norm of the gradient of all weights"
     )
+    accumulate: Positive = Field(
+        default=1, description="batches whose gradients make one step, for batches beyond memory"
+    )
     ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
     evaluate_every: Steps = Field(
         default=500, description="steps between evaluations and checkpoints"

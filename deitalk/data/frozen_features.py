@@ -8,7 +8,9 @@ is encoded a few times, each time in other surroundings (`EncodedPasses`).
 Letters: S samples, T rig frames, D width of the features.
 """
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +25,30 @@ from deitalk.frontends.base import Frontend
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
+from rig.files import atomic_write
 
 STREAM_GAIN_DB = (-18.0, 14.0)
 """Range of a recording's gain before a causal frontend, whose running level must make up for it."""
+OPEN_FILES = 256
+"""Features that are mapped at once."""
 MOST_LEAD_FRAMES = 60
 """Frames of silence before it, as every stream begins."""
 
 
 class FrozenFeatures:
-    """The frontend of a trained model, and its features of each clip.
+    """The frontend of a trained model, and its features of each recording.
+
+    With a folder they lie on disk and are memory-mapped, so that hours need no more memory than
+    minutes, and processes that load windows share them::
+
+        FOLDER/<hash of path, time of change and size>.npy    (T, D) float16
 
     Parameters
     ----------
     name : str
         An embedded model or a model folder.
+    folder : Path or None
+        Of one model's features; None keeps them in memory.
 
     Raises
     ------
@@ -49,10 +61,10 @@ class FrozenFeatures:
         The model.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, folder: Path | None = None) -> None:
+        self.name, self.folder = name, folder
         self.owner = require_model(name, DEITalk)
-        self._features: dict[Path, NDArray[np.float16]] = {}
+        self._features: OrderedDict[Path, NDArray[np.float16]] = OrderedDict()
 
     def copy_into(self, model: DEITalk) -> None:
         """Copy the frontend into `model`; no gradient reaches it there.
@@ -86,13 +98,64 @@ class FrozenFeatures:
         -------
         ndarray [shape=(T, D)]
         """
-        known = self._features.get(clip.audio)
+        known = self._known(clip.audio)
         if known is None or len(known) < n_frames:
             length = n_frames * SAMPLE_RATE // FRAME_RATE
             padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
             features = self.owner.frontend.encode(torch.from_numpy(padded), n_frames)
-            known = self._features[clip.audio] = features.numpy().astype(np.float16)
+            known = self._keep(clip.audio, features.cpu().numpy().astype(np.float16))
         return known
+
+    def prepare(
+        self,
+        clips: Iterable[Clip],
+        read: Callable[[Clip], tuple[Float32, int]],
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Compute the features of clips on a device, before other processes map them.
+
+        Parameters
+        ----------
+        clips : iterable of Clip
+            Recordings whose features are on disk are not read again.
+        read : callable
+            Gives a clip's sound and frames, as for `features`.
+        device : device
+            Where the frontend computes; it returns to the CPU.
+        """
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        self.owner.frontend.to(device)
+        for clip in clips:
+            if self._known(clip.audio) is None:
+                self.features(clip, *read(clip))
+        self.owner.frontend.to("cpu")
+
+    def _known(self, sound: Path) -> NDArray[np.float16] | None:
+        if sound in self._features:
+            self._features.move_to_end(sound)
+        elif self.folder is not None and (path := self._file(sound)).is_file():
+            self._remember(sound, np.load(path, mmap_mode="r"))
+        return self._features.get(sound)
+
+    def _keep(self, sound: Path, features: NDArray[np.float16]) -> NDArray[np.float16]:
+        if self.folder is not None and self.folder.is_dir():
+            with atomic_write(self._file(sound)) as beside, beside.open("wb") as file:
+                np.save(file, features)
+            features = np.load(self._file(sound), mmap_mode="r")
+        self._remember(sound, features)
+        return features
+
+    def _remember(self, sound: Path, features: NDArray[np.float16]) -> None:
+        self._features[sound] = features
+        while self.folder is not None and len(self._features) > OPEN_FILES:
+            self._features.popitem(last=False)
+
+    def _file(self, sound: Path) -> Path:
+        assert self.folder is not None
+        found = sound.stat()
+        text = f"{sound.resolve()}\n{found.st_mtime_ns}\n{found.st_size}"
+        return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npy"
 
 
 class EncodedPasses:

@@ -130,6 +130,12 @@ def read_waveform(path: Path) -> Float32:
     return steps.astype(np.float32) * np.float32(unit)
 
 
+def whole_sound(clip: Clip, config: DataConfig) -> tuple[Float32, int]:
+    """A clip's recording at the normal level, and frames that any window of it lies in."""
+    waveform = read_waveform(clip.audio)
+    return waveform, max(n_clip_frames(len(waveform)), config.window_frames)
+
+
 @lru_cache(maxsize=64)
 def _waveform(path: str) -> tuple[NDArray[np.int16], float]:
     """A recording at the normal level in 16 bits of its own peak, and the worth of a step."""
@@ -304,9 +310,8 @@ class WindowBatches(SeededBatches[Window]):
         waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
         stop = first + self.config.window_frames
         n_frames = max(n_clip_frames(len(waveform)), stop)
-        return torch.from_numpy(
-            self.frozen_features.features(clip, waveform, n_frames)[first:stop]
-        ).float()
+        rows = self.frozen_features.features(clip, waveform, n_frames)[first:stop]
+        return torch.from_numpy(rows.astype(np.float32))
 
     def _draw(self, rng: np.random.Generator) -> Clip:
         if self.measured and rng.random() < (self.config.measured_fraction or 0.0):

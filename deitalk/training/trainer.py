@@ -224,7 +224,8 @@ class Trainer(Generic[Item]):
         settings = self.settings
         if settings.steps is not None:
             return settings.steps
-        return max(math.ceil(settings.epochs * self.task.epoch_size() / settings.batch_size), 1)
+        size = settings.batch_size * settings.accumulate
+        return max(math.ceil(settings.epochs * self.task.epoch_size() / size), 1)
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -249,7 +250,7 @@ class Trainer(Generic[Item]):
             self._evaluate(journal)
         batches = self._batches()
         while self.step < self.total:
-            parts = self.update(network, next(batches))
+            parts = self.update(network, batches)
             is_last = self.step == self.total
             if self.step % LOG_EVERY == 0 or is_last:
                 self._log(parts, journal)
@@ -288,7 +289,8 @@ class Trainer(Generic[Item]):
         """Yield the process's share of the batches, from the run's step on."""
         if self.step == self.total:
             return
-        share = Share(self.step, self.accelerator.process_index, self.accelerator.num_processes)
+        done = self.step * self.settings.accumulate
+        share = Share(done, self.accelerator.process_index, self.accelerator.num_processes)
         loader: DataLoader[Item] = DataLoader(
             self.task.batches(share),
             batch_size=None,
@@ -298,28 +300,31 @@ class Trainer(Generic[Item]):
         for batch in loader:
             yield type(batch)(*(part.to(self.accelerator.device) for part in batch))
 
-    def update(self, network: nn.Module, batch: Item) -> dict[str, Tensor]:
-        """One step; a batch whose gradient is not finite is left out.
+    def update(self, network: nn.Module, batches: Iterator[Item]) -> dict[str, Tensor]:
+        """One step, of ``train.accumulate`` batches; without it where its gradient is not finite.
 
         The norm is that of the averaged gradient, so that all processes leave out the same batches.
 
         Returns
         -------
         dict
-            Every part of the loss.
+            Every part of the loss of the last batch.
 
         Raises
         ------
         DataError
             If `MAX_BAD_STEPS` gradients in a row are not finite.
         """
+        items = [next(batches) for _ in range(self.settings.accumulate)]
         # Dropout depends on the step alone, and is the same in a resumed run.
         seed = (self.settings.seed * 2**20 + self.step) * 64 + self.accelerator.process_index
         torch.manual_seed(seed)
         self.task.set_training()
-        parts = self.task.loss(network, batch)
         self.optimizer.zero_grad(set_to_none=True)
-        self.accelerator.backward(parts["total"])
+        parts: dict[str, Tensor] = {}
+        for item in items:
+            parts = self.task.loss(network, item)
+            self.accelerator.backward(parts["total"] / self.settings.accumulate)
         limit = self.settings.gradient_clip or math.inf
         self.gradient_norm = float(self.accelerator.clip_grad_norm_(network.parameters(), limit))
         if math.isfinite(self.gradient_norm):

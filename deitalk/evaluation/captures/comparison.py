@@ -355,6 +355,7 @@ def _learning(course: Mapping[str, Sequence[float]]) -> list[str]:
     columns = {
         name: dict(zip(steps, course[name], strict=True))
         for name in ("error_of_mean_pose", "mean_r")
+        if name in course
     }
     return ["Validation clips:", "", *table("", columns), ""]
 

@@ -4,6 +4,7 @@ Of minutes of captures one test take says little, and depends on which. Each fol
 (see `deitalk.training.run_folder`)::
 
     OUT/<take or actor>/     tuned on all others, tested on this one
+    OUT/features/            of the frozen frontend, for all of them
     OUT/folds.json, OUT/folds.md
 """
 
@@ -79,7 +80,8 @@ def tune_folds(
             f"{data}: folds of {kind} need two; here is {names[0]} alone", parameter="folds"
         )
     _check_folders(data, names)
-    features = None if config.tune.part == "all" else FrozenFeatures(config.tune.base)
+    is_frozen = config.tune.part != "all"
+    features = FrozenFeatures(config.tune.base, out / "features") if is_frozen else None
     run = partial(finetune, data=data, resume=resume, frozen_features=features)
     with claim(out):
         begin_folder(out, kind=KIND)

@@ -9,6 +9,7 @@ with the mean pose of the captures and so serves any rig.
 import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,7 +24,7 @@ from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import Share
-from deitalk.data.windows import Window, WindowBatches
+from deitalk.data.windows import Window, WindowBatches, whole_sound
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.captures.comparison import write_comparison
@@ -147,6 +148,7 @@ class FinetuneTask(CurveTask):
 
     config: FinetuneConfig
     scores_start = True
+    features_folder: Path | None = None
     ridge: DEITalk | None = None
     """The model before the first step, where a regression is its start."""
 
@@ -205,6 +207,7 @@ class FinetuneTask(CurveTask):
 
     def read(self, out: Path) -> None:
         """Measure the strength of the captured expressions, in ``intensity/`` of the run."""
+        self.features_folder = out / "features"
         if self.axes:
             self.clips, self.validation_clips, self.test_clips = (
                 label_intensity(clips, self.axes, self.controls, out / "intensity")
@@ -224,7 +227,7 @@ class FinetuneTask(CurveTask):
             )
         self.model = self._network()
         if tune.part != "all":
-            self.frozen_features = self.frozen_features or FrozenFeatures(tune.base)
+            self._prepare_features(device)
         if tune.start == "base":
             self._start_as(base)
             self._fit_last_layers()
@@ -236,6 +239,14 @@ class FinetuneTask(CurveTask):
             self.validation_clips, self.controls, self.pose, self.learnt
         )
         self.shown = shown_examples(self.validation_clips, self.controls)
+
+    def _prepare_features(self, device: torch.device) -> None:
+        """Features of the captures, and of speech that is rehearsed, in the run folder."""
+        found = self.frozen_features or FrozenFeatures(self.config.tune.base, self.features_folder)
+        self.frozen_features = found
+        if not self.config.data.augment:
+            read = partial(whole_sound, config=self.config.data)
+            found.prepare([*self.clips, *self._rehearsed()], read, device)
 
     @torch.no_grad()
     def _start_as(self, base: DEITalk) -> None:
@@ -327,11 +338,9 @@ class FinetuneTask(CurveTask):
 
     def batches(self, share: Share) -> WindowBatches:
         """Windows of the captures, and of speech to rehearse."""
-        settings, corpus = self.config.train, self.config.tune.corpus
+        settings = self.config.train
         captures = [replace(clip, source="recording") for clip in self.clips]
-        if corpus is not None:
-            others = read_clips(corpus, "train")
-            captures += [replace(clip, source=REHEARSED, speaker="") for clip in others]
+        captures += self._rehearsed()
         return WindowBatches(
             captures,
             self.controls,
@@ -342,6 +351,11 @@ class FinetuneTask(CurveTask):
             frozen_features=self.frozen_features,
             actors=self.config.model.actors,
         )
+
+    def _rehearsed(self) -> list[Clip]:
+        corpus = self.config.tune.corpus
+        others = [] if corpus is None else read_clips(corpus, "train")
+        return [replace(clip, source=REHEARSED, speaker="") for clip in others]
 
     def set_training(self) -> None:
         """Put the model in training mode, but for a frontend that does not learn."""

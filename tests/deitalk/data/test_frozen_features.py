@@ -1,5 +1,6 @@
 """A frozen frontend: its weights stay, and its features are computed once per clip."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from deitalk.config import Config, load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
-from deitalk.data.windows import WindowBatches, load_material
+from deitalk.data.windows import WindowBatches, load_material, whole_sound
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
@@ -55,6 +56,24 @@ def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, a
     fresh = DEITalk(config.model).decoder.state_dict()
     learnt = load_model(tmp_path / "run" / "last").decoder.state_dict()
     assert any(not torch.equal(fresh[name], learnt[name]) for name in fresh)
+
+
+def test_features_on_disk_are_mapped_and_computed_once(data, source, tmp_path, monkeypatch):
+    clips = read_clips(data, "train")
+    read = partial(whole_sound, config=tiny().data)
+    found = FrozenFeatures(str(source), tmp_path / "features")
+    found.prepare(clips, read)
+    assert len(list((tmp_path / "features").iterdir())) == len({clip.audio for clip in clips})
+    sound, n_frames = read(clips[0])
+    features = found.features(clips[0], sound, n_frames)
+    assert isinstance(features, np.memmap)
+    np.testing.assert_array_equal(
+        features, FrozenFeatures(str(source)).features(clips[0], sound, n_frames)
+    )
+    again = FrozenFeatures(str(source), tmp_path / "features")
+    monkeypatch.setattr(again.owner, "frontend", torch.nn.Identity())  # encodes nothing
+    again.prepare(clips, read)
+    assert again.features(clips[0], sound, n_frames).shape == features.shape
 
 
 def test_windows_hold_the_features_of_the_whole_clip(data, source):

@@ -204,6 +204,32 @@ def test_steps_come_from_epochs_where_none_are_given(tmp_path):
     assert len(few.seen) == 1
 
 
+class PlainTask(LineTask):
+    """Of one linear layer: no batch statistics, no dropout."""
+
+    def build(self, device: torch.device) -> None:
+        super().build(device)
+        self.model = nn.Linear(1, 1)
+
+
+def test_accumulated_batches_make_the_step_of_one_large_batch(tmp_path):
+    small = trained(tmp_path / "small", PlainTask(config(batch_size=4, accumulate=2)))
+    large = trained(tmp_path / "large", PlainTask(config(batch_size=8)))
+    assert len(small.seen) == 2 * len(large.seen)
+    for one, other in zip(small.model.parameters(), large.model.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_start_is_the_result_where_no_step_is_better(tmp_path):
+    task = LineTask(config(), scores=(5.0, 1.0, 2.0, 3.0))
+    task.scores_start = True
+    trained(tmp_path / "run", task)
+    about = json.loads((tmp_path / "run/best/model.json").read_text())
+    assert about["training"]["step"] == 0
+    rows = pd.read_csv(tmp_path / "run/development.csv")
+    assert rows["step"].tolist() == [0, 2, 4, 6]
+
+
 def prepared(task: LineTask) -> tuple[Trainer[Point], nn.Module]:
     trainer = Trainer(task, new_accelerator(task.config.train))
     return trainer, trainer.prepare()
@@ -214,11 +240,11 @@ def test_bad_batch_is_left_out_and_the_next_one_is_taken():
     trainer, network = prepared(task)
     before = {name: value.clone() for name, value in task.model.state_dict().items()}
     batches = iter(task.batches(Share()))
-    trainer.update(network, next(batches))
+    trainer.update(network, batches)
     assert not np.isfinite(trainer.gradient_norm) and trainer.bad_steps == 1
     learnt = [name for name, _ in task.model.named_parameters()]
     assert all(torch.equal(task.model.state_dict()[name], before[name]) for name in learnt)
-    trainer.update(network, next(batches))
+    trainer.update(network, batches)
     assert trainer.bad_steps == 0 and trainer.step == 2
     assert any(not torch.equal(task.model.state_dict()[name], before[name]) for name in learnt)
 
@@ -227,7 +253,7 @@ def test_running_means_that_a_bad_batch_spoils_are_restored():
     task = LineTask(config())
     trainer, network = prepared(task)
     good = next(iter(task.batches(Share())))
-    trainer.update(network, good._replace(x=good.x * torch.nan))
+    trainer.update(network, iter([good._replace(x=good.x * torch.nan)]))
     assert all(buffer.isfinite().all() for buffer in task.model.buffers())
     assert all(buffer.isfinite().all() for buffer in trainer.average.buffers())
 
@@ -242,7 +268,7 @@ def test_many_bad_batches_in_a_row_end_the_run(tmp_path):
 def test_gradient_is_clipped_and_its_norm_before_is_logged():
     task = LineTask(config(gradient_clip=1e-3))
     trainer, network = prepared(task)
-    trainer.update(network, next(iter(task.batches(Share()))))
+    trainer.update(network, iter(task.batches(Share())))
     left = torch.stack([p.grad.norm() for p in task.model.parameters()]).norm()
     assert float(left) == pytest.approx(1e-3, rel=1e-3)
     assert trainer.gradient_norm > 0.1
