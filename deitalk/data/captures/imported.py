@@ -263,7 +263,8 @@ def import_captures(
     faults = []
     with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)
-        for done, source in enumerate(takes):
+        names = _names(takes)
+        for done, (source, name) in enumerate(zip(takes, names, strict=True)):
 
             def of_take(share: float, done: int = done) -> None:
                 progress((done + share) / len(takes))
@@ -273,12 +274,13 @@ def import_captures(
                     source.curves, mapping=table, rig=rig, fps=fps, progress=of_take
                 )
                 sound = load_audio(find_sound(source, capture.audio, audio, takes))
-                writer.take(source, labels.of(source), capture, sound)
+                writer.take(source, name, labels.of(source, name), capture, sound)
             except UserError as error:
                 faults.append(error)
             of_take(1.0)
         if faults:
             raise _fault(faults, len(takes))
+        labels.check_rows(names)
         splits = writer.finish(split_by)
     return Imported(
         len(writer.rows),
@@ -301,6 +303,18 @@ def _fault(faults: Sequence[UserError], n_takes: int) -> DataError:
     )
 
 
+def _names(takes: Sequence[Source]) -> list[str]:
+    """Names of takes: of their files, numbered where several have one."""
+    counts: Counter[str] = Counter()
+    names = []
+    for take in takes:
+        name = "".join(c if c.isalnum() or c in "-_" else "-" for c in take.stem) or "take"
+        counts[name.lower()] += 1
+        count = counts[name.lower()]
+        names.append(name if count == 1 else f"{name}-{count}")
+    return names
+
+
 @dataclass
 class _Writer:
     """Writes clips into a stage and keeps their rows."""
@@ -313,7 +327,6 @@ class _Writer:
     reports: list[TakeReport] = field(default_factory=list)
     lists: dict[tuple[str, ...], str] = field(default_factory=dict)
     """Known channels to the file that lists them."""
-    names: Counter[str] = field(default_factory=Counter)
     left_out: int = 0
 
     @property
@@ -322,7 +335,12 @@ class _Writer:
         return sum(piece.stop - piece.start for piece in self.pieces)
 
     def take(
-        self, source: Source, labels: Labels, capture: CapturedCurves, sound: Recording
+        self,
+        source: Source,
+        name: str,
+        labels: Labels,
+        capture: CapturedCurves,
+        sound: Recording,
     ) -> None:
         """Cut a take and write its clips."""
         curves = capture.curves
@@ -333,6 +351,11 @@ class _Writer:
                 f"sound; both must last {LEAST_SECONDS:g} s"
             )
         speaking = speech_activity(sound.waveform)
+        if not speaking.any() and not self.keep_listening:
+            raise DataError(
+                f"{source.curves}: its recording holds no speech; leave the take out, or "
+                "`keep_listening=True` keeps silence too"
+            )
         prosody = measure_prosody(sound.waveform, len(speaking))
         spans = cut_at_silences(
             speaking, prosody.level, seconds, longest=self.longest,
@@ -340,7 +363,6 @@ class _Writer:
         )  # fmt: skip
         if capture.seen is not None:
             spans = within_captured(spans, capture.seen, curves.fps)
-        name = self._name(source)
         for number, span in enumerate(spans, 1):
             self._clip(name, f"{name}_{number:03d}", span, labels, capture, sound)
         voiced = prosody.pitch[prosody.voiced]
@@ -358,13 +380,6 @@ class _Writer:
                 (*capture.notes, *_notes(labels, capture, sound, spans)),
             )
         )
-
-    def _name(self, source: Source) -> str:
-        """Name of a take: that of its file, numbered where several have it."""
-        name = "".join(c if c.isalnum() or c in "-_" else "-" for c in source.stem) or "take"
-        self.names[name.lower()] += 1
-        count = self.names[name.lower()]
-        return name if count == 1 else f"{name}-{count}"
 
     def _clip(
         self,

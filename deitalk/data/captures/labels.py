@@ -56,8 +56,8 @@ class Labelling:
         Regular expression with a group ``(?P<actor>…)``, ``(?P<emotion>…)`` or ``(?P<style>…)``,
         searched in a take's path without suffix.
     table : Path or None
-        CSV with a column ``take`` (name or path of the take) and any of actor, emotion, style,
-        voice, split.
+        CSV with a column ``take`` (name, in the dataset or of the file, or path of the take) and
+        any of actor, emotion, style, voice, split.
     """
 
     actor: str | None = None
@@ -66,6 +66,7 @@ class Labelling:
     pattern: str | None = None
     table: Path | None = None
     _rows: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
+    _used: set[str] = field(default_factory=set, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.emotion is not None:
@@ -75,15 +76,15 @@ class Labelling:
         if self.table is not None:
             self._rows.update(_read_table(self.table))
 
-    def of(self, source: Source) -> Labels:
-        """Labels of a take.
+    def of(self, source: Source, name: str = "") -> Labels:
+        """Labels of a take; `name` is the one that it has in the dataset.
 
         Raises
         ------
         DataError
             If an emotion or split is unknown, or the pattern is not found in the take's path.
         """
-        row = self._row(source)
+        row = self._row(source, name)
         groups = self._groups(source)
         found = {
             name: row.get(name) or getattr(self, name) or groups.get(name) or "" for name in GROUPS
@@ -102,13 +103,23 @@ class Labelling:
             is_emotion_given=bool(emotion),
         )
 
-    def _row(self, source: Source) -> dict[str, str]:
+    def check_rows(self, names: Sequence[str]) -> None:
+        """Refuse a table with a row of none of the takes that were labelled."""
+        unknown = [row["take"] for take, row in self._rows.items() if take not in self._used]
+        if unknown:
+            raise DataError(
+                f"{self.table}: take {quoted(unknown[0])} is not among the takes "
+                f"{', '.join(names[:6])}{' …' if len(names) > 6 else ''}; mend or remove the row"
+            )
+
+    def _row(self, source: Source, name: str) -> dict[str, str]:
         if self.table is None:
             return {}
-        names = (source.place, source.curves.name, source.curves.stem, source.stem)
-        for name in names:
-            if name.lower() in self._rows:
-                return self._rows[name.lower()]
+        given = (name, source.place, source.curves.name, source.curves.stem, source.stem)
+        for key in map(str.lower, given):
+            if key in self._rows:
+                self._used.add(key)
+                return self._rows[key]
         raise DataError(f"{self.table}: has no row of take {quoted(source.stem)}; add one")
 
     def _groups(self, source: Source) -> dict[str, str]:

@@ -187,7 +187,7 @@ def _short(path):
         (_no_sound, "no audio beside the take"),
         (_nan, "data row 3"),
         (_renamed, "column 'jaw_opening' is unknown and 'JawOpen' is missing"),
-        (_silent, "hold no speech"),
+        (_silent, "holds no speech"),
         (_short, "both must last 0.5 s"),
     ],
 )
@@ -198,6 +198,21 @@ def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, exp
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "data").exists()
     assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
+
+
+def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):
+    """Two folders have a `shapes.csv`: the second is `shapes-2` in the dataset and in the table."""
+    for name in ("one", "two"):
+        write_live_link(tmp_path / "t" / name / "shapes.csv", 6)
+    table = tmp_path / "table.csv"
+    table.write_text("take,actor\nshapes,anna\nshapes-2,ben\n")
+    import_captures([tmp_path / "t"], tmp_path / "data", labels=Labelling(table=table))
+    actors = {(row["take"], row["speaker"]) for row in rows_of(tmp_path / "data")}
+    assert actors == {("shapes", "anna"), ("shapes-2", "ben")}
+    table.write_text("take,actor\nshapes,anna\nshapes-3,ben\n")
+    with pytest.raises(DataError, match="'shapes-3' is not among the takes shapes, shapes-2;"):
+        import_captures([tmp_path / "t"], tmp_path / "other", labels=Labelling(table=table))
+    assert not (tmp_path / "other").exists()
 
 
 def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written(tmp_path):
