@@ -354,7 +354,8 @@ class _Writer:
         if not speaking.any() and not self.keep_listening:
             raise DataError(
                 f"{source.curves}: its recording holds no speech; leave the take out, or "
-                "`keep_listening=True` keeps silence too"
+                "`keep_listening=True` keeps silence too",
+                parameter="keep_listening",
             )
         prosody = measure_prosody(sound.waveform, len(speaking))
         spans = cut_at_silences(
