@@ -198,6 +198,7 @@ class _Sheet(Table):
             "keep_default_na": False,
             "skipinitialspace": True,
             "index_col": False,
+            "low_memory": False,  # in pieces, pandas before 3.1 asks every piece for every column
         }
         # An empty row of all columns comes first, so that a row may be shorter: it is number 0.
         full = '""' + self.separator * len(self.header) + "\n"

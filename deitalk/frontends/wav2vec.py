@@ -20,7 +20,7 @@ from deitalk.frontends.strided import StridedFrontend
 from rig.errors import quoted
 
 if TYPE_CHECKING:
-    from transformers import PreTrainedConfig, PreTrainedModel
+    from transformers import PretrainedConfig, PreTrainedModel
 
 PUBLISHED = "facebook/wav2vec2-base-960h"
 """The encoder of the paper; transformers' defaults are its shape."""
@@ -241,7 +241,7 @@ def _class(shape: Mapping[str, Any], part: str) -> Any:
     return getattr(transformers, ENCODERS[kind] + part)
 
 
-def _encoder_config(shape: Mapping[str, Any]) -> "PreTrainedConfig":
+def _encoder_config(shape: Mapping[str, Any]) -> "PretrainedConfig":
     """A checked configuration; SpecAugment, layer drop and adapter are off (Paper silent)."""
     kind = _class(shape, "Config")
     known = kind().to_dict()
@@ -258,7 +258,7 @@ def _encoder_config(shape: Mapping[str, Any]) -> "PreTrainedConfig":
     off = {"apply_spec_augment": False, "layerdrop": 0.0, "add_adapter": False}
     fixed = {key: value for key, value in off.items() if key in known}
     try:
-        config: PreTrainedConfig = kind(**{**shape, **fixed})
+        config: PretrainedConfig = kind(**{**shape, **fixed})
         return config
     except Exception as error:  # its validation raises classes of huggingface_hub's own
         reason = " ".join(str(error).split())
@@ -277,9 +277,9 @@ def _new_encoder(shape: Mapping[str, Any]) -> nn.Module:
 
 def _read_config(name: str) -> tuple[dict[str, Any], float]:
     """A checkpoint's shape, and its input scale."""
-    from transformers import PreTrainedConfig, Wav2Vec2FeatureExtractor
+    from transformers import PretrainedConfig, Wav2Vec2FeatureExtractor
 
-    values, _ = _cached_or_fetched(PreTrainedConfig.get_config_dict, name)
+    values, _ = _cached_or_fetched(PretrainedConfig.get_config_dict, name)
     if values.get("model_type") not in ENCODERS:
         raise CheckpointError(
             f"{name} is a {values.get('model_type')!r} model; it must be "

@@ -27,7 +27,7 @@ def encode(path, pictures, *, fps=30, sound_at=None):
         stream = container.add_stream("mpeg4", rate=fps)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt, stream.bit_rate = "yuv420p", 4_000_000
-        sound = container.add_stream("aac", rate=16_000, layout="mono") if sound_at else None
+        sound = container.add_stream("pcm_s16le", rate=16_000, layout="mono") if sound_at else None
         for picture in pictures:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode(None))
