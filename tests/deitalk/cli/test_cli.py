@@ -197,7 +197,8 @@ def test_silence_gives_a_face_at_rest(tmp_path, model):
     ],
 )
 def test_wrong_command_line_is_one_line_with_exit_code_2(arguments, expected):
-    assert expected in refused(*arguments, code=2)
+    message = refused(*arguments, code=2)
+    assert expected in message.replace("'SPEECH'", "'speech'")  # as older typers spell it
 
 
 def test_controls_lists_and_filters():
