@@ -1,0 +1,287 @@
+"""The table of docs/formats.md: what other programs read of our files, and how far it is off.
+
+::
+
+    BPY_PYTHONS=/a/bin/python python -m tests.readers docs/formats.md   # absent readers are named
+
+One take of 60 frames with a head track goes to every reader that is on this machine (npm's packages
+are fetched); the errors are the largest distances from the take's own values.
+"""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from rig import RigCurves, default_controls, write_curves
+from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, udp_order
+from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
+from rig.face.turn import quaternions
+from rig.formats.blender import addon_text
+from rig.livelink import make_protocol
+from rig.livelink.protocols import prepared
+from tests.rig.formats import test_independent_readers as js
+from tests.rig.formats.test_scene import accessor
+from tests.splines import hermite
+
+BOARD = default_controls()
+BEGIN, END = "<!-- table readers -->\n", "<!-- end -->"
+FRAMES = (0, 17, 41)
+IN_BLENDER = """
+import importlib.util, json, os, sys
+import bpy
+addon_path, take, glb, *frames = sys.argv[1:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+spec = importlib.util.spec_from_file_location("deitalk_blender", addon_path)
+addon = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(addon)
+addon.register()
+scene = bpy.context.scene
+scene.render.fps = 30
+names = json.loads(open(take + "/names.json").read())
+data = bpy.data.meshes.new("face")
+data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+made = bpy.data.objects.new("face", data)
+scene.collection.objects.link(made)
+made.shape_key_add(name="Basis")
+for name in names:
+    made.shape_key_add(name=name).value = 0
+made.select_set(True)
+bpy.ops.import_anim.deitalk(filepath=take + "/a.unreal.json", start=0.0, with_sound=False)
+bpy.ops.import_scene.gltf(filepath=glb)
+face = next(o for o in bpy.data.objects if o.type == "MESH" and o is not made)
+out = {"version": bpy.app.version_string, "addon": [], "glb": [], "turn": []}
+for frame in map(int, frames):
+    scene.frame_set(frame)
+    out["addon"].append({b.name: b.value for b in made.data.shape_keys.key_blocks[1:]})
+    out["glb"].append({b.name: b.value for b in face.data.shape_keys.key_blocks[1:]})
+    w, x, y, z = face.matrix_world.to_quaternion()
+    out["turn"].append([x, y, z, w])
+print("OUT " + json.dumps(out))
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def take() -> RigCurves:
+    """Sines of 60 frames at 30 fps, each of its own height and pace, and a turning head."""
+    rng = np.random.default_rng(0)
+    share = 0.5 - 0.5 * np.cos(np.outer(np.arange(60), rng.uniform(0.05, 0.3, 185)))
+    values = BOARD.rest + share * (BOARD.maximum - BOARD.rest) * rng.uniform(0.3, 1, 185)
+    head = np.zeros((60, 6), np.float32)
+    head[:, :3] = 15 * np.sin(np.outer(np.arange(60), [0.05, 0.08, 0.03]))
+    return RigCurves(values.astype(np.float32), BOARD.names, head=head)
+
+
+def head_error(found: Any, curves: RigCurves, frames: Any) -> float:
+    turn = Rotation.from_quat(quaternions(curves.head)[list(frames)])
+    return float((Rotation.from_quat(found) * turn.inv()).magnitude().max())
+
+
+def live_link(curves: RigCurves, folder: Path) -> list[Any]:
+    from importlib.metadata import version
+
+    from pylivelinkface import FaceBlendShape, PyLiveLinkFace
+
+    protocol, worst = make_protocol("livelink", "a", ()), 0.0
+    shapes = prepared(curves, protocol)
+    for i, row in enumerate(shapes.values):
+        _, face = PyLiveLinkFace.decode(protocol.datagrams(i, 0.0, 30, row)[0])
+        found = [face.get_blendshape(shape) for shape in FaceBlendShape]
+        worst = max(worst, float(np.abs(found - row[udp_order()]).max()))
+    return [
+        ["Live Link packets", f"PyLiveLinkFace {version('pylivelinkface')}", "61 values", worst]
+    ]
+
+
+def vmc(curves: RigCurves, folder: Path) -> list[Any]:
+    from importlib.metadata import version
+
+    from pythonosc.osc_packet import OscPacket
+
+    rows = []
+    for control_set in (None, "vrm1"):
+        protocol, worst = make_protocol("vmc", "", (), control_set), 0.0
+        shapes, turns = prepared(curves, protocol), []
+        for i, row in enumerate(shapes.values):
+            packets = protocol.datagrams(i, 0.0, 30, row)
+            sent = [m.message for data in packets for m in OscPacket(data).messages]
+            found = {m.params[0]: m.params[1] for m in sent if m.address.endswith("Blend/Val")}
+            worst = max(worst, max(abs(found[n] - v) for n, v in zip(shapes.names, row)))  # noqa: B905
+            turns += [m.params[4:] for m in sent if m.address.endswith("Bone/Pos")]
+        # Unity's axes: x to its right, left-handed
+        ours = np.array(turns) * [1, -1, -1, 1] * [1, 1, 1, 1]
+        degrees = np.array([shapes[n] for n in HEAD]).T * HEAD_DEGREES
+        moving = [i for i in range(len(shapes)) if degrees[i].any()]
+        turn = head_error(ours, curves, moving)
+        what = f"{len(shapes.names)} values, head"
+        rows.append(["VMC", f"python-osc {version('python-osc')}", what, max(worst, turn)])
+    return rows
+
+
+def glb(curves: RigCurves, folder: Path) -> list[Any]:
+    import pygltflib
+
+    shapes = convert(curves, ARKIT_ID)
+    write_curves(folder / "arkit.glb", shapes)
+    file = pygltflib.GLTF2().load(str(folder / "arkit.glb"))
+    blob, animation = file.binary_blob(), file.animations[0]
+    names = file.meshes[0].extras["targetNames"]
+    found = {
+        channel.target.path: accessor(file, blob, animation.samplers[channel.sampler].output)
+        for channel in animation.channels
+    }
+    weights = found["weights"].reshape(60, -1)
+    worst = max(
+        float(np.abs(weights[:, names.index(n[0].lower() + n[1:])] - shapes[n]).max())
+        for n in shapes.names[:52]
+    )
+    turn = head_error(found["rotation"], curves, range(60))
+    return [["GLB", f"pygltflib {pygltflib.__version__}", "52 shapes, head", max(worst, turn)]]
+
+
+def usd(curves: RigCurves, folder: Path) -> list[Any]:
+    from pxr import Usd
+
+    write_curves(folder / "a.usda", curves)
+    stage = Usd.Stage.Open(str(folder / "a.usda"))
+    prim = stage.GetPrimAtPath("/head/animation")
+    names = list(prim.GetAttribute("custom:mh_curveNames").Get())
+    values = prim.GetAttribute("custom:mh_curveValues")
+    raw = convert(curves, RAW_ID)
+    worst = max(float(np.abs(np.array(values.Get(i)) - raw.values[i][[
+        raw.index(n) for n in names]]).max()) for i in range(60))  # fmt: skip
+    version = ".".join(map(str, Usd.GetVersion()[1:]))
+    return [["USD", f"usd-core {version}", "251 raw curves", worst]]
+
+
+def unity(curves: RigCurves, folder: Path) -> list[Any]:
+    shapes = convert(curves, "cc4")
+    write_curves(folder / "a.anim", shapes)
+    text = (folder / "a.anim").read_text().splitlines()
+    clip = yaml.safe_load("\n".join(line for line in text if line[:1] not in "%-"))
+    worst = 0.0
+    for curve in clip["AnimationClip"]["m_FloatCurves"]:
+        keys = curve["curve"]["m_Curve"]
+        rows = [[key[part] for key in keys] for part in ("time", "value", "inSlope", "outSlope")]
+        found = hermite(*rows, shapes.times) / 100
+        name = curve["attribute"].removeprefix("blendShape.")
+        worst = max(worst, float(np.abs(found - shapes[name]).max()))
+    return [["Unity clip", "its Hermite curves, by scipy", "140 shapes of cc4", worst]]
+
+
+def blender(curves: RigCurves, folder: Path) -> list[Any]:
+    write_curves(folder / "a.unreal.json", curves)
+    raw, shapes = convert(curves, RAW_ID), convert(curves, ARKIT_ID)
+    (folder / "names.json").write_text(json.dumps(list(raw.names)))
+    write_curves(folder / "arkit.glb", shapes)
+    (folder / "addon.py").write_text(addon_text())
+    (folder / "inside.py").write_text(IN_BLENDER)
+    rows = []
+    for program in filter(None, os.environ.get("BPY_PYTHONS", "").split(os.pathsep)):
+        command = [program, "inside.py", "addon.py", ".", "arkit.glb", *map(str, FRAMES)]
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+        done = subprocess.run(
+            command, capture_output=True, text=True, cwd=folder, timeout=300, env=environment
+        )
+        line = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
+        assert line, done.stderr[-2000:]
+        out = json.loads(line[0][4:])
+        keyed = max(abs(f[n] - raw[n][i]) for f, i in zip(out["addon"], FRAMES) for n in raw.names)  # noqa: B905
+        apple = {n[0].lower() + n[1:]: n for n in shapes.names[:52]}
+        played = max(
+            abs(f[a] - shapes[n][i])
+            for f, i in zip(out["glb"], FRAMES)  # noqa: B905
+            for a, n in apple.items()
+        )
+        name = f"Blender {out['version']}"
+        # y up in the file is z up in Blender: a quarter turn about x
+        upright = Rotation.from_euler("x", 90, degrees=True)
+        turns = (upright.inv() * Rotation.from_quat(out["turn"])).as_quat()
+        rest = (upright.inv() * Rotation.from_quat(out["turn"][0])).inv()
+        turn = head_error((Rotation.from_quat(turns) * rest).as_quat(), curves, FRAMES)
+        rows.append(["Unreal JSON, add-on", name, "251 shape keys", keyed])
+        rows.append(["GLB", name, "52 shapes, head", max(played, turn)])
+    return rows
+
+
+def javascript(curves: RigCurves, folder: Path) -> list[Any]:
+    packages = folder / "node"
+    packages.mkdir()
+    command = ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(packages)]
+    subprocess.run([*command, *js.PACKAGES], check=True, capture_output=True, timeout=300)
+
+    def node(script: str, *arguments: Any) -> Any:
+        path = packages / f"script.{'mjs' if script.startswith(chr(10) + 'import') else 'cjs'}"
+        path.write_text(script)
+        done = subprocess.run(
+            ["node", str(path), *map(str, arguments)],
+            capture_output=True, text=True, cwd=packages, check=True, timeout=120,
+        )  # fmt: skip
+        return [json.loads(line) for line in done.stdout.splitlines()]
+
+    shapes = convert(curves, ARKIT_ID)
+    write_curves(folder / "arkit.glb", shapes)
+    write_curves(folder / "board.glb", curves)
+    found = node(js.VALIDATOR, folder / "arkit.glb", folder / "board.glb")
+    issues = sum(errors + warnings for errors, warnings, _ in found)
+    (frames,) = node(js.PLAYER, folder / "arkit.glb", *(i / 30 for i in FRAMES))
+    worst = max(
+        abs(frame[n[0].lower() + n[1:]] - shapes[n][i])
+        for frame, i in zip(frames, FRAMES)  # noqa: B905
+        for n in shapes.names[:52]
+    )
+    names = [package.rpartition("@") for package in js.PACKAGES]
+    return [
+        ["GLB, two", f"{names[0][0]} {names[0][2]}", f"{issues} issues", 0.0],
+        ["GLB", f"three.js {names[1][2]}", "52 shapes", worst],
+        ["VRMA", f"three-vrm {names[2][2]}, Chromium", *js.in_chromium(packages, curves, FRAMES)],
+    ]
+
+
+READERS: dict[Callable[[RigCurves, Path], list[Any]], str] = {
+    live_link: "pylivelinkface",
+    vmc: "pythonosc",
+    glb: "pygltflib",
+    usd: "pxr",
+    unity: "yaml",
+    blender: "",
+    javascript: "playwright",
+}
+
+
+def main(page: str | None = None) -> None:
+    lines = ["| file | reader | read back | largest error |", "|---|---|---|---|"]
+    for read, package in READERS.items():
+        if package and importlib.util.find_spec(package) is None:
+            sys.stdout.write(f"absent: {package}\n")
+            continue
+        if read is javascript and not (shutil.which("npm") and shutil.which("chromium")):
+            sys.stdout.write("absent: npm or chromium\n")
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            for file, reader, what, error in read(take(), Path(folder)):
+                assert error <= 1e-3, (file, reader, what, error)
+                lines.append(f"| {file} | {reader} | {what} | {error:.0e} |")
+    table = "\n".join(lines) + "\n"
+    sys.stdout.write(table)
+    if page:
+        text = Path(page).read_text(encoding="utf-8")
+        head, _, rest = text.partition(BEGIN)
+        tail = rest[rest.index(END) :]
+        Path(page).write_text(head + BEGIN + "\n" + table + "\n" + tail, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
