@@ -1,8 +1,8 @@
-"""The table of docs/formats.md: what other programs read of our files, and how far it is off.
+"""A table of what other programs read of our files, and how far it is off.
 
 ::
 
-    BPY_PYTHONS=/a/bin/python python -m tests.readers docs/formats.md   # absent readers are named
+    BPY_PYTHONS=/a/bin/python python -m tests.readers [READER ...]   # absent readers are named
 
 One take of 60 frames with a head track goes to every reader that is on this machine (npm's packages
 are fetched); the errors are the largest distances from the take's own values.
@@ -36,7 +36,6 @@ from tests.rig.formats.test_scene import accessor
 from tests.splines import hermite
 
 BOARD = default_controls()
-BEGIN, END = "<!-- table readers -->\n", "<!-- end -->"
 FRAMES = (0, 17, 41)
 IN_BLENDER = """
 import importlib.util, json, os, sys
@@ -261,26 +260,22 @@ READERS: dict[Callable[[RigCurves, Path], list[Any]], str] = {
 }
 
 
-def main(page: str | None = None) -> None:
-    lines = ["| file | reader | read back | largest error |", "|---|---|---|---|"]
+def main(*wanted: str) -> None:
+    sys.stdout.write("| file | reader | read back | largest error |\n|---|---|---|---|\n")
     for read, package in READERS.items():
-        if package and importlib.util.find_spec(package) is None:
-            sys.stdout.write(f"absent: {package}\n")
+        if wanted and read.__name__ not in wanted:
             continue
+        absent = package and importlib.util.find_spec(package) is None
         if read is javascript and not (shutil.which("npm") and shutil.which("chromium")):
-            sys.stdout.write("absent: npm or chromium\n")
+            absent = "npm or chromium"
+        if absent:
+            sys.stdout.write(f"absent: {read.__name__}\n")
             continue
         with tempfile.TemporaryDirectory() as folder:
             for file, reader, what, error in read(take(), Path(folder)):
                 assert error <= 1e-3, (file, reader, what, error)
-                lines.append(f"| {file} | {reader} | {what} | {error:.0e} |")
-    table = "\n".join(lines) + "\n"
-    sys.stdout.write(table)
-    if page:
-        text = Path(page).read_text(encoding="utf-8")
-        head, _, rest = text.partition(BEGIN)
-        tail = rest[rest.index(END) :]
-        Path(page).write_text(head + BEGIN + "\n" + table + "\n" + tail, encoding="utf-8")
+                sys.stdout.write(f"| {file} | {reader} | {what} | {error:.0e} |\n")
+                sys.stdout.flush()
 
 
 if __name__ == "__main__":
