@@ -74,7 +74,7 @@ def _atlas(skin: Skin, uv: Float64, identity: Identity, rng: np.random.Generator
     socket = np.exp(-(((far - skin.anatomy.eye[0]) / 1.9) ** 2) - ((y + 1.25) / 0.75) ** 2)
     color *= 1 - (0.07 * socket * front)[..., None] * np.array([0.7, 1.0, 0.75])
     stubble = _beard(far, y, z, mouth_y) * (1 - lip) * identity.beard
-    dots = 0.55 + 0.45 * smoothstep((grain + 0.2) / 0.9)
+    dots = 0.78 + 0.22 * smoothstep((grain + 0.6) / 1.6)
     color *= 1 - (stubble * dots)[..., None] * np.array([0.42, 0.36, 0.30])
     lines = np.sin(17 * x + 2.2 * blotches) * np.sin(7 * x + 0.7 * patches)
     color *= 1 + (lip * (0.075 * lines + 0.03 * fine))[..., None]

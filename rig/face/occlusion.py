@@ -3,13 +3,13 @@
 import numpy as np
 
 from rig.arrays import Float64
-from rig.face.geometry.mesh import Mesh, unit, vertex_normals
+from rig.face.geometry.mesh import Mesh, adjacency, unit, vertex_normals
 from rig.face.render.shading import TO_LIGHT
 
 SIDE, REACH_CM, BIAS_CM = 420, 24.0, 0.14
 DIRECTIONS, KEY_SPREAD, KEY_SAMPLES = 40, 0.16, 10
-LEAST_AMBIENT = 0.25
-"""Ambient light of places that see no sky: what other skin throws back."""
+SMOOTHINGS, LEAST_AMBIENT = 3, 0.25
+"""Rounds of means of neighbours, and the ambient light of places that see no sky."""
 
 
 def occlusion(mesh: Mesh) -> Float64:
@@ -29,6 +29,10 @@ def occlusion(mesh: Mesh) -> Float64:
             seen[:, column] += weight * _lit(mesh, normals, direction)
             total[:, column] += weight
     share = seen / total
+    near = adjacency(mesh.faces, len(share))
+    for _ in range(SMOOTHINGS):
+        share = 0.5 * share + 0.5 * (near @ share) / np.maximum(near.sum(1), 1).reshape(-1, 1)
+    share = np.asarray(share)
     share[:, 0] = LEAST_AMBIENT + (1 - LEAST_AMBIENT) * share[:, 0]
     return np.asarray(share)
 
