@@ -71,12 +71,12 @@ void lamp(vec3 d, vec3 c, float seen) {{
 void main() {{
   v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 4.0 + 0.5);
   vec3 tint = texture(atlas, uv_).rgb * 2.0;
-  vec3 creased = texture(creases, uv_).rgb * 2.0 - 1.0;
-  float shade = 1.0, strand = 1.0, gloss = paint_.a, fold = texture(creases, uv_).a;
-  vec2 pore = texture(pores, uv_ * {PORES:.1f}).rg * 2.0 - 1.0;
+  float shade = 1.0, strand = 1.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
+    vec2 pore = texture(pores, uv_ * {PORES:.1f}).rg * 2.0 - 1.0;
+    vec4 fold = texture(creases, uv_);
     shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.g;
-    n = normalize(n + accent_ * creased); shade *= 1.0 - accent_ * (1.0 - fold);
+    n = normalize(n + accent_ * (2.0 * fold.rgb - 1.0)); shade *= 1.0 - accent_ * (1.0 - fold.a);
   }} else if (kind == {HAIR}) strand = tint.r * tint.r;
   else shade *= 1.0 - 0.85 * accent_;
   facing = dot(n, v); wrap = WRAPS[kind];

@@ -18,6 +18,9 @@ export class Face extends Viewport {
   private readonly geometry = new THREE.BufferGeometry();
   private readonly material: THREE.RawShaderMaterial;
   private readonly faces: Uint16Array;
+  /** First vertex and first entry of `faces` of what no control moves. */
+  private readonly still: { vertex: number; face: number };
+  private hasNormals = false;
   private readonly joint: number[];
   private readonly neck: Float32Array;
   private readonly views: Record<string, { target: number[]; position: number[]; degrees: number }>;
@@ -28,6 +31,8 @@ export class Face extends Viewport {
     this.accents = new Accents(head, this.rig);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
+    const vertex = head.facts.slices.hair[0];
+    this.still = { vertex, face: 3 * Math.floor(this.faces.findIndex((v) => v >= vertex) / 3) };
     this.joint = head.facts.joint;
     this.neck = head.arrays["neck.share"] as Float32Array;
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -102,7 +107,7 @@ export class Face extends Viewport {
     this.rig.pose(values);
     this.accents.update(values);
     if (head) turnHead(this.rig.vertices, head, this.joint, this.neck);
-    this.normals();
+    this.normals(head !== undefined);
     this.geometry.attributes.position.needsUpdate = true;
     this.geometry.attributes.normal.needsUpdate = true;
     this.geometry.attributes.accent.needsUpdate = true;
@@ -117,12 +122,18 @@ export class Face extends Viewport {
     super.draw();
   }
 
-  /** Unit normals of the vertices, the faces' cross products summed at their corners. */
-  private normals(): void {
+  /**
+   * Unit normals of the vertices, the faces' cross products summed at their corners. Hair and shirt,
+   * the last parts, only turn: theirs are worked out once, and again when the head is turned.
+   */
+  private normals(isTurned: boolean): void {
     const v = this.rig.vertices;
     const n = this.geometry.attributes.normal.array as Float32Array;
-    n.fill(0);
-    for (let f = 0; f < this.faces.length; f += 3) {
+    const isWhole = isTurned || !this.hasNormals;
+    const vertices = isWhole ? n.length : 3 * this.still.vertex;
+    this.hasNormals = !isTurned;
+    n.fill(0, 0, vertices);
+    for (let f = 0; f < (isWhole ? this.faces.length : this.still.face); f += 3) {
       const a = 3 * this.faces[f], b = 3 * this.faces[f + 1], c = 3 * this.faces[f + 2];
       const ux = v[b] - v[a], uy = v[b + 1] - v[a + 1], uz = v[b + 2] - v[a + 2];
       const wx = v[c] - v[a], wy = v[c + 1] - v[a + 1], wz = v[c + 2] - v[a + 2];
@@ -133,7 +144,7 @@ export class Face extends Viewport {
         n[k + 2] += z;
       }
     }
-    for (let k = 0; k < n.length; k += 3) {
+    for (let k = 0; k < vertices; k += 3) {
       const length = Math.hypot(n[k], n[k + 1], n[k + 2]) || 1;
       n[k] /= length;
       n[k + 1] /= length;
