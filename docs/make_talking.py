@@ -46,7 +46,7 @@ def main() -> None:
         lower[:, column : column + 2] = 255
         pictures.append(Image.fromarray(np.vstack([np.hstack(rows), lower])))
     pictures[0].save(
-        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=55, method=4,
+        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=38, method=4,
         duration=[round((k + STEP) / 0.03) - round(k / 0.03) for k in frames],
     )  # fmt: skip
 
