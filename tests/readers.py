@@ -226,7 +226,7 @@ def javascript(curves: RigCurves, folder: Path) -> list[Any]:
         path.write_text(script)
         done = subprocess.run(
             ["node", str(path), *map(str, arguments)],
-            capture_output=True, text=True, cwd=packages, check=True, timeout=120,
+            capture_output=True, text=True, cwd=packages, check=True, timeout=600,
         )  # fmt: skip
         return [json.loads(line) for line in done.stdout.splitlines()]
 

@@ -59,7 +59,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if type(rate) not in (int, float) or not 0 < rate <= 1000:  # type: ignore[operator]
         raise FormatError(f"{path} has no rate 'exportFps'; give --source-fps")
     try:
-        values = np.array(data.get("weightMat"), np.float32)
+        with np.errstate(over="ignore"):  # infinite, refused below
+            values = np.array(data.get("weightMat"), np.float32)
     except (TypeError, ValueError, OverflowError):
         values = np.empty(0, np.float32)
     if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():

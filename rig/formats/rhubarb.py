@@ -135,7 +135,7 @@ def read_dat(path: Path, controls: ControlSet | None = None, fps: float | None =
     marks = []
     for number, line in enumerate(filter(None, map(str.strip, lines)), start=2):
         frame, _, shape = line.partition(" ")
-        if not frame.isdecimal() or not 1 <= int(frame) <= 1 + SECONDS * rate:
+        if not frame.isdecimal() or len(frame) > 9 or not 1 <= int(frame) <= 1 + SECONDS * rate:
             raise FormatError(f"{path}: line {number} must be a frame from 1 and a shape")
         marks.append(((int(frame) - 1) / rate, shape))
     pairs = itertools.pairwise([*marks, marks[-1]] if marks else [])

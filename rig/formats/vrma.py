@@ -16,7 +16,7 @@ from rig.arrays import Float64
 from rig.controls import ControlSet
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert, convert_and_note
-from rig.curves import RigCurves
+from rig.curves import RigCurves, check_clip
 from rig.errors import FormatError
 from rig.face.turn import quaternions
 from rig.mesh.glb import GlbBuilder, read_container, write_container
@@ -97,33 +97,41 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     """
     document, binary = read_container(path)
     try:
-        own = document["extensions"][EXTENSION]
-        custom = own.get("expressions", {}).get("custom", {})
-        animation = document["animations"][0]
-        rows = {}
-        for channel in animation["channels"]:
-            sampler = animation["samplers"][channel["sampler"]]
-            rows[channel["target"]["node"]] = [
-                read_accessor(document, binary, sampler[part]) for part in ("input", "output")
-            ]
-        columns = {name: rows[custom[name]["node"]] for name in APPLE if name in custom}
-        times = next(iter(columns.values()))[0]
-        bones = {b: rows.get(d["node"]) for b, d in own["humanoid"]["humanBones"].items()}
-    except (LookupError, TypeError, AttributeError, StopIteration) as error:
+        return _curves(document, binary, fps)
+    except FormatError as error:
+        raise FormatError(f"{path.name}: {error}") from error
+    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise FormatError(f"{path.name} has no {EXTENSION} with Apple's expressions") from error
+
+
+def _curves(document: dict[str, Any], binary: bytes, fps: float | None) -> RigCurves:
+    own, animation = document["extensions"][EXTENSION], document["animations"][0]
+    custom = own["expressions"]["custom"]
+    moved = {}
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        moved[channel["target"]["node"]] = [
+            read_accessor(document, binary, sampler[part]) for part in ("input", "output")
+        ]
+    columns = {name: moved[custom[name]["node"]] for name in APPLE if name in custom}
+    times = next(iter(columns.values()), [np.empty(0)])[0]
     steps = np.diff(times)
-    if len(steps) and np.ptp(steps) > 1e-3 * steps.mean():
-        raise FormatError(f"{path.name} has keys at uneven times; bake it to frames")
+    rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
+    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+        raise FormatError(f"no {EXTENSION} with Apple's expressions")
+    if len(steps) and not np.ptp(steps) <= 1e-3 * steps.mean():
+        raise FormatError("keys at uneven times; bake them to frames")
+    check_clip(len(times), len(arkit_controls()))
     values = np.zeros((len(times), len(arkit_controls())), np.float32)
     for name, (_, output) in columns.items():
-        values[:, APPLE.index(name)] = output[:, 0]
+        values[:, APPLE.index(name)] = np.clip(output[:, 0], 0, 1)
     turn = Rotation.identity(len(times))
     for bone in ("neck", "head"):
-        if (motion := bones.get(bone)) is not None:
-            turn = turn * Rotation.from_quat(motion[1])
+        node = own["humanoid"]["humanBones"].get(bone, {}).get("node")
+        if node in moved:
+            turn = turn * Rotation.from_quat(moved[node][1])
     head = None
     if turn.magnitude().any():
         yaw, pitch, roll = (turn.as_euler("YXZ", degrees=True) * [-1, -1, 1]).T
         head = np.stack([yaw, pitch, roll, *np.zeros((3, len(times)))], axis=1).astype(np.float32)
-    rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
     return RigCurves(values, arkit_controls().names, rate, control_set=ARKIT_ID, head=head)
