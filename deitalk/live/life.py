@@ -1,43 +1,159 @@
 """Blinks, gaze, brows, head and neck of a voice that has not ended.
 
-The causal form of `deitalk.postprocess.life.motion`. Each frame depends on the voice up to `ahead`
-frames after it, however the sound came.
+The motion is that of `deitalk.postprocess.life.motion`; here are its cues as they become known, the
+causal form of `deitalk.postprocess.life.voice`. An accent is a peak of level and pitch over their
+means so far, a stress one of the sonority; both are known a frame or two after the peak. Phrases
+are known when they have ended for `JOINED_SECONDS`.
 
 Letters: n frames of a call, C controls, S styles.
 """
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, VOICED
 from deitalk.config import Idle
-from deitalk.live.brows import CHANNELS, RunningBrows, brow_events
-from deitalk.live.eyes import RunningEyes
-from deitalk.live.head import BREATH, SWALLOWS, RunningHead
-from deitalk.live.intensity import Measures
-from deitalk.live.tracks import begun
-from deitalk.live.voice import RunningVoice
+from deitalk.live.intensity import Mean, Measures
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.brows import move_brows
-from deitalk.postprocess.life.motion import (
-    AGAINST,
-    MOST_SHOWN,
-    attend,
-    move_eyes,
-    move_neck,
+from deitalk.postprocess.life.motion import MotionStream
+from deitalk.postprocess.life.traits import Seeds
+from deitalk.postprocess.life.voice import (
+    ACCENT_DISTANCE,
+    FULL_PROMINENCE,
+    FULL_STRESS_DB,
+    JOINED_SECONDS,
+    LEAST_PROMINENCE,
+    LEAST_STRESS_DB,
+    SONORITY_DB,
+    STRESS_DISTANCE,
+    Cue,
+    pause_lengths,
 )
-from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
-from deitalk.postprocess.life.neck import neck_tracks
-from deitalk.postprocess.life.traits import Traits
 from rig import ControlSet
-from rig.arrays import Bool, Float32, Float64
-from rig.controls import DEFAULT_ID
+from rig.arrays import Bool, Float32
 from rig.curves import HEAD
 
-PART = 3
-"""Of the stream's seed: the random numbers of this motion."""
-TURN_FRAMES = 6
-"""Frames in which the eyes turn to another place, as long as an emotion takes to change."""
-_EYES, _BROWS, _HEAD = 4, CHANNELS, 8
+SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
+"""Share of a new frame in level and pitch, which smooths over a syllable, and in the sonority."""
+LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
+"""Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
+
+
+class RunningPeaks:
+    """Peaks of a value that rise far enough above the lowest one since the last peak.
+
+    Parameters
+    ----------
+    smoothing : float
+        Share of a new frame in the value.
+    distance : int
+        Least frames from peak to peak.
+    least, full : float
+        Rise from which a peak counts, and that of a strength of 1.
+    """
+
+    def __init__(self, smoothing: float, distance: int, least: float, full: float) -> None:
+        self.smoothing, self.distance, self.least, self.full = smoothing, distance, least, full
+        self.value: float | None = None
+        self.before = self.valley = 0.0
+        self.since = distance
+
+    def next(self, target: float) -> float:
+        """Strength of a peak that was at the frame before, 0 to 1; 0 if there was none."""
+        if self.value is None:
+            self.value = self.before = self.valley = target
+        last = self.value
+        self.value += self.smoothing * (target - self.value)
+        rise, is_peak = last - self.valley, self.before < last > self.value
+        self.before, self.since = last, self.since + 1
+        self.valley = min(self.valley, self.value)
+        if not is_peak or self.since < self.distance or rise < self.least:
+            return 0.0
+        self.valley, self.since = self.value, 0
+        return min(rise / self.full, 1.0)
+
+
+class RunningVoice:
+    """Cues of one stream, frame by frame.
+
+    Parameters
+    ----------
+    ahead : int
+        Frames by which a frame is measured before its curves are given.
+    """
+
+    def __init__(self, ahead: int) -> None:
+        self.level, self.pitch = Mean(), Mean()
+        self.accents = RunningPeaks(SMOOTHING, ACCENT_DISTANCE, LEAST_PROMINENCE, FULL_PROMINENCE)
+        self.accents.value = 0.0
+        self.stresses = RunningPeaks(
+            SONORITY_SMOOTHING, STRESS_DISTANCE, LEAST_STRESS_DB, FULL_STRESS_DB
+        )
+        self.loudest = -100.0
+        self.frame, self.ahead = 0, ahead
+        self.begun: float | None = None
+        """Seconds at which the phrase began; None in none."""
+        self.spoken: int | None = None
+        """Last frame of speech; None before any."""
+
+    def feed(self, measures: Measures, speaking: Bool) -> Iterator[Cue]:
+        """Cues that the next frames [shape=(n,)] make known."""
+        for row in zip(*measures, speaking.tolist(), strict=True):
+            yield from self._next(*row)
+            self.frame += 1
+
+    def _next(
+        self,
+        level: float,
+        tilt: float,
+        pitch: float,
+        periodicity: float,
+        sonority: float,
+        speaks: bool,
+    ) -> Iterator[Cue]:
+        known, before = self._seconds(self.frame - self.ahead), self._seconds(self.frame - 1)
+        yield from self._phrases(known, speaks)
+        target = 0.0
+        if speaks:
+            target = self.level.add(level) / LEVEL_DB
+            if periodicity > VOICED:
+                target += self.pitch.add(pitch) / PITCH_SEMITONES
+        if size := self.accents.next(max(-3.0, min(3.0, target / 2**0.5))):
+            yield Cue("accent", before, known, size)
+        self.loudest = max(self.loudest - LOUDEST_FALLS_DB, sonority)
+        size = self.stresses.next(max(sonority, self.loudest - SONORITY_DB))
+        if size and self.begun is not None:
+            yield Cue("stress", before, known, size, self.accents.value or 0.0)
+
+    def _phrases(self, known: float, speaks: bool) -> Iterator[Cue]:
+        """Cues of phrases and pauses."""
+        now = self._seconds(self.frame)
+        if speaks:
+            self.spoken = self.frame
+            if self.begun is None:
+                self.begun = now
+                yield Cue("start", now, known, math.inf)
+            elif _passes(length := now - self.begun, round(length)):
+                yield Cue("speech", now, known, round(length))
+        elif self.spoken is not None:
+            start = self._seconds(self.spoken + 1)
+            length = (self.frame - self.spoken) / FRAME_RATE
+            if self.begun is not None and length > JOINED_SECONDS:
+                yield Cue("end", start, known, start - self.begun)
+                self.begun = None
+            last = [*pause_lengths(length + 0.5 / FRAME_RATE)][-1:]
+            yield from (Cue("pause", start, known, s) for s in last if _passes(length, s))
+
+    def _seconds(self, frame: int) -> float:
+        return max(frame, 0) / FRAME_RATE
+
+
+def _passes(length: float, size: float) -> bool:
+    """Whether something lasts so long just now; not at 0."""
+    return size > 0 and round(length * FRAME_RATE) == round(size * FRAME_RATE)
 
 
 class RunningLife:
@@ -58,33 +174,18 @@ class RunningLife:
     """
 
     def __init__(self, controls: ControlSet, idle: Idle, life: Life, seed: int, ahead: int) -> None:
-        self.controls, self.life = controls, life.times(idle)
-        character, *parts = np.random.default_rng([seed, PART]).spawn(4)
-        self.traits = Traits.of(character)
-        factor = self.traits.blink_interval / max(self.life.blinks, 0.05)
-        self.eyes = RunningEyes(idle, factor, self.traits, parts[0])
-        self.brows = RunningBrows(self.traits, parts[1])
-        self.head = RunningHead(self.traits, parts[2])
-        self.voice, self.n_frames = RunningVoice(), -ahead
-        self.rows: list[Float64] = []
-        self.looks, self.place = np.array(life.look_at), np.array(life.look_at)
-        self.turns: list[tuple[int, tuple[float, float]]] = []
-        self.turning, self.n_given = 0, 0
-
-    def look_at(self, place: tuple[float, float], frame: int) -> None:
-        """Turn to another place of the listener, degrees, within `TURN_FRAMES` from a frame on."""
-        self.turns.append((frame, place))
+        self.controls = controls
+        self.stream = MotionStream(Seeds((0, 0, seed)), idle, life)
+        self.look_at = self.stream.look_at
+        self.voice = RunningVoice(ahead)
+        self.speaking: Bool = np.zeros(0, bool)
+        """Of the frames that were not given yet."""
 
     def feed(self, measures: Measures, speaking: Bool) -> None:
         """Take the voice of the next frames [shape=(n,)]."""
-        for row in self.voice.feed(measures, speaking):
-            time = self.n_frames / FRAME_RATE
-            for part in (self.eyes, self.brows, self.head):
-                part.begin(row, time)
-            if self.n_frames >= 0:
-                parts = (self.eyes.at(time), self.brows.at(time), self.head.at(time))
-                self.rows.append(np.concatenate((*parts, [begun(time)])))
-            self.n_frames += 1
+        for cue in self.voice.feed(measures, speaking):
+            self.stream.cue(cue)
+        self.speaking = np.concatenate((self.speaking, speaking))
 
     def add_to(self, curves: Float32, neutral: Float32, mixture: Float32) -> Float32:
         """Add the motion of the next frames, in place.
@@ -101,40 +202,8 @@ class RunningLife:
         array [shape=(n, 6)]
             Track of the head, as in `rig.curves.HEAD`.
         """
-        count, life = len(curves), self.life
-        if not count:
-            return np.zeros((0, len(HEAD)), np.float32)
-        rows, self.rows = np.array(self.rows[:count]), self.rows[count:]
-        eyes, brows, moves, shown = np.split(rows, np.cumsum((_EYES, _BROWS, _HEAD)), axis=1)
-        mixture = np.minimum(mixture, MOST_SHOWN)
-        motion, head = self.head.shown(
-            life.head * moves[:, : len(HEAD)], mixture, life.head * shown
-        )
-        if self.controls.id == DEFAULT_ID:
-            events, side = brow_events(brows), self.traits.side
-            plain = neutral[:, mouth_columns(self.controls)]
-            lean_mouth(curves, plain, self.controls, events.accents, side, life.brows)
-            move_brows(curves, neutral, self.controls, events, mixture, side, life.brows)
-            held = (head - motion)[:, :2] * AGAINST
-            gaze = attend(shown * eyes[:, 2:], held, mixture) + motion[:, :2] * AGAINST
-            gaze *= life.gaze
-            gaze += shown * self._looks(count)
-            move_eyes(curves, self.controls, gaze, eyes[:, :2] * bool(life.blinks))
-            neck = neck_tracks(
-                life.head * moves[:, BREATH], life.head * moves[:, SWALLOWS], head[:, 0]
-            )
-            move_neck(curves, self.controls, neck)
-        return head.astype(np.float32)
-
-    def _looks(self, count: int) -> Float64:
-        """Where the listener is in the next frames, degrees [shape=(n, 2)]."""
-        looks = np.empty((count, 2))
-        for k in range(count):
-            while self.turns and self.turns[0][0] <= self.n_given:
-                self.place, self.turning = np.array(self.turns.pop(0)[1]), TURN_FRAMES
-            self.n_given += 1
-            if self.turning:
-                self.looks = self.looks + (self.place - self.looks) / self.turning
-                self.turning -= 1
-            looks[k] = self.looks
-        return looks
+        count = len(curves)
+        speaking, self.speaking = np.split(self.speaking, [count])
+        motion = self.stream.take(speaking.astype(np.float32), mixture)
+        motion.show(curves, neutral, self.controls)
+        return np.zeros((count, len(HEAD)), np.float32) if motion.head is None else motion.head

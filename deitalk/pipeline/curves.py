@@ -23,7 +23,7 @@ from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.known_phones import KnownPhone, meet_phones
-from deitalk.postprocess.life.motion import TakeMotion, plan_motion
+from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
 from rig import ControlSet, RigCurves
@@ -249,7 +249,7 @@ def _apply_rules(
     return values
 
 
-def _motion(prepared: Prepared, shown: Float32) -> TakeMotion | None:
+def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
     """Motion above the mouth for the emotion that is shown [shape=(T, 5)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life, actor = acting.motion, acting.voice

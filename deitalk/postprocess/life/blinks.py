@@ -9,16 +9,15 @@
 - Incomplete blinks are from a sixth (Abelson and Holly 1977) to half of all (Ousler et al. 2014).
 """
 
-from collections.abc import Iterator, Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Idle
-from deitalk.postprocess.life.tracks import STILL_SECONDS
-from deitalk.postprocess.life.voice import Voice
-from rig.arrays import Float32, Float64
+from deitalk.postprocess.life.voice import Cue
+from rig.arrays import Float64
 
 LEAST_INTERVAL = 0.6
 """Seconds from blink to blink, but for double ones."""
@@ -30,6 +29,8 @@ PHRASE_END_SECONDS = (-0.05, 0.25)
 """Place of a blink relative to the end of a phrase."""
 INCOMPLETE_SHARE, INCOMPLETE_DEPTH = 0.17, (0.45, 0.85)
 DOUBLE_SHARE, DOUBLE_SECONDS = 0.06, (0.32, 0.45)
+LONG_PAUSE, UNKNOWN_PAUSE = 0.8, 1.6
+"""Seconds of a pause in which a blink is likely, and of one whose end is not known."""
 SIDE_SPREAD = 0.02
 """Standard deviation of the difference of the lids in an incomplete blink."""
 
@@ -62,57 +63,6 @@ class Blink(NamedTuple):
         return shape
 
 
-def plan_blinks(
-    voice: Voice,
-    rng: np.random.Generator,
-    idle: Idle = Idle(),
-    shifts: Sequence[float] = (),
-    factor: float = 1.0,
-) -> list[Blink]:
-    """Draw the blinks of a take.
-
-    Parameters
-    ----------
-    voice : Voice
-        Phrases of the recording.
-    rng : numpy.random.Generator
-        Equal generators give equal blinks, whatever the emotion.
-    idle : Idle
-        Median and spread of the intervals.
-    shifts : sequence of float
-        Times of large shifts of the gaze, seconds.
-    factor : float
-        On the intervals.
-    """
-    places = np.sort([*_openings(voice, rng), *shifts])
-    end = voice.n_frames / FRAME_RATE - STILL_SECONDS
-    blinks: list[Blink] = []
-    time = rng.uniform(*FIRST_SECONDS)
-    while time < end:
-        earliest = blinks[-1].end + LEAST_INTERVAL / 2 if blinks else FIRST_SECONDS[0]
-        near = places[(places > earliest) & (np.abs(places - time) < DRAWN_SECONDS)]
-        if len(near) and rng.random() < DRAWN_SHARE:
-            time = float(near[np.abs(near - time).argmin()])
-        is_double = rng.random() < DOUBLE_SHARE
-        for start in (time, time + rng.uniform(*DOUBLE_SECONDS)):
-            blink = draw_blink(max(start, blinks[-1].end if blinks else 0.0), rng)
-            if blink.end < end:
-                blinks.append(blink)
-            if not is_double:
-                break
-        interval = idle.interval_seconds * np.exp(idle.interval_spread * rng.standard_normal())
-        time += max(interval * factor, LEAST_INTERVAL)
-    return blinks
-
-
-def _openings(voice: Voice, rng: np.random.Generator) -> Iterator[float]:
-    """Times at which a blink is likely: ends of phrases, and within long pauses."""
-    for phrase in voice.phrases:
-        yield phrase.stop / FRAME_RATE + rng.uniform(*PHRASE_END_SECONDS)
-    for start, stop in voice.pauses(0.8):
-        yield rng.uniform(start, stop) / FRAME_RATE
-
-
 def draw_blink(time: float, rng: np.random.Generator) -> Blink:
     """Draw the shape of a blink that begins at a time, seconds."""
     is_full = rng.random() >= INCOMPLETE_SHARE
@@ -123,14 +73,87 @@ def draw_blink(time: float, rng: np.random.Generator) -> Blink:
     return Blink(time, closing, held, opening, depth)
 
 
-def lid_closure(blinks: Sequence[Blink], n_frames: int, rng: np.random.Generator) -> Float32:
-    """Closure of the left and the right lids [shape=(T, 2), range 0 to 1]."""
-    track = np.zeros((n_frames, 2))
-    for blink in blinks:
-        first, last = int(blink.time * FRAME_RATE), int(blink.end * FRAME_RATE) + 2
-        times = np.arange(first, min(last, n_frames)) / FRAME_RATE
-        uneven = SIDE_SPREAD * rng.standard_normal() if blink.depth < 1 else 0.0
-        for side, sign in enumerate((1, -1)):
-            shape = blink.closure(times) * (1 + sign * uneven)
-            track[first:last, side] = np.maximum(track[first:last, side], shape)
-    return track.astype(np.float32)
+class Blinks:
+    """Blinks of a take, one after another.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Equal generators give equal blinks, whatever the emotion.
+    idle : Idle
+        Median and spread of the intervals.
+    factor : float
+        On the intervals.
+    end : float
+        Seconds at which the lids are to be still; infinite if the take has not ended.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        idle: Idle = Idle(),
+        factor: float = 1.0,
+        end: float = math.inf,
+    ) -> None:
+        self.rng, self.idle, self.factor, self.end = rng, idle, factor, end
+        self.cues = rng.spawn(1)[0]
+        self.blinks: list[tuple[Blink, float]] = []
+        """Those that are not over, and the difference of the lids in them."""
+        self.over, self.earliest = 0.0, FIRST_SECONDS[0]
+        self.places: list[float] = []
+        self._plan(rng.uniform(*FIRST_SECONDS))
+
+    def cue(self, cue: Cue) -> None:
+        """A blink is likely at ends of phrases, and within long pauses."""
+        if cue.kind == "end":
+            self.draw_to(cue.time + self.cues.uniform(*PHRASE_END_SECONDS), cue.known)
+        elif cue.kind == "pause" and cue.size == LONG_PAUSE:
+            stop = self.end if cue.stop is None else min(cue.stop, self.end)
+            latest = min(stop, cue.time + UNKNOWN_PAUSE) if math.isinf(stop) else stop
+            self.draw_to(self.cues.uniform(cue.time, max(latest, cue.time)), cue.known)
+
+    def draw_to(self, place: float, known: float = -math.inf) -> None:
+        """Draw the blink that is near to a place, seconds, from when that is known."""
+        self.draw_until(known)
+        self.places.append(max(place, known))
+
+    def at(self, first: int, count: int) -> Float64:
+        """Closure of the left and the right lids in the next frames [shape=(n, 2)]."""
+        stop = first + count
+        self.draw_until(stop / FRAME_RATE)
+        track = np.zeros((count, 2))
+        for blink, uneven in self.blinks:
+            begin = max(int(blink.time * FRAME_RATE), first)
+            end = min(int(blink.end * FRAME_RATE) + 2, stop)
+            if begin < end:
+                shape = blink.closure(np.arange(begin, end) / FRAME_RATE)[:, None]
+                rows = track[begin - first : end - first]
+                np.maximum(rows, shape * (1 + uneven * np.array([1, -1])), out=rows)
+        self.blinks = [row for row in self.blinks if row[0].end * FRAME_RATE + 2 > stop]
+        return track.clip(0, 1)
+
+    def _plan(self, time: float) -> None:
+        self.time, self.is_drawn = time, self.rng.random() < DRAWN_SHARE
+
+    def draw_until(self, until: float) -> None:
+        """Draw all blinks that begin before a time."""
+        while True:
+            near = [p for p in self.places if p > self.earliest]
+            near = [p for p in near if abs(p - self.time) < DRAWN_SECONDS]
+            time = self.time
+            if near and self.is_drawn:
+                time = min(near, key=lambda place: abs(place - self.time))
+            if time >= min(until, self.end):
+                return
+            starts = [time, time + self.rng.uniform(*DOUBLE_SECONDS)]
+            for start in starts if self.rng.random() < DOUBLE_SHARE else starts[:1]:
+                blink = draw_blink(max(start, self.over), self.rng)
+                uneven = SIDE_SPREAD * self.rng.standard_normal() if blink.depth < 1 else 0.0
+                if blink.end < self.end:
+                    self.blinks.append((blink, uneven))
+                    self.over = blink.end
+            self.earliest = self.over + LEAST_INTERVAL / 2
+            spread = self.idle.interval_spread * self.rng.standard_normal()
+            interval = self.idle.interval_seconds * np.exp(spread) * self.factor
+            self.places = [place for place in self.places if place > time]
+            self._plan(time + max(float(interval), LEAST_INTERVAL))

@@ -22,11 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import by_emotion
-from deitalk.postprocess.life.tracks import presence, slow_noise, swell
+from deitalk.postprocess.life.tracks import Noise, Swells
 from deitalk.postprocess.life.traits import Traits
-from deitalk.postprocess.life.voice import Voice
+from deitalk.postprocess.life.voice import Cue
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 
@@ -55,6 +54,7 @@ lower lids and knit brows in anger, raised cheeks and lower lids in joy, heavy l
 HELD_SPREAD, HELD_SECONDS = 0.25, 2.0
 """Standard deviation of its slow factor, and the sigma of the Gaussian that smooths its noise."""
 QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
+QUESTION_SECONDS = (0.4, 0.35, 0.8)
 FROWN = (0.0, 0.0, 0.16, 0.12, 0.05, 0.0, 0.02)
 """The same of a full frown of thought."""
 DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.020)
@@ -72,7 +72,7 @@ EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15
 ALONE_SHARE, OTHER_BROW = 0.12, 0.2
 """Share of the accents that raise one brow, and how far the other one follows."""
 STILL_SHARE = 0.2
-"""Share of the phrases without accents of the brows; never all phrases of a take."""
+"""Share of the phrases without accents of the brows; never the first one of a take."""
 FROWN_SHARE, FROWN_PAUSE, FROWN_LEAD = 0.35, 0.5, 0.15
 """Share of the pauses with a frown, the shortest such pause, and its peak before the phrase; s."""
 FROWN_SECONDS, FROWN_HEIGHT = ((0.3, 0.5), (0.15, 0.5), (0.5, 0.9)), (0.5, 1.0)
@@ -152,40 +152,61 @@ def _uneven(side: float, rng: np.random.Generator) -> Float64:
     return 1 + np.array([0.5, -0.5]) * (side + event)
 
 
-def plan_brows(voice: Voice, traits: Traits, rng: np.random.Generator) -> BrowEvents:
-    """Draw the motion of a take; the emotion does not matter."""
-    n_frames = voice.n_frames
-    swells, frowns, question = np.zeros((n_frames, 2)), np.zeros((n_frames, 2)), np.zeros(n_frames)
-    still = [phrase for phrase in voice.phrases if rng.random() < STILL_SHARE]
-    still = still if len(still) < len(voice.phrases) else []
-    for accent in voice.accents:
-        move = draw_accent(accent.strength, traits.side, rng)
-        peak = accent.frame / FRAME_RATE - LEAD_SECONDS + LEAD_SPREAD * rng.standard_normal()
-        span, shape = swell(n_frames, peak, move.attack, move.decay, move.hold)
-        if not any(phrase.start <= accent.frame < phrase.stop for phrase in still):
-            swells[span] += shape[:, None] * move.sides
-    for start, stop in voice.pauses(FROWN_PAUSE):
-        move = draw_frown(traits.side, rng)
-        if start and stop < n_frames:
-            peak = stop / FRAME_RATE - FROWN_LEAD - move.hold
-            span, shape = swell(n_frames, peak, move.attack, move.decay, move.hold)
-            frowns[span] += shape[:, None] * move.sides
-    for phrase in voice.phrases:
-        if phrase.is_question:
-            span, shape = swell(n_frames, phrase.stop / FRAME_RATE - 0.15, 0.4, 0.8, 0.35)
-            question[span] += shape
-    shown = presence(n_frames, voice.silence)
-    drift = np.stack([slow_noise(n_frames, DRIFT_SECONDS, rng) for _ in STEMS], axis=1)
-    drift *= np.asarray(DRIFT)
-    drift[:, LIDS] += LID_DRIFT * slow_noise(n_frames, LID_SECONDS, rng)
-    posture = 1 + HELD_SPREAD * slow_noise(n_frames, HELD_SECONDS, rng)
-    return BrowEvents(
-        traits.brow_range * (1 - np.exp(-swells)) * shown[:, None],
-        traits.brow_range * (1 - np.exp(-frowns)) * shown[:, None],
-        np.minimum(question, 1) * shown,
-        drift * shown[:, None],
-        np.maximum(posture, 0) * shown,
-    )
+class Brows:
+    """Motion of a take before the emotion decides what moves.
+
+    Parameters
+    ----------
+    traits : Traits
+        Of the character.
+    rng : numpy.random.Generator
+        Equal generators give equal motion.
+    """
+
+    def __init__(self, traits: Traits, rng: np.random.Generator) -> None:
+        self.traits, self.swells = traits, Swells(5)
+        self.cues, noise = rng.spawn(2)
+        seconds = (*[DRIFT_SECONDS] * len(STEMS), LID_SECONDS, HELD_SECONDS)
+        self.noise = Noise((*DRIFT, LID_DRIFT, HELD_SPREAD), seconds, noise)
+        self.is_still, self.is_first = False, True
+
+    def cue(self, cue: Cue) -> None:
+        """Begin the motion of an accent, of a question, or of thought in a pause."""
+        if cue.kind == "start":
+            self.is_still = bool(self.cues.random() < STILL_SHARE) and not self.is_first
+            self.is_first = False
+        elif cue.kind == "accent":
+            move = draw_accent(cue.size, self.traits.side, self.cues)
+            peak = cue.time - LEAD_SECONDS + LEAD_SPREAD * self.cues.standard_normal()
+            if not self.is_still:
+                self._add(peak, move, 0, cue.known)
+        elif cue.kind == "pause" and cue.size == FROWN_PAUSE and cue.time:
+            move = draw_frown(self.traits.side, self.cues)
+            frown = cue.before_next(FROWN_LEAD + move.hold, FROWN_PAUSE + move.attack)
+            if frown is not None:
+                self._add(frown, move, 2, cue.known)
+        elif cue.kind == "end" and cue.is_question:
+            self.swells.add(cue.time - 0.15, QUESTION_SECONDS, {4: 1.0}, cue.known)
+
+    def _add(self, peak: float, move: BrowMove, channel: int, known: float) -> None:
+        left, right = move.sides
+        seconds = move.attack, move.hold, move.decay
+        self.swells.add(peak, seconds, {channel: left, channel + 1: right}, known)
+
+    def at(self, first: int, count: int, shown: Float64) -> BrowEvents:
+        """Events of the next frames, of which the share `shown` [shape=(n,)] is seen."""
+        swells, noise = self.swells.at(first, count), self.noise.at(first, count)
+        drift = noise[:, : len(STEMS)].copy()
+        drift[:, LIDS] += noise[:, -2]
+        share = shown[:, None]
+        raised = self.traits.brow_range * (1 - np.exp(-swells[:, :4])) * share
+        return BrowEvents(
+            raised[:, :2],
+            raised[:, 2:],
+            np.minimum(swells[:, 4], 1) * shown,
+            drift * share,
+            np.maximum(1 + noise[:, -1], 0) * shown,
+        )
 
 
 def move_brows(
@@ -211,7 +232,7 @@ def move_brows(
     controls : ControlSet
         Columns.
     events : BrowEvents
-        From `plan_brows`.
+        From `Brows`.
     mixture : array [shape=(T, S)]
         Emotion shown at each frame: weights times intensity. With 0 the neutral reading gets the
         same motion as a neutral take.

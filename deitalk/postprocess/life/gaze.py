@@ -13,13 +13,14 @@
 Angles are degrees: to the character's left, and up. Letters: T frames at 30 per second.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.postprocess.life.tracks import STILL_SECONDS
-from deitalk.postprocess.life.voice import Voice
+from deitalk.postprocess.life.voice import Cue
 from rig.arrays import Float32, Float64
 
 SIDE_DEGREES, UP_DEGREES, DOWN_DEGREES = 40.0, 30.0, 40.0
@@ -32,6 +33,8 @@ START_SHARE, PAUSE_SHARE = 0.45, 0.6
 WITHIN_SECONDS, WITHIN_SHARE = (4.75, 1.4), 0.6
 """Seconds of speech from one place for an aversion within a phrase to the next (mean and standard
 deviation, Andrist et al. 2014; 3 at least), and how often the gaze is averted there."""
+START_LEAD, AVERTED_PAUSE = 0.35, 0.45
+"""Seconds before a phrase, and of a pause, from which the gaze may be averted."""
 LEAST_BETWEEN = 3.0
 """Seconds from the end of an aversion to the next one."""
 FACE_DEGREES = (0.9, 0.7)
@@ -43,48 +46,6 @@ BLINK_DEGREES, BLINK_SHARE = 4.5, 0.4
 LID_SHARE = 0.12
 """Closure of the lids for a look straight down at the end of the range, besides the lids' own
 following of the eyes in the rig (Becker and Fuchs 1988)."""
-
-
-class Aversion(NamedTuple):
-    """A look away."""
-
-    start: float
-    """Seconds."""
-    stop: float
-    side: float
-    """Degrees to the character's left."""
-    up: float
-
-
-def plan_aversions(voice: Voice, rng: np.random.Generator, avoids: float = 0.0) -> list[Aversion]:
-    """Draw the times and directions at which the gaze is averted.
-
-    Parameters
-    ----------
-    voice : Voice
-        Phrases and pauses of the recording.
-    rng : numpy.random.Generator
-        Equal generators give equal looks.
-    avoids : float, range -1 to 1
-        Preference for the character's left.
-    """
-    last = voice.n_frames / FRAME_RATE - STILL_SECONDS
-    candidates = [(start / FRAME_RATE, PAUSE_SHARE) for start, _ in voice.pauses(0.45) if start]
-    candidates += [(p.start / FRAME_RATE - 0.35, START_SHARE) for p in voice.phrases]
-    for phrase in voice.phrases:
-        time = phrase.start / FRAME_RATE + draw_wait(rng)
-        while time < phrase.stop / FRAME_RATE - 0.5:
-            candidates.append((time, WITHIN_SHARE))
-            time += draw_wait(rng)
-    aversions: list[Aversion] = []
-    for time, share in sorted(candidates):
-        start = max(time + rng.uniform(0, 0.3), 0.3)
-        length = AVERSION_SECONDS[0] * np.exp(AVERSION_SECONDS[1] * rng.standard_normal())
-        is_drawn, direction = rng.random() < share, draw_direction(rng, avoids)
-        free = aversions[-1].stop + LEAST_BETWEEN if aversions else 0.0
-        if is_drawn and start >= free and start + length < last:
-            aversions.append(Aversion(start, start + float(length), *direction))
-    return aversions
 
 
 def draw_wait(rng: np.random.Generator) -> float:
@@ -101,80 +62,112 @@ def draw_direction(rng: np.random.Generator, avoids: float) -> tuple[float, floa
     return float(sign * size * np.cos(elevation)), float(size * np.sin(elevation))
 
 
-def gaze_degrees(
-    n_frames: int, aversions: list[Aversion], rng: np.random.Generator
-) -> tuple[Float32, list[float]]:
-    """Direction of the gaze, and the times of the large shifts that bring a blink.
+class Gaze:
+    """Fixations, aversions and micro-saccades of a take.
 
-    Returns
-    -------
-    array [shape=(T, 2)]
-        Degrees to the character's left and up, relative to the listener; 0 in the first 0.3 s and
-        in the last half second.
-    list of float
-        Seconds.
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Equal generators give equal looks.
+    avoids : float, range -1 to 1
+        Preference for the character's left.
+    end : float
+        Seconds of the last frame; the last half second is still. Infinite if it is not known.
     """
-    end = n_frames / FRAME_RATE - STILL_SECONDS - 0.1
-    times, targets = [0.0], [np.zeros(2)]
-    time = 0.3 + rng.uniform(0, 0.4)
-    pending = list(aversions)
-    while time < end:
-        away = pending[0] if pending and pending[0].start <= time + 0.05 else None
-        if away is not None:
-            pending.pop(0)
-            time = _look_away(away, times, targets, rng)
-            continue
-        times.append(time)
-        targets.append(rng.normal(0, FACE_DEGREES))
-        step = FIXATION_SECONDS[0] * np.exp(FIXATION_SECONDS[1] * rng.standard_normal())
-        following = pending[0].start if pending else np.inf
-        time = min(time + max(step, 0.3), max(following, time + 1 / FRAME_RATE))
-    times.append(max(end, times[-1] + 1 / FRAME_RATE))
-    targets.append(np.zeros(2))
-    steps = np.linalg.norm(np.diff(targets, axis=0), axis=1)
-    shifts = [t for t, s in zip(times[1:], steps, strict=True) if s >= BLINK_DEGREES]
-    blinking = [t for t in shifts if rng.random() < BLINK_SHARE]
-    track = _saccades(n_frames, times, targets) + _micro(n_frames, end, rng)
-    track[max(n_frames - int(STILL_SECONDS * FRAME_RATE), 0) :] = 0
-    return track.astype(np.float32), blinking
+
+    def __init__(
+        self, rng: np.random.Generator, avoids: float = 0.0, end: float = math.inf
+    ) -> None:
+        self.cues, self.rng, self.small = rng.spawn(3)
+        self.avoids, self.still = avoids, end - STILL_SECONDS
+        self.looks = [Look(-1.0, np.zeros(2), np.zeros(2))]
+        """Fixations from the last one before the next frame on."""
+        self.micros = [(-1.0, np.zeros(2))]
+        self.next_look = float(0.3 + self.rng.uniform(0, 0.4))
+        self.next_micro = 10 / FRAME_RATE
+        self.averted: tuple[float, Float64] | None = None
+        """End of an aversion, and its direction."""
+        self.free = self.within = 0.0
+        self.shifts: list[float] = []
+        """Times of large shifts that bring a blink."""
+
+    def cue(self, cue: Cue) -> None:
+        """Avert the gaze before a phrase, in a pause and within a long phrase."""
+        if cue.kind == "start":
+            self.within = cue.time + draw_wait(self.cues)
+            self._avert(cue.time - START_LEAD, START_SHARE, cue.known)
+        elif cue.kind == "pause" and cue.size == AVERTED_PAUSE and cue.time:
+            self._avert(cue.time, PAUSE_SHARE, cue.known)
+        elif cue.kind == "speech" and cue.time >= self.within:
+            self.within = cue.time + draw_wait(self.cues)
+            if cue.stop is None or cue.time < cue.stop - 0.5:
+                self._avert(cue.time, WITHIN_SHARE, cue.known)
+
+    def at(self, first: int, count: int) -> Float64:
+        """Degrees to the character's left and up in the next frames [shape=(n, 2)]."""
+        frames = np.arange(first, first + count) / FRAME_RATE
+        if not count:
+            return np.zeros((0, 2))
+        last = float(frames[-1])
+        self._look(last)
+        while self.next_micro <= min(last, self.still - 0.1):
+            place = 0.4 * self.micros[-1][1] + self.small.normal(0, MICRO_DEGREES, 2)
+            self.micros.append((self.next_micro, place))
+            self.next_micro += max(self.small.exponential(1 / MICRO_PER_SECOND), 0.15)
+        if last > self.still - 0.1:
+            zero, (_, before, _) = np.zeros(2), self.looks[-1]
+            self.looks.append(Look(max(self.still - 0.1, self.looks[-1].time), zero, -before))
+            self.micros.append((max(self.still - 0.1, self.micros[-1][0]), zero))
+        times, targets, steps = (np.array(part) for part in zip(*self.looks, strict=True))
+        now = np.searchsorted(times, frames, side="right") - 1
+        lengths = 0.021 + 0.0022 * np.linalg.norm(steps[now], axis=1)
+        left = 1 - np.clip((frames - times[now]) / lengths, 0, 1)
+        track: Float64 = targets[now] - (left * left * (3 - 2 * left))[:, None] * steps[now]
+        moved, places = (np.array(part) for part in zip(*self.micros, strict=True))
+        track = track + places[np.searchsorted(moved, frames, side="right") - 1]
+        track[frames > self.still] = 0
+        self.looks, self.micros = self.looks[now[-1] :], self.micros[-1:]
+        return track
+
+    def _avert(self, time: float, share: float, known: float) -> None:
+        """Begin an aversion, so often."""
+        start = max(time + self.cues.uniform(0, 0.3), 0.3, known)
+        length = AVERSION_SECONDS[0] * np.exp(AVERSION_SECONDS[1] * self.cues.standard_normal())
+        is_drawn, direction = self.cues.random() < share, draw_direction(self.cues, self.avoids)
+        if is_drawn and start >= self.free and start + length < self.still:
+            self._look(start)
+            self.averted = float(start + length), np.array(direction)
+            self.next_look = start
+            self.free = start + length + LEAST_BETWEEN
+
+    def _look(self, until: float) -> None:
+        """Append the fixations that begin before a time."""
+        while self.next_look <= min(until, self.still - 0.1):
+            time, last = self.next_look, self.looks[-1]
+            if self.averted is not None and time >= self.averted[0]:
+                self.averted = None
+            if self.averted is not None:
+                target = self.averted[1] + self.rng.normal(0, 0.5, 2)
+                self.next_look = min(time + self.rng.uniform(0.4, 1.1), self.averted[0])
+            else:
+                target = self.rng.normal(0, FACE_DEGREES)
+                spread = FIXATION_SECONDS[1] * self.rng.standard_normal()
+                self.next_look = time + max(FIXATION_SECONDS[0] * np.exp(spread), 0.3)
+            step = target - last.target
+            self.looks.append(Look(time, target, step))
+            if np.hypot(*step) >= BLINK_DEGREES and self.rng.random() < BLINK_SHARE:
+                self.shifts.append(time)
 
 
-def _look_away(
-    away: Aversion, times: list[float], targets: list[Float64], rng: np.random.Generator
-) -> float:
-    """Append the fixations of an aversion; return its end."""
-    time = max(away.start, times[-1] + 1 / FRAME_RATE)
-    while time < away.stop:
-        times.append(time)
-        targets.append(np.array([away.side, away.up]) + rng.normal(0, 0.5, 2))
-        time += rng.uniform(0.4, 1.1)
-    return max(away.stop, times[-1] + 1 / FRAME_RATE)
+class Look(NamedTuple):
+    """A fixation."""
 
-
-def _saccades(n_frames: int, times: list[float], targets: list[Float64]) -> Float64:
-    """Move from target to target by saccades [shape=(T, 2)]."""
-    frames = np.arange(n_frames) / FRAME_RATE
-    steps = np.diff(targets, axis=0, prepend=[targets[0]])
-    lengths = 0.021 + 0.0022 * np.linalg.norm(steps, axis=1)
-    now = np.searchsorted(times, frames, side="right") - 1
-    left = 1 - np.clip((frames - np.asarray(times)[now]) / lengths[now], 0, 1)
-    track: Float64 = np.asarray(targets)[now] - (left * left * (3 - 2 * left))[:, None] * steps[now]
-    return track
-
-
-def _micro(n_frames: int, end: float, rng: np.random.Generator) -> Float64:
-    """Micro-saccades about a fixation [shape=(T, 2)]."""
-    starts, places, frame = [0], [np.zeros(2)], 10.0
-    while frame < end * FRAME_RATE:
-        starts.append(int(frame))
-        places.append(0.4 * places[-1] + rng.normal(0, MICRO_DEGREES, 2))
-        frame += FRAME_RATE * max(rng.exponential(1 / MICRO_PER_SECOND), 0.15)
-    starts.append(max(int(end * FRAME_RATE), starts[-1]))
-    places.append(np.zeros(2))
-    track: Float64 = np.asarray(places)[
-        np.searchsorted(starts, np.arange(n_frames), side="right") - 1
-    ]
-    return track
+    time: float
+    """Seconds at which the eyes leave the one before."""
+    target: Float64
+    """Degrees to the left and up [shape=(2,)]."""
+    step: Float64
+    """From the one before."""
 
 
 def as_controls(degrees: Float32 | Float64) -> Float32:

@@ -16,17 +16,27 @@ left, up and forward, the axes of the embedded head.
 Letters: T frames at 30 per second.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import EMOTIONS, by_emotion
-from deitalk.postprocess.life.tracks import presence, slow_noise, swell
+from deitalk.postprocess.life.neck import (
+    INHALE,
+    INHALE_LEAD,
+    INHALE_SECONDS,
+    LEAST_WAIT,
+    SWALLOW,
+    SWALLOW_EVERY,
+    SWALLOW_PAUSE,
+)
+from deitalk.postprocess.life.tracks import Noise, Swells
 from deitalk.postprocess.life.traits import Traits
-from deitalk.postprocess.life.voice import Voice
+from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue
 from rig.arrays import Float32, Float64
-from rig.curves.filters import gaussian_smooth
+from rig.curves import HEAD
 
 NODS = (0.26, 1.8, 0.26)
 """Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""
@@ -51,10 +61,9 @@ LEAST_NOD, HIGH_NOD = 0.5, 0.3
 """Height of the nod of the weakest stress, and what a prominence of 1 adds to any."""
 NOD_RAISE = 0.4
 """Pitch from which a speaker nods, degrees: about the mean of the nods."""
-LISTENING_SECONDS = 3.0
-"""Silence of at least so long is a turn of the other: single and double nods, six seconds apart on
-the average (Dittmann and Llewellyn 1968)."""
 LISTENING_DEGREES = (0.8, 1.6)
+"""Depth of single and double nods in long silence, `LISTENING_EVERY` apart (Dittmann and Llewellyn
+1968)."""
 SWAY, SWAY_SECONDS = (0.25, 0.7, 0.2), 0.7
 STIR, STIR_SECONDS = (0.46, 0.28, 0.3), 0.14
 """Standard deviation of slow and of quick turns, yaw, pitch and roll in degrees, and the sigma of
@@ -65,12 +74,17 @@ FINAL_DEGREES, INITIAL_DEGREES = -0.8, 0.5
 """Pitch at the end and before the start of a phrase."""
 FINAL_SECONDS, INITIAL_SECONDS = (1.0, 0.1, 1.2), (0.6, 0.0, 0.8)
 """Attack, hold and decay."""
-INITIAL_LEAD = 0.2
-"""The raise is highest so long before a phrase, seconds."""
+LATE_SECONDS = 0.4
+"""Attack of the lowering where the end of a phrase is known late."""
+INITIAL_LEAD, LIFT_LEAD = 0.2, 0.05
+"""The raise and the breath are highest so long before a phrase, seconds."""
+INHALE_AFTER, READY_AFTER = 0.6, 0.9
+"""Seconds of a pause whose end is not known after which the breath is drawn and the head raised."""
 BREATH_SECONDS, BREATH_CM, BREATH_DEGREES = 4.0, 0.05, 0.15
 """Period of quiet breathing, its lift, and the pitch that goes with it."""
-INHALE_CM, INHALE_DEGREES = 0.14, 0.35
+INHALE_PAUSE, INHALE_CM, INHALE_DEGREES = 0.3, 0.14, 0.35
 """The same in a pause of at least 0.3 s before a phrase."""
+LIFT_SECONDS = (0.35, 0.0, 1.2)
 SHIFT_CM, SHIFT_SECONDS = (0.07, 0.05, 0.1), 0.8
 POSTURE: dict[str, tuple[float, ...]] = {
     "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -82,7 +96,10 @@ POSTURE: dict[str, tuple[float, ...]] = {
 """Held turn and shift of an emotion at intensity 1; its roll goes to the character's own side."""
 LIVELINESS = {"neutral": 1.0, "angry": 1.35, "happy": 1.4, "sad": 0.85, "surprised": 1.25}
 POSTURE_SECONDS = 0.35
-"""Sigma of the Gaussian over which a posture comes and goes."""
+"""Over which a posture, and the raise of speech, come and go."""
+PITCH, UP, BREATH, SWALLOWS = 1, 4, 6, 7
+CHANNELS = 8
+"""The columns of `rig.curves.HEAD`, breath and swallowing of the neck."""
 
 
 class Nod(NamedTuple):
@@ -103,73 +120,6 @@ class Nod(NamedTuple):
         fastest = 0.5 * np.pi * abs(float(degrees[1])) / self.attack
         share = max(fastest / NOD_SPEED, 1.0) ** 0.5
         return Nod(self.lag, share * self.attack, share * self.decay, degrees / share)
-
-
-def head_motion(
-    voice: Voice, traits: Traits, mixture: Float32, rng: np.random.Generator
-) -> tuple[Float32, Float32]:
-    """Motion of the head, and the posture that is held beneath it.
-
-    Parameters
-    ----------
-    voice : Voice
-        Of the recording.
-    traits : Traits
-        Of the character.
-    mixture : array [shape=(T, S)]
-        Emotion shown at each frame: weights times intensity.
-    rng : numpy.random.Generator
-        Equal generators give equal motion.
-
-    Returns
-    -------
-    motion, posture : arrays [shape=(T, 6)]
-        Degrees and cm; their sum is the track. At rest in the first and the last frame.
-    """
-    n_frames = voice.n_frames
-    motion = np.zeros((n_frames, 6))
-    vigour = np.exp(VIGOUR * slow_noise(n_frames, VIGOUR_SECONDS, rng))
-    motion[:, :3] = _sway(voice, vigour, rng) + _nods(voice, vigour, rng)
-    motion[:, 1] += _phrases(voice)
-    motion[:, 3:] = np.asarray(SHIFT_CM) * _noises(n_frames, 3, SHIFT_SECONDS, rng)
-    lift = _breath(voice, rng)
-    motion[:, 4] += lift[:, 0]
-    motion[:, 1] += lift[:, 1]
-    calm = np.maximum(1 - mixture[:, 1:].sum(axis=1), 0)
-    lively = np.array([LIVELINESS.get(name, 1.0) for name in EMOTIONS])
-    motion *= (calm + mixture[:, 1:] @ lively[1:])[:, None] * traits.head_range
-    side = np.array([1, 1, 1 if traits.side >= 0 else -1, 1, 1, 1])
-    held = mixture @ by_emotion(POSTURE) * side
-    shown = presence(n_frames, voice.silence)[:, None]
-    posture = _smooth(held) * shown
-    return (motion * shown).astype(np.float32), posture.astype(np.float32)
-
-
-def _sway(voice: Voice, vigour: Float64, rng: np.random.Generator) -> Float64:
-    """Slow and quick turns, smaller in pauses [shape=(T, 3)]."""
-    speaking = _smooth(voice.speaking[:, None])
-    slow = np.asarray(SWAY) * _noises(voice.n_frames, 3, SWAY_SECONDS, rng)
-    quick = np.asarray(STIR) * _noises(voice.n_frames, 3, STIR_SECONDS, rng)
-    return (slow * vigour[:, None] + quick) * (QUIET + (1 - QUIET) * speaking)
-
-
-def _nods(voice: Voice, vigour: Float64, rng: np.random.Generator) -> Float64:
-    """Nods of stressed syllables, and in long silences [shape=(T, 3)], degrees."""
-    nods = np.zeros((voice.n_frames, 3))
-    for stress in voice.stresses:
-        nod = draw_nod(stress.strength, float(voice.prominence[stress.frame]), rng)
-        nod = nod.scaled(float(vigour[stress.frame]))
-        peak = stress.frame / FRAME_RATE + nod.lag
-        span, shape = swell(voice.n_frames, peak, nod.attack, nod.decay)
-        nods[span] += shape[:, None] * nod.degrees
-    for start, stop in voice.pauses(LISTENING_SECONDS):
-        time = start / FRAME_RATE + rng.exponential(LISTENING_SECONDS)
-        while time < stop / FRAME_RATE - 1:
-            for beat in range(int(rng.integers(1, 3))):
-                span, shape = swell(voice.n_frames, time + 0.45 * beat, 0.25, 0.35)
-                nods[span, 1] -= rng.uniform(*LISTENING_DEGREES) * shape
-            time += LISTENING_SECONDS + rng.exponential(LISTENING_SECONDS)
-    return nods
 
 
 def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> Nod:
@@ -207,44 +157,117 @@ def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> No
     return Nod(lag, attack, decay, height * degrees)
 
 
-def _phrases(voice: Voice) -> Float64:
-    """Pitch of phrases, of their ends and of their starts [shape=(T,)], degrees."""
-    pitch = NOD_RAISE * _smooth(voice.speaking[:, None])[:, 0]
-    for phrase in voice.phrases:
-        longest = (phrase.stop - phrase.start) / FRAME_RATE / 2
-        final = -0.5 * FINAL_DEGREES if phrase.is_question else FINAL_DEGREES
-        attack, hold, decay = FINAL_SECONDS
-        span, shape = swell(
-            voice.n_frames, phrase.stop / FRAME_RATE, min(attack, longest), decay, hold
-        )
-        pitch[span] += final * shape
-        attack, hold, decay = INITIAL_SECONDS
-        before = phrase.start / FRAME_RATE - INITIAL_LEAD
-        span, shape = swell(voice.n_frames, before, attack, min(decay, longest), hold)
-        pitch[span] += INITIAL_DEGREES * shape
-    return pitch
+class Head:
+    """Motion of head and neck of a take, and the posture beneath it.
 
+    Parameters
+    ----------
+    traits : Traits
+        Of the character.
+    rng : numpy.random.Generator
+        Equal generators give equal motion.
+    end : float
+        Seconds of the last frame; infinite if it is not known.
+    """
 
-def _breath(voice: Voice, rng: np.random.Generator) -> Float64:
-    """Lift in cm and pitch in degrees of the breath [shape=(T, 2)]."""
-    time = np.arange(voice.n_frames) / FRAME_RATE
-    phase = 2 * np.pi * (time / BREATH_SECONDS + rng.random())
-    phase += 0.6 * slow_noise(voice.n_frames, 1.5, rng)
-    quiet = np.sin(phase) * (1 - 0.7 * _smooth(voice.speaking[:, None])[:, 0])
-    lift = np.outer(quiet, (BREATH_CM, BREATH_DEGREES))
-    for _, stop in voice.pauses():
-        if stop < voice.n_frames:
-            span, rise = swell(voice.n_frames, stop / FRAME_RATE - 0.05, 0.35, 1.2)
-            lift[span] += np.outer(rise, (INHALE_CM, INHALE_DEGREES))
-    return lift
+    def __init__(self, traits: Traits, rng: np.random.Generator, end: float = math.inf) -> None:
+        self.traits, self.end, self.swells = traits, end, Swells(CHANNELS)
+        self.cues, self.pauses, noise = rng.spawn(3)
+        spread = (*SWAY, *STIR, *SHIFT_CM, 0.6, VIGOUR)
+        seconds = [SWAY_SECONDS] * 3 + [STIR_SECONDS] * 3 + [SHIFT_SECONDS] * 3
+        self.noise = Noise(spread, [*seconds, 1.5, VIGOUR_SECONDS], noise)
+        self.phase = 2 * np.pi * self.pauses.random()
+        self.swallow = self.pauses.exponential(SWALLOW_EVERY)
+        """Seconds of the next one."""
+        self.speaks = 0.0
+        self.held = np.zeros((2, len(HEAD)))
 
+    def cue(self, cue: Cue) -> None:
+        """Begin the motion of a syllable, of a phrase's ends, or of a pause."""
+        if cue.kind == "stress":
+            vigour = math.exp(self.noise.peek(round(cue.time * FRAME_RATE))[-1])
+            nod = draw_nod(cue.size, cue.prominence, self.cues).scaled(vigour)
+            heights = dict(enumerate(nod.degrees))
+            self.swells.add(cue.time + nod.lag, (nod.attack, 0.0, nod.decay), heights, cue.known)
+        elif cue.kind == "start" and cue.stop is not None:
+            attack, hold, decay = INITIAL_SECONDS
+            seconds = attack, hold, min(decay, cue.size / 2)
+            self.swells.add(cue.time - INITIAL_LEAD, seconds, {PITCH: INITIAL_DEGREES}, cue.known)
+        elif cue.kind == "end":
+            attack, hold, decay = FINAL_SECONDS
+            seconds = min(attack, cue.size / 2), hold, decay
+            pitch = {PITCH: -0.5 * FINAL_DEGREES if cue.is_question else FINAL_DEGREES}
+            self.swells.add(cue.time, seconds, pitch, cue.known, LATE_SECONDS)
+        elif cue.kind == "pause":
+            self._pause(cue)
 
-def _noises(n_frames: int, count: int, seconds: float, rng: np.random.Generator) -> Float64:
-    return np.stack([slow_noise(n_frames, seconds, rng) for _ in range(count)], axis=1)
+    def _pause(self, cue: Cue) -> None:
+        """Breath and raise before the next phrase, a swallow, nods of a listener."""
+        to_come = cue.stop is None
+        if cue.size == (INHALE_AFTER if to_come else INHALE_PAUSE):
+            lift = cue.before_next(LIFT_LEAD, INHALE_AFTER + LIFT_SECONDS[0])
+            breath = cue.before_next(INHALE_LEAD, INHALE_AFTER + INHALE_SECONDS[0])
+            if lift is not None and breath is not None:
+                heights = {UP: INHALE_CM, PITCH: INHALE_DEGREES}
+                self.swells.add(lift, LIFT_SECONDS, heights, cue.known)
+                self.swells.add(breath, INHALE_SECONDS, {BREATH: INHALE}, cue.known)
+        if to_come and cue.size == READY_AFTER:
+            peak = cue.time + READY_AFTER + INITIAL_SECONDS[0]
+            self.swells.add(peak, INITIAL_SECONDS, {PITCH: INITIAL_DEGREES}, cue.known)
+        stop = min(self.end if cue.stop is None else cue.stop, self.end)
+        if cue.size >= SWALLOW_PAUSE:
+            begin = max(cue.known, cue.time, self.swallow - 0.5)
+            is_due = begin == cue.known if to_come else stop - begin >= SWALLOW_PAUSE
+            if is_due:
+                self.swells.add(begin + 0.5, SWALLOW, {SWALLOWS: 1.0}, cue.known)
+                wait = self.pauses.exponential(SWALLOW_EVERY - LEAST_WAIT)
+                self.swallow = begin + LEAST_WAIT + wait
+        if cue.size >= LISTENING_SECONDS:
+            beats = 0.45 * np.arange(self.pauses.integers(1, 3))
+            times = cue.time + cue.size + self.pauses.uniform(0, 2) + beats
+            depths = self.pauses.uniform(*LISTENING_DEGREES, len(beats))
+            for time, depth in zip(times.tolist(), depths.tolist(), strict=True):
+                if time < stop - 1:
+                    self.swells.add(time, (0.25, 0.0, 0.35), {PITCH: -depth}, cue.known)
 
+    def at(self, first: int, count: int, speaking: Float32) -> Float64:
+        """Motion of the next frames on a neutral face [shape=(n, `CHANNELS`)].
 
-def _smooth(track: Float32 | Float64) -> Float64:
-    """Smoothed over a posture's time along the frames."""
-    sigma = POSTURE_SECONDS * FRAME_RATE
-    columns = [gaussian_smooth(column, sigma, "mirror") for column in track.T.astype(np.float64)]
-    return np.stack(columns, axis=1)
+        `speaking` [shape=(n,)] is 1 in speech, else 0.
+        """
+        total, noise = self.swells.at(first, count), self.noise.at(first, count)
+        speaks = np.empty(count)
+        for k, value in enumerate(speaking.tolist()):
+            self.speaks += (value - self.speaks) / (POSTURE_SECONDS * FRAME_RATE)
+            speaks[k] = self.speaks
+        lively = QUIET + (1 - QUIET) * speaks[:, None]
+        total[:, :3] += (np.exp(noise[:, 10:]) * noise[:, :3] + noise[:, 3:6]) * lively
+        total[:, 3:6] += noise[:, 6:9]
+        time = np.arange(first, first + count) / FRAME_RATE
+        quiet = np.sin(self.phase + 2 * np.pi * time / BREATH_SECONDS + noise[:, 9])
+        quiet *= 1 - 0.7 * speaks
+        total[:, UP] += BREATH_CM * quiet
+        total[:, PITCH] += BREATH_DEGREES * quiet + NOD_RAISE * speaks
+        total[:, SWALLOWS] *= 1 - speaks
+        return total
+
+    def posture(self, mixture: Float32) -> Float64:
+        """Posture of the emotion in the next frames [shape=(n, 6)], which comes and goes slowly.
+
+        `mixture` [shape=(n, S)] is the emotion shown: weights times intensity.
+        """
+        share = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
+        side = np.array([1, 1, 1 if self.traits.side >= 0 else -1, 1, 1, 1])
+        rows: Float64 = mixture @ by_emotion(POSTURE) * side
+        for row in rows:
+            self.held[0] += share * (row - self.held[0])
+            self.held[1] += share * (self.held[0] - self.held[1])
+            row[:] = self.held[1]
+        return rows
+
+    def liveliness(self, mixture: Float32) -> Float64:
+        """Factor on the motion [shape=(n,)]: of the emotion shown, and of the character."""
+        calm = np.maximum(1 - mixture[:, 1:].sum(axis=1), 0)
+        lively = np.array([LIVELINESS.get(name, 1.0) for name in EMOTIONS])
+        factor: Float64 = (calm + mixture[:, 1:] @ lively[1:]) * self.traits.head_range
+        return factor

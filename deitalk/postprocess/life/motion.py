@@ -1,4 +1,4 @@
-"""Blinks, gaze, brows, head and neck of one take.
+"""Blinks, gaze, brows, head and neck of a take, or of a voice that has not ended.
 
 The times of all events come from the voice and the seed alone. What they move depends on the
 emotion shown, which is 0 in the neutral reading: both readings blink and look alike, and intensity
@@ -7,93 +7,119 @@ emotion shown, which is 0 in the neutral reading: both readings blink and look a
 Letters: T frames at 30 per second, C controls, S styles.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Idle
 from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.blinks import lid_closure, plan_blinks
-from deitalk.postprocess.life.brows import BrowEvents, move_brows, plan_brows
-from deitalk.postprocess.life.gaze import LID_SHARE, as_controls, gaze_degrees, plan_aversions
-from deitalk.postprocess.life.head import head_motion
+from deitalk.postprocess.life.blinks import Blinks
+from deitalk.postprocess.life.brows import BrowEvents, Brows, move_brows
+from deitalk.postprocess.life.gaze import LID_SHARE, Gaze, as_controls
+from deitalk.postprocess.life.head import BREATH, SWALLOWS, Head
 from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
-from deitalk.postprocess.life.neck import neck_motion
-from deitalk.postprocess.life.tracks import presence
+from deitalk.postprocess.life.neck import neck_tracks
+from deitalk.postprocess.life.tracks import STILL_SECONDS, presence
 from deitalk.postprocess.life.traits import Seeds, Traits
-from deitalk.postprocess.life.voice import Voice
+from deitalk.postprocess.life.voice import Cue, Voice
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID
+from rig.curves import HEAD
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
 """Parts of the names of controls that blinks and gaze move, whatever the emotion."""
 LOWER_LID = 0.14
 """Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
 the nose (Evinger, Manning and Sibony 1991); amount by eye."""
+SPEAKING_LEAD = 10
+"""Frames by which speech moves the head before it is there, in a take that is known: those by
+which the smoothing of `Head.at` is late."""
 AGAINST = np.array([1, -1], np.float32)
 """Signs of a turn of the eyes that undoes yaw and pitch of the head."""
 STARE = 0.8
 """Share of the aversions that anger takes away at intensity 1: its gaze stays on the listener."""
+TURN_FRAMES = 6
+"""Frames in which the eyes turn to another place, as long as an emotion takes to change."""
 MOST_SHOWN = 1.5
 """Intensity above which accents and posture grow no more."""
 
 
 @dataclass(frozen=True)
-class TakeMotion:
-    """Motion of a take above the mouth."""
+class Motion:
+    """Motion of consecutive frames above the mouth [shape=(n,) each]."""
 
-    amounts: Life
-    traits: Traits
-    lids: Float32
-    """Closure of the left and the right lids [shape=(T, 2), range 0 to 1]."""
-    gaze: tuple[Float32 | Float64, Float32]
-    """Degrees to the character's left and up, and those of the neutral reading [shape=(T, 2)]."""
+    side: float
+    """How much stronger the character's left side moves than the right."""
+    amount: float
+    """Factor on brows, lids and cheeks."""
+    lids: Float64
+    """Closure of the left and the right lids [shape=(n, 2), range 0 to 1]."""
+    gaze: tuple[Float64, Float64]
+    """Degrees to the character's left and up, and those of the neutral reading [shape=(n, 2)]."""
     brows: BrowEvents
     head: Float32 | None
-    """Track of the head [shape=(T, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
+    """Track of the head [shape=(n, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
     neck: dict[str, Float32]
-    """Tracks of the neck's controls [shape=(T,), range 0 to 1]; empty if the head is off."""
+    """Tracks of the neck's controls, range 0 to 1; empty if the head is off."""
     mixture: Float32
-    """Emotion shown at each frame [shape=(T, S)]."""
+    """Emotion shown at each frame [shape=(n, S)]."""
 
     def move(self, curves: Float32, neutral: Float32, controls: ControlSet) -> None:
         """Add the motion to both readings, in place; a rig other than the board stays as it is.
 
         Parameters
         ----------
-        curves : array [shape=(T, C)]
+        curves : array [shape=(n, C)]
             The face that is shown.
-        neutral : array [shape=(T, C)]
+        neutral : array [shape=(n, C)]
             The neutral reading of the same speech.
         controls : ControlSet
             Names of the columns.
         """
-        if controls.id != DEFAULT_ID:
-            return
-        calm = np.zeros_like(self.mixture)
-        side, amount = self.traits.side, self.amounts.brows
-        plain = neutral[:, mouth_columns(controls)]
-        for reading, mixture, gaze in zip(
-            (curves, neutral), (self.mixture, calm), self.gaze, strict=True
-        ):
-            lean_mouth(reading, plain, controls, self.brows.accents, side, amount)
-            move_brows(reading, neutral, controls, self.brows, mixture, side, amount)
-            move_eyes(reading, controls, gaze, self.lids)
-            move_neck(reading, controls, self.neck)
+        if controls.id == DEFAULT_ID:
+            plain = neutral[:, mouth_columns(controls)]
+            self._add(curves, neutral, plain, controls, acted=True)
+            self._add(neutral, neutral, plain, controls, acted=False)
+
+    def show(self, curves: Float32, neutral: Float32, controls: ControlSet) -> None:
+        """As `move`, to the face that is shown alone."""
+        if controls.id == DEFAULT_ID:
+            plain = neutral[:, mouth_columns(controls)]
+            self._add(curves, neutral, plain, controls, acted=True)
+
+    def _add(
+        self,
+        curves: Float32,
+        neutral: Float32,
+        plain: Float32,
+        controls: ControlSet,
+        *,
+        acted: bool,
+    ) -> None:
+        """Add the motion to one reading; `plain` are mouth columns of the neutral one."""
+        mixture = self.mixture if acted else np.zeros_like(self.mixture)
+        lean_mouth(curves, plain, controls, self.brows.accents, self.side, self.amount)
+        move_brows(curves, neutral, controls, self.brows, mixture, self.side, self.amount)
+        move_eyes(curves, controls, self.gaze[not acted], self.lids)
+        for name, track in self.neck.items():
+            place = controls.index(name)
+            curves[:, place] += track * (1 - curves[:, place])
 
 
-def attend(gaze: Float32 | Float64, held: Float32 | Float64, mixture: Float32) -> Float64:
+def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
     """Gaze of an emotion, degrees: anger stares, sadness alone looks where its head is lowered to.
 
     Parameters
     ----------
-    gaze : array [shape=(T, 2)]
+    gaze : array [shape=(n, 2)]
         Fixations and aversions of a neutral face.
-    held : array [shape=(T, 2)]
+    held : array [shape=(n, 2)]
         Turn of the eyes that undoes the posture of the head.
-    mixture : array [shape=(T, S)]
+    mixture : array [shape=(n, S)]
         Emotion shown at each frame.
     """
     angry, sad = (mixture[:, [EMOTIONS.index(name)]] for name in ("angry", "sad"))
@@ -129,11 +155,104 @@ def move_eyes(
             curves[:, controls.index(f"CTRL_{side}_eye.t{'xy'[axis]}")] += looks[:, axis]
 
 
-def move_neck(curves: Float32, controls: ControlSet, neck: dict[str, Float32]) -> None:
-    """Add tracks of the neck by name [shape=(T,), range 0 to 1], in place."""
-    for name, track in neck.items():
-        place = controls.index(name)
-        curves[:, place] += track * (1 - curves[:, place])
+class MotionStream:
+    """Eyes, brows, head and neck of a take or of a stream, which the cues of a voice move.
+
+    Parameters
+    ----------
+    seeds : Seeds
+        Of the recording and its actor, or of the stream.
+    idle : Idle
+        The model's own numbers.
+    life : Life
+        Factors on them, and the listener's place.
+    traits : Traits, optional
+        Of the character; drawn from the seeds by default.
+    voice : Voice, optional
+        Of the whole take; None if it has not ended.
+    """
+
+    def __init__(
+        self,
+        seeds: Seeds,
+        idle: Idle = Idle(),
+        life: Life = Life(),
+        traits: Traits | None = None,
+        voice: Voice | None = None,
+    ) -> None:
+        self.life = amounts = life.times(idle)
+        self.traits = traits = traits or Traits.of(seeds.character())
+        self.n_frames = 0
+        self.place = self.looks = np.array(life.look_at)
+        self.turns: list[tuple[int, tuple[float, float]]] = []
+        self.turning = 0
+        self.end = math.inf if voice is None else (voice.n_frames - 1) / FRAME_RATE
+        self.silence = 0.0 if voice is None else voice.silence
+        factor = traits.blink_interval / max(amounts.blinks, 0.05)
+        still = self.end - STILL_SECONDS
+        self.blinks = Blinks(seeds.generator("blinks"), idle, factor, still)
+        self.gaze = Gaze(seeds.generator("gaze"), traits.avoids, self.end)
+        self.brows = Brows(traits, seeds.generator("brows"))
+        self.head = Head(traits, seeds.generator("head"), self.end)
+
+    def cue(self, cue: Cue) -> None:
+        """Take what comes next in the voice."""
+        for part in (self.blinks, self.gaze, self.brows, self.head):
+            part.cue(cue)
+
+    def look_at(self, place: tuple[float, float], frame: int) -> None:
+        """Turn to another place of the listener, degrees, within `TURN_FRAMES` from a frame on."""
+        self.turns.append((frame, place))
+
+    def _looks(self, first: int, count: int) -> Float64:
+        """Where the listener is in the next frames, degrees [shape=(n, 2)]."""
+        looks = np.empty((count, 2))
+        for k in range(count):
+            while self.turns and self.turns[0][0] <= first + k:
+                self.place, self.turning = np.array(self.turns.pop(0)[1]), TURN_FRAMES
+            if self.turning:
+                self.looks = self.looks + (self.place - self.looks) / self.turning
+                self.turning -= 1
+            looks[k] = self.looks
+        return looks
+
+    def take(self, speaking: Float32, mixture: Float32) -> Motion:
+        """Motion of the next frames.
+
+        Parameters
+        ----------
+        speaking : array [shape=(n,)]
+            1 in speech, else 0.
+        mixture : array [shape=(n, S)]
+            Emotion shown: weights times intensity.
+        """
+        first, count, amounts = self.n_frames, len(speaking), self.life
+        self.n_frames += count
+        shown = presence(first, count, self.end, self.silence)
+        mixture = np.minimum(mixture, MOST_SHOWN)
+        looks = self.gaze.at(first, count)
+        if amounts.gaze and math.isfinite(self.end):  # those of a stream are known too late
+            for time in self.gaze.shifts:
+                self.blinks.draw_to(time)
+            self.gaze.shifts = []
+        moves = amounts.head * shown[:, None] * self.head.at(first, count, speaking)
+        posture = amounts.head * shown[:, None] * self.head.posture(mixture)
+        turn = moves[:, : len(HEAD)] * self.head.liveliness(mixture)[:, None]
+        head = (turn + posture).astype(np.float32)
+        turned, held = turn[:, :2] * AGAINST, posture[:, :2] * AGAINST
+        place = shown[:, None] * self._looks(first, count)
+        calm = amounts.gaze * (looks + turned) + place
+        acted = amounts.gaze * (attend(looks, held, mixture) + turned) + place
+        return Motion(
+            self.traits.side,
+            amounts.brows,
+            self.blinks.at(first, count) * bool(amounts.blinks),
+            (acted, calm),
+            self.brows.at(first, count, shown),
+            head if amounts.head else None,
+            neck_tracks(moves[:, BREATH], moves[:, SWALLOWS], head[:, 0]) if amounts.head else {},
+            mixture,
+        )
 
 
 def plan_motion(
@@ -143,8 +262,8 @@ def plan_motion(
     idle: Idle = Idle(),
     life: Life = Life(),
     traits: Traits | None = None,
-) -> TakeMotion:
-    """Draw the motion of a take.
+) -> Motion:
+    """Motion of a whole take.
 
     Parameters
     ----------
@@ -152,37 +271,11 @@ def plan_motion(
         Of the recording.
     mixture : array [shape=(T, S)]
         Weights of the emotions times the applied intensity.
-    seeds : Seeds
-        Of the recording and its actor.
-    idle : Idle
-        The model's own numbers.
-    life : Life
-        Factors on them, and the listener's place.
-    traits : Traits, optional
-        Of the character; drawn from the seeds by default.
+    seeds, idle, life, traits
+        As for `MotionStream`.
     """
-    n_frames = voice.n_frames
-    amounts = life.times(idle)
-    traits = traits or Traits.of(seeds.character())
-    rng = seeds.generator("gaze")
-    aversions = plan_aversions(voice, rng, traits.avoids)
-    gaze, shifts = gaze_degrees(n_frames, aversions, rng)
-    shown = presence(n_frames, voice.silence)[:, None]
-    place = shown * np.asarray(life.look_at, np.float32)
-    mixture = np.minimum(mixture, MOST_SHOWN)
-    head, neck = None, {}
-    turned = held = np.zeros((n_frames, 2), np.float32)
-    if amounts.head:
-        motion, posture = head_motion(voice, traits, mixture, seeds.generator("head"))
-        motion, head = amounts.head * motion, amounts.head * (motion + posture)
-        neck = neck_motion(voice, head, amounts.head, seeds.generator("neck"))
-        turned, held = (track[:, :2] * AGAINST for track in (motion, amounts.head * posture))
-    calm = amounts.gaze * (gaze + turned) + place
-    acted = amounts.gaze * (attend(gaze, held, mixture) + turned) + place
-    rng, lids = seeds.generator("blinks"), np.zeros((n_frames, 2), np.float32)
-    if amounts.blinks:
-        factor = traits.blink_interval / amounts.blinks
-        shifts = shifts if amounts.gaze else []
-        lids = lid_closure(plan_blinks(voice, rng, idle, shifts, factor), n_frames, rng)
-    brows = plan_brows(voice, traits, seeds.generator("brows"))
-    return TakeMotion(amounts, traits, lids, (acted, calm), brows, head, neck, mixture)
+    stream = MotionStream(seeds, idle, life, traits, voice)
+    for cue in voice.cues():
+        stream.cue(cue)
+    lead = min(SPEAKING_LEAD, voice.n_frames)
+    return stream.take(np.append(voice.speaking[lead:], np.zeros(lead, np.float32)), mixture)

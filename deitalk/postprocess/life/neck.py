@@ -15,57 +15,21 @@ Letters: T frames at 30 per second.
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE
-from deitalk.postprocess.life.tracks import presence, swell
-from deitalk.postprocess.life.voice import Voice
 from rig.arrays import Float32, Float64
 
 INHALE = 0.35
-INHALE_SECONDS = (0.45, 0.35)
-"""Rise before a phrase and fall after its start."""
+INHALE_SECONDS, INHALE_LEAD = (0.45, 0.0, 0.35), 0.08
+"""Rise, top and fall; the top is so long before the phrase."""
 SWALLOW_EVERY, LEAST_WAIT = 60.0, 5.0
 """Mean and shortest time between two swallows, seconds."""
 SWALLOW_PAUSE = 1.2
-SWALLOW = (0.45, 0.4, 0.15)
-"""Rise, fall and top of a swallow, seconds."""
+SWALLOW = (0.45, 0.15, 0.4)
+"""Rise, top and fall of a swallow, seconds."""
 FREE_DEGREES, FULL_DEGREES = 2.0, 40.0
 """Yaw from which a turning muscle shows, and what it takes more to contract in full."""
 
 BREATH, SWALLOWS = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_neck_swallow.ty"
 TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
-
-
-def neck_motion(
-    voice: Voice, head: Float32, amount: float, rng: np.random.Generator
-) -> dict[str, Float32]:
-    """Tracks of the neck's controls by name [shape=(T,), range 0 to 1].
-
-    Parameters
-    ----------
-    voice : Voice
-        Of the recording.
-    head : array [shape=(T, 6)]
-        Track of the head (`rig.curves.HEAD`).
-    amount : float
-        Factor on breath and swallowing; the head's is in its track.
-    rng : numpy.random.Generator
-        Equal generators give equal motion.
-    """
-    n_frames = voice.n_frames
-    breath, swallows = np.zeros(n_frames), np.zeros(n_frames)
-    due = rng.exponential(SWALLOW_EVERY)
-    for start, stop in voice.pauses():
-        if stop < n_frames:
-            span, shape = swell(n_frames, stop / FRAME_RATE - 0.08, *INHALE_SECONDS)
-            breath[span] = np.maximum(breath[span], INHALE * shape)
-        first, end = start / FRAME_RATE, stop / FRAME_RATE
-        while end - max(first, due - 0.5) >= SWALLOW_PAUSE:
-            peak = max(first, due - 0.5) + 0.5
-            span, shape = swell(n_frames, peak, *SWALLOW)
-            swallows[span] = np.maximum(swallows[span], shape)
-            due = peak + LEAST_WAIT + rng.exponential(SWALLOW_EVERY - LEAST_WAIT)
-    shown = amount * presence(n_frames, voice.silence)
-    return neck_tracks(breath * shown, swallows * shown, head[:, 0])
 
 
 def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> dict[str, Float32]:

@@ -3,8 +3,9 @@
 Letters: T frames at 30 per second.
 """
 
+import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,49 @@ RISE_SECONDS = (0.5, 0.15)
 UNBROKEN_SECONDS, LARGEST_STEP = 0.15, 4.0
 """Shortest voiced stretch at the end of a phrase that rises, and the largest step of its pitch from
 frame to frame, semitones: at creaking ends the pitch found is wrong, and jumps."""
+
+
+PAUSES = (0.3, 0.45, 0.5, 0.6, 0.8, 0.9, 1.2)
+"""Lengths at which a pause may move a face, seconds; after them every `LISTENING_EVERY`."""
+LISTENING_SECONDS, LISTENING_EVERY = 3.0, 6.0
+"""Silence of at least so long is a turn of the other."""
+
+
+class Cue(NamedTuple):
+    """Something in a voice that may move a face."""
+
+    kind: Literal["start", "end", "speech", "pause", "accent", "stress"]
+    """A phrase starts, ends, or has lasted whole seconds; a pause has lasted one of `PAUSES`."""
+    time: float
+    """Where it is, seconds; of a pause its start."""
+    known: float = -math.inf
+    """Seconds of the stream at which it is known, before which nothing can move for it."""
+    size: float = 0.0
+    """Strength of an accent or a stress, 0 to 1; seconds that a pause or a phrase has lasted."""
+    prominence: float = 0.0
+    """Level and pitch of a stressed syllable, see `Voice`."""
+    stop: float | None = None
+    """Seconds at which the pause or the phrase ends: None if that is to come, infinite if the take
+    ends with it."""
+    is_question: bool = False
+
+    def before_next(self, lead: float, after: float) -> float | None:
+        """Peak of what a pause brings: so long before the next phrase, or after its own start.
+
+        None if no phrase follows.
+        """
+        if self.stop is None:
+            return self.time + after
+        return None if math.isinf(self.stop) else self.stop - lead
+
+
+def pause_lengths(seconds: float) -> Iterator[float]:
+    """Lengths up to so many seconds at which a pause may move a face."""
+    yield from (length for length in PAUSES if length <= seconds)
+    length = LISTENING_SECONDS
+    while length <= seconds:
+        yield length
+        length += LISTENING_EVERY
 
 
 class Accent(NamedTuple):
@@ -94,6 +138,27 @@ class Voice(NamedTuple):
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             if stop - start >= least * FRAME_RATE:
                 yield start, stop
+
+    def cues(self) -> list[Cue]:
+        """All that may move a face, in the order of time; known from the start."""
+        found: list[Cue] = []
+        for phrase in self.phrases:
+            start, stop = phrase.start / FRAME_RATE, phrase.stop / FRAME_RATE
+            length = stop - start
+            found.append(Cue("start", start, size=length, stop=stop))
+            seconds = range(1, int(length) + 1)
+            found += [Cue("speech", start + k, size=k, stop=stop) for k in seconds]
+            found.append(Cue("end", stop, size=length, is_question=phrase.is_question))
+        for first, last in self.pauses():
+            start, length = first / FRAME_RATE, (last - first) / FRAME_RATE
+            end = last / FRAME_RATE if last < self.n_frames else math.inf
+            found += [Cue("pause", start, size=s, stop=end) for s in pause_lengths(length)]
+        for accent in self.accents:
+            found.append(Cue("accent", accent.frame / FRAME_RATE, size=accent.strength))
+        for frame, size in self.stresses:
+            high = float(self.prominence[frame])
+            found.append(Cue("stress", frame / FRAME_RATE, size=size, prominence=high))
+        return sorted(found, key=lambda cue: cue.time)
 
 
 def measure_voice(activity: Float32, prosody: Prosody) -> Voice:

@@ -33,8 +33,8 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table, write_json
 from deitalk.pipeline.speech import Speech
-from deitalk.postprocess.life.head import head_motion
-from deitalk.postprocess.life.traits import Traits
+from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
@@ -68,8 +68,9 @@ class Reader(NamedTuple):
 def move_head(voice: Voice, drawing: int) -> Float64:
     """Yaw, pitch and roll of a neutral head [shape=(T, 3)], degrees."""
     calm = np.zeros((voice.n_frames, len(EMOTIONS)), np.float32)
-    motion, posture = head_motion(voice, Traits(), calm, np.random.default_rng(drawing))
-    return (motion + posture)[:, :3].astype(np.float64)
+    motion = plan_motion(voice, calm, Seeds((0, 0, drawing)), traits=Traits())
+    assert motion.head is not None
+    return motion.head[:, :3].astype(np.float64)
 
 
 def evaluate_head(folder: Path, most: int = 24, mover: Mover = move_head) -> dict[str, list[float]]:

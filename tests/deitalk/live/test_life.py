@@ -6,11 +6,10 @@ import pytest
 from deitalk.config import Idle
 from deitalk.emotions import EMOTIONS
 from deitalk.live.intensity import Measures
-from deitalk.live.life import RunningLife
-from deitalk.live.tracks import RunningNoise
-from deitalk.live.voice import RunningVoice
+from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS
+from deitalk.postprocess.life.tracks import Noise
 from rig import default_controls
 
 CONTROLS = default_controls()
@@ -49,6 +48,13 @@ def moved(
     return np.concatenate(out), np.concatenate(heads)
 
 
+KINDS = ("start", "end", "speech", "pause", "accent", "stress")
+
+
+def cues(measures, speaking, kind=""):
+    return [cue for cue in RunningVoice(AHEAD).feed(measures, speaking) if kind in cue.kind]
+
+
 def brows(**options):
     return moved(*voice(), **options)[0]
 
@@ -69,35 +75,38 @@ def column(curves, stem):
 
 def test_accents_are_peaks_and_known_soon_after():
     measures, speaking = voice()
-    found = [row.accent for row in RunningVoice().feed(measures, speaking)]
-    at = np.flatnonzero(found)
-    assert len(at) == 3 and all(1 <= frame % 60 <= 4 for frame in at)
-    assert all(0 < found[frame] <= 1 for frame in at)
+    found = cues(measures, speaking, "accent")
+    assert len(found) == 3 and all(0 <= round(30 * cue.time) % 60 <= 3 for cue in found)
+    assert all(0 < cue.size <= 1 for cue in found)
+    assert all(cue.known == pytest.approx(cue.time + (1 - AHEAD) / 30) for cue in found)
 
 
 def test_every_syllable_is_a_stress_and_phrases_begin_and_end():
     measures, speaking = syllables()
-    rows = RunningVoice().feed(measures, speaking)
-    stresses = np.flatnonzero([row.stress for row in rows])
-    assert len(stresses) == pytest.approx(800 / 12, abs=3)
-    assert all(frame % 12 in (2, 3) for frame in stresses[2:-1] if not 400 <= frame < 515)
-    assert [k for k, row in enumerate(rows) if row.begins] == [0, 500]
-    assert [k for k, row in enumerate(rows) if row.ends] == [406], "0.2 s are no pause"
-    assert rows[400].pause == pytest.approx(1 / 30) and rows[501].pause == 0
+    found = cues(measures, speaking)
+    frames = {kind: [round(30 * cue.time) for cue in found if cue.kind == kind] for kind in KINDS}
+    assert len(frames["stress"]) == pytest.approx(800 / 12, abs=3)
+    assert all(f % 12 in (1, 2) for f in frames["stress"][2:-1] if not 400 <= f < 515)
+    assert frames["start"] == [0, 500] and frames["end"] == [400]
+    known = [round(30 * cue.known) for cue in found if cue.kind == "end"]
+    assert known == [406 - AHEAD], "0.2 s are no pause"
+    pauses = [cue.size for cue in found if cue.kind == "pause"]
+    assert pauses == [0.3, 0.45, 0.5, 0.6, 0.8, 0.9, 1.2, 3.0]
+    assert len(frames["speech"]) == 400 // 30 + 400 // 30
 
 
 @pytest.mark.parametrize("level", [-20.0, -60.0])
 def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
     flat, zeros = np.full(200, level), np.zeros(200)
     measures = Measures(flat, zeros, zeros + 40, zeros + 1, flat)
-    rows = RunningVoice().feed(measures, np.full(200, level > -40))
-    assert not any(row.accent or row.stress for row in rows)
+    found = cues(measures, np.full(200, level > -40))
+    assert not {cue.kind for cue in found} & {"accent", "stress"}
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.7])
-def test_noise_has_its_spread_and_the_speed_of_the_whole_takes_noise(seconds):
-    noise = RunningNoise((2.0, 0.5), seconds, np.random.default_rng(0))
-    values = np.stack([noise.next() for _ in range(20_000)])[500:]
+def test_noise_has_its_spread_and_the_speed_of_its_gaussian(seconds):
+    noise = Noise((2.0, 0.5), (seconds, seconds), np.random.default_rng(0))
+    values = np.concatenate([noise.at(7 * k, 7) for k in range(3000)])
     assert values.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.15)
     speed = 30 * np.diff(values, axis=0).std(axis=0) / [2.0, 0.5]
     assert speed == pytest.approx([2**-0.5 / seconds] * 2, rel=0.15)

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from deitalk.config import Idle
-from deitalk.postprocess.life.blinks import Blink, lid_closure, plan_blinks
-from deitalk.postprocess.life.gaze import (
-    AVERSION_DEGREES,
-    as_controls,
-    gaze_degrees,
-    plan_aversions,
-)
+from deitalk.postprocess.life.blinks import Blink, Blinks
+from deitalk.postprocess.life.gaze import AVERSION_DEGREES, Gaze, as_controls
 from deitalk.postprocess.life.voice import Phrase, Voice
 
 MINUTES = 20
@@ -25,6 +20,34 @@ def talk(seconds=MINUTES * 60):
     n_frames = int(seconds * 30)
     phrases = tuple(Phrase(i + 9, i + 81, False) for i in range(0, n_frames - 90, 90))
     return Voice(n_frames, np.zeros(n_frames, np.float32), (), phrases)
+
+
+def lids_of(voice, rng, idle=Idle()):
+    """The blinks of a take, all drawn."""
+    found = Blinks(rng, idle, end=(voice.n_frames - 1) / 30 - 0.5)
+    for cue in voice.cues():
+        found.cue(cue)
+    found.draw_until(voice.n_frames / 30)
+    return found
+
+
+def plan_blinks(voice, rng, idle=Idle()):
+    return [blink for blink, _ in lids_of(voice, rng, idle).blinks]
+
+
+def gaze_of(voice, rng):
+    """The gaze of a take, and its aversions: start, stop, degrees."""
+    found, aversions = Gaze(rng, end=(voice.n_frames - 1) / 30), []
+    for cue in voice.cues():
+        before = found.averted
+        found.cue(cue)
+        if found.averted not in (before, None):
+            aversions.append((found.next_look, found.averted[0], *found.averted[1].tolist()))
+    return found, aversions
+
+
+def plan_aversions(voice, rng):
+    return gaze_of(voice, rng)[1]
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +96,15 @@ def test_some_blinks_are_incomplete_and_some_double(blinks):
 
 def test_a_full_blink_is_shut_in_some_frame():
     for start in np.linspace(1, 1.033, 12):
-        lids = lid_closure([Blink(start, 0.085, 1 / 30, 0.19, 1.0)], 90, generator())
+        one = Blinks(generator(), end=0.0)
+        one.blinks = [(Blink(start, 0.085, 1 / 30, 0.19, 1.0), 0.0)]
+        lids = one.at(0, 90)
         assert lids.max() == pytest.approx(1, abs=1e-4)
         assert lids[:28].max() == lids[45:].max() == 0
 
 
 def test_no_two_of_60_takes_blink_alike():
-    tracks = [lid_closure(plan_blinks(talk(8), generator(i)), 240, generator()) for i in range(60)]
+    tracks = [lids_of(talk(8), generator(i)).at(0, 240) for i in range(60)]
     firsts = [np.argmax(track[:, 0] > 0.5) for track in tracks]
     assert np.ptp(firsts) > 45
     assert len({track.tobytes() for track in tracks}) == 60
@@ -104,8 +129,8 @@ def test_interval_follows_the_settings():
 @pytest.mark.parametrize("n_frames", [1, 14, 40, 200, 601])
 def test_eyes_are_still_before_the_end(n_frames, seed):
     voice = talk(n_frames / 30)
-    lids = lid_closure(plan_blinks(voice, generator(seed)), n_frames, generator())
-    gaze, _ = gaze_degrees(n_frames, plan_aversions(voice, generator(seed)), generator(seed))
+    lids = lids_of(voice, generator(seed)).at(0, n_frames)
+    gaze = gaze_of(voice, generator(seed))[0].at(0, n_frames)
     assert lids.shape == gaze.shape == (n_frames, 2)
     assert not lids[-15:].any()
     assert not gaze[-14:].any()
@@ -113,14 +138,13 @@ def test_eyes_are_still_before_the_end(n_frames, seed):
 
 def test_aversions_are_5_to_12_degrees_and_come_back():
     voice = talk(300)
-    aversions = plan_aversions(voice, generator())
-    sizes = np.array([np.hypot(away.side, away.up) for away in aversions])
+    found, aversions = gaze_of(voice, generator())
+    sizes = np.array([np.hypot(side, up) for _, _, side, up in aversions])
     assert AVERSION_DEGREES[0] <= sizes.min() < sizes.max() <= AVERSION_DEGREES[1]
     assert 4 < len(aversions) / 5 < 20  # a minute
-    gaze, _ = gaze_degrees(voice.n_frames, aversions, generator())
-    size = np.hypot(*gaze.T)
-    for away in aversions:
-        middle = round((away.start + away.stop) / 2 * 30)
+    size = np.hypot(*found.at(0, voice.n_frames).T)
+    for start, stop, *_ in aversions:
+        middle = round((start + stop) / 2 * 30)
         assert size[middle] > 3
     assert 0.1 < (size > 4).mean() < 0.4
     assert np.median(size) < 2
@@ -128,7 +152,7 @@ def test_aversions_are_5_to_12_degrees_and_come_back():
 
 def test_aversions_are_in_pauses_and_at_starts_of_phrases():
     voice = talk(300)
-    starts = np.array([away.start for away in plan_aversions(voice, generator())]) * 30
+    starts = np.array([start for start, *_ in plan_aversions(voice, generator())]) * 30
     in_pause = (starts % 90 > 75) | (starts % 90 < 15)  # pauses: 81 to 99
     assert in_pause.all()
 
@@ -137,13 +161,13 @@ def test_some_aversions_are_within_long_phrases():
     """Every 5 s of speech at most (Andrist et al. 2014)."""
     phrases = tuple(Phrase(start, start + 600, False) for start in range(30, 18_000, 660))
     voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
-    starts = np.array([away.start for away in plan_aversions(voice, generator())]) * 30
+    starts = np.array([start for start, *_ in plan_aversions(voice, generator())]) * 30
     within = np.array([any(p.start + 60 < s < p.stop for p in phrases) for s in starts])
     assert 1 < within.sum() / (20 * len(phrases) / 60) < 12  # a minute of speech
 
 
 def test_fixations_hold_micro_saccades():
-    gaze, _ = gaze_degrees(1800, [], generator())
+    gaze = Gaze(generator(), end=1799 / 30).at(0, 1800)
     steps = np.hypot(*np.diff(gaze, axis=0).T)
     per_second = (steps[30:-30] > 0.05).sum() / 58
     assert 1 < per_second < 6

@@ -9,22 +9,22 @@ from deitalk.postprocess.life.amounts import Life, place_of
 from deitalk.postprocess.life.brows import (
     STEMS,
     BrowEvents,
+    Brows,
     draw_accent,
     move_brows,
-    plan_brows,
 )
 from deitalk.postprocess.life.head import (
     MOST_ASIDE,
     NOD_SECONDS,
     NOD_SPEED,
     TURN,
+    Head,
     draw_nod,
-    head_motion,
 )
 from deitalk.postprocess.life.motion import LOWER_LID, move_eyes, plan_motion
 from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS
-from deitalk.postprocess.life.tracks import presence, swell
+from deitalk.postprocess.life.tracks import Swells, presence
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from deitalk.research.evaluation.nods import find_nods
@@ -56,6 +56,22 @@ def moved(emotion="neutral", strength=1.0, start=0.0, seed=0, **life):
     motion = plan_motion(VOICE, shown(emotion, strength), seeds, life=Life(**life))
     motion.move(curves, neutral, CONTROLS)
     return curves, neutral
+
+
+def plan_brows(voice, traits, rng):
+    brows = Brows(traits, rng)
+    for cue in voice.cues():
+        brows.cue(cue)
+    return brows.at(0, voice.n_frames, np.ones(voice.n_frames))
+
+
+def head_motion(voice, traits, mixture, rng):
+    """Motion and posture of a head."""
+    head = Head(traits, rng, (voice.n_frames - 1) / 30)
+    for cue in voice.cues():
+        head.cue(cue)
+    motion = head.at(0, voice.n_frames, voice.speaking)[:, :6]
+    return motion * head.liveliness(mixture)[:, None], head.posture(mixture)
 
 
 def of(curves, stem, side="L"):
@@ -245,8 +261,9 @@ def test_head_nods_on_stressed_syllables_and_is_at_rest_at_both_ends():
             VOICE, Traits(), shown("neutral"), np.random.default_rng(seed)
         )
         pitch += motion[:, 1] / 30
-        assert not motion[[0, -1]].any()
         assert not posture.any()
+    head = plan_motion(VOICE, shown("neutral"), Seeds((0, 0, 0))).head
+    assert not head[[0, -1]].any()
     frames = np.array([stress.frame for stress in STRESSED])
     assert pitch[frames + 1].mean() < pitch[frames + 9].mean() - 0.5
 
@@ -298,9 +315,9 @@ def test_no_nod_goes_down_faster_than_readers_nod():
     frame = np.arange(90)
     for seed in range(200):
         nod = draw_nod(1.0, 2.0, np.random.default_rng(seed)).scaled(2.5)
-        span, shape = swell(90, 1.5, nod.attack, nod.decay)
-        pitch = np.zeros(90)
-        pitch[span] = nod.degrees[1] * shape
+        swells = Swells(1)
+        swells.add(1.5, (nod.attack, 0.0, nod.decay), {0: nod.degrees[1]}, -np.inf)
+        pitch = swells.at(0, 90)[:, 0]
         assert np.abs(np.diff(pitch)[frame[:-1] < 45]).max() * 30 < 1.05 * NOD_SPEED
     calm = draw_nod(0.2, 0.0, np.random.default_rng(1))
     assert calm.scaled(1.0).attack == calm.attack
@@ -345,7 +362,7 @@ def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
 
 @pytest.mark.parametrize("silence", [0, 0.1, 3])
 def test_a_take_that_is_cut_keeps_its_motion(silence):
-    shares = presence(300, silence)
+    shares = presence(0, 300, 299 / 30, silence)
     assert shares[0] == 0
     assert shares[60:200].min() == 1
     assert shares[-1] == (silence < 1)

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_motion
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_tracks
+from deitalk.postprocess.life.traits import Seeds
 from deitalk.postprocess.life.voice import Phrase, Voice
 
 N_FRAMES = 900
@@ -11,10 +14,10 @@ PHRASES = tuple(Phrase(start, start + 75, False) for start in range(60, 800, 90)
 VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), (), PHRASES)
 
 
-def necks(voice, count=200, yaw=0.0):
-    head = np.zeros((voice.n_frames, 6), np.float32)
-    head[:, 0] = yaw
-    return [neck_motion(voice, head, 1.0, np.random.default_rng(seed)) for seed in range(count)]
+def necks(voice, count=200):
+    calm, only_head = np.zeros((voice.n_frames, 5), np.float32), Life(blinks=0, gaze=0, brows=0)
+    seeds = (Seeds((1, 2, seed)) for seed in range(count))
+    return [plan_motion(voice, calm, one, life=only_head).neck for one in seeds]
 
 
 def test_breath_is_drawn_before_phrases_and_is_over_within_them():
@@ -45,7 +48,8 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
 
 @pytest.mark.parametrize(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
 def test_the_muscle_of_the_other_side_turns_the_head(yaw, contracts):
-    tracks = necks(VOICE, 1, yaw)[0]
+    none = np.zeros(2)
+    tracks = neck_tracks(none, none, np.array([yaw, yaw]))
     assert tracks[TURNS[contracts]] == pytest.approx(0.5)
     assert tracks[TURNS[1 - contracts]].max() == 0
-    assert max(necks(VOICE, 1, 1.9)[0][side].max() for side in TURNS) == 0
+    assert not any(neck_tracks(none, none, np.array([1.9, -1.9]))[side].any() for side in TURNS)
