@@ -26,7 +26,7 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
 )
 from deitalk.config import Gates
-from deitalk.postprocess.gates import fade
+from deitalk.postprocess.gates import expression_between, mouth_between
 from rig.arrays import Bool, Float32
 
 AHEAD = 5
@@ -100,17 +100,8 @@ class RunningActivity:
         since, until = _distances(rows)
         bridged = since + until - 1 <= gaps
         since, until = np.where(bridged, 0, since), np.where(bridged, 0, until)
-        gates = self.gates
-        rises = min(gates.expression_rises, AHEAD)
-        mouth = np.maximum(
-            fade(since / (gates.mouth_closes + 1)),
-            fade(until / (min(gates.mouth_opens, AHEAD) + 1)),
-        )
-        expression = np.maximum(
-            fade((since - gates.expression_holds) / gates.expression_fades),
-            fade(until / (rises + 1)),
-        )
-        return GateRows(mouth, expression)
+        mouth = mouth_between(since, until, self.gates, AHEAD)
+        return GateRows(mouth, expression_between(since, until, self.gates, AHEAD))
 
     def _speaking(self, levels: Float32) -> Bool:
         above = levels - self.floor

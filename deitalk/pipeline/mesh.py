@@ -105,7 +105,7 @@ def animate_mesh(
         fps = snap_fps(fps)
     recording = recording_of(audio, sample_rate)
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
-    if network.product == "mesh":
+    if getattr(network, "product", None) == "mesh":
         _check_fields(acted)
         return _by_gradients(
             require_model(network, MeshModel), recording, speaker, fps, acted, progress

@@ -30,9 +30,7 @@ def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     -------
     array [shape=(T,), range 0 to 1]
     """
-    since, until = _distances(activity)
-    closing, opening = gates.mouth_closes + 1, gates.mouth_opens + 1
-    return np.maximum(fade(since / closing), fade(until / opening))
+    return mouth_between(*_distances(activity), gates)
 
 
 def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
@@ -52,8 +50,7 @@ def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     array [shape=(T,), range 0 to 1]
     """
     since, until = _distances(activity)
-    fading = fade((since - gates.expression_holds) / gates.expression_fades)
-    gate = np.maximum(fading, fade(until / (gates.expression_rises + 1)))
+    gate = expression_between(since, until, gates)
     if len(gate) and 0 < since[-1] < gates.expression_holds + gates.expression_fades:
         trailing = int(since[-1])
         depth = np.clip((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END), 0, 1)
@@ -61,6 +58,22 @@ def expression_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
         progress = (np.arange(1, trailing + 1) - held) / (trailing - held)
         gate[-trailing:] = 1 - depth * (1 - fade(progress))
     return gate
+
+
+def mouth_between(since: Float32, until: Float32, gates: Gates, ahead: int = 999) -> Float32:
+    """Mouth gate so many frames after the last speech and before the next [shape=(T,) each].
+
+    It opens no earlier than `ahead` frames before speech.
+    """
+    opens = min(gates.mouth_opens, ahead)
+    return np.maximum(fade(since / (gates.mouth_closes + 1)), fade(until / (opens + 1)))
+
+
+def expression_between(since: Float32, until: Float32, gates: Gates, ahead: int = 999) -> Float32:
+    """The same of the expression, but for the end of a take."""
+    fading = fade((since - gates.expression_holds) / gates.expression_fades)
+    rises = min(gates.expression_rises, ahead)
+    return np.maximum(fading, fade(until / (rises + 1)))
 
 
 def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:

@@ -120,8 +120,8 @@ class Gaze:
             self.micros.append((max(self.still - 0.1, self.micros[-1][0]), zero))
         times, targets, steps = (np.array(part) for part in zip(*self.looks, strict=True))
         now = np.searchsorted(times, frames, side="right") - 1
-        lengths = 0.021 + 0.0022 * np.linalg.norm(steps[now], axis=1)
-        left = 1 - np.clip((frames - times[now]) / lengths, 0, 1)
+        lengths = 0.021 + 0.0022 * np.hypot(*steps[now].T)
+        left = np.maximum(1 - (frames - times[now]) / lengths, 0)
         track: Float64 = targets[now] - (left * left * (3 - 2 * left))[:, None] * steps[now]
         moved, places = (np.array(part) for part in zip(*self.micros, strict=True))
         track = track + places[np.searchsorted(moved, frames, side="right") - 1]

@@ -5,6 +5,7 @@ All are given for consecutive frames, and do not depend on how a stream is divid
 Letters: T frames at 30 per second, n frames of a call, K channels.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -91,8 +92,8 @@ class Swells:
             end = min(int(swell.end * FRAME_RATE) + 2, stop)
             if begin < end:
                 time = np.arange(begin, end) / FRAME_RATE - swell.begin
-                rise = np.clip(time / swell.attack, 0, 1)
-                fall = np.clip(1 - (time - swell.attack - swell.hold) / swell.decay, 0, 1)
+                share = time / swell.attack, (swell.end - swell.begin - time) / swell.decay
+                rise, fall = np.minimum(np.maximum(share, 0), 1)
                 shape = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
                 rows[begin - first : end - first] += shape[:, None] * swell.heights
         self.swells = [swell for swell in self.swells if swell.end * FRAME_RATE >= stop]
