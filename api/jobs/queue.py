@@ -182,7 +182,7 @@ class Queue:
             holder = new_id()
             values = {
                 "status": RUNNING, "holder": holder, "lease": now + self.lease_seconds,
-                "attempts": job.attempts + 1, "started": job.started or now,
+                "attempts": job.attempts + 1, "started": now,
             }  # fmt: skip
             if self._update([*same, is_free], values):
                 return self._one(JOBS.c.id == job.id)
@@ -190,7 +190,8 @@ class Queue:
     def _next_owner(self, is_free: Any, now: float) -> str | None:
         begin, job = now - FAIR_SECONDS, JOBS.c
         oldest = sql.select(job.owner, sql.func.min(job.created)).where(is_free)
-        end = sql.case((job.status == RUNNING, now), else_=job.finished)
+        seen = sql.case((job.lease < now, job.lease), else_=now)  # its holder may be gone
+        end = sql.case((job.status == RUNNING, seen), else_=job.finished)
         worked = end - sql.case((job.started > begin, job.started), else_=begin)
         with self.engine.connect() as connection:
             waits = [tuple(row) for row in connection.execute(oldest.group_by(job.owner))]
@@ -199,7 +200,11 @@ class Queue:
             query = (
                 sql.select(job.owner, sql.func.sum(worked))
                 .where(job.owner.in_([owner for owner, _ in waits]), job.started.is_not(None))
-                .where(sql.or_(job.status == RUNNING, job.finished > begin))
+                .where(
+                    sql.or_(
+                        sql.and_(job.status == RUNNING, job.lease > begin), job.finished > begin
+                    )
+                )
             )
             seconds = {o: n for o, n in connection.execute(query.group_by(job.owner))}
         return str(

@@ -201,6 +201,18 @@ def test_key_with_least_work_for_its_share_is_next(queue):
     assert queue.claim() is None
 
 
+def test_key_whose_worker_was_killed_is_not_held_back_by_the_time_until_another_takes_its_job(
+    queue,
+):
+    """Five seconds of work, then nothing for forty: less than the ten of another key."""
+    now = time.time()
+    put(queue, "a", status="running", started=now - 45, lease=now - 40, attempts=1)
+    put(queue, "b", status="done", started=now - 10, finished=now)
+    put(queue, "b")
+    job = queue.claim()
+    assert job.owner == "a" and job.attempts == 2 and job.started >= now
+
+
 def test_one_key_s_thousand_jobs_do_not_keep_another_s_waiting(queue):
     for _ in range(30):
         put(queue, "a")
