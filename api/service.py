@@ -64,7 +64,13 @@ class Service:
         )
         self.store = await asyncio.to_thread(Store, settings.storage_url)
         self.runner = Runner(
-            self.queue, self.store, self.stage, self.limits, settings, self.metrics
+            self.queue,
+            self.store,
+            self.stage,
+            self.limits,
+            settings,
+            self.metrics,
+            self.traffic.traces,
         )
         self._starting = asyncio.create_task(self._start_workers())
 
@@ -125,6 +131,7 @@ class Service:
             await asyncio.to_thread(self.runner.stop)
         self.queue.engine.dispose()
         self.stage.close()
+        await asyncio.to_thread(self.traffic.traces.stop)
 
 
 # The studio's page with each head: drawn once, by a worker process that ends afterwards.

@@ -15,6 +15,7 @@ import re
 import secrets
 from ipaddress import ip_address
 from time import monotonic, perf_counter
+from typing import Any
 from urllib.parse import urlsplit
 
 import anyio
@@ -23,6 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import MEDIA_TYPE, Problem, describe, internal_problem
 from api.guard.keys import KeyRing, Rates
 from api.guard.metrics import Metrics
+from api.guard.traces import Traces, parent_of
 from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"
@@ -44,6 +46,7 @@ ADDED_HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
 )
 REQUEST_ID = b"x-request-id"
+SPAN_FACTS = ("request", "key", "key_id")
 _PLAIN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 log = logging.getLogger("deitalk.service")
 
@@ -63,11 +66,12 @@ class _Active:
 
 
 class Traffic:
-    """The requests at work, but for probes."""
+    """The requests at work, but for probes; and their spans."""
 
     def __init__(self) -> None:
         self.active: set[_Active] = set()
         self.is_draining = False
+        self.traces = Traces()
 
     def drain(self) -> None:
         """Refuse what comes now, and end streams, whose clients connect to another server."""
@@ -102,13 +106,17 @@ class Guard:
         async def sent(message: Message) -> None:
             await send(_noted(message, active, identity))
 
-        if scope["path"] not in PROBE_PATHS:
+        is_probe = scope["path"] in PROBE_PATHS
+        if not is_probe:
             self.traffic.active.add(active)
-        try:
-            await self._answer(active, receive, sent)
-        finally:
-            self.traffic.active.discard(active)
-            self._record(scope, active.status, perf_counter() - began)
+        parent = None if is_probe else parent_of(dict(scope["headers"]))
+        with self.traffic.traces.span("request", parent) as facts:
+            scope["state"]["trace"] = facts["parent"]
+            try:
+                await self._answer(active, receive, sent)
+            finally:
+                self.traffic.active.discard(active)
+                self._record(scope, active.status, perf_counter() - began, facts)
 
     async def _answer(self, active: _Active, receive: Receive, send: Send) -> None:
         """Answer a request; its work ends when its client goes, or when it is ended."""
@@ -197,7 +205,7 @@ class Guard:
         if headers.get(b"sec-fetch-site", "none") not in ("none", "same-origin"):
             raise Problem(403, "requests of other sites' pages are refused", "cross_origin")
 
-    def _record(self, scope: Scope, status: int, seconds: float) -> None:
+    def _record(self, scope: Scope, status: int, seconds: float, span: dict[str, Any]) -> None:
         """Log and count a request by its route's pattern: options and ids of jobs are left out."""
         route = getattr(scope.get("route"), "path", "unknown")
         method = scope.get("method", "WS")
@@ -207,6 +215,10 @@ class Guard:
         facts["request"] = scope["state"]["request"]
         if caller is not None:
             facts |= {"key": caller.name, "key_id": caller.id}
+        span |= {"name": f"{method} {route}", "http.route": route} | {
+            "http.request.method": method, "http.response.status_code": status,
+            **{f"deitalk.{name}": value for name, value in facts.items() if name in SPAN_FACTS},
+        }  # fmt: skip
         log.info("%s %s %d %.1f ms", *list(facts.values())[:4], extra={"facts": facts})
 
 

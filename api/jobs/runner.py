@@ -10,6 +10,7 @@ from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
 from api.errors import InternalError, Problem
 from api.guard.metrics import Metrics
+from api.guard.traces import Traces
 from api.jobs.queue import Queue
 from api.jobs.store import Store
 from api.jobs.table import Job
@@ -37,6 +38,9 @@ class Runner:
     settings : Settings
         Number of workers, times, retention.
     metrics : Metrics
+        Of the server.
+    traces : Traces
+        Of the server.
     """
 
     def __init__(
@@ -47,9 +51,10 @@ class Runner:
         limits: Limits,
         settings: Settings,
         metrics: Metrics,
+        traces: Traces,
     ) -> None:
         self.queue, self.store, self.stage = queue, store, stage
-        self.settings, self.metrics = settings, metrics
+        self.settings, self.metrics, self.traces = settings, metrics, traces
         secrets = {key.name: key.secret for key in settings.keys if key.secret is not None}
         self.webhooks = Webhooks(queue, settings.webhook_hosts, secrets)
         self.at_work = 0
@@ -103,7 +108,9 @@ class Runner:
             self.metrics.waited.observe(began - job.created)
         self.at_work += 1
         try:
-            self._carry_out(job, worker)
+            with self.traces.span("job", job.work.get("trace", "")) as facts:
+                facts |= {"deitalk.format": job.work["format"], "deitalk.key": job.owner}
+                self._carry_out(job, worker)
         finally:
             self.at_work -= 1
             self.metrics.job_seconds.labels(job.work["format"]).observe(time() - began)

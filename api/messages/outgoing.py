@@ -115,7 +115,8 @@ async def accept(
         service.queue.check_room(caller)
         job_id = new_id()
         service.store.put_folder(folder, job_id)
-        job = service.queue.add(job_id, caller, content, digest, key, webhook)
+        traced = content | {"trace": request.state.trace}
+        job = service.queue.add(job_id, caller, traced, digest, key, webhook)
         if job.id != job_id:
             service.store.remove(job_id)
         return job

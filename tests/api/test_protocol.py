@@ -5,6 +5,7 @@ import pytest
 from api.errors import Problem
 from api.routes.jobs import part_of
 from tests.api.conftest import wav
+from tests.api.server import serving
 from tests.api.test_jobs import submit, wait
 
 
@@ -121,3 +122,32 @@ def test_video_becomes_a_job_by_itself(client):
 def test_webhook_of_a_request_that_is_answered_at_once_is_refused(client):
     answer = client.post("/v1/animations?webhook=http://example.com/", content=wav(0.5))
     assert (answer.status_code, answer.json()["code"]) == (422, "webhook_without_job")
+
+
+def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(
+    tmp_path, receiver, monkeypatch
+):
+    """OpenTelemetry's own messages, read by its own definitions; nothing of what was sent in them."""
+    messages = pytest.importorskip(
+        "opentelemetry.proto.collector.trace.v1.trace_service_pb2", reason="needs the extra otel"
+    )
+    endpoint = f"http://127.0.0.1:{receiver.server_port}"
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", endpoint)
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_COMPRESSION", "none")
+    trace = "0af7651916cd43dd8448eb211c80319c"
+    given = {"traceparent": f"00-{trace}-b7ad6b7169203331-01", "X-Request-ID": "shot-7"}
+    with serving(tmp_path) as running, running.client() as client:
+        job = submit(client, recording=wav(1.0), headers=given, name="secret")
+        wait(client, job.json()["id"])
+    spans = []
+    for _, body in receiver.calls:
+        for resource in messages.ExportTraceServiceRequest.FromString(body).resource_spans:
+            spans += [span for scope in resource.scope_spans for span in scope.spans]
+    own = {span.name: span for span in spans if span.trace_id.hex() == trace}
+    assert set(own) == {"POST /v1/jobs", "job"}
+    assert own["job"].parent_span_id == own["POST /v1/jobs"].span_id
+    assert own["POST /v1/jobs"].parent_span_id.hex() == "b7ad6b7169203331"
+    facts = {pair.key: pair.value for pair in own["POST /v1/jobs"].attributes}
+    assert facts["http.response.status_code"].int_value == 202
+    assert facts["deitalk.request"].string_value == "shot-7"
+    assert "secret" not in str(spans) and job.json()["id"] not in str(spans)

@@ -295,3 +295,29 @@ def test_every_setting_has_a_row_in_the_documentation():
         name for row in rows.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])
     }
     assert named == set(Settings.model_fields)
+
+
+def test_manifests_of_kubernetes_name_settings_and_probes_that_exist(tmp_path):
+    """And the pod is given time for the steps in which a server ends."""
+    text = (Path(api.__file__).parent / "container/kubernetes.yaml").read_text()
+    pods = {each["kind"]: each for each in yaml.safe_load_all(text)}
+    pod = pods["Deployment"]["spec"]["template"]
+    (container,) = pod["spec"]["containers"]
+    given = {
+        entry["name"].removeprefix("DEITALK_").lower(): entry["value"] for entry in container["env"]
+    }
+    given = {n: json.loads(v) if v.startswith("[") else v for n, v in given.items()}
+    keys = [{"name": "farm", "sha256": digest_of("dk_x")}]
+    settings = Settings(data=tmp_path, keys=keys, **given)
+    settings.check()
+    assert container["ports"] == [{"name": "http", "containerPort": settings.port}]
+    grace = settings.drain_notice_seconds + settings.drain_seconds
+    assert pod["spec"]["terminationGracePeriodSeconds"] > grace + 5
+    probes = {
+        container[f"{kind}Probe"]["httpGet"]["path"]
+        for kind in ("startup", "readiness", "liveness")
+    }
+    assert probes <= set(create_app(settings).openapi()["paths"])
+    labels = pod["metadata"]["labels"]
+    assert pods["Service"]["spec"]["selector"] == labels
+    assert pods["HorizontalPodAutoscaler"]["spec"]["scaleTargetRef"]["name"] == "deitalk"
