@@ -75,6 +75,10 @@ def import_(
         ),
     ] = None,
     rig: Rig = None,
+    rig_from: Annotated[
+        Path | None,
+        typer.Option(help="Takes whose columns are the rig; its file is OUT/rig.yaml."),
+    ] = None,
     fps: Annotated[
         float | None, typer.Option(help="Frames per second of files that hold no rate.")
     ] = None,
@@ -112,20 +116,26 @@ def import_(
     deitalk data import mocap/ --map my_rig.csv --fps 30 -o data/
 
     deitalk data import mocap/ --rig my_rig.yaml --fps 30 -o data/
+
+    deitalk data import mocap/ --rig-from mocap/ --fps 30 -o data/
     """
     folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
     with console().status("loading"):
         from deitalk.data.captures.imported import import_captures
         from deitalk.data.captures.labels import Labelling
+        from deitalk.data.captures.own_rig import rig_of_takes
 
+        if rig is not None and rig_from is not None:
+            raise DeitalkError("--rig-from makes the rig of the takes; leave --rig out")
+        controls = _controls(rig) if rig_from is None else rig_of_takes([rig_from], fps)
     with bar("importing") as progress:
         result = import_captures(
             sources,
             out,
             labels=Labelling(actor, emotion, style, pattern, table),
             mapping=mapping,
-            rig=_controls(rig),
+            rig=controls,
             fps=fps,
             audio=folders,
             longest=longest,
@@ -175,6 +185,7 @@ def check(
 
     deitalk data check my_capture/ --fix
     """
+    from deitalk.config.rig_file import rig_of_dataset
     from deitalk.data.captures.mend import mend, rename_emotions
     from deitalk.data.checks import inspect_dataset
 
@@ -183,7 +194,7 @@ def check(
     renamed = rename_emotions(folder) if fix else 0
     with bar("reading") as progress:
         checks, survey = inspect_dataset(
-            folder, controls=_controls(rig), most=most, progress=progress
+            folder, controls=_controls(rig_of_dataset(folder, rig)), most=most, progress=progress
         )
     if fix and survey is None:
         raise DeitalkError(f"{folder}: no clip states its take; --fix needs `deitalk data import`")

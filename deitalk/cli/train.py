@@ -116,7 +116,10 @@ def finetune(
         Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
     ] = None,
     rig: Annotated[
-        str | None, typer.Option("--rig", help="YAML of a rig other than the MetaHuman board.")
+        str | None,
+        typer.Option(
+            "--rig", help="YAML of a rig other than the MetaHuman board; by default DATA/rig.yaml."
+        ),
     ] = None,
     part: Annotated[
         str | None, typer.Option("--tune", help="head, decoder, adapters or all.")
@@ -136,6 +139,9 @@ def finetune(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
     ] = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
+    ] = False,
 ) -> None:
     """Tune a model on captures of an actor or of another rig; the result is OUT/best.
 
@@ -151,8 +157,10 @@ def finetune(
 
     deitalk finetune my_captures/ --from none -o runs/from_nothing
     """
+    from deitalk.config.rig_file import rig_of_dataset
+
     given = {
-        "model.control_set": rig,
+        "model.control_set": rig_of_dataset(data, rig),
         "tune.part": part,
         "tune.corpus": rehearse,
         "tune.leave_out": leave_out,
@@ -168,23 +176,24 @@ def finetune(
             recipe, [*changes, *(overrides or ())], base=None if base == NONE else base
         )
     if folds is not None:
-        _tune_folds(settings, data, out, folds, resume=resume)
+        _tune_folds(settings, data, out, folds, resume=resume, tensorboard=tensorboard)
         return
+    options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
-        scores = tune(settings, data, out, resume=resume, progress=shown_on(advance))
+        scores = tune(settings, data, out, progress=shown_on(advance), **options)
     _print_scores(scores)
     console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
     _write_page(out)
 
 
 def _tune_folds(
-    settings: "FinetuneConfig", data: Path, out: Path, kind: str, *, resume: bool
+    settings: "FinetuneConfig", data: Path, out: Path, kind: str, **options: bool
 ) -> None:
     """Leave out each take or actor in turn, and print the scores."""
     from deitalk.training.tuning.folds import tune_folds
 
     with bar("tuning") as advance:
-        result = tune_folds(settings, data, out, kind, resume=resume, progress=shown_on(advance))
+        result = tune_folds(settings, data, out, kind, progress=shown_on(advance), **options)
     _print_scores(result["folds"])
     console().print("means over the folds:")
     _print_scores(result["mean"])

@@ -29,6 +29,8 @@ from rig.controls import DEFAULT_ID, Control
 from rig.errors import ControlError, quoted
 
 RIG_SUFFIXES = (".yaml", ".yml")
+DATASET_RIG = "rig.yaml"
+"""Its name in a dataset folder of another rig than the board."""
 
 
 class RigControl(Section):
@@ -67,6 +69,12 @@ def read_controls(name: str) -> ControlSet:
             f"model.control_set={quoted(name)} is neither {DEFAULT_ID!r} nor a rig file (.yaml)"
         )
     return _checked(path, read_yaml(path))
+
+
+def rig_of_dataset(folder: Path, rig: str | None = None) -> str | None:
+    """File of the rig of a dataset folder: the given one, else the one that it holds."""
+    own = folder / DATASET_RIG
+    return str(own) if rig is None and own.is_file() else rig
 
 
 def parse_controls(text: str, where: Path) -> ControlSet:

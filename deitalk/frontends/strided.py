@@ -183,12 +183,14 @@ class StridedFrontend(Frontend):
         With stride 320 and centre 199.5, rows 0, 1, 2, 3 (samples 0, 533.3, 1066.7, 1600) lie at
         the feature positions -0.62 (held at 0), 1.04, 2.71 and 4.38.
         """
-        frames = torch.arange(start, stop, device=features.device, dtype=torch.float64)
+        # On the CPU: some devices (MPS) know no double precision.
+        frames = torch.arange(start, stop, device="cpu", dtype=torch.float64)
         position = frames * SAMPLE_RATE / FRAME_RATE - (first_sample + self.centre)
         position = (position / self.stride).clamp(0, features.shape[1] - 1)
         below = position.long()
         above = (below + 1).clamp(max=features.shape[1] - 1)
         part = (position - below).to(features.dtype).unsqueeze(-1)  # (n, 1)
+        below, above, part = (row.to(features.device) for row in (below, above, part))
         return torch.lerp(features[:, below], features[:, above], part)
 
 

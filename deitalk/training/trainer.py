@@ -504,7 +504,7 @@ def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
     from accelerate import Accelerator, DistributedDataParallelKwargs, InitProcessGroupKwargs
 
     accelerator = Accelerator(
-        cpu=not torch.cuda.is_available(),
+        cpu=not torch.accelerator.is_available(),
         mixed_precision="no",  # `in_precision` does it: accelerate fixes one for the whole process
         kwargs_handlers=[
             # Without contrast or intensity the motion encoder has no gradient. Buffers are running

@@ -13,6 +13,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.config.rig_file import DATASET_RIG, rig_text
 from deitalk.data.captures.labels import Labelling, Labels
 from deitalk.data.captures.mapping import read_mapping
 from deitalk.data.captures.sources import Source, find_sound, find_takes
@@ -222,7 +223,8 @@ def import_captures(
     mapping : Path or None
         Table of another rig's curves to the board (`deitalk.data.captures.mapping`).
     rig : ControlSet or None
-        Another rig, whose curves stay as they are; the dataset is for models of that rig.
+        Another rig, whose curves stay as they are; the dataset is for models of that rig, and
+        holds its file.
     fps : float or None
         Rate of files that hold none.
     audio : sequence of Path
@@ -263,6 +265,8 @@ def import_captures(
     faults = []
     with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)
+        if rig is not None:
+            (stage / DATASET_RIG).write_text(rig_text(rig), encoding="utf-8")
         names = _names(takes)
         for done, (source, name) in enumerate(zip(takes, names, strict=True)):
 

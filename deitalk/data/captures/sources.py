@@ -80,7 +80,7 @@ def find_takes(
         if source.is_file():
             takes.append(Source(source, _place(source, source.absolute().parent.parent)))
             continue
-        files = [p for p in sorted(source.rglob("*")) if _may_hold_curves(p, source)]
+        files = find_files(source)
         curves = [p for p in files if _holds_curves(p, columns)]
         skipped += [p for p in files if p not in set(curves)]
         chosen = _one_a_take(curves) or (_videos(source) if columns is None else [])
@@ -97,6 +97,13 @@ def find_takes(
             )
         takes += [Source(path, _place(path, source.parent)) for path in chosen]
     return list(dict.fromkeys(takes)), skipped
+
+
+def find_files(source: Path) -> list[Path]:
+    """Files of a folder, to any depth, that may hold curves; a file itself."""
+    if source.is_file():
+        return [source]
+    return [path for path in sorted(source.rglob("*")) if _may_hold_curves(path, source)]
 
 
 def find_sound(

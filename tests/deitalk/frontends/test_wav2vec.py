@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 from transformers import (
     Data2VecAudioConfig,
     Data2VecAudioModel,
@@ -140,6 +141,24 @@ def test_rows_by_hand():
     np.testing.assert_allclose(rows, expected, atol=1e-9)
     later = frontend.rows(ramp, 3, 5, first_sample=640)[0, :, 0]
     np.testing.assert_allclose(later, [2.3765625, 4.0432291667], atol=1e-9)
+
+
+class NoDouble(TorchDispatchMode):
+    """Refuses double precision on any device but the CPU, as MPS does."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        out = func(*args, **(kwargs or {}))
+        for tensor in out if isinstance(out, tuple) else (out,):
+            if isinstance(tensor, torch.Tensor):
+                assert tensor.dtype != torch.float64 or tensor.device.type == "cpu", func
+        return out
+
+
+def test_rows_need_no_double_precision_of_the_device():
+    frontend = Wav2VecFrontend.from_config(TINY)
+    with NoDouble():
+        rows = frontend.rows(torch.zeros(2, 6, 4, device="meta"), 0, 5, first_sample=0)
+    assert rows.device.type == "meta" and rows.shape == (2, 5, 4)
 
 
 def test_forward_has_the_contracts_shape(checkpoint, speech):

@@ -8,10 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import soundfile
+from typer.testing import CliRunner
 
 from deitalk.audio.load import load_audio
+from deitalk.cli import app
+from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures import imported
 from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.own_rig import rig_of_takes
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
@@ -198,6 +202,40 @@ def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, exp
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "data").exists()
     assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
+
+
+def test_rig_is_made_of_the_columns_of_takes(tmp_path):
+    """Ranges around what is shown; pairs, mouth and upper face by the names."""
+    folder = tmp_path / "my-mocap"
+    folder.mkdir()
+    names = ("jaw_open", "Smile_L", "Smile_R", "eyeBlinkLeft", "eyeBlinkRight", "spin")
+    values = np.full((180, 6), 0.5, np.float32)
+    values[9] = (0.2, 0, 0, 0, 0, -1.5)
+    np.savez(folder / "a.npz", names=np.array(names), values=values, fps=30)
+    np.savez(folder / "b.npz", names=np.array(["jaw_open", "tail"]), values=values[:, :2], fps=30)
+    soundfile.write(folder / "a.wav", bursts(6), 16000)
+    rig = rig_of_takes([folder])
+    assert rig.id == "my_mocap@1" and rig.names == (*names, "tail")
+    assert (rig["spin"].minimum, rig["spin"].maximum, rig["spin"].rest) == (-2, 1, 0)
+    assert {c.name: c.mirror for c in rig.controls if c.mirror} == {
+        "Smile_L": "Smile_R",
+        "Smile_R": "Smile_L",
+        "eyeBlinkLeft": "eyeBlinkRight",
+        "eyeBlinkRight": "eyeBlinkLeft",
+    }
+    assert {c.name: set(c.sets) for c in rig.controls if c.sets} == {
+        "jaw_open": {"lip"},
+        "eyeBlinkLeft": {"upper_face"},
+        "eyeBlinkRight": {"upper_face"},
+    }
+    (folder / "b.npz").unlink()
+    command = ["data", "import", str(folder), "--rig-from", str(folder), "-o", f"{tmp_path}/data"]
+    done = CliRunner().invoke(app, [*command, "--actor", "anna", "--split-by", "none"])
+    assert done.exit_code == 0, done.output
+    own = rig_of_dataset(tmp_path / "data")
+    assert own is not None and read_controls(own).names == names
+    assert rig_of_dataset(tmp_path / "data", "other.yaml") == "other.yaml"
+    assert rig_of_dataset(folder) is None
 
 
 def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):

@@ -1,0 +1,90 @@
+"""The rig that captures are of, from the names and the motion of their columns."""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deitalk.data.captures.columns import read_named
+from deitalk.data.captures.sources import find_files
+from deitalk.errors import DataError
+from rig import ControlSet
+from rig.controls import Control
+from rig.errors import UserError
+
+MOUTH = ("mouth", "jaw", "lip", "tongue", "tooth", "teeth", "viseme")
+UPPER = ("brow", "eye", "blink", "lid")
+"""Parts of names by which a control shuts in silence, and is scored as upper face."""
+SIDES = (("left", "right"), ("l$", "r"), ("^l_", "r_"), ("_l_", "_r_"))
+"""What differs between the names of a pair, in lower case."""
+
+
+def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSet:
+    """Controls of the columns of tables of curves, in the order of the first table.
+
+    A control goes from 0 to 1, or to the whole numbers around what the takes show, and rests at 0.
+    Sides, mouth and upper face are told by the names.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files of curves, or folders that are searched to any depth.
+    fps : float or None
+        Of files without a rate.
+
+    Raises
+    ------
+    DataError
+        If no file holds named curves.
+    """
+    low: dict[str, float] = {}
+    high: dict[str, float] = {}
+    for path in (path for source in sources for path in find_files(source)):
+        try:
+            curves = read_named(path, fps)
+        except UserError:
+            continue  # no table of curves; if it is a take, its import says why
+        for name, values in zip(curves.names, curves.values.T, strict=True):
+            low[name] = min(low.get(name, 0.0), float(np.min(values)))
+            high[name] = max(high.get(name, 1.0), float(np.max(values)))
+    if not low:
+        raise DataError(
+            f"{sources[0]}: holds no table of named curves to make a rig of; give `rig`",
+            parameter="rig",
+        )
+    pairs = _pairs(low)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"
+    return ControlSet(
+        f"{name.lower()}@1",
+        tuple(
+            Control(
+                column,
+                minimum=math.floor(low[column]),
+                maximum=math.ceil(high[column]),
+                mirror=pairs.get(column, ""),
+                sets=frozenset(_sets(column)),
+            )
+            for column in low
+        ),
+    )
+
+
+def _pairs(names: Iterable[str]) -> dict[str, str]:
+    """Controls that have one of the other side, and that one."""
+    by_lower = {name.lower(): name for name in names}
+    pairs: dict[str, str] = {}
+    for lower, name in by_lower.items():
+        for left, right in SIDES:
+            other = by_lower.get(re.sub(left, right, lower, count=1), name)
+            if other != name and not pairs.keys() & {name, other}:
+                pairs |= {name: other, other: name}
+    return pairs
+
+
+def _sets(name: str) -> list[str]:
+    lower = name.lower()
+    if any(part in lower for part in MOUTH):
+        return ["lip"]
+    return ["upper_face"] if any(part in lower for part in UPPER) else []
