@@ -77,8 +77,8 @@ def test_every_report_stands_in_a_table(changed):
         ("README.md", "| .123 |", ("default-speed", "clip", "rtf_cpu")),
         (
             "docs/life.md",
-            "| brows | .12 (",
-            ("motion-energy", "takes", "neutral", "brows", 0),
+            "| lids | .12 (",
+            ("motion-energy", "takes", "neutral", "lids", 0),
         ),
     ],
 )
